@@ -1,0 +1,1 @@
+"""The thesis' algorithms: observations in, commands out."""

@@ -1,0 +1,1 @@
+"""One file a thesis result, the command line and the report."""

@@ -1,0 +1,1 @@
+"""What the robots and the field are: MJCF, datasheets, scene composition."""

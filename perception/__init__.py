@@ -1,0 +1,1 @@
+"""Images and points to geometry: pure NumPy, OpenCV and numba."""

@@ -1,0 +1,1 @@
+"""What a robot does, simulated or real: the contract, the loop, the sensors, the recording."""
