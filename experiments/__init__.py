@@ -1,1 +1,1 @@
-"""One file a thesis result, the command line and the report."""
+"""One experiment for each result of the thesis, and the command line that runs them."""

@@ -1,0 +1,102 @@
+"""Command line: ``python -m experiments [NAME [options]]``."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Mapping, Sequence
+
+# Off-screen rendering; must be set before mujoco is imported, also in workers.
+if sys.platform == "linux":
+    os.environ.setdefault("MUJOCO_GL", "egl")
+
+from experiments import catalogue
+from experiments.command_line import BAD_OPTIONS, complain, parse
+from experiments.contract import Experiment, ExperimentError, OptionError
+from experiments.output import Output
+from experiments.summary import print_summary
+
+FAILURE = 1
+INTERRUPTED = 130
+
+
+def main(
+    arguments: Sequence[str] | None = None,
+    experiments: Mapping[str, Experiment] = catalogue.EXPERIMENTS,
+) -> int:
+    """Run one command and return the exit status.
+
+    Args:
+        arguments: Words of the command line (those of the process unless given).
+        experiments: The experiments to choose from, by name.
+
+    Returns:
+        0 when it ran, 1 when it failed, 2 on bad options, 130 when interrupted.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print_list(experiments)
+        return 0
+    name, *rest = words
+    try:
+        if name in catalogue.COMMANDS:
+            return importlib.import_module(catalogue.COMMANDS[name][0]).main(rest)
+        if name not in experiments:
+            raise OptionError(_unknown(name, [*experiments, *catalogue.COMMANDS]))
+        run_experiment(experiments[name], rest)
+    except OptionError as error:
+        complain(error)
+        return BAD_OPTIONS
+    except ExperimentError as error:
+        complain(error)
+        return FAILURE
+    except KeyboardInterrupt:
+        complain("interrupted; --resume goes on with what a sweep has finished")
+        return INTERRUPTED
+    except Exception as error:
+        traceback.print_exc()
+        complain(f"{name} failed: {type(error).__name__}: {error}")
+        return FAILURE
+    return 0
+
+
+def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
+    """Parse the options, run the experiment, write its results and print them.
+
+    Args:
+        experiment: Entry of the catalogue.
+        arguments: Words after its name.
+
+    Raises:
+        OptionError: If the options are bad.
+        Exception: What the experiment raised.
+    """
+    options_type, run = experiment.load()
+    options = parse(options_type, experiment.name, experiment.summary, arguments)
+    output = Output(experiment.name, options)
+    run(options, output)
+    output.finish()
+    print_summary(experiment, output)
+
+
+def print_list(experiments: Mapping[str, Experiment]) -> None:
+    """Print all experiments and commands, one line each."""
+    lines = [(each.name, f"{each.summary} [{each.thesis}]") for each in experiments.values()]
+    lines += [(name, summary) for name, (_, summary) in catalogue.COMMANDS.items()]
+    width = max((len(name) for name, _ in lines), default=0)
+    print("usage: python -m experiments NAME [options]   (NAME --help tells its options)\n")
+    for name, text in lines:
+        print(f"{name:{width}}  {text}")
+
+
+def _unknown(name: str, names: Sequence[str]) -> str:
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f" (did you mean {close[0]}?)" if close else ""
+    return f"unknown experiment {name!r}{hint}; there are {', '.join(names)}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

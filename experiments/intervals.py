@@ -1,0 +1,72 @@
+"""Medians and fractions with their 95 % intervals, in the form that metrics.json holds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy import stats
+
+CONFIDENCE = 0.95
+
+Distribution = dict[str, float | int]
+
+
+def distribution(samples: Iterable[float] | np.ndarray) -> Distribution:
+    """Summarise repeated runs by the median, its 95 % interval and the 95th percentile.
+
+    The interval is the narrowest symmetric pair of order statistics whose coverage is at least
+    95 % for any continuous distribution: the number of samples below the true median is binomial
+    (n, 1/2). With fewer than six samples no pair reaches 95 %; then the interval is the whole
+    range, and its coverage is 1 - 2^(1 - n) only.
+
+    Args:
+        samples: (n,) values; an infinity stands for a run that never got there.
+
+    Returns:
+        ``median``, ``mean``, ``low``, ``high``, ``p95`` and ``n``.
+
+    Raises:
+        ValueError: If there is no sample or one is NaN.
+    """
+    values = np.sort(np.asarray(list(samples), dtype=float).ravel())
+    if values.size == 0:
+        raise ValueError("distribution: no samples")
+    if np.any(np.isnan(values)):
+        raise ValueError(f"distribution: {int(np.isnan(values).sum())} of {values.size} are NaN")
+    rank = max(int(stats.binom.ppf((1 - CONFIDENCE) / 2, values.size, 0.5)), 1)
+    return {
+        "median": float(np.median(values)),
+        "mean": float(np.mean(values)),
+        "low": float(values[rank - 1]),
+        "high": float(values[values.size - rank]),
+        "p95": float(np.percentile(values, 95, method="higher")),
+        "n": int(values.size),
+    }
+
+
+def fraction(successes: int, n: int) -> Distribution:
+    """Return a fraction of successes with its 95 % Wilson interval.
+
+    Args:
+        successes: Number of runs that succeeded.
+        n: Number of runs.
+
+    Returns:
+        The keys of `distribution`; ``median``, ``mean`` and ``p95`` all hold the fraction.
+
+    Raises:
+        ValueError: If n is not positive or successes is not within 0..n.
+    """
+    if n < 1 or not 0 <= successes <= n:
+        raise ValueError(f"fraction: {successes} of {n} is not a fraction")
+    interval = stats.binomtest(successes, n).proportion_ci(CONFIDENCE, method="wilson")
+    share = successes / n
+    return {
+        "median": share,
+        "mean": share,
+        "low": float(interval.low),
+        "high": float(interval.high),
+        "p95": share,
+        "n": n,
+    }
