@@ -1,0 +1,97 @@
+"""Clocks that pace a loop: simulated time, which steps the scene, and wall time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from twin.simulation import Simulation
+
+
+class Clock(Protocol):
+    """Advances by one period a tick."""
+
+    period: float
+    misses: int
+
+    @property
+    def time(self) -> float:
+        """Time since the clock was made or the scene began [s]."""
+        ...
+
+    def tick(self) -> None:
+        """Return at the next tick."""
+        ...
+
+
+class SimClock:
+    """Simulated time; a tick steps the scene, and no deadline is ever missed."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Pace by `simulation`."""
+        self._simulation = simulation
+        self.period = simulation.period
+        self.misses = 0
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._simulation.time
+
+    def tick(self) -> None:
+        """Step the scene by one servo tick.
+
+        Raises:
+            RobotError: As `Simulation.step`.
+        """
+        self._simulation.step()
+
+
+class WallClock:
+    """Wall time with absolute deadlines, so that lateness does not add up.
+
+    Attributes:
+        misses: Deadlines that had passed before they were waited for.
+    """
+
+    def __init__(
+        self,
+        period: float,
+        now: Callable[[], float] = time.perf_counter,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """Begin now.
+
+        Args:
+            period: Between ticks [s].
+            now: Source of time [s], monotonic.
+            sleep: Waits for so many seconds.
+
+        Raises:
+            ValueError: If the period is not positive.
+        """
+        if not period > 0.0:
+            raise ValueError(f"clock period must be positive, got {period}")
+        self.period = period
+        self.misses = 0
+        self._now = now
+        self._sleep = sleep
+        self._start = now()
+        self._ticks = 0
+
+    @property
+    def time(self) -> float:
+        """Time since the clock was made [s]."""
+        return self._now() - self._start
+
+    def tick(self) -> None:
+        """Wait for the next deadline; deadlines that have passed are counted and skipped."""
+        self._ticks += 1
+        remaining = self._ticks * self.period - self.time
+        if remaining < 0.0:
+            late = int(-remaining / self.period) + 1
+            self.misses += late
+            self._ticks += late
+            remaining += late * self.period
+        self._sleep(remaining)

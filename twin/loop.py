@@ -1,0 +1,120 @@
+"""The loop: observe, decide, command, record, wait; the same for every kind of robot."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from twin.clock import Clock
+from twin.robot import Command, Controller, Lifecycle, Observation, Robot, RobotError
+
+
+class LoopRecorder(Protocol):
+    """What the loop asks of a recorder."""
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one tick."""
+        ...
+
+    def flush(self) -> None:
+        """Bring everything taken so far to its place."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class RunSummary:
+    """What a run took.
+
+    Attributes:
+        steps: Servo ticks done.
+        duration: Robot time passed [s].
+        wall: Wall time passed [s].
+        misses: Deadlines missed.
+    """
+
+    steps: int
+    duration: float
+    wall: float
+    misses: int
+
+
+def run(
+    robots: Mapping[str, Robot],
+    controllers: Sequence[Controller],
+    clock: Clock,
+    recorder: LoopRecorder | None = None,
+    duration: float = 10.0,
+) -> RunSummary:
+    """Run controllers on robots for a while.
+
+    Robots are activated first and, however the run ends, deactivated last; one robot's error
+    stops all. Controllers are not reset: the caller decides what they remember.
+
+    Args:
+        robots: By name.
+        controllers: Each sees all observations and commands robots that no other one commands.
+        clock: Paces the loop.
+        recorder: Takes every tick; None for none. It is flushed, not closed.
+        duration: Robot time to run for [s].
+
+    Returns:
+        What the run took.
+
+    Raises:
+        RobotError: If a robot fails.
+        ValueError: If a controller commands an unknown robot, or two command the same.
+    """
+    begin, wall, missed = clock.time, time.perf_counter(), clock.misses
+    steps = max(0, round(duration / clock.period))
+    try:
+        for robot in robots.values():
+            robot.activate()
+        for step in range(steps):
+            observations = {name: robot.observe() for name, robot in robots.items()}
+            _check_lifecycles(robots)
+            applied: dict[str, Command] = {}
+            for controller in controllers:
+                for name, command in controller.step(observations).items():
+                    _check_target(name, robots, applied)
+                    applied[name] = robots[name].command(command)
+            if recorder is not None:
+                recorder.record(step, clock.time, observations, applied)
+            clock.tick()
+    finally:
+        _stop(robots)
+        if recorder is not None:
+            recorder.flush()
+    return RunSummary(steps, clock.time - begin, time.perf_counter() - wall, clock.misses - missed)
+
+
+def _check_lifecycles(robots: Mapping[str, Robot]) -> None:
+    for name, robot in robots.items():
+        if robot.lifecycle is Lifecycle.ERROR:
+            raise RobotError(f"robot {name!r} is in error")
+
+
+def _check_target(name: str, robots: Mapping[str, Robot], applied: Mapping[str, Command]) -> None:
+    if name not in robots:
+        raise ValueError(f"a controller commands unknown robot {name!r}; there are {list(robots)}")
+    if name in applied:
+        raise ValueError(f"two controllers command robot {name!r}")
+
+
+def _stop(robots: Mapping[str, Robot]) -> None:
+    """Deactivate every robot, even when one of them cannot be reached any more."""
+    errors: list[RobotError] = []
+    for robot in robots.values():
+        try:
+            robot.deactivate()
+        except RobotError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]

@@ -1,0 +1,167 @@
+"""One MuJoCo scene stepped for several robots.
+
+A servo tick is ordered so that position and velocity sensors are read at the tick itself and
+nothing is computed twice: the second half of a physics step with the new motor voltages, whole
+steps, and the first half of the next one. Force and acceleration sensors come out of the last
+whole step, one physics step earlier, and carry that time stamp.
+"""
+
+# MuJoCo ships no type stubs.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false, reportMissingTypeStubs=false
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from twin.robot import FloatArray
+from twin.sensors import DATASHEET, SensorSuite
+from twin.servo import ROVER_SERVO, ServoConfig
+from twin.sim_robot import RobotState, SimRobot
+
+SERVO_PERIOD = 0.01
+"""Default servo tick [s]."""
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+@dataclasses.dataclass(frozen=True)
+class SavedRun:
+    """Complete state of a `Simulation`, enough to go on bit for bit."""
+
+    physics: FloatArray
+    sensordata: FloatArray
+    robots: Mapping[str, RobotState]
+
+
+class Simulation:
+    """Physics, robots and their sensors, advanced one servo tick at a time."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        robots: Sequence[str] | Mapping[str, str],
+        *,
+        suite: SensorSuite = DATASHEET,
+        servo: ServoConfig = ROVER_SERVO,
+        seed: int = 0,
+        period: float = SERVO_PERIOD,
+        data: mujoco.MjData | None = None,
+    ) -> None:
+        """Find the robots in the scene, and configure them at rest.
+
+        Args:
+            model: The scene.
+            robots: Names; a robot's elements begin with "name/". Or prefixes by name.
+            suite: How the robots' sensors measure.
+            servo: Their motors and gains.
+            seed: Of all noise; the same seed gives the same run, bit for bit.
+            period: Servo tick [s], a multiple of the physics step.
+            data: The scene's state, if another owner (dm_control) holds it.
+
+        Raises:
+            ValueError: If an actuator is missing, the tick is no multiple of the physics step, or
+                the integrator cannot be split.
+        """
+        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
+            raise ValueError("the RK4 integrator cannot be split; use implicitfast or Euler")
+        self.substeps = round(period / model.opt.timestep)
+        if self.substeps < 1 or not math.isclose(self.substeps * model.opt.timestep, period):
+            raise ValueError(
+                f"servo period {period} s is no multiple of the physics step {model.opt.timestep} s"
+            )
+        self.model = model
+        self.data = mujoco.MjData(model) if data is None else data
+        self.period = period
+        prefixes = robots if isinstance(robots, Mapping) else {name: f"{name}/" for name in robots}
+        if not prefixes:
+            raise ValueError("a simulation needs at least one robot")
+        sources = np.random.default_rng(seed).spawn(len(prefixes))
+        self.robots: dict[str, SimRobot] = {
+            name: SimRobot(name, prefix, model, self.data, suite, servo, period, source)
+            for (name, prefix), source in zip(prefixes.items(), sources)
+        }
+        self._robots = tuple(self.robots.values())
+        mujoco.mj_forward(model, self.data)
+        self._time: float = self.data.time
+        for robot in self._robots:
+            robot.configure(self._time)
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._time
+
+    def step(self) -> None:
+        """Advance one servo tick: motors, physics, sensors.
+
+        Raises:
+            RobotError: If a robot cannot follow its command, or the physics diverged.
+        """
+        self.drive()
+        mujoco.mj_step2(self.model, self.data)
+        if self.substeps > 1:
+            mujoco.mj_step(self.model, self.data, self.substeps - 1)
+        mujoco.mj_step1(self.model, self.data)
+        self.sense()
+
+    def drive(self) -> None:
+        """Bring the held commands to the motors; part of `step`, for owners of the physics."""
+        for robot in self._robots:
+            robot.drive()
+
+    def sense(self) -> None:
+        """Sample the sensors; part of `step`, for owners of the physics.
+
+        Raises:
+            RobotError: If the physics diverged; every robot is in ERROR then.
+        """
+        time = self.data.time
+        # MuJoCo resets a state that is not finite, and its clock with it.
+        if time <= self._time:
+            self._time = time
+            errors = [robot.fail("the simulation diverged") for robot in self._robots]
+            raise errors[0]
+        self._time = time
+        for robot in self._robots:
+            robot.sense(time)
+
+    def settle(self, duration: float) -> None:
+        """Advance for `duration` [s], with the robots as they are."""
+        for _ in range(round(duration / self.period)):
+            self.step()
+
+    def save(self) -> SavedRun:
+        """Return the complete state."""
+        physics = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, physics, _STATE)
+        robots = {name: robot.save() for name, robot in self.robots.items()}
+        return SavedRun(physics, self.data.sensordata.copy(), robots)
+
+    def restore(self, saved: SavedRun) -> None:
+        """Go back to a saved state of the same scene, bit for bit.
+
+        Raises:
+            ValueError: If the state is of another scene.
+        """
+        if saved.physics.size != mujoco.mj_stateSize(self.model, _STATE) or set(
+            saved.robots
+        ) != set(self.robots):
+            raise ValueError("the saved run is of another scene")
+        mujoco.mj_setState(self.model, self.data, saved.physics, _STATE)
+        mujoco.mj_step1(self.model, self.data)
+        # Force and acceleration sensors cannot be recomputed from this half of a step.
+        self.data.sensordata[:] = saved.sensordata
+        self._time = self.data.time
+        for name, state in saved.robots.items():
+            self.robots[name].restore(state)
+
+    def close(self) -> None:
+        """Take the robots down; they are UNCONFIGURED afterwards."""
+        for robot in self._robots:
+            robot.close()
