@@ -1,0 +1,461 @@
+"""Put robots and a field together into one scene, by MuJoCo's native attachment.
+
+Each robot's names get its own name and a slash in front: ``rover1/chassis``, ``rover1/shoulder``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from models import datasheets, terrain
+
+FOLDER = Path(__file__).parent
+WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
+TEXTURE_TILE = 0.25
+"""Edge of the ground's noise tile [m]."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def _require(condition: bool, what: str, value: object, valid: str) -> None:
+    if not condition:
+        raise ValueError(f"{what}: got {value!r}, needs {valid}")
+
+
+@dataclasses.dataclass(frozen=True)
+class FieldConfig:
+    """A field to drive on.
+
+    Attributes:
+        size: Lengths along x and y [m], centred on the origin. Flat ground goes on beyond it.
+        relief: Standard deviation of the ground's height [m]; 0 is flat.
+        cell: Spacing of the height field's grid [m].
+        rocks: Number of rocks drawn; those within 0.4 m of a robot's start are left out.
+        rock_radius: Smallest and largest horizontal semi-axis of a rock [m].
+        friction: Coulomb coefficient between tyres and ground.
+        seed: Seed of texture, heights and rocks.
+        texture_pixels: Edge of the noise texture of 0.25 m; a power of two.
+    """
+
+    size: tuple[float, float] = (6.0, 6.0)
+    relief: float = 0.0
+    cell: float = 0.05
+    rocks: int = 0
+    rock_radius: tuple[float, float] = (0.02, 0.06)
+    friction: float = datasheets.ROVER.tyre_friction
+    seed: int = 0
+    texture_pixels: int = 1024
+
+    def __post_init__(self) -> None:
+        """Refuse impossible fields.
+
+        Raises:
+            ValueError: If a number is out of its range.
+        """
+        _require(min(self.size) > 0.0, "field size", self.size, "two positive lengths [m]")
+        _require(0.0 <= self.relief <= 1.0, "field relief", self.relief, "0 to 1 m")
+        _require(0.01 <= self.cell <= 1.0, "field cell", self.cell, "0.01 to 1 m")
+        _require(0 <= self.rocks <= 20000, "field rocks", self.rocks, "0 to 20000")
+        low, high = self.rock_radius
+        _require(0.0 < low <= high, "field rock_radius", self.rock_radius, "0 < low <= high [m]")
+        _require(0.0 < self.friction <= 3.0, "field friction", self.friction, "above 0, at most 3")
+        power = self.texture_pixels > 0 and self.texture_pixels & (self.texture_pixels - 1) == 0
+        _require(
+            power and 16 <= self.texture_pixels <= 4096,
+            "field texture_pixels",
+            self.texture_pixels,
+            "a power of two from 16 to 4096",
+        )
+
+
+FLAT = FieldConfig()
+"""Flat textured ground."""
+ROUGH = FieldConfig(relief=0.03, rocks=900)
+"""Rolling ground with rocks of a few centimetres, 25 a square metre."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PayloadConfig:
+    """A homogeneous box held in the gripper.
+
+    Attributes:
+        mass: [kg].
+        centre: Its centre from the grip point, in the wrist's frame [m].
+        half_size: Half of its edges [m].
+    """
+
+    mass: float
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    half_size: tuple[float, float, float] = (0.02, 0.02, 0.02)
+
+    def __post_init__(self) -> None:
+        """Refuse impossible payloads.
+
+        Raises:
+            ValueError: If mass or size is not positive.
+        """
+        _require(self.mass > 0.0, "payload mass", self.mass, "a positive mass [kg]")
+        _require(
+            min(self.half_size) > 0.0, "payload half_size", self.half_size, "positive lengths [m]"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotPlacement:
+    """One robot of a scene.
+
+    Attributes:
+        name: Prefix of its names, without the slash; letters, digits and underscores.
+        position: Start of its centre of gravity in x and y [m], world.
+        yaw: Start heading about the vertical [rad]; 0 looks along the world's y.
+        arm: Whether it carries the arm.
+        stereo: Whether the arm's stereo head sees; without it the housings stay as ballast.
+        centre_locked: Whether the centre joint is held at zero.
+        payload: Box in the gripper, if any.
+    """
+
+    name: str = "rover1"
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    arm: bool = True
+    stereo: bool = True
+    centre_locked: bool = False
+    payload: PayloadConfig | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse impossible robots.
+
+        Raises:
+            ValueError: If the name cannot be a prefix, or there is a payload but no arm.
+        """
+        _require(
+            _NAME.fullmatch(self.name) is not None,
+            "robot name",
+            self.name,
+            "a letter, then letters, digits and underscores",
+        )
+        _require(
+            self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm"
+        )
+
+
+def load_part(name: str) -> mujoco.MjSpec:
+    """Read one part, ``<name>/<name>.xml``, without its key frames.
+
+    Args:
+        name: Folder of the part below ``models``.
+
+    Returns:
+        The part, ready to be attached.
+
+    Raises:
+        ValueError: If there is no such part or its MJCF cannot be read.
+    """
+    path = FOLDER / name / f"{name}.xml"
+    if not path.is_file():
+        known = sorted(p.parent.name for p in FOLDER.glob("*/*.xml") if p.stem == p.parent.name)
+        raise ValueError(f"no model part {name!r}; there are {', '.join(known)}")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, RuntimeError) as error:
+        raise ValueError(f"model part {name!r} is not valid MJCF ({path}): {error}") from error
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.default.name = f"{name}_main"  # unique, so that the scene's XML can be read back
+    return spec
+
+
+def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> terrain.Terrain:
+    """Return the ground that `build_scene` makes of the same arguments.
+
+    Args:
+        field: The field.
+        robots: Robots whose starts are kept free of rocks.
+
+    Returns:
+        Heights and rocks, in the world frame.
+    """
+    height_seed, rock_seed = np.random.SeedSequence(field.seed).spawn(3)[:2]
+    heights = terrain.make_heights(
+        np.random.default_rng(height_seed), field.size, field.relief, field.cell
+    )
+    none = terrain.Rocks(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+    bare = terrain.Terrain(field.size, heights, none)
+    rocks = terrain.make_rocks(
+        np.random.default_rng(rock_seed),
+        bare,
+        field.rocks,
+        field.rock_radius,
+        clear=np.array([robot.position for robot in robots]),
+        clear_radius=0.4,
+    )
+    return dataclasses.replace(bare, rocks=rocks)
+
+
+def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.MjSpec:
+    """Compose a scene; it may be added to before it is compiled.
+
+    The key frame ``home`` holds every robot a hair above the ground with its arm folded, and the
+    voltages that carry the arm's weight there. Add it again with `add_home` after changing the
+    number of joints or actuators.
+
+    Args:
+        field: The field.
+        robots: The robots, with different names.
+
+    Returns:
+        The scene.
+
+    Raises:
+        ValueError: If two robots share a name, or one starts outside the field.
+    """
+    _check_robots(field, robots)
+    ground = make_terrain(field, robots)
+    scene = load_part("field")
+    scene.modelname = "scene"
+    scene.default.name = "main"
+    _add_materials(scene, field)
+    _add_ground(scene, ground)
+    _add_rocks(scene, ground.rocks)
+    for robot in robots:
+        _add_robot(scene, robot, _start_height(ground, robot), field.friction)
+    if robots:
+        add_home(scene, robots)
+    return scene
+
+
+def compile_scene(scene: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a scene.
+
+    Args:
+        scene: From `build_scene`.
+
+    Returns:
+        The model.
+
+    Raises:
+        ValueError: If MuJoCo refuses it; the message names the element.
+    """
+    try:
+        return scene.compile()
+    except (ValueError, RuntimeError) as error:
+        raise ValueError(f"the scene does not compile: {error}") from error
+
+
+def make_model(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.MjModel:
+    """Compose and compile a scene; see `build_scene`."""
+    return compile_scene(build_scene(field, robots))
+
+
+def settle(model: mujoco.MjModel, seconds: float = 1.0) -> mujoco.MjData:
+    """Let the robots of a scene come to rest from ``home``.
+
+    Args:
+        model: Of a scene.
+        seconds: How long to wait [s].
+
+    Returns:
+        Data at rest, time set back to zero, with the arms' holding voltages as controls.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    mujoco.mj_step(model, data, max(1, round(seconds / model.opt.timestep)))
+    data.time = 0.0
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def arm_hold_voltage(model: mujoco.MjModel, data: mujoco.MjData, robot: str) -> NDArray[np.float64]:
+    """Return the voltages that carry an arm against gravity where it is now.
+
+    Args:
+        model: Of a scene.
+        data: After ``mj_forward``, with the arm at rest.
+        robot: Name of the robot.
+
+    Returns:
+        (4,) [V], in the order of `ARM_JOINTS`.
+    """
+    motor = datasheets.ARM_MOTOR
+    dofs = [model.joint(f"{robot}/{name}_joint").dofadr[0] for name in ARM_JOINTS]
+    return data.qfrc_bias[dofs] / motor.gross_stall_torque * motor.voltage
+
+
+def add_home(scene: mujoco.MjSpec, robots: Sequence[RobotPlacement]) -> None:
+    """Give a scene the key frame ``home``, in place of an older one.
+
+    Args:
+        scene: From `build_scene`.
+        robots: The robots that it was built with.
+    """
+    for key in list(scene.keys):
+        if key.name == "home":
+            scene.delete(key)
+    model = compile_scene(scene)
+    data = mujoco.MjData(model)
+    armed = [robot for robot in robots if robot.arm]
+    for robot in armed:
+        for name, angle in zip(ARM_JOINTS, datasheets.ARM.home, strict=True):
+            data.joint(f"{robot.name}/{name}_joint").qpos = angle
+    mujoco.mj_forward(model, data)
+    for robot in armed:
+        voltages = arm_hold_voltage(model, data, robot.name)
+        for name, voltage in zip(ARM_JOINTS, voltages, strict=True):
+            data.actuator(f"{robot.name}/{name}").ctrl = voltage
+    scene.add_key(name="home", qpos=data.qpos.copy(), ctrl=data.ctrl.copy())
+
+
+def _check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
+    names = [robot.name for robot in robots]
+    for robot in robots:
+        if names.count(robot.name) > 1:
+            raise ValueError(
+                f"two robots are called {robot.name!r}; names given: {', '.join(names)}; "
+                f"free, for example: {_free_name(names)}"
+            )
+        reach = np.abs(np.asarray(robot.position)) + 0.3
+        if np.any(reach > np.asarray(field.size) / 2.0):
+            raise ValueError(
+                f"robot {robot.name!r} starts at {robot.position}, less than 0.3 m from the edge "
+                f"of the field of {field.size[0]} x {field.size[1]} m"
+            )
+
+
+def _free_name(names: Sequence[str]) -> str:
+    return next(name for name in (f"rover{i}" for i in range(1, 1000)) if name not in names)
+
+
+def _add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
+    seed = np.random.SeedSequence(field.seed).spawn(3)[2]
+    image = terrain.ground_texture(np.random.default_rng(seed), field.texture_pixels)
+    face = min(field.texture_pixels, 256)
+    flat, cube = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtTexture.mjTEXTURE_CUBE
+    _add_texture(scene, "ground", flat, image)
+    _add_texture(scene, "rock", cube, np.tile(image[:face, :face], (6, 1, 1)))
+    for name, repeat in (("ground", 1.0 / TEXTURE_TILE), ("rock", 1.0)):
+        textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
+        textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
+        scene.add_material(
+            name=name,
+            textures=textures,
+            texrepeat=[repeat, repeat],
+            texuniform=name == "ground",
+            specular=0.0,
+            shininess=0.0,
+        )
+
+
+def _add_texture(
+    scene: mujoco.MjSpec, name: str, kind: mujoco.mjtTexture, image: NDArray[np.uint8]
+) -> None:
+    height, width, channels = image.shape
+    texture = scene.add_texture(name=name, type=kind, width=width, height=height, nchannel=channels)
+    texture.data = image.tobytes()
+
+
+def _add_ground(scene: mujoco.MjSpec, ground: terrain.Terrain) -> None:
+    if ground.is_flat:
+        scene.worldbody.add_geom(
+            name="ground",
+            type=mujoco.mjtGeom.mjGEOM_PLANE,
+            size=[ground.size[0] / 2.0, ground.size[1] / 2.0, 0.1],
+            material="ground",
+        )
+        return
+    low, high = ground.heights.min(), ground.heights.max()
+    rows, columns = ground.heights.shape
+    scene.add_hfield(
+        name="ground",
+        nrow=rows,
+        ncol=columns,
+        size=[ground.size[0] / 2.0, ground.size[1] / 2.0, high - low, 0.1],
+        userdata=((ground.heights - low) / (high - low)).ravel(),
+    )
+    scene.worldbody.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_HFIELD,
+        hfieldname="ground",
+        pos=[0.0, 0.0, low],
+        material="ground",
+    )
+
+
+def _add_rocks(scene: mujoco.MjSpec, rocks: terrain.Rocks) -> None:
+    for index, (centre, axes, yaw) in enumerate(
+        zip(rocks.centres, rocks.semi_axes, rocks.yaws, strict=True)
+    ):
+        scene.worldbody.add_geom(
+            name=f"rock{index}",
+            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+            pos=centre,
+            size=axes,
+            quat=_yaw_quaternion(yaw),
+            material="rock",
+        )
+
+
+def _yaw_quaternion(yaw: float) -> list[float]:
+    return [math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)]
+
+
+def _start_height(ground: terrain.Terrain, robot: RobotPlacement) -> float:
+    """Height that leaves every wheel a tenth of a millimetre above what is below the rover."""
+    sheet = datasheets.ROVER
+    side = np.linspace(-1.0, 1.0, 21)
+    x = (sheet.half_track + sheet.wheel_half_width) * side
+    y = (sheet.half_wheelbase + sheet.wheel_radius) * side
+    corners = np.stack(np.meshgrid(x, y), axis=-1)
+    c, s = math.cos(robot.yaw), math.sin(robot.yaw)
+    points = corners @ np.array([[c, s], [-s, c]]) + robot.position
+    return float(np.max(ground.height_at(points))) + 1e-4
+
+
+def _add_robot(scene: mujoco.MjSpec, robot: RobotPlacement, height: float, friction: float) -> None:
+    prefix = f"{robot.name}/"
+    frame = scene.worldbody.add_frame(
+        pos=[*robot.position, height], quat=_yaw_quaternion(robot.yaw)
+    )
+    rover = load_part("rover")
+    for wheel in WHEELS:
+        tyre = rover.geom(f"{wheel}_tyre")
+        tyre.friction[0] = friction
+    scene.attach(rover, frame=frame, prefix=prefix)
+    if robot.centre_locked:
+        scene.add_equality(
+            name=f"{prefix}centre_lock",
+            type=mujoco.mjtEq.mjEQ_JOINT,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            name1=f"{prefix}centre_joint",
+            solref=[0.004, 1.0],
+        )
+    if robot.arm:
+        _add_arm(scene, robot, prefix)
+
+
+def _add_arm(scene: mujoco.MjSpec, robot: RobotPlacement, prefix: str) -> None:
+    scene.attach(load_part("arm"), site=scene.site(f"{prefix}attachment_site"), prefix=prefix)
+    head = load_part("stereo_head")
+    if not robot.stereo:
+        for camera in list(head.cameras):
+            head.delete(camera)
+    scene.attach(head, site=scene.site(f"{prefix}stereo_mount"), prefix=prefix)
+    if robot.payload is None:
+        return
+    load = robot.payload
+    centre = np.asarray(scene.site(f"{prefix}gripper").pos) + load.centre
+    body = scene.body(f"{prefix}wrist").add_body(name=f"{prefix}payload", pos=centre)
+    body.add_geom(
+        name=f"{prefix}payload",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=load.half_size,
+        mass=load.mass,
+        rgba=[0.75, 0.25, 0.2, 1.0],
+    )
