@@ -1,0 +1,97 @@
+"""How well each parameter is known: mutual information in bits, and classical observability."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+BITS = 10
+"""A 10-bit sensor is assumed (Thesis section 2.6.1)."""
+
+
+def observability_matrix(transition: FloatArray, measurement: FloatArray) -> FloatArray:
+    """Return Xi = [H^T | Phi^T H^T | ... | (Phi^T)^(n-1) H^T] (Thesis eq. 2-5).
+
+    Args:
+        transition: Phi, (n, n).
+        measurement: H, (m, n).
+
+    Returns:
+        (n, n m). The state is observable if its rank is n.
+    """
+    blocks = [measurement.T]
+    for _ in range(len(transition) - 1):
+        blocks.append(transition.T @ blocks[-1])
+    return np.hstack(blocks)
+
+
+def transition_matrix(dynamics: FloatArray, time_step: float, terms: int = 12) -> FloatArray:
+    """Return e^(F dt) by its series (Thesis eq. 2-4).
+
+    Args:
+        dynamics: F, (n, n) [1/s].
+        time_step: [s]; short against the time constants of F.
+        terms: Terms kept; the thesis finds two often sufficient.
+    """
+    total = term = np.eye(len(dynamics))
+    for order in range(1, terms):
+        term = term @ dynamics * (time_step / order)
+        total = total + term
+    return total
+
+
+def entropy(probabilities: FloatArray) -> float:
+    """Return H = -sum p log2 p in bits (Thesis eq. 2-6); p log p is 0 at p = 0."""
+    positive = probabilities[probabilities > 0]
+    return float(-(positive * np.log2(positive)).sum())
+
+
+def mutual_information(
+    estimate: FloatArray, sigma: FloatArray, bounds: FloatArray, bits: int = BITS
+) -> FloatArray:
+    """Return the information of each estimate, in bits (Thesis eq. 2-8 to 2-12b).
+
+    In = H(x) - H(x | y): all 2^bits states of the sensor are equally likely before, and follow
+    the Gaussian of the estimate, cut to the range, after. An estimate outside its range counts as
+    lying at its end, where eq. 2-12b would divide by zero.
+
+    Args:
+        estimate: (n,).
+        sigma: (n,) standard deviations.
+        bounds: (n, 2) ends of the range.
+        bits: Precision of the sensor.
+
+    Returns:
+        (n,) between 0 (nothing known) and `bits`.
+    """
+    return _information(estimate, sigma, bounds, bits)
+
+
+@numba.njit(cache=True)
+def _information(estimate, sigma, bounds, bits):
+    count = 2**bits
+    result = np.empty(estimate.shape[0])
+    for n in range(estimate.shape[0]):
+        low, high = bounds[n, 0], bounds[n, 1]
+        width = (high - low) / count
+        mean = min(max(estimate[n], low), high)
+        scale = 1.0 / (math.sqrt(2.0) * max(sigma[n], 1e-12 * (high - low)))
+        # Beyond eight sigma a bin holds nothing that counts.
+        first = max(0, int((mean - 8 * sigma[n] - low) / width))
+        last = min(count, int((mean + 8 * sigma[n] - low) / width) + 1)
+        total = 0.5 * (math.erf((high - mean) * scale) - math.erf((low - mean) * scale))
+        uncertainty = 0.0
+        below = math.erf((low + first * width - mean) * scale)
+        for i in range(first, last):
+            above = math.erf((low + (i + 1) * width - mean) * scale)
+            q = 0.5 * (above - below) / total
+            if q > 0:
+                uncertainty -= q * math.log2(q)
+            below = above
+        result[n] = bits - uncertainty
+    return result

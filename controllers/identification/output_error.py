@@ -1,0 +1,308 @@
+"""Our estimator: maximum a posteriori fit of the outputs, the noise where it is.
+
+Both sides of A x = F are measured, so least squares on it is biased (errors in variables). Here
+the base's motion and the wrench are simulated from the arm's known motion and compared with all
+that was measured; Gauss-Newton with the model's sensitivities, a weak prior, and coordinates in
+which every point is a physical body.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.identification.arm_motion import Trajectory
+from controllers.identification.compliant_base import ArmOnMount, BaseState, simulate
+from controllers.identification.parameters import (
+    COUNT,
+    NAMES,
+    Prior,
+    from_unconstrained,
+    unconstrained_jacobian,
+)
+from controllers.identification.regressor import MeasurementError, check_finite
+
+FloatArray = NDArray[np.float64]
+
+CHI_SQUARE_TOLERANCE = 0.01
+"""How far chi^2 per measurement may lie from 1 before the fit is refused."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Window:
+    """What one mode of the arm did, and what was measured meanwhile.
+
+    Attributes:
+        trajectory: Arm motion over n steps.
+        outputs: (n, 24) measured deviations from rest at the steps' ends.
+        sigma: (24,) standard deviations of the noise.
+    """
+
+    trajectory: Trajectory
+    outputs: FloatArray
+    sigma: FloatArray
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be weighed.
+
+        Raises:
+            MeasurementError: If a measurement is not finite or a deviation is not positive.
+        """
+        check_finite(self.outputs)
+        if not np.all(self.sigma > 0):
+            raise MeasurementError(f"sigma {self.sigma}: every channel needs a positive deviation")
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Result of a fit.
+
+    Attributes:
+        parameters: (22,) physical parameters.
+        covariance: (22, 22) of the physical parameters.
+        theta: (22,) unconstrained coordinates.
+        information: (22, 22) posterior information in unconstrained coordinates.
+        chi_square: Weighted squared residuals per measurement; 1 when the model holds.
+        iterations: Gauss-Newton iterations.
+        measurements: Number of scalar measurements.
+    """
+
+    parameters: FloatArray
+    covariance: FloatArray
+    theta: FloatArray
+    information: FloatArray
+    chi_square: float
+    iterations: int
+    measurements: int
+
+    @property
+    def trustworthy(self) -> bool:
+        """True when chi^2 per measurement says that the model explains the data.
+
+        The tolerance widens to four standard deviations where data are few.
+        """
+        spread = 4 * np.sqrt(0.8 / max(self.measurements, 1))
+        return abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, spread)
+
+
+@dataclasses.dataclass
+class _Normal:
+    """Normal equations of the data at one point: cost, gradient and information."""
+
+    cost: float
+    gradient: FloatArray
+    information: FloatArray
+
+
+class OutputError:
+    """Fits the 22 parameters to windows of all three modes, on line and at the end.
+
+    On line the sensitivities are kept from one window to the next, and everything is simulated
+    anew only when the estimate has left the point at which it was linearised.
+    """
+
+    def __init__(self, arms: Mapping[str, ArmOnMount], prior: Prior | None = None) -> None:
+        """Start from the prior alone.
+
+        Args:
+            arms: The arm in each mode, by mode name.
+            prior: What is believed beforehand; a generic guess by default.
+        """
+        prior = prior or Prior()
+        self._arms = dict(arms)
+        self._prior_mean = prior.mean()
+        self._prior_information = np.diag(prior.sigma() ** -2)
+        self._windows: dict[str, list[Window]] = {mode: [] for mode in arms}
+        self._linearised_at = self._prior_mean.copy()
+        self._states = {mode: BaseState.at_rest() for mode in arms}
+        self._data = _Normal(0.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))
+        self.estimate = self._summary(self._prior_mean, self._data, 0)
+
+    @property
+    def measurements(self) -> int:
+        """Number of scalar measurements taken in."""
+        return sum(w.outputs.size for windows in self._windows.values() for w in windows)
+
+    def base_state(self, mode: str) -> BaseState:
+        """Return where the base of one mode is believed to be now, with sensitivities."""
+        return self._states[mode]
+
+    def add(self, windows: Mapping[str, Window], relinearise_above: float = 0.1) -> Estimate:
+        """Take one window of each mode in, and update the estimate.
+
+        Args:
+            windows: The latest window by mode.
+            relinearise_above: Change of an unconstrained coordinate at which all windows are
+                simulated anew.
+
+        Returns:
+            The new estimate, also kept as `estimate`.
+
+        Raises:
+            ValueError: If a mode is unknown.
+        """
+        unknown = sorted(set(windows) - set(self._windows))
+        if unknown:
+            raise ValueError(f"modes {unknown}: expected {', '.join(self._windows)}")
+        for mode, window in windows.items():
+            self._windows[mode].append(window)
+            self._accumulate(mode, [window], self._linearised_at, self._data, self._states)
+        theta = self._step_from(self._linearised_at, self._data)
+        if np.abs(theta - self._linearised_at).max() > relinearise_above:
+            theta = self._damped_step(self._linearised_at, self._data)
+            self._linearised_at = theta
+            self._data, self._states = self._linearise(theta, 1)
+            theta = self._step_from(theta, self._data)
+            theta = self._linearised_at + np.clip(theta - self._linearised_at, -0.5, 0.5)
+        self.estimate = self._summary(theta, self._data, 1)
+        return self.estimate
+
+    def fit(self, iterations: int = 40, substeps: int = 2, restarts: int = 3) -> Estimate:
+        """Fit all windows to convergence by damped Gauss-Newton.
+
+        Args:
+            iterations: Most iterations of one attempt.
+            substeps: Integration steps a sample.
+            restarts: Further attempts, from elsewhere, if chi^2 says that one stalled.
+
+        Returns:
+            The best estimate, also kept as `estimate`.
+        """
+        best = self._descend(self._linearised_at, iterations, substeps)
+        for attempt in range(restarts):
+            if best.trustworthy:
+                break
+            shift = 0.5 * np.cos(np.arange(COUNT) * (attempt + 1.0))
+            other = self._descend(self._prior_mean + shift, iterations, substeps)
+            if other.chi_square < best.chi_square:
+                best = other
+        self._linearised_at = best.theta
+        self.estimate = best
+        return best
+
+    def _descend(self, theta: FloatArray, iterations: int, substeps: int) -> Estimate:
+        normal, _ = self._linearise(theta, substeps)
+        objective = self._objective(theta, normal)
+        damping, count = 1e-3, 0
+        while count < iterations:
+            count += 1
+            step = self._step_from(theta, normal, damping) - theta
+            candidate = theta + step * min(1.0, 1.5 / np.abs(step).max())
+            other, _ = self._linearise(candidate, substeps)
+            improved = self._objective(candidate, other)
+            if np.isfinite(improved) and improved < objective:
+                gain, objective = objective - improved, improved
+                theta, normal, damping = candidate, other, damping / 10
+                if gain < 1e-3:
+                    break
+            elif np.abs(step).max() < 1e-6 or damping > 1e8:
+                break
+            else:
+                damping *= 10
+        return self._summary(theta, normal, count)
+
+    def _objective(self, theta: FloatArray, normal: _Normal) -> float:
+        deviation = theta - self._prior_mean
+        return 0.5 * (normal.cost + deviation @ self._prior_information @ deviation)
+
+    def _linearise(
+        self, theta: FloatArray, substeps: int
+    ) -> tuple[_Normal, dict[str, BaseState]]:
+        """Simulate all windows at `theta`; return normal equations and the states reached."""
+        normal = _Normal(0.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))
+        states = {mode: BaseState.at_rest() for mode in self._windows}
+        for mode, windows in self._windows.items():
+            self._accumulate(mode, windows, theta, normal, states, substeps)
+        return normal, states
+
+    def _accumulate(
+        self,
+        mode: str,
+        windows: Sequence[Window],
+        theta: FloatArray,
+        normal: _Normal,
+        states: dict[str, BaseState],
+        substeps: int = 1,
+    ) -> None:
+        parameters, jacobian = from_unconstrained(theta), unconstrained_jacobian(theta)
+        gradient, information = np.zeros(COUNT), np.zeros((COUNT, COUNT))
+        for window in windows:
+            predicted, derivatives, states[mode] = simulate(
+                parameters, self._arms[mode], window.trajectory, states[mode], substeps=substeps
+            )
+            weighted = (derivatives / window.sigma[:, None]).reshape(-1, COUNT)
+            residual = ((window.outputs - predicted) / window.sigma).ravel()
+            normal.cost += float(residual @ residual)
+            gradient += weighted.T @ residual
+            information += weighted.T @ weighted
+        normal.gradient += jacobian.T @ gradient
+        normal.information += jacobian.T @ information @ jacobian
+
+    def _step_from(self, theta: FloatArray, normal: _Normal, damping: float = 0.0) -> FloatArray:
+        information = normal.information + self._prior_information
+        gradient = normal.gradient - self._prior_information @ (theta - self._prior_mean)
+        damped = information + damping * np.diag(np.diag(information))
+        return theta + np.linalg.solve(damped, gradient)
+
+    def _damped_step(self, theta: FloatArray, normal: _Normal) -> FloatArray:
+        """Return a Gauss-Newton step that is held to what the linearisation can bear."""
+        step = self._step_from(theta, normal) - theta
+        return theta + step * min(1.0, 1.0 / np.abs(step).max())
+
+    def _summary(self, theta: FloatArray, normal: _Normal, iterations: int) -> Estimate:
+        information = normal.information + self._prior_information
+        jacobian = unconstrained_jacobian(theta)
+        covariance = jacobian @ np.linalg.inv(information) @ jacobian.T
+        return Estimate(
+            parameters=from_unconstrained(theta),
+            covariance=covariance,
+            theta=theta,
+            information=information,
+            chi_square=normal.cost / max(self.measurements, 1),
+            iterations=iterations,
+            measurements=self.measurements,
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class Identifiability:
+    """What the data say and what they do not.
+
+    Attributes:
+        unidentifiable: Names of the parameters of which the data say little.
+        directions: The combinations that stay unknown, as name -> weight, largest weights first.
+    """
+
+    unidentifiable: tuple[str, ...]
+    directions: tuple[dict[str, float], ...]
+
+
+def identifiability(
+    estimate: Estimate, prior: Prior | None = None, shrinkage: float = 0.5
+) -> Identifiability:
+    """Say by name what a fit could not determine.
+
+    A parameter counts as unidentifiable when its deviation stayed above `shrinkage` of the
+    prior's; a direction when its information gained stayed below that of the prior.
+
+    Args:
+        estimate: A fit.
+        prior: The prior that it was made with.
+        shrinkage: Ratio of posterior to prior deviation.
+    """
+    sigma = (prior or Prior()).sigma()
+    whitened = estimate.information * np.outer(sigma, sigma)
+    posterior = np.sqrt(np.diag(np.linalg.inv(whitened)))
+    names = tuple(NAMES[i] for i in np.flatnonzero(posterior > shrinkage))
+    values, vectors = np.linalg.eigh(whitened)
+    directions = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value * shrinkage**2 > 1:
+            break
+        order = np.argsort(-np.abs(vector))
+        kept = [i for i in order if abs(vector[i]) > 0.2]
+        directions.append({NAMES[i]: float(vector[i]) for i in kept})
+    return Identifiability(names, tuple(directions))
