@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from twin.camera import StereoConfig, StereoRig, StereoState
 from twin.robot import FloatArray
 from twin.sensors import DATASHEET, SensorSuite
 from twin.servo import ROVER_SERVO, ServoConfig
@@ -37,6 +38,7 @@ class SavedRun:
     physics: FloatArray
     sensordata: FloatArray
     robots: Mapping[str, RobotState]
+    rigs: Mapping[str, StereoState]
 
 
 class Simulation:
@@ -49,6 +51,7 @@ class Simulation:
         *,
         suite: SensorSuite = DATASHEET,
         servo: ServoConfig = ROVER_SERVO,
+        stereo: StereoConfig | None = None,
         seed: int = 0,
         period: float = SERVO_PERIOD,
         data: mujoco.MjData | None = None,
@@ -60,6 +63,7 @@ class Simulation:
             robots: Names; a robot's elements begin with "name/". Or prefixes by name.
             suite: How the robots' sensors measure.
             servo: Their motors and gains.
+            stereo: How their stereo heads see; None leaves the channel missing.
             seed: Of all noise; the same seed gives the same run, bit for bit.
             period: Servo tick [s], a multiple of the physics step.
             data: The scene's state, if another owner (dm_control) holds it.
@@ -81,16 +85,24 @@ class Simulation:
         prefixes = robots if isinstance(robots, Mapping) else {name: f"{name}/" for name in robots}
         if not prefixes:
             raise ValueError("a simulation needs at least one robot")
-        sources = np.random.default_rng(seed).spawn(len(prefixes))
+        sources = np.random.default_rng(seed).spawn(2 * len(prefixes))
         self.robots: dict[str, SimRobot] = {
             name: SimRobot(name, prefix, model, self.data, suite, servo, period, source)
             for (name, prefix), source in zip(prefixes.items(), sources)
         }
         self._robots = tuple(self.robots.values())
+        self.rigs: dict[str, StereoRig] = {}
+        if stereo is not None:
+            eyes = sources[len(prefixes) :]
+            self.rigs = {
+                name: StereoRig(model, prefix, stereo, source)
+                for (name, prefix), source in zip(prefixes.items(), eyes)
+            }
         mujoco.mj_forward(model, self.data)
         self._time: float = self.data.time
         for robot in self._robots:
             robot.configure(self._time)
+        self._look()
 
     @property
     def time(self) -> float:
@@ -130,6 +142,15 @@ class Simulation:
         self._time = time
         for robot in self._robots:
             robot.sense(time)
+        if self.rigs:
+            self._look()
+
+    def _look(self) -> None:
+        """Give robots the stereo pairs that are due."""
+        for name, rig in self.rigs.items():
+            pair = rig.poll(self.data, self._time)
+            if pair is not None:
+                self.robots[name].see(pair)
 
     def settle(self, duration: float) -> None:
         """Advance for `duration` [s], with the robots as they are."""
@@ -141,7 +162,8 @@ class Simulation:
         physics = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, physics, _STATE)
         robots = {name: robot.save() for name, robot in self.robots.items()}
-        return SavedRun(physics, self.data.sensordata.copy(), robots)
+        rigs = {name: rig.save() for name, rig in self.rigs.items()}
+        return SavedRun(physics, self.data.sensordata.copy(), robots, rigs)
 
     def restore(self, saved: SavedRun) -> None:
         """Go back to a saved state of the same scene, bit for bit.
@@ -149,9 +171,8 @@ class Simulation:
         Raises:
             ValueError: If the state is of another scene.
         """
-        if saved.physics.size != mujoco.mj_stateSize(self.model, _STATE) or set(
-            saved.robots
-        ) != set(self.robots):
+        fits = saved.physics.size == mujoco.mj_stateSize(self.model, _STATE)
+        if not (fits and saved.robots.keys() == self.robots.keys()):
             raise ValueError("the saved run is of another scene")
         mujoco.mj_setState(self.model, self.data, saved.physics, _STATE)
         mujoco.mj_step1(self.model, self.data)
@@ -160,6 +181,8 @@ class Simulation:
         self._time = self.data.time
         for name, state in saved.robots.items():
             self.robots[name].restore(state)
+        for name, state in saved.rigs.items():
+            self.rigs[name].restore(state)
 
     def close(self) -> None:
         """Take the robots down; they are UNCONFIGURED afterwards."""

@@ -1,0 +1,335 @@
+"""Cameras: the pinhole model, the stereo rig, and the process' one off-screen renderer.
+
+A camera frame has x to the right, y down and z forward along the view, as images have it; pixel
+centres stand at whole numbers.
+"""
+
+# MuJoCo ships no type stubs.
+# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false, reportMissingTypeStubs=false
+from __future__ import annotations
+
+import atexit
+import dataclasses
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from models.datasheets import CAMERA
+from twin.robot import Channel, FloatArray, Validity
+
+ImageArray = NDArray[np.uint8]
+NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
+_MAX_SAMPLES = 4  # Software rasterisers offer no more.
+_HIDDEN_GROUP = 4  # Truth markers stand in groups from here on; no camera may see them.
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraModel:
+    """A pinhole camera with Brown's lens distortion.
+
+    Attributes:
+        width: Columns [px].
+        height: Rows [px].
+        fx: Focal length in columns [px].
+        fy: Focal length in rows [px].
+        cx: Column of the optical axis [px].
+        cy: Row of the optical axis [px].
+        distortion: (k1, k2, p1, p2, k3).
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion: tuple[float, float, float, float, float] = NO_DISTORTION
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(3, 3) intrinsic matrix."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """Return (N, 2) pixels (column, row) of `points` (N, 3) [m] in the camera frame.
+
+        Points that are not in front of the camera become NaN.
+        """
+        points = np.asarray(points, dtype=float).reshape(-1, 3)
+        ahead = points[:, 2] > 0.0
+        depth = np.where(ahead, points[:, 2], np.nan)
+        x, y = points[:, 0] / depth, points[:, 1] / depth
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return np.stack([self.fx * u + self.cx, self.fy * v + self.cy], axis=1)
+
+
+def camera_model(
+    model: mujoco.MjModel, name: str, distortion: tuple[float, ...] = NO_DISTORTION
+) -> CameraModel:
+    """Return the intrinsics of a scene's camera.
+
+    Args:
+        model: The scene.
+        name: The camera.
+        distortion: (k1, k2, p1, p2, k3), which the scene does not hold.
+
+    Raises:
+        ValueError: If there is no such camera or it has no sensor size.
+    """
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
+    if index < 0:
+        valid = ", ".join(model.camera(i).name for i in range(model.ncam)) or "none"
+        raise ValueError(f"the scene has no camera {name!r}; it has: {valid}")
+    width, height = (int(n) for n in model.cam_resolution[index])
+    size = model.cam_sensorsize[index]
+    if not np.all(size > 0.0):
+        raise ValueError(f"camera {name!r} has no sensorsize, so its intrinsics are unknown")
+    focal_x, focal_y, shift_x, shift_y = model.cam_intrinsic[index].tolist()
+    k1, k2, p1, p2, k3 = distortion
+    return CameraModel(
+        width,
+        height,
+        focal_x / float(size[0]) * width,
+        focal_y / float(size[1]) * height,
+        (width - 1) / 2.0 - shift_x / float(size[0]) * width,
+        (height - 1) / 2.0 + shift_y / float(size[1]) * height,
+        (k1, k2, p1, p2, k3),
+    )
+
+
+def camera_pose(data: mujoco.MjData, camera: int) -> tuple[FloatArray, FloatArray]:
+    """Return rotation (3, 3) and translation (3,) [m], camera to world; truth, for tests."""
+    flip = np.diag([1.0, -1.0, -1.0])  # MuJoCo's cameras look along -z with y up.
+    rotation = np.array(data.cam_xmat[camera], dtype=float).reshape(3, 3) @ flip
+    return rotation, np.array(data.cam_xpos[camera], dtype=float)
+
+
+class Renderer:
+    """An off-screen OpenGL context; use the process' own through `renderer`."""
+
+    def __init__(self) -> None:
+        """Prepare; the context is made for the first image."""
+        self._process = os.getpid()
+        self._gl: Any = None
+        self._context: Any = None
+        self._scene: Any = None
+        self._model: Any = None
+        self._size = (0, 0)
+        self._option = mujoco.MjvOption()
+        self._option.sitegroup[:] = 0
+        self._option.geomgroup[_HIDDEN_GROUP:] = 0
+        self._camera = mujoco.MjvCamera()
+
+    def render(
+        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str, width: int, height: int
+    ) -> ImageArray:
+        """Return (height, width, 3) uint8, red, green and blue.
+
+        Args:
+            model: The scene.
+            data: Its state, after positions were computed.
+            camera: Name of a camera of the scene.
+            width: Columns [px].
+            height: Rows [px].
+
+        Raises:
+            RuntimeError: If no context can be made, or this process was forked off another.
+            ValueError: If there is no such camera.
+        """
+        if os.getpid() != self._process:
+            raise RuntimeError("this process was forked after rendering; start it by spawning")
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+        if index < 0:
+            valid = ", ".join(model.camera(i).name for i in range(model.ncam)) or "none"
+            raise ValueError(f"the scene has no camera {camera!r}; it has: {valid}")
+        self._prepare(model, width, height)
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = index
+        everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+        mujoco.mjv_updateScene(
+            model, data, self._option, None, self._camera, everything, self._scene
+        )
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        image = np.empty((height, width, 3), np.uint8)
+        mujoco.mjr_render(viewport, self._scene, self._context)
+        mujoco.mjr_readPixels(image, None, viewport, self._context)
+        return image[::-1]
+
+    def _prepare(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        """Make the context current, and its textures and buffer those of this scene."""
+        if self._gl is None:
+            self._gl = _make_gl(width, height)
+            # Registered after the driver's own clean-up, so that it runs before.
+            atexit.register(self.close)
+        # Another library may have made its own context current.
+        self._gl.make_current()
+        if self._model is model and self._size[0] >= width and self._size[1] >= height:
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+            return
+        if self._context is not None:
+            self._context.free()
+        size = (max(width, self._size[0]), max(height, self._size[1]))
+        quality, screen = model.vis.quality, model.vis.global_
+        quality.offsamples = min(int(quality.offsamples), _MAX_SAMPLES)
+        screen.offwidth = max(int(screen.offwidth), size[0])
+        screen.offheight = max(int(screen.offheight), size[1])
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 1000)
+        self._model, self._size = model, size
+
+    def close(self) -> None:
+        """Free the context; a later `render` makes a new one."""
+        if self._gl is None or os.getpid() != self._process:
+            return
+        self._gl.make_current()
+        if self._context is not None:
+            self._context.free()
+        self._gl.free()
+        atexit.unregister(self.close)
+        self._gl = self._context = self._scene = self._model = None
+        self._size = (0, 0)
+
+
+def _make_gl(width: int, height: int) -> Any:
+    """Return an off-screen context of the kind that MUJOCO_GL names, EGL by default."""
+    kind = os.environ.get("MUJOCO_GL", "egl").lower()
+    try:
+        if kind == "egl":
+            from mujoco.egl import GLContext  # noqa: PLC0415 (loads the driver)
+        else:
+            from mujoco import GLContext  # noqa: PLC0415
+        return GLContext(width, height)
+    except Exception as error:
+        raise RuntimeError(
+            f"no off-screen rendering with MUJOCO_GL={kind} ({error}); "
+            "install libegl1 and libgl1-mesa-dri for software EGL"
+        ) from error
+
+
+_owned: list[Renderer] = []
+
+
+def renderer() -> Renderer:
+    """Return the process' only renderer; it is closed when the process ends."""
+    if not _owned:
+        _owned.append(Renderer())
+    return _owned[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class StereoConfig:
+    """How the stereo pair sees.
+
+    Attributes:
+        rate: Pairs per second [Hz].
+        noise_db: Full scale over r.m.s. noise [dB]; None for none.
+        distortion: (k1, k2, p1, p2, k3) of both lenses; the corners that a barrel lens would show
+            beyond the rendered field stay black.
+    """
+
+    rate: float = 4.0
+    noise_db: float | None = CAMERA.signal_to_noise_db
+    distortion: tuple[float, float, float, float, float] = NO_DISTORTION
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that is not positive.
+
+        Raises:
+            ValueError: Naming it.
+        """
+        if not self.rate > 0.0:
+            raise ValueError(f"stereo rate must be positive, got {self.rate}")
+
+
+@dataclasses.dataclass(frozen=True)
+class StereoState:
+    """Complete state of a `StereoRig`."""
+
+    due: float
+    random: Mapping[str, Any]
+
+
+class StereoRig:
+    """The two cameras of one robot."""
+
+    def __init__(
+        self, model: mujoco.MjModel, prefix: str, config: StereoConfig, rng: np.random.Generator
+    ) -> None:
+        """Find the cameras.
+
+        Args:
+            model: The scene.
+            prefix: Of the robot's names; the cameras are stereo_left and stereo_right.
+            config: How they see.
+            rng: Source of image noise.
+
+        Raises:
+            ValueError: If a camera is missing or the two differ in size.
+        """
+        self._names = (f"{prefix}stereo_left", f"{prefix}stereo_right")
+        self.cameras = tuple(camera_model(model, n, config.distortion) for n in self._names)
+        if len({(c.width, c.height) for c in self.cameras}) > 1:
+            raise ValueError(f"cameras {self._names} differ in size")
+        self._model, self._config, self._rng = model, config, rng
+        self._due = 0.0
+        distorted = any(config.distortion)
+        self._maps = tuple(_distortion_map(c) if distorted else None for c in self.cameras)
+
+    def poll(self, data: mujoco.MjData, time: float) -> Channel | None:
+        """Return a new pair if one is due at `time` [s], else None."""
+        if time < self._due - 1e-9:
+            return None
+        self._due = max(self._due + 1.0 / self._config.rate, time)
+        return Channel(self.capture(data), time, Validity.MEASURED)
+
+    def capture(self, data: mujoco.MjData) -> ImageArray:
+        """Return (2, height, width) uint8, left and right, read-only."""
+        first = self.cameras[0]
+        pair = np.empty((2, first.height, first.width), np.uint8)
+        for image, name, warp in zip(pair, self._names, self._maps):
+            colour = renderer().render(self._model, data, name, first.width, first.height)
+            grey = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_RGB2GRAY)
+            if warp is not None:
+                grey = cv2.remap(grey, warp[0], warp[1], cv2.INTER_LINEAR)
+            image[:] = self._noisy(np.asarray(grey, dtype=np.uint8))
+        pair.flags.writeable = False
+        return pair
+
+    def _noisy(self, image: ImageArray) -> ImageArray:
+        if self._config.noise_db is None:
+            return image
+        sigma = 255.0 * 10.0 ** (-self._config.noise_db / 20.0)
+        noise = self._rng.standard_normal(image.shape, dtype=np.float32)
+        return np.clip(np.rint(image + np.float32(sigma) * noise), 0, 255).astype(np.uint8)
+
+    def save(self) -> StereoState:
+        """Return the complete state."""
+        return StereoState(self._due, dict(self._rng.bit_generator.state))
+
+    def restore(self, state: StereoState) -> None:
+        """Go back to a saved state."""
+        self._due = state.due
+        self._rng.bit_generator.state = dict(state.random)
+
+
+def _distortion_map(camera: CameraModel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return, for each pixel of the lens' image, the column and row of the rendered one."""
+    columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2).astype(np.float64)
+    straight = cv2.undistortPoints(
+        pixels, camera.matrix, np.array(camera.distortion), None, None, camera.matrix
+    )
+    grid = np.asarray(straight, dtype=np.float32).reshape(camera.height, camera.width, 2)
+    return np.ascontiguousarray(grid[..., 0]), np.ascontiguousarray(grid[..., 1])
