@@ -4,9 +4,19 @@ from __future__ import annotations
 
 from experiments.contract import Experiment
 
-_ALL: tuple[Experiment, ...] = ()
+_ALL: tuple[Experiment, ...] = (
+    Experiment(
+        name="bench",
+        summary="speed and accuracy measured against a named peer in the same run",
+        thesis="beyond the thesis",
+        module="experiments.bench",
+    ),
+)
 
-EXPERIMENTS = {experiment.name: experiment for experiment in _ALL}
+EXPERIMENTS: dict[str, Experiment] = {experiment.name: experiment for experiment in _ALL}
 
 # name -> (module with main(arguments) -> exit status, summary)
-COMMANDS: dict[str, tuple[str, str]] = {}
+COMMANDS: dict[str, tuple[str, str]] = {
+    "doctor": ("experiments.doctor", "versions, renderer, and what is missing on this machine"),
+    "report": ("experiments.report", "all results beside the thesis' in OUT/report.html"),
+}

@@ -1,0 +1,43 @@
+"""``python -m experiments bench``: what the project costs beside a named peer, in the same run."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+from experiments import contract
+from experiments.bench_loop import bench_loop
+from experiments.contract import OptionError
+from experiments.output import Output
+
+BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
+    "loop": bench_loop,
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of the benchmarks.
+
+    Attributes:
+        only: Names of the benchmarks to run (unless said, all).
+    """
+
+    only: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse unknown benchmarks.
+
+        Raises:
+            OptionError: If a name is unknown.
+        """
+        super().__post_init__()
+        for name in self.only:
+            if name not in BENCHMARKS:
+                raise OptionError(f"--only {name}: unknown; there are {', '.join(BENCHMARKS)}")
+
+
+def run(options: Options, output: Output) -> None:
+    """Run the benchmarks one after the other; each measures and checks into the output."""
+    for name in options.only or BENCHMARKS:
+        BENCHMARKS[name](options, output)
