@@ -117,7 +117,7 @@ class RoverSheet:
     deck_gap: float = 0.003  # Assumption: clearance of a half's body to the centre joint
     arm_mount: tuple[float, float, float] = (0.0, 0.054356, 0.036195)
     """Arm mount from the centre of gravity, in the body frame [m] (Thesis Table 2-2)."""
-    spring: float = 3545.0  # `required_spring`, rounded
+    spring: float = 3530.0  # `required_spring`, rounded
     damper: float = 16.67  # 1.5 / (4 * 0.15^2) (Thesis Table 2-2, eq. A-1)
     travel: float = 0.02  # Assumption: the suspension reaches its bump stops after 2 cm
     centre_range: float = 30.0 * DEGREE  # Assumption: end stops of the centre joint
@@ -175,9 +175,11 @@ class RoverSheet:
     def required_spring(self) -> float:
         """Spring of one wheel that gives Table 2-2's pitch stiffness [N/m].
 
-        The weight above the pitch line takes away m g h of what the four springs give.
+        The sprung weight takes away m g h of what the four springs give, h above the axles, since
+        the wheels roll under the body as it pitches (README of the rover).
         """
-        gravity = self.sprung_mass * GRAVITY * self.sprung_height
+        lever = self.sprung_height - self.wheel_radius
+        gravity = self.sprung_mass * GRAVITY * lever
         return (TABLE_2_2_TRUTH["k_pitch"] + gravity) / (4.0 * self.half_wheelbase**2)
 
     @property

@@ -133,7 +133,7 @@ def ground_texture(rng: np.random.Generator, pixels: int) -> NDArray[np.uint8]:
 def make_heights(
     rng: np.random.Generator, size: tuple[float, float], relief: float, cell: float
 ) -> FloatArray:
-    """Return rolling ground: noise from the size of the field down to 0.4 m.
+    """Return rolling ground: equal noise in each octave from the field's size down to 0.4 m.
 
     Args:
         rng: Source of randomness.
@@ -149,7 +149,7 @@ def make_heights(
     longest = max(size)
     pixels = int(round(longest / cell)) + 1
     octaves = max(1, int(np.floor(np.log2(longest / 0.4))))
-    tile = noise_image(rng, pixels, octaves, exponent=1.6)
+    tile = noise_image(rng, pixels, octaves)
     rows, columns = (int(round(length / cell)) + 1 for length in (size[1], size[0]))
     return relief * tile[:rows, :columns]
 

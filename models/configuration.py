@@ -1,0 +1,132 @@
+"""What may be asked of a scene: the field, the robots on it and what they carry."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+from models import datasheets
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def _require(condition: bool, what: str, value: object, valid: str) -> None:
+    if not condition:
+        raise ValueError(f"{what}: got {value!r}, needs {valid}")
+
+
+@dataclasses.dataclass(frozen=True)
+class FieldConfig:
+    """A field to drive on.
+
+    Attributes:
+        size: Lengths along x and y [m], centred on the origin. Flat ground goes on beyond it.
+        relief: Standard deviation of the ground's height [m]; 0 is flat.
+        cell: Spacing of the height field's grid [m].
+        rocks: Number of rocks drawn; those within 0.4 m of a robot's start are left out.
+        rock_radius: Smallest and largest horizontal semi-axis of a rock [m].
+        friction: Coulomb coefficient between tyres and ground.
+        seed: Seed of texture, heights and rocks.
+        texture_pixels: Edge of the noise texture of 0.25 m; a power of two.
+    """
+
+    size: tuple[float, float] = (6.0, 6.0)
+    relief: float = 0.0
+    cell: float = 0.05
+    rocks: int = 0
+    rock_radius: tuple[float, float] = (0.02, 0.06)
+    friction: float = datasheets.ROVER.tyre_friction
+    seed: int = 0
+    texture_pixels: int = 1024
+
+    def __post_init__(self) -> None:
+        """Refuse impossible fields.
+
+        Raises:
+            ValueError: If a number is out of its range.
+        """
+        _require(min(self.size) > 0.0, "field size", self.size, "two positive lengths [m]")
+        _require(0.0 <= self.relief <= 1.0, "field relief", self.relief, "0 to 1 m")
+        _require(0.01 <= self.cell <= 1.0, "field cell", self.cell, "0.01 to 1 m")
+        _require(0 <= self.rocks <= 20000, "field rocks", self.rocks, "0 to 20000")
+        low, high = self.rock_radius
+        _require(0.0 < low <= high, "field rock_radius", self.rock_radius, "0 < low <= high [m]")
+        _require(0.0 < self.friction <= 3.0, "field friction", self.friction, "above 0, at most 3")
+        power = self.texture_pixels > 0 and self.texture_pixels & (self.texture_pixels - 1) == 0
+        _require(
+            power and 16 <= self.texture_pixels <= 4096,
+            "field texture_pixels",
+            self.texture_pixels,
+            "a power of two from 16 to 4096",
+        )
+
+
+FLAT = FieldConfig()
+"""Flat textured ground."""
+ROUGH = FieldConfig(relief=0.03, rocks=1500, rock_radius=(0.025, 0.07))
+"""Rolling ground with rocks of a few centimetres, some 40 a square metre."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PayloadConfig:
+    """A homogeneous box held in the gripper.
+
+    Attributes:
+        mass: [kg].
+        centre: Its centre from the grip point, in the wrist's frame [m].
+        half_size: Half of its edges [m].
+    """
+
+    mass: float
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    half_size: tuple[float, float, float] = (0.02, 0.02, 0.02)
+
+    def __post_init__(self) -> None:
+        """Refuse impossible payloads.
+
+        Raises:
+            ValueError: If mass or size is not positive.
+        """
+        _require(self.mass > 0.0, "payload mass", self.mass, "a positive mass [kg]")
+        _require(
+            min(self.half_size) > 0.0, "payload half_size", self.half_size, "positive lengths [m]"
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotPlacement:
+    """One robot of a scene.
+
+    Attributes:
+        name: Prefix of its names, without the slash; letters, digits and underscores.
+        position: Start of its centre of gravity in x and y [m], world.
+        yaw: Start heading about the vertical [rad]; 0 looks along the world's y.
+        arm: Whether it carries the arm.
+        stereo: Whether the arm's stereo head sees; without it the housings stay as ballast.
+        centre_locked: Whether the centre joint is held at zero.
+        payload: Box in the gripper, if any.
+    """
+
+    name: str = "rover1"
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    arm: bool = True
+    stereo: bool = True
+    centre_locked: bool = False
+    payload: PayloadConfig | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse impossible robots.
+
+        Raises:
+            ValueError: If the name cannot be a prefix, or there is a payload but no arm.
+        """
+        _require(
+            _NAME.fullmatch(self.name) is not None,
+            "robot name",
+            self.name,
+            "a letter, then letters, digits and underscores",
+        )
+        _require(
+            self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm"
+        )
