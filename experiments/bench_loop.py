@@ -13,12 +13,13 @@ from experiments.timing import compare
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.clock import SimClock
 from twin.loop import run
-from twin.robot import WHEELS, Command, Observation
+from twin.robot import ArmMode, Command, Observation, WheelMode
 from twin.simulation import Simulation
 
 ROBOTS = ("rover1", "rover2")
-DUTY = 0.5
+WHEEL_SPEED = 2.0  # [rad/s]
 SPAN = 0.5  # [s] of simulated time in one timed call
+SUBSTEPS = 10
 OVERHEAD_BOUND = 1.2
 FIELDS = {
     # name -> (field, least real-time factor on one core)
@@ -27,66 +28,97 @@ FIELDS = {
 }
 
 
-class ConstantDuty:
-    """Drives all robots straight on; costs next to nothing."""
-
-    def __init__(self) -> None:
-        command = Command(wheels=np.full(4, DUTY))
-        self._commands = {name: command for name in ROBOTS}
+class DriveAndHold:
+    """Drives all robots straight on with their arms held where they are."""
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Forget nothing: nothing is remembered."""
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Return the same commands whatever is seen."""
-        return self._commands
+        """Return wheel speeds, and the arm's angles as seen."""
+        wheels = np.full(4, WHEEL_SPEED)
+        return {
+            name: Command(
+                wheels=wheels,
+                arm=seen.arm_angles.value.astype(float),
+                wheel_mode=WheelMode.SPEED,
+                arm_mode=ArmMode.POSITION,
+            )
+            for name, seen in observations.items()
+        }
+
+
+class VoltageRecorder:
+    """Keeps the motor voltages of every tick, for the peer to repeat."""
+
+    def __init__(self, data: mujoco.MjData) -> None:
+        self.voltages: list[np.ndarray] = []
+        self._data = data
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Keep the voltages that the tick before this one ended with."""
+        if step > 0:
+            self.voltages.append(self._data.ctrl.copy())
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
 
 
 def bench_loop(options: Options, output: Output) -> None:
-    """Time the loop against ``mj_step(nstep=10)`` of the same scene under the same voltages.
+    """Time the loop against ``mj_step(nstep=10)`` of the same motion of the same scene.
 
     Args:
         options: ``quick`` takes fewer rounds.
-        output: Receives ``loop_overhead`` (on the plane) and ``rtf/<field>``.
+        output: Receives ``loop_overhead`` (on the plane), ``loop_overhead/rocks`` and
+            ``rtf/<field>``, the real-time factor of the loop.
     """
     rounds = 10 if options.quick else 40
     for name, (field, least) in FIELDS.items():
-        model = make_model(
-            field, [RobotPlacement(ROBOTS[0]), RobotPlacement(ROBOTS[1], (1.0, 0.0))]
-        )
-        times = compare(looped(model), bare(model), rounds)
+        ours, peer = contestants(field)
+        times = compare(ours, peer, rounds)
         overhead = times["ratio"]
-        if name == "plane":
-            output.measure("loop_overhead", overhead)
-            bound = f"<= {OVERHEAD_BOUND}"
-            value = overhead["median"]
-            output.check("loop overhead on the plane", value, bound, value <= OVERHEAD_BOUND)
-        else:
-            output.measure(f"loop_overhead/{name}", overhead)
+        output.measure("loop_overhead" if name == "plane" else f"loop_overhead/{name}", overhead)
+        value = overhead["median"]
+        output.check(
+            f"loop overhead, {name}", value, f"<= {OVERHEAD_BOUND}", value <= OVERHEAD_BOUND
+        )
         factor = SPAN / times["ours_s"]["median"]
         output.measure(f"rtf/{name}", factor)
         output.check(f"real-time factor, {name}", factor, f">= {least:g}", factor >= least)
 
 
-def looped(model: mujoco.MjModel) -> Callable[[], object]:
-    """Return a function that runs the rovers through the loop for `SPAN`."""
+def contestants(field: FieldConfig) -> tuple[Callable[[], object], Callable[[], object]]:
+    """Return two functions that move two rovers alike for `SPAN`: by the loop, and bare.
+
+    Both begin at rest each time; the bare one repeats the voltages of the loop.
+
+    Args:
+        field: What they drive on.
+    """
+    placements = [RobotPlacement(ROBOTS[0]), RobotPlacement(ROBOTS[1], (1.0, 0.0))]
+    model = make_model(field, placements)
     simulation = Simulation(model, ROBOTS, data=settle(model))
-    clock, controllers = SimClock(simulation), [ConstantDuty()]
-    return lambda: run(simulation.robots, controllers, clock, duration=SPAN)
+    clock, controllers = SimClock(simulation), [DriveAndHold()]
+    begin = simulation.save()
 
+    def ours() -> None:
+        simulation.restore(begin)
+        run(simulation.robots, controllers, clock, duration=SPAN)
 
-def bare(model: mujoco.MjModel) -> Callable[[], object]:
-    """Return a function that steps the same scene for `SPAN` with nothing around it."""
-    data = settle(model)
-    for robot in ROBOTS:
-        for wheel in WHEELS:
-            motor = model.actuator(f"{robot}/{wheel}").id
-            data.ctrl[motor] = DUTY * model.actuator_ctrlrange[motor, 1]
-    nstep = 10
-    ticks = round(SPAN / (nstep * model.opt.timestep))
+    recorder = VoltageRecorder(simulation.data)
+    run(simulation.robots, controllers, clock, recorder, duration=SPAN + simulation.period)
+    data = mujoco.MjData(model)
 
-    def step() -> None:
-        for _ in range(ticks):
-            mujoco.mj_step(model, data, nstep)
+    def peer() -> None:
+        mujoco.mj_setState(model, data, begin.physics, mujoco.mjtState.mjSTATE_INTEGRATION)
+        for voltages in recorder.voltages:
+            data.ctrl[:] = voltages
+            mujoco.mj_step(model, data, SUBSTEPS)
 
-    return step
+    return ours, peer
