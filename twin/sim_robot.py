@@ -1,9 +1,5 @@
 """A robot of the contract over a MuJoCo scene."""
 
-# MuJoCo ships no type stubs.
-# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
-# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportMissingTypeStubs=false
 from __future__ import annotations
 
 import dataclasses

@@ -6,10 +6,6 @@ steps, and the first half of the next one. Force and acceleration sensors come o
 whole step, one physics step earlier, and carry that time stamp.
 """
 
-# MuJoCo ships no type stubs.
-# pyright: reportAttributeAccessIssue=false, reportUnknownMemberType=false
-# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportMissingTypeStubs=false
 from __future__ import annotations
 
 import dataclasses

@@ -1,0 +1,380 @@
+"""Recordings for the rerun viewer: bodies, sensors, commands, images and estimates.
+
+Everything goes to a file, in columns of half a second, so that recording costs little and an
+interrupted run keeps what it had. ``python -m twin.record screenshot RUN.rrd OUT.png`` shows one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import mujoco
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+import tyro
+
+from twin.robot import ARM_JOINTS, WHEELS, Channel, Command, FloatArray, Observation, Validity
+from twin.scene_mesh import body_mesh
+from twin.screenshot import screenshot
+from twin.sensors import CHANNEL_WIDTHS
+from twin.simulation import Simulation
+
+_XYZ = ("x", "y", "z")
+_COMPONENTS: Mapping[str, Sequence[str]] = {
+    "wheel_speeds": WHEELS,
+    "centre_angle": ("centre",),
+    "arm_angles": ARM_JOINTS,
+    "arm_rates": ARM_JOINTS,
+    "inclinometer": ("pitch", "roll"),
+    "arm_base_wrench": tuple(f"force {a}" for a in _XYZ) + tuple(f"moment {a}" for a in _XYZ),
+    "accelerometer": _XYZ,
+    "gyro": _XYZ,
+    "heading": ("yaw",),
+}
+_SLACK = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class RecorderConfig:
+    """How densely to record.
+
+    Attributes:
+        body_rate: Poses of bodies per second [Hz].
+        image_rate: Stereo pairs per second, at most [Hz].
+        jpeg_quality: Of stereo images, 0 to 100.
+        flush_period: Robot time between writes [s].
+    """
+
+    body_rate: float = 25.0
+    image_rate: float = 4.0
+    jpeg_quality: int = 60
+    flush_period: float = 0.5
+
+
+@dataclasses.dataclass
+class _Curve:
+    """Samples of one entity that are not written yet."""
+
+    width: int
+    steps: list[int] = dataclasses.field(default_factory=list[int])
+    times: list[float] = dataclasses.field(default_factory=list[float])
+    values: list[FloatArray] = dataclasses.field(default_factory=list[FloatArray])
+
+
+class Recorder:
+    """Writes a run to a file; an argument of `twin.loop.run`.
+
+    Controllers and experiments add their own curves by `log_scalars` and `log_band`.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        simulation: Simulation | None = None,
+        blueprint: rrb.Blueprint | None = None,
+        config: RecorderConfig | None = None,
+    ) -> None:
+        """Open the file and write what never changes.
+
+        Args:
+            path: File to write, ``.rrd``; folders are made.
+            simulation: Scene whose bodies are recorded; None for real robots.
+            blueprint: Layout of the viewer; None for `default_blueprint`.
+            config: How densely to record.
+        """
+        self.path = Path(path)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._config = config or RecorderConfig()
+        self._stream = rr.RecordingStream("fieldtwin")
+        names = list(simulation.robots) if simulation is not None else []
+        self._stream.save(self.path, default_blueprint=blueprint or default_blueprint(names))
+        self._curves: dict[str, _Curve] = {}
+        self._named: set[str] = set()
+        self._step, self._time = 0, 0.0
+        self._next_flush = self._next_bodies = -np.inf
+        self._next_image: dict[str, float] = {}
+        self._seen: dict[str, float] = {}
+        self._simulation = simulation
+        self._moving: list[tuple[int, str]] = []
+        if simulation is not None:
+            self._write_scene(simulation)
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one servo tick.
+
+        Args:
+            step: Number of the tick.
+            time: Robot time [s].
+            observations: By robot name; channels that say nothing new are left out.
+            applied: Duty by robot name.
+        """
+        self._step, self._time = step, time
+        for name, observation in observations.items():
+            for channel in CHANNEL_WIDTHS:
+                self._take_channel(name, channel, getattr(observation, channel))
+            if observation.stereo.validity is not Validity.MISSING:
+                self._take_stereo(name, observation.stereo)
+        for name, command in applied.items():
+            self.log_scalars(f"{name}/duty/wheels", command.wheels, WHEELS)
+            self.log_scalars(f"{name}/duty/arm", command.arm, ARM_JOINTS)
+        if time >= self._next_bodies - _SLACK:
+            self._next_bodies = time + 1.0 / self._config.body_rate
+            self._take_bodies()
+        if time >= self._next_flush - _SLACK:
+            self._next_flush = time + self._config.flush_period
+            self._write_curves()
+
+    def log_scalars(
+        self, path: str, values: float | Iterable[float], names: Sequence[str] = ()
+    ) -> None:
+        """Add a sample to the curves of an entity, at the latest tick's time.
+
+        Args:
+            path: Entity, such as ``estimates/mass``.
+            values: One number for each curve, always as many.
+            names: Of the curves, for the legend.
+
+        Raises:
+            ValueError: If the number of values changes.
+        """
+        row = np.atleast_1d(np.asarray(values, dtype=float))
+        if path not in self._named and names:
+            self._stream.log(path, rr.SeriesLines(names=list(names)), static=True)
+        self._named.add(path)
+        self._append(path, row)
+
+    def log_band(
+        self,
+        path: str,
+        mean: float | Iterable[float],
+        low: float | Iterable[float],
+        high: float | Iterable[float],
+        names: Sequence[str] = (),
+    ) -> None:
+        """Add a sample with its interval; the bounds are thin curves beside the mean.
+
+        Args:
+            path: Entity; the curves are ``path/mean``, ``path/low`` and ``path/high``.
+            mean: One number for each curve.
+            low: Lower bounds.
+            high: Upper bounds.
+            names: Of the curves, for the legend.
+
+        Raises:
+            ValueError: If the number of values changes.
+        """
+        for part, values, width in (("mean", mean, 2.0), ("low", low, 0.7), ("high", high, 0.7)):
+            entity = f"{path}/{part}"
+            row = np.atleast_1d(np.asarray(values, dtype=float))
+            if entity not in self._named:
+                labels = [f"{n} {part}" for n in names] or [f"{path} {part}"] * row.size
+                style = rr.SeriesLines(names=labels, widths=[width] * row.size)
+                self._stream.log(entity, style, static=True)
+                self._named.add(entity)
+            self._append(entity, row)
+
+    def log_text(self, path: str, text: str) -> None:
+        """Add a line to a log, at the latest tick's time."""
+        self._set_time()
+        self._stream.log(path, rr.TextLog(text))
+
+    def flush(self) -> None:
+        """Write everything taken so far to the file."""
+        self._write_curves()
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Write the rest and close the file."""
+        self.flush()
+        self._stream.disconnect()
+
+    def _append(self, path: str, row: FloatArray) -> None:
+        curve = self._curves.get(path)
+        if curve is None:
+            curve = self._curves[path] = _Curve(row.size)
+        if row.size != curve.width:
+            raise ValueError(f"curve {path!r} has {curve.width} values, got {row.size}")
+        curve.steps.append(self._step)
+        curve.times.append(self._time)
+        curve.values.append(row)
+
+    def _take_channel(self, robot: str, name: str, channel: Channel) -> None:
+        path = f"{robot}/sensors/{name}"
+        if channel.validity is Validity.MISSING or self._seen.get(path) == channel.stamp:
+            return
+        self._seen[path] = channel.stamp
+        self.log_scalars(path, channel.value.astype(float), _COMPONENTS[name])
+
+    def _take_stereo(self, robot: str, stereo: Channel) -> None:
+        early = self._time < self._next_image.get(robot, -np.inf) - _SLACK
+        if early or self._seen.get(f"{robot}/stereo") == stereo.stamp:
+            return
+        self._seen[f"{robot}/stereo"] = stereo.stamp
+        self._next_image[robot] = self._time + 1.0 / self._config.image_rate
+        quality = [int(cv2.IMWRITE_JPEG_QUALITY), self._config.jpeg_quality]
+        self._set_time()
+        for side, image in zip(("left", "right"), stereo.value):
+            _, data = cv2.imencode(".jpg", np.asarray(image, dtype=np.uint8), quality)
+            packed = rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
+            self._stream.log(f"{robot}/stereo/{side}", packed)
+
+    def _take_bodies(self) -> None:
+        if self._simulation is None:
+            return
+        data = self._simulation.data
+        for body, path in self._moving:
+            self._append(path, np.concatenate([data.xpos[body], data.xquat[body]]))
+
+    def _write_scene(self, simulation: Simulation) -> None:
+        """Write each body's mesh once, and the pose of those that never move."""
+        model, data = simulation.model, simulation.data
+        self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for body in range(model.nbody):
+            mesh = body_mesh(model, body)
+            if mesh is None:
+                continue
+            path = f"world/{body_name(model, body)}"
+            shape = rr.Mesh3D(
+                vertex_positions=mesh.vertices,
+                triangle_indices=mesh.faces,
+                vertex_normals=mesh.normals,
+                vertex_colors=mesh.colours,
+            )
+            self._stream.log(path, shape, static=True)
+            if int(model.body_weldid[body]) != 0:
+                self._moving.append((body, path))
+                continue
+            pose = rr.Transform3D(
+                translation=data.xpos[body], quaternion=np.roll(data.xquat[body], -1)
+            )
+            self._stream.log(path, pose, static=True)
+
+    def _write_curves(self) -> None:
+        bodies = {path for _, path in self._moving}
+        for path, curve in self._curves.items():
+            if not curve.steps:
+                continue
+            index = [
+                rr.TimeColumn("sim_time", duration=curve.times),
+                rr.TimeColumn("step", sequence=curve.steps),
+            ]
+            rows = np.array(curve.values)
+            if path in bodies:
+                columns = rr.Transform3D.columns(
+                    translation=rows[:, :3], quaternion=np.roll(rows[:, 3:], -1, axis=1)
+                )
+            else:
+                columns = rr.Scalars.columns(scalars=rows.ravel())
+                columns = columns.partition([curve.width] * len(rows))
+            self._stream.send_columns(path, index, columns)
+            curve.steps.clear()
+            curve.times.clear()
+            curve.values.clear()
+
+    def _set_time(self) -> None:
+        self._stream.set_time("sim_time", duration=self._time)
+        self._stream.set_time("step", sequence=self._step)
+
+
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """Return a body's entity path below ``world``."""
+    return str(model.body(body).name) or f"body_{body}"
+
+
+def default_blueprint(robots: Sequence[str], extra: Sequence[rrb.View] = ()) -> rrb.Blueprint:
+    """Return the layout: the scene, each robot's eyes and curves, and what experiments add.
+
+    Args:
+        robots: Names of the robots.
+        extra: Views beside them, such as estimates; None given shows all of ``excitation`` and
+            ``estimates``.
+    """
+    tabs = [_robot_tab(name) for name in robots]
+    below = list(extra) or [
+        rrb.TimeSeriesView(origin="excitation", name="Excitation"),
+        rrb.TimeSeriesView(origin="estimates", name="Estimates"),
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.Spatial3DView(
+                    origin="world",
+                    name="Scene",
+                    eye_controls=rrb.EyeControls3D(
+                        position=(1.3, -1.3, 0.9), look_target=(0.0, 0.1, 0.1)
+                    ),
+                ),
+                rrb.Horizontal(*below),
+                row_shares=[3, 2],
+            ),
+            rrb.Tabs(*tabs) if tabs else rrb.TimeSeriesView(origin="/", name="Curves"),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline="sim_time", state="collapsed"),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+    )
+
+
+def _robot_tab(name: str) -> rrb.Container:
+    views = [
+        rrb.Horizontal(
+            *(
+                rrb.Spatial2DView(origin=f"{name}/stereo/{side}", name=f"{side} eye")
+                for side in ("left", "right")
+            )
+        ),
+        rrb.TimeSeriesView(origin=f"{name}/sensors/inclinometer", name="Inclinometer [rad]"),
+        rrb.TimeSeriesView(origin=f"{name}/sensors/arm_base_wrench", name="Wrench [N, N m]"),
+        rrb.TimeSeriesView(origin=f"{name}/sensors/arm_angles", name="Arm angles [rad]"),
+        rrb.TimeSeriesView(origin=f"{name}/sensors/wheel_speeds", name="Wheel speeds [rad/s]"),
+        rrb.TimeSeriesView(origin=f"{name}/duty", name="Duty"),
+    ]
+    return rrb.Vertical(*views, name=name)
+
+
+def main() -> None:
+    """Run the command line: ``screenshot RUN.rrd OUT.png``."""
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            {"screenshot": _screenshot}, prog="python -m twin.record"
+        )
+    except (OSError, RuntimeError) as error:
+        sys.exit(str(error))
+
+
+def _screenshot(run: tyro.conf.Positional[Path], out: tyro.conf.Positional[Path]) -> None:
+    """Save what the viewer shows of a recording, without a screen.
+
+    Args:
+        run: Recording, .rrd.
+        out: Picture to write, .png.
+    """
+    screenshot(run, out)
+
+
+if __name__ == "__main__":
+    main()
