@@ -1,0 +1,44 @@
+# One command each; every one does the set-up it needs. `make help` lists them.
+
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= python3
+PYTEST_ARGS ?=
+export MUJOCO_GL ?= egl
+# One BLAS thread: the small matrices here only lose by more, and sweeps use all cores anyway.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+PACKAGES := $(VENV)/.packages
+RENDERING := $(VENV)/.rendering
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint lock
+
+help: ## list the commands
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+setup: $(PACKAGES) $(RENDERING) ## install all into .venv; quick when it is there
+
+demo: setup ## identify a rover by the motion of its arm, with figures and a recording
+	$(BIN)/python -m experiments ch2-rover --quick --record
+
+test: setup ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: setup ## check style, format and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+lock: ## make requirements.lock anew from pyproject.toml (needs uv)
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	    --extra dev pyproject.toml -o requirements.lock
+
+$(PACKAGES): requirements.lock pyproject.toml tools/install_packages.sh
+	@sh tools/install_packages.sh $(PYTHON) $(VENV)
+	@touch $@
+
+$(RENDERING): $(PACKAGES) tools/ensure_rendering.sh
+	@sh tools/ensure_rendering.sh $(BIN)/python
+	@touch $@
