@@ -1,0 +1,226 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from twin.robot import Validity
+from twin.sensors import (
+    CHANNEL_OFFSETS,
+    CHANNEL_WIDTHS,
+    DATASHEET,
+    IDEAL,
+    ChannelSpec,
+    SensorBank,
+    SensorSuite,
+)
+
+PERIOD = 0.01
+GYRO = CHANNEL_OFFSETS["gyro"]
+
+
+def bank(seed=0, suite=IDEAL, **gyro):
+    if gyro:
+        suite = suite.with_channel("gyro", **gyro)
+    return SensorBank(suite, PERIOD, np.random.default_rng(seed))
+
+
+def feed(sensors, signal):
+    """Sample `signal`, and return the gyro's first value and channel at each tick."""
+    values, channels = [], []
+    for tick, value in enumerate(signal):
+        sensors.sample(tick * PERIOD, np.full(sensors.size, float(value)))
+        channel = sensors.channels(tick * PERIOD)["gyro"]
+        channels.append(channel)
+        values.append(channel.value[0] if channel.value.size else math.nan)
+    return np.array(values), channels
+
+
+def test_offsets_lay_the_channels_side_by_side():
+    ends = [CHANNEL_OFFSETS[name] + width for name, width in CHANNEL_WIDTHS.items()]
+    assert ends[:-1] == list(CHANNEL_OFFSETS.values())[1:]
+    assert ends[-1] == bank().size
+
+
+def test_ideal_channels_pass_values_unchanged():
+    raw = np.random.default_rng(1).normal(size=bank().size)
+    sensors = bank()
+    sensors.sample(0.5, raw)
+    for name, channel in sensors.channels(0.5).items():
+        start = CHANNEL_OFFSETS[name]
+        np.testing.assert_array_equal(channel.value, raw[start : start + CHANNEL_WIDTHS[name]])
+        assert channel.stamp == 0.5 and channel.validity is Validity.MEASURED
+
+
+def test_noise_is_white_and_of_the_given_size():
+    values, _ = feed(bank(noise=0.3, bias=0.1), np.zeros(20000))
+    assert values.mean() == pytest.approx(0.1, abs=4 * 0.3 / math.sqrt(20000))
+    assert values.std() == pytest.approx(0.3, rel=0.03)
+    shifted = np.corrcoef(values[1:], values[:-1])[0, 1]
+    assert abs(shifted) < 4 / math.sqrt(20000)
+
+
+def test_noise_may_differ_between_components():
+    sensors = bank(noise=(0.0, 0.1, 0.2))
+    rows = []
+    for _ in range(4000):
+        sensors.sample(0.0, np.zeros(sensors.size))
+        rows.append(sensors.channels(0.0)["gyro"].value)
+    np.testing.assert_allclose(np.std(rows, axis=0), [0.0, 0.1, 0.2], rtol=0.05)
+
+
+def test_low_pass_follows_the_first_order_step_response():
+    signal = np.ones(60)
+    signal[0] = 0.0
+    values, _ = feed(bank(bandwidth=6.0), signal)
+    time = np.arange(60) * PERIOD
+    np.testing.assert_allclose(values, 1.0 - np.exp(-2 * np.pi * 6.0 * time), atol=1e-12)
+
+
+def test_low_pass_starts_settled_at_the_first_value():
+    values, _ = feed(bank(bandwidth=6.0), np.full(5, 3.0))
+    np.testing.assert_array_equal(values, 3.0)
+
+
+@given(value=st.floats(-3, 3), bits=st.integers(1, 16))
+@settings(max_examples=60, deadline=None)
+def test_quantisation_is_within_half_a_step_and_on_a_code(value, bits):
+    values, _ = feed(bank(low=-1.0, high=1.0, bits=bits), [value])
+    step = 2.0 / 2**bits
+    code = (values[0] + 1.0) / step
+    assert code == pytest.approx(round(code)) and 0 <= round(code) <= 2**bits - 1
+    inside = min(max(value, -1.0), 1.0 - step)
+    assert abs(values[0] - inside) <= step / 2 + 1e-12
+
+
+def test_quantisation_error_is_uniform():
+    signal = np.random.default_rng(2).uniform(-0.9, 0.9, 20000)
+    values, _ = feed(bank(low=-1.0, high=1.0, bits=6), signal)
+    step = 2.0 / 64
+    assert np.std(values - signal) == pytest.approx(step / math.sqrt(12), rel=0.03)
+
+
+def test_saturation_clips_at_the_range():
+    values, _ = feed(bank(low=-1.0, high=2.0), [-5.0, 0.5, 5.0])
+    np.testing.assert_array_equal(values, [-1.0, 0.5, 2.0])
+
+
+def test_delay_shifts_value_and_stamp_together():
+    values, channels = feed(bank(delay=0.03), np.arange(10.0))
+    assert [c.validity for c in channels[:3]] == [Validity.MISSING] * 3
+    np.testing.assert_array_equal(values[3:], np.arange(7.0))
+    np.testing.assert_allclose([c.stamp for c in channels[3:]], np.arange(7) * PERIOD)
+
+
+def test_rate_holds_samples_between():
+    values, channels = feed(bank(rate=25.0), np.arange(12.0))
+    np.testing.assert_array_equal(values, np.repeat([0.0, 4.0, 8.0], 4))
+    assert channels[7].stamp == pytest.approx(0.04)
+
+
+def test_rate_that_does_not_divide_the_ticks_keeps_its_mean():
+    values, _ = feed(bank(rate=30.0), np.arange(3000.0))
+    assert len(np.unique(values)) == pytest.approx(900, abs=1)
+
+
+def test_dropout_loses_the_given_fraction_and_holds_the_last():
+    values, channels = feed(bank(dropout=0.3), np.arange(1.0, 5001.0))
+    kept = sum(c.stamp == pytest.approx(k * PERIOD) for k, c in enumerate(channels))
+    assert kept / 5000 == pytest.approx(0.7, abs=4 * math.sqrt(0.21 / 5000))
+    seen = values[~np.isnan(values)]
+    assert np.all(np.diff(seen) >= 0)
+
+
+def test_lost_samples_make_a_channel_stale_and_never_zero():
+    sensors = bank(seed=1, dropout=0.95, stale_after=0.05)
+    values, channels = feed(sensors, np.full(400, 7.0))
+    ages = np.array([k * PERIOD - c.stamp for k, c in enumerate(channels)])
+    for age, channel in zip(ages, channels):
+        if math.isnan(age):
+            expected = Validity.MISSING
+        else:
+            expected = Validity.STALE if age > 0.05 + 1e-9 else Validity.MEASURED
+        assert channel.validity is expected
+    assert {Validity.STALE, Validity.MEASURED} <= {c.validity for c in channels}
+    assert set(values[~np.isnan(values)]) == {7.0}
+
+
+def test_disconnected_sensor_is_missing_and_empty():
+    sensors = bank()
+    sensors.sample(0.0, np.ones(sensors.size))
+    sensors.disconnect("gyro")
+    channel = sensors.channels(0.0)["gyro"]
+    assert channel.validity is Validity.MISSING
+    assert channel.value.size == 0 and math.isnan(channel.stamp) and not channel.usable
+    sensors.connect("gyro")
+    assert sensors.channels(0.0)["gyro"].usable
+    assert bank(connected=False).channels(0.0)["gyro"].validity is Validity.MISSING
+
+
+def test_nothing_is_measured_before_the_first_sample():
+    assert {c.validity for c in bank().channels(0.0).values()} == {Validity.MISSING}
+
+
+def test_values_are_read_only_copies():
+    sensors = bank()
+    sensors.sample(0.0, np.ones(sensors.size))
+    value = sensors.channels(0.0)["gyro"].value
+    with pytest.raises(ValueError):
+        value[0] = 5.0
+    assert value.base is not sensors.channels(0.0)["gyro"].value.base
+
+
+def test_restored_bank_goes_on_bit_for_bit():
+    suite = DATASHEET.with_channel("gyro", delay=0.02, dropout=0.3, rate=30.0, bandwidth=10.0)
+    sensors = bank(5, suite)
+    feed(sensors, np.sin(np.arange(50.0)))
+    saved = sensors.save()
+    first, _ = feed(sensors, np.cos(np.arange(50.0)))
+    other = bank(77, suite)
+    other.restore(saved)
+    again, _ = feed(other, np.cos(np.arange(50.0)))
+    assert first.tobytes() == again.tobytes()
+
+
+@pytest.mark.parametrize(
+    "make", [lambda n: SensorSuite("x", {n: ChannelSpec()}), bank().disconnect]
+)
+def test_unknown_sensor_is_named_with_the_valid_ones(make):
+    with pytest.raises(ValueError, match=r"'sonar'.*wheel_speeds.*heading"):
+        make("sonar")
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"noise": -0.1},
+        {"noise": math.nan},
+        {"bias": math.inf},
+        {"bits": 0, "low": 0.0, "high": 1.0},
+        {"bits": 8},
+        {"low": 1.0, "high": 1.0},
+        {"rate": 0.0},
+        {"bandwidth": -1.0},
+        {"delay": -0.1},
+        {"delay": math.nan},
+        {"dropout": 1.5},
+        {"stale_after": 0.0},
+    ],
+)
+def test_impossible_sensor_is_refused(bad):
+    with pytest.raises(ValueError, match=next(iter(bad)).split("_")[0].replace("low", "range")):
+        ChannelSpec(**bad)
+
+
+def test_datasheet_tilt_sensor_has_its_bandwidth_range_and_noise():
+    tilt = DATASHEET.channels["inclinometer"]
+    assert tilt.bandwidth == 6.0 and tilt.rate == 25.0
+    assert tilt.noise == pytest.approx(math.radians(0.05))
+    assert tilt.high == pytest.approx(math.radians(20))
+    centre = DATASHEET.channels["centre_angle"]
+    assert math.degrees(centre.high - centre.low) / 2**centre.bits == pytest.approx(
+        0.145, abs=0.003
+    )
+    assert dataclasses.replace(tilt, rate=None).age_limit == 0.1

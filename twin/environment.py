@@ -1,0 +1,123 @@
+"""The scene as a dm_control environment, for its viewer, its wrappers and learning code.
+
+Actions are duties; observations are what the sensors say, never the truth. A channel that is
+missing or stale reads NaN.
+"""
+
+# dm_control ships no types, and its abstract methods look as if they returned None.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportIncompatibleMethodOverride=false
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control.mujoco import Physics, wrapper
+from dm_control.rl import control
+from dm_env import specs
+
+from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
+from twin.robot import Command, FloatArray, Observation
+from twin.sensors import CHANNEL_WIDTHS, DATASHEET, SensorSuite
+from twin.sim_robot import AXES
+from twin.simulation import Simulation
+
+Reward = Callable[[Mapping[str, Observation]], float]
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+def _no_reward(observations: Mapping[str, Observation]) -> float:
+    return 0.0
+
+
+class RoverTask(control.Task):
+    """Robots driven by duty; a reward may be given."""
+
+    def __init__(self, simulation: Simulation, reward: Reward = _no_reward) -> None:
+        """Take over a simulation that shares its state with the environment's physics.
+
+        Args:
+            simulation: The scene; its present state is where every episode begins.
+            reward: Of the observations, by robot name.
+        """
+        self._simulation = simulation
+        self._start = simulation.save()
+        self._reward = reward
+
+    def initialize_episode(self, physics: Physics) -> None:
+        """Go back to the start and activate the robots."""
+        self._simulation.restore(self._start)
+        for robot in self._simulation.robots.values():
+            robot.activate()
+
+    def before_step(self, action: FloatArray, physics: Physics) -> None:
+        """Bring duties (8 a robot: wheels, then arm joints) to the motors."""
+        parts = np.asarray(action, dtype=float).reshape(-1, len(AXES))
+        for robot, duty in zip(self._simulation.robots.values(), parts):
+            robot.command(Command(duty[:4], duty[4:]))
+        self._simulation.drive()
+
+    def after_step(self, physics: Physics) -> None:
+        """Sample the sensors."""
+        self._simulation.sense()
+
+    def action_spec(self, physics: Physics) -> specs.BoundedArray:
+        """Return the shape and range of an action."""
+        names = ",".join(f"{robot}/{axis}" for robot in self._simulation.robots for axis in AXES)
+        count = len(AXES) * len(self._simulation.robots)
+        return specs.BoundedArray((count,), float, -1.0, 1.0, name=names)
+
+    def get_observation(self, physics: Physics) -> OrderedDict[str, Any]:
+        """Return every channel, named robot/channel."""
+        result: OrderedDict[str, Any] = OrderedDict()
+        for name, observation in self._observations().items():
+            for channel, width in CHANNEL_WIDTHS.items():
+                sample = getattr(observation, channel)
+                value = sample.value if sample.usable else np.full(width, np.nan)
+                result[f"{name}/{channel}"] = value
+        return result
+
+    def get_reward(self, physics: Physics) -> float:
+        """Return the reward of the latest observations."""
+        return self._reward(self._observations())
+
+    def _observations(self) -> dict[str, Observation]:
+        return {name: robot.observe() for name, robot in self._simulation.robots.items()}
+
+
+def make_environment(
+    robots: Sequence[RobotPlacement] = (RobotPlacement(),),
+    field: FieldConfig = FLAT,
+    suite: SensorSuite = DATASHEET,
+    seed: int = 0,
+    time_limit: float = 10.0,
+    reward: Reward = _no_reward,
+) -> control.Environment:
+    """Return a scene as a ``dm_env.Environment``.
+
+    Args:
+        robots: Names and starting places.
+        field: The ground.
+        suite: How the sensors measure.
+        seed: Of all sensor noise; every episode has the same.
+        time_limit: Length of an episode [s].
+        reward: Of the observations, by robot name.
+    """
+    model = make_model(field, robots)
+    physics = Physics.from_model(wrapper.MjModel(model))
+    data = physics.data.ptr
+    rest = settle(model)
+    state = np.empty(mujoco.mj_stateSize(model, _STATE))
+    mujoco.mj_getState(model, rest, state, _STATE)
+    mujoco.mj_setState(model, data, state, _STATE)
+    simulation = Simulation(model, [r.name for r in robots], suite=suite, seed=seed, data=data)
+    return control.Environment(
+        physics,
+        RoverTask(simulation, reward),
+        time_limit=time_limit,
+        n_sub_steps=simulation.substeps,
+    )
