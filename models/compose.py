@@ -61,7 +61,8 @@ def load_part(name: str) -> mujoco.MjSpec:
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, RuntimeError) as error:
-        raise ValueError(f"model part {name!r} is not valid MJCF ({path}): {error}") from error
+        reason = " ".join(str(error).split())
+        raise ValueError(f"model part {name!r} is not valid MJCF ({path}): {reason}") from error
     for key in list(spec.keys):
         spec.delete(key)
     spec.default.name = f"{name}_main"  # unique, so that the scene's XML can be read back
@@ -235,7 +236,8 @@ def _add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
     flat, cube = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtTexture.mjTEXTURE_CUBE
     _add_texture(scene, "ground", flat, image)
     _add_texture(scene, "rock", cube, np.tile(image[:face, :face], (6, 1, 1)))
-    for name, repeat in (("ground", 1.0 / TEXTURE_TILE), ("rock", 1.0)):
+    # MuJoCo counts uniform repeats over two metres.
+    for name, repeat in (("ground", 2.0 / TEXTURE_TILE), ("rock", 1.0)):
         textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
         textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
         scene.add_material(

@@ -1,0 +1,113 @@
+"""Make the pictures of the model folders again: ``python -m models.render_pictures``."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from models.compose import FLAT, FOLDER, ROUGH, RobotPlacement, make_model, settle
+from models.datasheets import CAMERA
+
+WIDTH, HEIGHT = 640, 420
+LARGEST = 200_000
+"""Pictures in the repository stay below this size [bytes]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Shot:
+    """A view of a scene's middle.
+
+    Attributes:
+        lookat: (3,) point in the middle of the picture [m], world.
+        distance: From there to the eye [m].
+        azimuth: Direction of view, from the world's x [deg].
+        elevation: Direction of view, from the horizontal [deg].
+        camera: Name of a camera of the model in place of the above.
+    """
+
+    lookat: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    distance: float = 1.0
+    azimuth: float = 130.0
+    elevation: float = -20.0
+    camera: str = ""
+
+
+def take(
+    model: mujoco.MjModel, data: mujoco.MjData, shot: Shot, size: tuple[int, int]
+) -> NDArray[np.uint8]:
+    """Render one view.
+
+    Args:
+        model: Of a scene.
+        data: Its state.
+        shot: Where to look from.
+        size: Width and height [px].
+
+    Returns:
+        (height, width, 3) uint8 RGB.
+    """
+    view = mujoco.MjvCamera()
+    view.lookat[:] = shot.lookat
+    view.distance, view.azimuth, view.elevation = shot.distance, shot.azimuth, shot.elevation
+    renderer = mujoco.Renderer(model, size[1], size[0])
+    try:
+        renderer.update_scene(data, shot.camera or view)
+        return renderer.render().copy()
+    finally:
+        renderer.close()
+
+
+def write(image: NDArray[np.uint8], path: Path) -> None:
+    """Write a PNG that stays small, with fewer grey levels where it has to be.
+
+    Args:
+        image: (height, width, 3) uint8 RGB.
+        path: Where to.
+
+    Raises:
+        ValueError: If it cannot be made small enough.
+    """
+    for step in (1, 2, 4, 8, 16):
+        coarse = (image // step) * step + step // 2
+        bgr = cv2.cvtColor(coarse.astype(np.uint8), cv2.COLOR_RGB2BGR)
+        done, data = cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        if done and data.nbytes < LARGEST:
+            path.write_bytes(data.tobytes())
+            return
+    raise ValueError(f"{path.name}: {data.nbytes} bytes, more than {LARGEST} at 16 grey levels")
+
+
+def main() -> None:
+    """Render every picture into its model's folder."""
+    flat = make_model(FLAT, [RobotPlacement()])
+    rest = settle(flat)
+    rough = make_model(
+        ROUGH, [RobotPlacement(), RobotPlacement("rover2", (0.9, 0.5), 0.8, stereo=False)]
+    )
+    rough_rest = settle(rough)
+    size = (WIDTH, HEIGHT)
+    rover = Shot((0.0, 0.08, 0.1), 0.85, 150.0, -22.0)
+    arm = Shot((0.0, 0.18, 0.17), 0.55, 170.0, -12.0)
+    field = Shot((0.45, 0.3, 0.05), 2.2, 120.0, -25.0)
+    eye = Shot(camera="rover1/stereo_left")
+    pictures = {
+        "rover/rover.png": take(flat, rest, rover, size),
+        "arm/arm.png": take(flat, rest, arm, size),
+        "field/field.png": take(rough, rough_rest, field, size),
+        "stereo_head/stereo_head.png": take(rough, rough_rest, eye, (CAMERA.width, CAMERA.height)),
+    }
+    for name, image in pictures.items():
+        write(image, FOLDER / name)
+        print(FOLDER / name)
+
+
+if __name__ == "__main__":
+    main()
