@@ -20,10 +20,12 @@ from models.configuration import FLAT, ROUGH, FieldConfig, PayloadConfig, RobotP
 __all__ = [
     "ARM_JOINTS",
     "FLAT",
+    "FOLDER",
     "ROUGH",
     "FieldConfig",
     "PayloadConfig",
     "RobotPlacement",
+    "TEXTURE_TILE",
     "WHEELS",
     "add_home",
     "arm_hold_voltage",

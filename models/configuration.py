@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 
 from models import datasheets
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def _finite(*values: float) -> bool:
+    return all(math.isfinite(value) for value in values)
 
 
 def _require(condition: bool, what: str, value: object, valid: str) -> None:
@@ -45,7 +50,12 @@ class FieldConfig:
         Raises:
             ValueError: If a number is out of its range.
         """
-        _require(min(self.size) > 0.0, "field size", self.size, "two positive lengths [m]")
+        _require(
+            _finite(*self.size) and min(self.size) > 0.0,
+            "field size",
+            self.size,
+            "two positive lengths [m]",
+        )
         _require(0.0 <= self.relief <= 1.0, "field relief", self.relief, "0 to 1 m")
         _require(0.01 <= self.cell <= 1.0, "field cell", self.cell, "0.01 to 1 m")
         _require(0 <= self.rocks <= 20000, "field rocks", self.rocks, "0 to 20000")
@@ -87,9 +97,13 @@ class PayloadConfig:
         Raises:
             ValueError: If mass or size is not positive.
         """
-        _require(self.mass > 0.0, "payload mass", self.mass, "a positive mass [kg]")
+        _require(0.0 < self.mass < math.inf, "payload mass", self.mass, "a positive mass [kg]")
+        _require(_finite(*self.centre), "payload centre", self.centre, "three finite numbers [m]")
         _require(
-            min(self.half_size) > 0.0, "payload half_size", self.half_size, "positive lengths [m]"
+            _finite(*self.half_size) and min(self.half_size) > 0.0,
+            "payload half_size",
+            self.half_size,
+            "three positive lengths [m]",
         )
 
 
@@ -127,6 +141,8 @@ class RobotPlacement:
             self.name,
             "a letter, then letters, digits and underscores",
         )
+        start = (*self.position, self.yaw)
+        _require(_finite(*start), f"start of {self.name}", start, "finite numbers [m, rad]")
         _require(
             self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm"
         )

@@ -96,6 +96,10 @@ def test_unreadable_mjcf_is_refused_with_its_path(tmp_path, monkeypatch):
         lambda: FieldConfig(texture_pixels=100),
         lambda: FieldConfig(rock_radius=(0.1, 0.05)),
         lambda: FieldConfig(rocks=-1),
+        lambda: FieldConfig(size=(float("inf"), 1.0)),
+        lambda: RobotPlacement(position=(float("nan"), 0.0)),
+        lambda: RobotPlacement(yaw=float("inf")),
+        lambda: PayloadConfig(0.1, centre=(0.0, float("nan"), 0.0)),
         lambda: FieldConfig(friction=float("nan")),
     ],
 )

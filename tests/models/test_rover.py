@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import mujoco
@@ -13,6 +14,7 @@ from models import datasheets
 from models.compose import (
     ARM_JOINTS,
     FLAT,
+    FOLDER,
     ROUGH,
     WHEELS,
     PayloadConfig,
@@ -61,7 +63,7 @@ def test_every_inertia_is_positive_obeys_the_triangle_inequality_and_fits_its_bo
 
 
 def test_centre_of_gravity_lies_at_the_chassis_origin_and_the_mount_where_table_2_2_has_it():
-    model = mujoco.MjModel.from_xml_path("models/rover/rover.xml")
+    model = mujoco.MjModel.from_xml_path(str(FOLDER / "rover" / "rover.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     origin = data.body("chassis").xpos
@@ -302,7 +304,7 @@ def test_skid_steering_turns_at_half_to_two_thirds_of_the_kinematic_rate(
 
 def contact_fraction(locked: bool, seed: int, seconds: float) -> float:
     """Return the share of the time with all four tyres on the ground, at 8 to 10 cm/s."""
-    field = ROUGH.__class__(**{**ROUGH.__dict__, "seed": seed, "texture_pixels": 16})
+    field = dataclasses.replace(ROUGH, seed=seed, texture_pixels=16)
     robot = RobotPlacement(position=(0.0, -1.2), centre_locked=locked)
     scene = make_scene(robot, field=field)
     data = scene.start()
