@@ -100,7 +100,7 @@ def camera_model(
         focal_x / float(size[0]) * width,
         focal_y / float(size[1]) * height,
         (width - 1) / 2.0 - shift_x / float(size[0]) * width,
-        (height - 1) / 2.0 + shift_y / float(size[1]) * height,
+        (height - 1) / 2.0 - shift_y / float(size[1]) * height,
         (k1, k2, p1, p2, k3),
     )
 

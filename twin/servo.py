@@ -34,9 +34,9 @@ class ServoConfig:
     wheel_no_load_speed: tuple[float, ...]
     arm_stall_torque: tuple[float, ...]
     arm_no_load_speed: tuple[float, ...]
-    rate_gain: float = 0.8
-    rate_integral: float = 10.0
-    position_gain: float = 10.0
+    rate_gain: float = 0.5
+    rate_integral: float = 15.0
+    position_gain: float = 15.0
 
     def __post_init__(self) -> None:
         """Refuse motors that could not turn.

@@ -1,0 +1,106 @@
+"""The import rule, read from the syntax trees."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+OURS = {"models", "twin", "perception", "controllers", "experiments", "tests"}
+ALLOWED = {
+    "models": set(),
+    "twin": {"models"},
+    "perception": set(),
+    "controllers": {"perception"},
+    "experiments": {"models", "twin", "perception", "controllers"},
+}
+# What a controller could reach the truth by.
+FORBIDDEN_IN_CONTROLLERS = {
+    "mujoco",
+    "dm_control",
+    "gc",
+    "inspect",
+    "importlib",
+    "ctypes",
+    "__main__",
+}
+TYPES_FOR_CONTROLLERS = "twin.robot"
+
+
+def imports(path: Path) -> list[tuple[int, str]]:
+    """Line and dotted name of everything that a file imports, as absolute names."""
+    package = path.relative_to(ROOT).with_suffix("").parts
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(), str(path))):
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = ".".join(package[: len(package) - node.level]) if node.level else ""
+            name = ".".join(part for part in (base, node.module or "") if part)
+            found += [(node.lineno, f"{name}.{alias.name}") for alias in node.names]
+    return found
+
+
+def violations(path: Path, house: str) -> list[str]:
+    wrong = []
+    for line, name in imports(path):
+        first = name.split(".")[0]
+        if first in OURS - {house} - ALLOWED[house]:
+            if house == "controllers" and f"{name}.".startswith(f"{TYPES_FOR_CONTROLLERS}."):
+                continue
+            wrong.append(f"{path.relative_to(ROOT)}:{line} imports {name}")
+        if house == "controllers" and first in FORBIDDEN_IN_CONTROLLERS:
+            wrong.append(f"{path.relative_to(ROOT)}:{line} imports {name}")
+    return wrong
+
+
+@pytest.mark.parametrize("house", ALLOWED)
+def test_folder_imports_only_what_the_rule_allows(house):
+    files = sorted((ROOT / house).rglob("*.py"))
+    assert files
+    assert [line for path in files for line in violations(path, house)] == []
+
+
+def test_controllers_do_not_look_behind_the_stage():
+    """No frame walking, no dynamic import: with the import rule this closes the truth barrier."""
+    names = {
+        "_getframe",
+        "__import__",
+        "import_module",
+        "__subclasses__",
+        "__globals__",
+        "eval",
+        "exec",
+        "modules",
+    }
+    wrong = []
+    for path in sorted((ROOT / "controllers").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(), str(path))):
+            name = node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", None)
+            if name in names:
+                wrong.append(f"{path.relative_to(ROOT)}:{node.lineno} uses {name}")
+    assert wrong == []
+
+
+def test_rule_is_broken_by_what_it_forbids(tmp_path, monkeypatch):
+    """The check itself sees every form of import."""
+    monkeypatch.setattr("tests.test_architecture.ROOT", tmp_path)
+    folder = tmp_path / "controllers" / "deep"
+    folder.mkdir(parents=True)
+    bad = folder / "bad.py"
+    bad.write_text(
+        "import mujoco\nfrom twin import simulation\nfrom models.compose import FLAT\n"
+        "from twin.robot import Command\nfrom twin import robot\nfrom perception import stereo\n"
+        "def late():\n    import twin.sim_robot\n    from ...twin import record\n"
+    )
+    lines = [int(line.split(":")[1].split()[0]) for line in violations(bad, "controllers")]
+    assert lines == [1, 2, 3, 8, 9]
+
+
+def test_no_file_of_the_twin_is_too_long():
+    long = {
+        str(path.relative_to(ROOT)): count
+        for path in (ROOT / "twin").rglob("*.py")
+        if (count := len(path.read_text().splitlines())) >= 400
+    }
+    assert long == {}

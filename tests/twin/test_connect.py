@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+
+from models.compose import RobotPlacement
+from twin.connect import connect
+from twin.loop import run
+from twin.robot import Command, Lifecycle, WheelMode
+
+
+class Drive:
+    def reset(self):
+        pass
+
+    def step(self, observations):
+        command = Command(np.full(4, 4.0), wheel_mode=WheelMode.SPEED)
+        return dict.fromkeys(observations, command)
+
+
+@pytest.mark.parametrize("target", ["emulated", "serial:/dev/ttyACM0", "serial"])
+def test_planned_robots_say_that_they_are_not_available(target):
+    with pytest.raises(ValueError, match=f"'{target}' is not available in this version.*sim"):
+        connect(target)
+
+
+def test_unknown_robot_is_named_with_what_there_is():
+    with pytest.raises(ValueError, match="unknown robot 'simm'; available: sim"):
+        connect("simm")
+
+
+def test_two_simulated_rovers_drive_forward_by_themselves():
+    places = (RobotPlacement("a", (-0.6, 0.0)), RobotPlacement("b", (0.6, 0.0)))
+    with connect("sim", robots=places) as link:
+        assert list(link.robots) == ["a", "b"]
+        assert {r.lifecycle for r in link.robots.values()} == {Lifecycle.INACTIVE}
+        run(link.robots, [Drive()], link.clock, duration=2.0)
+        for name in "ab":
+            joint = link.simulation.data.joint(f"{name}/root_joint")
+            # 4 rad/s on wheels of 48.7 mm for 2 s, less the start.
+            assert joint.qpos[1] == pytest.approx(0.39, abs=0.04)
+            speeds = link.robots[name].observe().wheel_speeds.value
+            assert np.all(speeds > 3.5)
+    assert {r.lifecycle for r in link.robots.values()} == {Lifecycle.UNCONFIGURED}
+
+
+def test_settled_rover_stands_still_at_time_zero():
+    with connect("sim") as link:
+        assert link.clock.time == 0.0
+        assert np.abs(link.simulation.data.qvel).max() < 1e-2
