@@ -1,11 +1,9 @@
 """Forward model of the rigid arm on a rigid base on a 6-DOF compliance, with its sensitivities.
 
 Generalised coordinates q (6,): displacement of the base's centre of gravity along the world's
-x, y, z [m], then hinge angles about x, y, z [rad] (outermost first), all from static rest. The
-model is exact in the displacements; the sensitivities are those of its linearisation about rest
-(gyroscopic and gravity terms kept), good to the size of the angles, about 1e-3.
+x, y, z [m], then hinge angles about x, y, z [rad] (outermost first), all from static rest.
 
-Integration is Radau IIA with two stages (order 3, L-stable): the compliance has time constants
+Integration is Radau IIA with three stages (order 5, L-stable): the compliance has time constants
 below a millisecond, so an explicit step of 5 ms would be unstable.
 """
 
@@ -21,9 +19,8 @@ from scipy.spatial.transform import Rotation
 from controllers.identification.arm_motion import RigidArm, Trajectory, mode_axes
 from controllers.identification.equations import (
     arm_kinematics,
-    linear_matrices,
-    output_sensitivity,
-    parameter_force,
+    by_motion,
+    by_parameters,
     residual,
 )
 from controllers.identification.parameters import COUNT
@@ -176,21 +173,30 @@ def _solve_in_place(matrix, rhs):
             rhs[k, j] *= inverse
 
 
-# Radau IIA, two stages: nodes 1/3 and 1, coefficients A and A^2.
-_A = np.array([[5.0 / 12, -1.0 / 12], [3.0 / 4, 1.0 / 4]])
+STAGES = 3
+_ROOT = np.sqrt(6.0)
+_NODES = np.array([(4 - _ROOT) / 10, (4 + _ROOT) / 10, 1.0])
+_A = np.array(
+    [
+        [(88 - 7 * _ROOT) / 360, (296 - 169 * _ROOT) / 1800, (-2 + 3 * _ROOT) / 225],
+        [(296 + 169 * _ROOT) / 1800, (88 + 7 * _ROOT) / 360, (-2 - 3 * _ROOT) / 225],
+        [(16 - _ROOT) / 36, (16 + _ROOT) / 36, 1 / 9],
+    ]
+)
 _A2 = _A @ _A
-_NODES = np.array([1.0 / 3, 1.0])
 
 
 @numba.njit(cache=True)
-def _stage_matrix(h, mass, damping, stiffness, matrix):
-    for i in range(2):
-        for j in range(2):
+def _stage_matrix(h, motion_columns, matrix):
+    """Fill the derivative of the stage equations by the stage accelerations."""
+    for i in range(STAGES):
+        for j in range(STAGES):
             for r in range(6):
                 for c in range(6):
-                    value = h * _A[i, j] * damping[i, r, c] + h * h * _A2[i, j] * stiffness[i, r, c]
+                    value = h * _A[i, j] * motion_columns[i, r, 6 + c]
+                    value += h * h * _A2[i, j] * motion_columns[i, r, c]
                     if i == j:
-                        value += mass[i, r, c]
+                        value += motion_columns[i, r, 12 + c]
                     matrix[6 * i + r, 6 * j + c] = value
 
 
@@ -203,9 +209,11 @@ def _invert(matrix):
 
 @numba.njit(cache=True)
 def _stage_motion(h, i, q, v, stages):
-    """Position and velocity at stage i from the stage accelerations (2, ...)."""
-    position = q + h * _NODES[i] * v + h * h * (_A2[i, 0] * stages[0] + _A2[i, 1] * stages[1])
-    velocity = v + h * (_A[i, 0] * stages[0] + _A[i, 1] * stages[1])
+    """Position and velocity at stage i from all stages' accelerations."""
+    position, velocity = q + h * _NODES[i] * v, v.copy()
+    for j in range(STAGES):
+        position += h * h * _A2[i, j] * stages[j]
+        velocity += h * _A[i, j] * stages[j]
     return position, velocity
 
 
@@ -221,34 +229,53 @@ def _stage_kinematics(inertia, centre, axis, angle, rate, acceleration, jerk, t)
 def _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, work):
     """Solve for the stage accelerations; the linearised matrix is close, so two steps do."""
     for _ in range(2):
-        for i in range(2):
+        for i in range(STAGES):
             position, velocity = _stage_motion(h, i, q, v, stage)
             residual(
                 p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i], work[6 * i :]
             )
-        for r in range(12):
+        for r in range(6 * STAGES):
             change = 0.0
-            for c in range(12):
+            for c in range(6 * STAGES):
                 change += inverse[r, c] * work[c]
             stage[r // 6, r % 6] -= change
 
 
 @numba.njit(cache=True)
-def _sensitivity_step(
-    h, p, arm_mass, kins, rest_wrench, inverse, damping, stiffness, q, v, stage, s_q, s_v, work
-):
-    """Advance s_q, s_v (6, 22) by one step, and return the stage sensitivities (2, 6, 22)."""
-    columns, rhs = np.empty((6, 22)), np.empty((12, 22))
-    for i in range(2):
-        position, velocity = _stage_motion(h, i, q, v, stage)
-        force, _ = residual(p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i], work)
-        parameter_force(p, arm_mass, kins[i], force, position, velocity, stage[i], columns)
-        drift = s_q + h * _NODES[i] * s_v
-        rhs[6 * i : 6 * i + 6] = -(columns + damping[i] @ s_v + stiffness[i] @ drift)
-    s_stage = (inverse @ rhs).reshape(2, 6, 22)
-    position, velocity = _stage_motion(h, 1, s_q, s_v, s_stage)
+def _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v):
+    """Advance s_q, s_v (6, 22) by one step, and return the last stage's sensitivity (6, 22)."""
+    rhs = np.empty((6 * STAGES, 22))
+    motion = np.empty((12, 22))
+    motion[6:] = s_v
+    for i in range(STAGES):
+        motion[:6] = s_q + h * _NODES[i] * s_v
+        known = np.ascontiguousarray(motion_columns[i, :6, :12])
+        rhs[6 * i : 6 * i + 6] = -(parameter_columns[i, :6] + known @ motion)
+    s_stage = (inverse @ rhs).reshape(STAGES, 6, 22)
+    position, velocity = _stage_motion(h, STAGES - 1, s_q, s_v, s_stage)
     s_q[:], s_v[:] = position, velocity
-    return s_stage
+    return s_stage[-1]
+
+
+@numba.njit(cache=True)
+def _store(q, v, a, wrench, rest, row):
+    for i in range(3):
+        row[i], row[3 + i], row[6 + i] = q[i], v[i], a[i]
+        row[9 + i], row[12 + i], row[15 + i] = q[3 + i], v[3 + i], a[3 + i]
+        row[18 + i] = wrench[0][i] - rest[0][i]
+        row[21 + i] = wrench[1][i] - rest[1][i]
+
+
+@numba.njit(cache=True)
+def _store_sensitivity(s_q, s_v, s_a, motion_columns, parameter_columns, rows):
+    for i in range(2):
+        part = slice(3 * i, 3 * i + 3)
+        rows[9 * i : 9 * i + 3] = s_q[part]
+        rows[9 * i + 3 : 9 * i + 6] = s_v[part]
+        rows[9 * i + 6 : 9 * i + 9] = s_a[part]
+    motion = np.empty((18, 22))
+    motion[:6], motion[6:12], motion[12:] = s_q, s_v, s_a
+    rows[18:] = parameter_columns[6:] + np.ascontiguousarray(motion_columns[6:]) @ motion
 
 
 @numba.njit(cache=True)
@@ -257,37 +284,45 @@ def _integrate(
     angle, rate, acceleration, jerk, q, v, s_q, s_v, outputs, derivatives,
 ):  # fmt: skip
     """Step the base over the whole trajectory; q, v, s_q, s_v are updated in place."""
-    rest_wrench, work, still = np.zeros(6), np.zeros(12), np.zeros(6)
-    rest = arm_kinematics(inertia, centre, axis, rest_angle, 0.0, 0.0)
-    rest_force, rest_moment = residual(p, arm_mass, rest, rest_wrench, still, still, still, work)
+    rest_wrench, work, still = np.zeros(6), np.zeros(6 * STAGES), np.zeros(6)
+    rest_kin = arm_kinematics(inertia, centre, axis, rest_angle, 0.0, 0.0)
+    rest = residual(p, arm_mass, rest_kin, rest_wrench, still, still, still, work)
     rest_wrench[:] = work[:6]
+    with_sensitivities = derivatives.shape[0] > 0
     h = time_step / substeps
-    mass, damping, stiffness = np.empty((2, 6, 6)), np.empty((2, 6, 6)), np.empty((2, 6, 6))
-    matrix, stage, s_stage = np.empty((12, 12)), np.zeros((2, 6)), np.empty((2, 6, 22))
+    motion_columns, parameter_columns = np.zeros((STAGES, 12, 18)), np.zeros((STAGES, 12, 22))
+    matrix, stage = np.empty((6 * STAGES, 6 * STAGES)), np.zeros((STAGES, 6))
+    s_a = np.zeros((6, 22))
     for n in range(jerk.shape[0]):
-        polynomial = (angle[n], rate[n], acceleration[n], jerk[n])
+        cubic = (angle[n], rate[n], acceleration[n], jerk[n])
         for sub in range(substeps):
-            first = _stage_kinematics(inertia, centre, axis, *polynomial, h * (sub + _NODES[0]))
-            last = _stage_kinematics(inertia, centre, axis, *polynomial, h * (sub + _NODES[1]))
-            kins = (first, last)
-            for i in range(2):
-                linear_matrices(p, arm_mass, kins[i], mass[i], damping[i], stiffness[i])
-            _stage_matrix(h, mass, damping, stiffness, matrix)
+            kins = (
+                _stage_kinematics(inertia, centre, axis, *cubic, h * (sub + _NODES[0])),
+                _stage_kinematics(inertia, centre, axis, *cubic, h * (sub + _NODES[1])),
+                _stage_kinematics(inertia, centre, axis, *cubic, h * (sub + _NODES[2])),
+            )
+            for i in range(STAGES):
+                position, velocity = _stage_motion(h, i, q, v, stage)
+                by_motion(
+                    p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i],
+                    motion_columns[i], work,
+                )  # fmt: skip
+            _stage_matrix(h, motion_columns, matrix)
             inverse = _invert(matrix)
             _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, work)
-            if derivatives.shape[0] > 0:
-                s_stage = _sensitivity_step(
-                    h, p, arm_mass, kins, rest_wrench, inverse, damping, stiffness,
-                    q, v, stage, s_q, s_v, work,
-                )  # fmt: skip
-            position, velocity = _stage_motion(h, 1, q, v, stage)
+            if with_sensitivities:
+                for i in range(STAGES):
+                    position, velocity = _stage_motion(h, i, q, v, stage)
+                    by_parameters(
+                        p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i],
+                        parameter_columns[i], work,
+                    )  # fmt: skip
+                s_a = _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v)
+            position, velocity = _stage_motion(h, STAGES - 1, q, v, stage)
             q[:], v[:] = position, velocity
-        force, moment = residual(p, arm_mass, last, rest_wrench, q, v, stage[1], work)
-        for i in range(3):
-            outputs[n, i], outputs[n, 3 + i], outputs[n, 6 + i] = q[i], v[i], stage[1, i]
-            outputs[n, 9 + i], outputs[n, 12 + i] = q[3 + i], v[3 + i]
-            outputs[n, 15 + i] = stage[1, 3 + i]
-            outputs[n, 18 + i] = force[i] - rest_force[i]
-            outputs[n, 21 + i] = moment[i] - rest_moment[i]
-        if derivatives.shape[0] > 0:
-            output_sensitivity(p, arm_mass, last, s_q, s_v, s_stage[1], stage[1], derivatives[n])
+        wrench = residual(p, arm_mass, kins[-1], rest_wrench, q, v, stage[-1], work)
+        _store(q, v, stage[-1], wrench, rest, outputs[n])
+        if with_sensitivities:
+            _store_sensitivity(
+                s_q, s_v, s_a, motion_columns[-1], parameter_columns[-1], derivatives[n]
+            )

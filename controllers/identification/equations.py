@@ -47,11 +47,6 @@ def _transposed_times(m, a):
     )
 
 
-@numba.njit(cache=True, inline="always")
-def _column(m, j):
-    return (m[0][j], m[1][j], m[2][j])
-
-
 @numba.njit(cache=True)
 def _turned(turn, m):
     """Return turn m turn^T."""
@@ -151,98 +146,54 @@ def residual(p, arm_mass, kin, rest_wrench, q, v, a, out):
     return force, moment
 
 
-@numba.njit(cache=True, inline="always")
-def _linear_wrench(arm_mass, kin, lever, tilt, rate, alpha, acceleration):
-    """First-order force, and moment about the mount, of small base motions."""
-    arm_inertia, centre, centre_rate, _, spin, _ = kin
-    force = _add(acceleration, _cross(alpha, lever))
-    force = _add(force, _scale(2.0, _cross(rate, centre_rate)))
-    force = _scale(arm_mass, _add(force, _cross(tilt, WEIGHT_DIRECTION)))
-    turning = _add(_times(arm_inertia, _add(alpha, _cross(rate, spin))), (0.0, 0.0, 0.0))
-    turning = _add(turning, _cross(rate, _times(arm_inertia, spin)))
-    turning = _add(turning, _cross(spin, _times(arm_inertia, rate)))
-    return force, _add(turning, _cross(centre, force))
+@numba.njit(cache=True)
+def by_motion(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
+    """Fill (12, 18): derivatives of equations and wrench (six each) by q, v and a.
+
+    Differences of the exact equations, which are linear in a; elsewhere a step of 1e-6 leaves an
+    error of 1e-6, where a linearisation about rest would leave 1e-3.
+    """
+    base, changed = np.empty(12), np.empty(12)
+    _stack(p, arm_mass, kin, rest_wrench, q, v, a, base, work)
+    for j in range(6):
+        for k in range(3):
+            moving = (q, v, a)[k]
+            step = 1.0 if k == 2 else 1e-6
+            kept = moving[j]
+            moving[j] = kept + step
+            _stack(p, arm_mass, kin, rest_wrench, q, v, a, changed, work)
+            moving[j] = kept
+            for i in range(12):
+                columns[i, 6 * k + j] = (changed[i] - base[i]) / step
 
 
 @numba.njit(cache=True)
-def linear_matrices(p, arm_mass, kin, mass, damping, stiffness):
-    """Fill the mass, damping (gyroscopic too) and stiffness (gravity too) matrices about rest."""
-    lever, zero = _lever(p, kin), (0.0, 0.0, 0.0)
-    mount = (p[7], p[8], p[9])
-    base = _base_inertia(p)
-    for j in range(3):
-        unit = (1.0 * (j == 0), 1.0 * (j == 1), 1.0 * (j == 2))
-        pushed, turned = _linear_wrench(arm_mass, kin, lever, zero, zero, zero, unit)
-        _store(mass, j, pushed, turned, mount)
-        pushed, turned = _linear_wrench(arm_mass, kin, lever, zero, zero, unit, zero)
-        _store(mass, 3 + j, pushed, _add(turned, _column(base, j)), mount)
-        pushed, turned = _linear_wrench(arm_mass, kin, lever, zero, unit, zero, zero)
-        _store(damping, 3 + j, pushed, turned, mount)
-        pushed, turned = _linear_wrench(arm_mass, kin, lever, unit, zero, zero, zero)
-        _store(stiffness, 3 + j, zero, _add(turned, _cross(mount, pushed)), zero)
-        _store(damping, j, zero, zero, zero)
-        _store(stiffness, j, zero, zero, zero)
-    for i in range(3):
-        mass[i, i] += p[0]
-    for i in range(6):
-        damping[i, i] += p[10 + i]
-        stiffness[i, i] += p[16 + i]
-
-
-@numba.njit(cache=True, inline="always")
-def _store(matrix, column, force, moment, mount):
-    """Write a wrench at the mount as a column of generalised forces at the base's c.g."""
-    torque = _add(moment, _cross(mount, force))
-    for i in range(3):
-        matrix[i, column] = force[i]
-        matrix[3 + i, column] = torque[i]
-
-
-@numba.njit(cache=True)
-def parameter_force(p, arm_mass, kin, force, q, v, a, columns):
-    """Fill (6, 22): the equations' derivative by the parameters at fixed motion."""
+def by_parameters(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
+    """Fill (12, 22): derivatives of equations and wrench by the parameters at fixed motion."""
+    base, changed = np.empty(12), np.empty(12)
+    _stack(p, arm_mass, kin, rest_wrench, q, v, a, base, work)
     columns[:, :] = 0.0
-    lever = _lever(p, kin)
-    ax, ay, az = a[3], a[4], a[5]
-    columns[3, 1], columns[4, 2], columns[5, 3] = ax, ay, az
-    columns[3, 4], columns[5, 4] = az, ax
-    columns[4, 5], columns[5, 5] = az, ay
-    columns[3, 6], columns[4, 6] = ay, ax
-    deviation = (force[0], force[1], force[2] - arm_mass * GRAVITY)
-    for j in range(3):
-        unit = (1.0 * (j == 0), 1.0 * (j == 1), 1.0 * (j == 2))
-        push = _scale(arm_mass, _cross((ax, ay, az), unit))
-        torque = _add(_cross(unit, deviation), _cross(lever, push))
-        columns[j, 0] = a[j]
-        for i in range(3):
-            columns[i, 7 + j] = push[i]
-            columns[3 + i, 7 + j] = torque[i]
+    for j in range(1, 10):
+        step = 1.0 if j < 7 else 1e-6
+        kept = p[j]
+        p[j] = kept + step
+        _stack(p, arm_mass, kin, rest_wrench, q, v, a, changed, work)
+        p[j] = kept
+        for i in range(12):
+            columns[i, j] = (changed[i] - base[i]) / step
+    for i in range(3):
+        columns[i, 0] = a[i]
+    # The weight at rest turns with the lever: rest_wrench holds r2 x F0.
+    columns[3, 8] -= arm_mass * GRAVITY
+    columns[4, 7] += arm_mass * GRAVITY
     for i in range(6):
         columns[i, 10 + i] = v[i]
         columns[i, 16 + i] = q[i]
 
 
 @numba.njit(cache=True)
-def output_sensitivity(p, arm_mass, kin, s_q, s_v, s_a, a, rows):
-    """Fill (24, 22): derivatives of one output sample by the parameters."""
-    lever = _lever(p, kin)
-    for k in range(22):
-        for i in range(3):
-            rows[i, k], rows[3 + i, k], rows[6 + i, k] = s_q[i, k], s_v[i, k], s_a[i, k]
-            rows[9 + i, k], rows[12 + i, k] = s_q[3 + i, k], s_v[3 + i, k]
-            rows[15 + i, k] = s_a[3 + i, k]
-        acceleration = (s_a[0, k], s_a[1, k], s_a[2, k])
-        if 7 <= k < 10:
-            unit = (1.0 * (k == 7), 1.0 * (k == 8), 1.0 * (k == 9))
-            acceleration = _add(acceleration, _cross((a[3], a[4], a[5]), unit))
-        force, moment = _linear_wrench(
-            arm_mass,
-            kin,
-            lever,
-            (s_q[3, k], s_q[4, k], s_q[5, k]),
-            (s_v[3, k], s_v[4, k], s_v[5, k]),
-            (s_a[3, k], s_a[4, k], s_a[5, k]),
-            acceleration,
-        )
-        for i in range(3):
-            rows[18 + i, k], rows[21 + i, k] = force[i], moment[i]
+def _stack(p, arm_mass, kin, rest_wrench, q, v, a, out, work):
+    force, moment = residual(p, arm_mass, kin, rest_wrench, q, v, a, work)
+    for i in range(3):
+        out[i], out[3 + i] = work[i], work[3 + i]
+        out[6 + i], out[9 + i] = force[i], moment[i]

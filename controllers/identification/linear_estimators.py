@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.identification.parameters import COUNT, Prior, from_unconstrained
+from controllers.identification.parameters import COUNT, Prior, from_coordinates
 
 FloatArray = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class KalmanFilter:
     @classmethod
     def from_prior(cls, prior: Prior) -> KalmanFilter:
         """Start from the same guess as every other estimator here."""
-        guess = from_unconstrained(prior.mean())
+        guess = from_coordinates(prior.mean())
         sigma = np.maximum(np.abs(guess) * np.expm1(prior.log_sigma), prior.lever_sigma)
         return cls(guess, np.diag(sigma**2))
 

@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -47,7 +48,7 @@ STIFFNESS = slice(16, 22)
 
 # Element (row, column) of the inertia tensor that each of the parameters 1..6 is.
 INERTIA_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 2), (1, 2), (0, 1))
-_CHOLESKY_ELEMENTS = ((0, 0), (1, 1), (2, 2), (2, 0), (2, 1), (1, 0))
+_LOGARITHMIC = np.array([0, *range(10, 22)])
 
 
 class ParameterError(ValueError):
@@ -110,98 +111,116 @@ def second_moments(parameters: FloatArray) -> FloatArray:
     return 0.5 * np.trace(tensor) * np.eye(3) - tensor
 
 
-def to_unconstrained(parameters: FloatArray) -> FloatArray:
-    """Map physical parameters (22,) to coordinates in which every point is a physical body.
+def to_coordinates(parameters: FloatArray) -> FloatArray:
+    """Map physical parameters (22,) to the coordinates of the search.
 
-    Logarithms for mass, damping and stiffness, the log-Cholesky factor of the second moments for
-    the inertia, and the lever as it is.
+    Logarithms for mass, damping and stiffness; lever and inertia as they are. The inertia is kept
+    physical by the prior, which is infinite at the edge: in a log-Cholesky chart a search that runs
+    to the edge stays there, because the gradient vanishes with the factor.
     """
-    theta = np.array(parameters, dtype=float)
-    factor = np.linalg.cholesky(second_moments(parameters))
-    for slot, (row, column) in enumerate(_CHOLESKY_ELEMENTS, start=1):
-        theta[slot] = np.log(factor[row, column]) if row == column else factor[row, column]
-    theta[0] = np.log(parameters[0])
-    theta[DAMPING.start :] = np.log(parameters[DAMPING.start :])
-    return theta
+    coordinates = np.array(parameters, dtype=float)
+    coordinates[_LOGARITHMIC] = np.log(parameters[_LOGARITHMIC])
+    return coordinates
 
 
-def _factor(theta: FloatArray) -> FloatArray:
-    factor = np.zeros((3, 3))
-    for slot, (row, column) in enumerate(_CHOLESKY_ELEMENTS, start=1):
-        factor[row, column] = np.exp(theta[slot]) if row == column else theta[slot]
-    return factor
-
-
-def from_unconstrained(theta: FloatArray) -> FloatArray:
-    """Invert `to_unconstrained`."""
-    parameters = np.array(theta, dtype=float)
-    factor = _factor(theta)
-    moments = factor @ factor.T
-    tensor = np.trace(moments) * np.eye(3) - moments
-    for slot, (row, column) in enumerate(INERTIA_ELEMENTS, start=1):
-        parameters[slot] = tensor[row, column]
-    parameters[0] = np.exp(theta[0])
-    parameters[DAMPING.start :] = np.exp(theta[DAMPING.start :])
+def from_coordinates(coordinates: FloatArray) -> FloatArray:
+    """Invert `to_coordinates`."""
+    parameters = np.array(coordinates, dtype=float)
+    parameters[_LOGARITHMIC] = np.exp(coordinates[_LOGARITHMIC])
     return parameters
 
 
-def unconstrained_jacobian(theta: FloatArray) -> FloatArray:
-    """Return d(physical) / d(unconstrained), (22, 22)."""
-    jacobian = np.eye(COUNT)
-    parameters = from_unconstrained(theta)
-    jacobian[0, 0] = parameters[0]
-    for index in range(DAMPING.start, COUNT):
-        jacobian[index, index] = parameters[index]
-    factor = _factor(theta)
-    jacobian[1:7, 1:7] = 0.0
-    for slot, (row, column) in enumerate(_CHOLESKY_ELEMENTS, start=1):
-        change = np.zeros((3, 3))
-        change[row, column] = factor[row, column] if row == column else 1.0
-        moments = change @ factor.T + factor @ change.T
-        tensor = np.trace(moments) * np.eye(3) - moments
-        for target, (i, j) in enumerate(INERTIA_ELEMENTS, start=1):
-            jacobian[target, slot] = tensor[i, j]
-    return jacobian
+def coordinate_scale(coordinates: FloatArray) -> FloatArray:
+    """Return (22,): the diagonal of d(physical) / d(coordinates)."""
+    scale = np.ones(COUNT)
+    scale[_LOGARITHMIC] = np.exp(coordinates[_LOGARITHMIC])
+    return scale
+
+
+def largest_physical_step(coordinates: FloatArray, step: FloatArray) -> float:
+    """Return the factor, at most 1, by which `step` may be taken and stay well inside a body."""
+    moments = second_moments(coordinates)
+    change = second_moments(coordinates + step) - moments
+    lowest = scipy.linalg.eigh(change, moments, eigvals_only=True)[0]
+    return 1.0 if lowest >= -0.9 else float(-0.9 / lowest)
+
+
+_MOMENT_BASIS = np.array([second_moments(row) for row in np.eye(COUNT)[1:7]])
+_LOWER = np.tril_indices(3)
+_DIAGONAL = np.equal(*_LOWER)
 
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
     """What is believed before the first sample: an order of magnitude, no more.
 
+    The inertia is guessed as that of a cube of side `size`, by the log-Cholesky factor of its
+    second moments: the deviation grows without bound towards a flat body, so that a search in the
+    tensor's own elements never reaches one.
+
     Attributes:
         mass: Guess [kg].
-        inertia: Guess of each principal moment [kg m^2].
+        size: Guess of the body's extent [m].
         damping: Guess of translational [N s/m] and rotational [N m s/rad] damping.
         stiffness: Guess of translational [N/m] and rotational [N m/rad] stiffness.
-        log_sigma: Standard deviation of the logarithms of the positive parameters.
-        inertia_log_sigma: The same of the diagonal of the inertia's Cholesky factor.
+        log_sigma: Standard deviation of the logarithms of mass, damping and stiffness.
+        factor_sigma: Standard deviation of the logarithms of the Cholesky factor's diagonal, and
+            of its other elements relative to the diagonal's guess.
         lever_sigma: Standard deviation of the lever about zero [m].
     """
 
     mass: float = 5.0
-    inertia: float = 0.3
+    size: float = 0.5
     damping: float = 150.0
     stiffness: float = 1500.0
     log_sigma: float = 1.5
-    inertia_log_sigma: float = 1.0
+    factor_sigma: float = 0.5
     lever_sigma: float = 0.5
 
     def mean(self) -> FloatArray:
-        """Return the prior mean (22,) in unconstrained coordinates."""
+        """Return the prior mean (22,) as search coordinates."""
         vector = np.zeros(COUNT)
         vector[0] = self.mass
-        vector[1:4] = self.inertia
+        vector[1:4] = self.mass * self.size**2 / 6
         vector[DAMPING] = self.damping
         vector[STIFFNESS] = self.stiffness
-        return to_unconstrained(vector)
+        return to_coordinates(vector)
 
     def sigma(self) -> FloatArray:
-        """Return the prior standard deviation (22,) in unconstrained coordinates."""
+        """Return the prior standard deviation (22,) of the search coordinates, at the mean."""
         sigma = np.full(COUNT, self.log_sigma)
-        sigma[1:4] = self.inertia_log_sigma
-        sigma[4:7] = np.sqrt(0.5 * self.inertia)
+        _, _, information = self.inertia_term(self.mean())
+        sigma[1:7] = np.sqrt(np.diag(np.linalg.inv(information[1:7, 1:7])))
         sigma[LEVER] = self.lever_sigma
         return sigma
+
+    def term(self, coordinates: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return cost (half of the squares), gradient (22,) and information (22, 22)."""
+        cost, gradient, information = self.inertia_term(coordinates)
+        others = np.array([0, *range(LEVER.start, COUNT)])
+        precision = np.full(COUNT, self.log_sigma**-2)
+        precision[LEVER] = self.lever_sigma**-2
+        deviation = (coordinates - self.mean())[others]
+        gradient[others] = precision[others] * deviation
+        information[others, others] = precision[others]
+        return cost + float(0.5 * gradient[others] @ deviation), gradient, information
+
+    def inertia_term(self, coordinates: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return the inertia's share of `term`."""
+        factor = np.linalg.cholesky(second_moments(coordinates))
+        inverse = np.linalg.inv(factor)
+        guess = np.sqrt(self.mass * self.size**2 / 12)
+        deviation = (factor / guess)[_LOWER]
+        deviation[_DIAGONAL] = np.log(deviation[_DIAGONAL])
+        # dL = L Phi(L^-1 dS L^-T), Phi keeping the lower triangle and half of the diagonal.
+        turned = inverse @ _MOMENT_BASIS @ inverse.T
+        kept = np.tril(turned) - 0.5 * np.einsum("kii->ki", turned)[:, :, None] * np.eye(3)
+        change = (factor @ kept)[:, _LOWER[0], _LOWER[1]] / guess
+        change[:, _DIAGONAL] *= guess / np.diag(factor)
+        gradient, information = np.zeros(COUNT), np.zeros((COUNT, COUNT))
+        gradient[1:7] = change @ deviation / self.factor_sigma**2
+        information[1:7, 1:7] = change @ change.T / self.factor_sigma**2
+        return float(0.5 * deviation @ deviation) / self.factor_sigma**2, gradient, information
 
 
 @dataclasses.dataclass(frozen=True)
