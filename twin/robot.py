@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import math
 from collections.abc import Mapping
 from typing import Protocol
 
@@ -142,7 +143,7 @@ class Command:
             values = np.asarray(getattr(self, name), dtype=float)
             if values.shape != (4,):
                 raise ValueError(f"command {name}: expected 4 numbers, got shape {values.shape}")
-            if not np.all(np.isfinite(values)):
+            if not all(map(math.isfinite, values.tolist())):
                 raise ValueError(f"command {name}: {values} is not finite; nothing was sent")
             object.__setattr__(self, name, values)
 

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from models.datasheets import DEGREE, FORCE_TORQUE, INCLINOMETER
 from twin.robot import MISSING, Channel, FloatArray, Validity
@@ -36,6 +35,7 @@ CHANNEL_OFFSETS: Mapping[str, int] = {
 }
 """Where each channel begins in a bank's vector."""
 
+Sample = tuple[FloatArray, list[float]]
 PerComponent = float | tuple[float, ...]
 _TIME_SLACK = 1e-9
 
@@ -185,12 +185,25 @@ DATASHEET = SensorSuite(
 
 @dataclasses.dataclass(frozen=True)
 class BankState:
-    """Complete state of a `SensorBank`, enough to go on bit for bit."""
+    """Complete state of a `SensorBank`, enough to go on bit for bit.
 
-    arrays: Mapping[str, NDArray[np.generic]]
+    Attributes:
+        filtered: (size,) low-pass states, if there was a sample.
+        due: By channel, when the next sample is due [s].
+        past: Held samples of the last ticks, for delays.
+        held: Latest values (size,) and their time stamps.
+        shown: The same after delays.
+        connected: By channel.
+        random: State of the generator.
+    """
+
+    filtered: FloatArray | None
+    due: tuple[float, ...]
+    past: tuple[Sample, ...]
+    held: Sample
+    shown: Sample
+    connected: tuple[bool, ...]
     random: Mapping[str, Any]
-    row: int
-    started: bool
 
 
 class SensorBank:
@@ -220,60 +233,61 @@ class SensorBank:
         }
         self.size = sum(widths)
         specs = [suite.channels.get(name, ChannelSpec()) for name in self.names]
-        self._owner = np.repeat(np.arange(len(specs)), widths)
-        self._lags = np.array([(lags or {}).get(name, 0.0) for name in self.names])
-        self._limits = [spec.age_limit for spec in specs]
-        self._connected = np.array([spec.connected for spec in specs])
+        self._lags = [(lags or {}).get(name, 0.0) for name in self.names]
+        self._limits = [spec.age_limit + _TIME_SLACK for spec in specs]
+        self._connected = [spec.connected for spec in specs]
         self._set_chain(specs, widths, period)
         self._set_timing(specs, period)
         self.reset()
 
     def _set_chain(self, specs: list[ChannelSpec], widths: list[int], period: float) -> None:
-        """Set the coefficients of filter, noise, range and converter, (size,) each."""
+        """Set the coefficients of filter, noise, range and converter."""
 
         def spread(field: str) -> FloatArray:
             parts = [np.broadcast_to(getattr(s, field), (w,)) for s, w in zip(specs, widths)]
             return np.concatenate(parts).astype(float)
 
-        corner = np.array([s.bandwidth or math.inf for s in specs])
-        self._gain = np.where(np.isinf(corner), 1.0, -np.expm1(-2.0 * np.pi * corner * period))[
-            self._owner
-        ]
         self._sigma, self._bias = spread("noise"), spread("bias")
         self._low, self._high = spread("low"), spread("high")
-        self._filters = bool(np.any(self._gain < 1.0))
         self._noisy = bool(np.any(self._sigma > 0.0))
         self._biased = bool(np.any(self._bias != 0.0))
         self._limited = bool(np.any(np.isfinite(self._low) | np.isfinite(self._high)))
-        levels = np.array([2.0**s.bits if s.bits else 0.0 for s in specs])[self._owner]
-        self._coded = np.flatnonzero(levels)
-        low, high = self._low[self._coded], self._high[self._coded]
-        self._code_low = low
-        self._code_step = (high - low) / levels[self._coded]
-        self._code_max = levels[self._coded] - 1.0
+        parts = list(self._slices.values())
+        self._filters = [
+            (part, -math.expm1(-2.0 * math.pi * spec.bandwidth * period))
+            for spec, part in zip(specs, parts)
+            if spec.bandwidth is not None
+        ]
+        self._codes: list[tuple[slice, FloatArray, FloatArray, float]] = []
+        for spec, part in zip(specs, parts):
+            if spec.bits is not None:
+                levels = 2.0**spec.bits
+                low, high = self._low[part], self._high[part]
+                self._codes.append((part, low, (high - low) / levels, levels - 1.0))
 
     def _set_timing(self, specs: list[ChannelSpec], period: float) -> None:
-        """Set sampling periods, dropout and delays, (channels,) each."""
-        self._periods = np.array([1.0 / s.rate if s.rate else 0.0 for s in specs])
-        self._dropout = np.array([s.dropout for s in specs])
-        self._delays = np.array([round(s.delay / period) for s in specs])
-        self._drops = bool(np.any(self._dropout > 0.0))
-        self._every_tick = not self._drops and not bool(np.any(self._periods > period))
-        self._delayed = bool(np.any(self._delays))
+        """Set which channels are slow or lossy, and which are late by how many ticks."""
+        self._slow = [
+            (index, part, 1.0 / spec.rate if spec.rate else 0.0, spec.dropout)
+            for index, (spec, part) in enumerate(zip(specs, self._slices.values()))
+            if spec.dropout > 0.0 or (spec.rate is not None and spec.rate * period < 1.0)
+        ]
+        self._late = [
+            (index, part, round(spec.delay / period))
+            for index, (spec, part) in enumerate(zip(specs, self._slices.values()))
+            if round(spec.delay / period) > 0
+        ]
+        self._depth = 1 + max((ticks for _, _, ticks in self._late), default=0)
 
     def reset(self) -> None:
         """Forget every sample; all channels are missing until the next `sample`."""
-        channels, rows = len(self.names), int(self._delays.max()) + 1
-        self._filtered = np.zeros(self.size)
-        self._due = np.full(channels, -math.inf)
+        nothing = [math.nan] * len(self.names)
+        self._filtered: FloatArray | None = None
+        self._due = [-math.inf] * len(self.names)
         self._held = np.zeros(self.size)
-        self._held_stamps = np.full(channels, math.nan)
-        self._ring = np.zeros((rows, self.size))
-        self._ring_stamps = np.full((rows, channels), math.nan)
-        self._row = 0
-        self._started = False
-        self._values = self._held
-        self._stamps = self._held_stamps
+        self._held_stamps = nothing
+        self._past = [(self._held, nothing)] * self._depth
+        self._values, self._stamps = self._held, nothing
 
     def sample(self, time: float, raw: FloatArray) -> None:
         """Take one sample of everything.
@@ -283,32 +297,26 @@ class SensorBank:
             raw: (size,) true values in the order of `CHANNEL_WIDTHS`.
         """
         values = self._measure(raw)
-        stamps = time - self._lags
-        if self._every_tick:
-            self._held, self._held_stamps = values, stamps
-        else:
-            self._hold(time, values, stamps)
-        if not self._delayed:
-            self._values, self._stamps = self._held, self._held_stamps
-            return
-        rows = len(self._ring)
-        self._row = (self._row + 1) % rows
-        self._ring[self._row] = self._held
-        self._ring_stamps[self._row] = self._held_stamps
-        source = (self._row - self._delays) % rows
-        self._values = self._ring[source[self._owner], np.arange(self.size)]
-        self._stamps = self._ring_stamps[source, np.arange(len(self.names))]
+        stamps = [time - lag for lag in self._lags]
+        for index, part, period, dropout in self._slow:
+            if not self._arrives(index, time, period, dropout):
+                values[part] = self._held[part]
+                stamps[index] = self._held_stamps[index]
+        self._held, self._held_stamps = values, stamps
+        self._values, self._stamps = values, stamps
+        if self._late:
+            self._delay()
 
     def _measure(self, raw: FloatArray) -> FloatArray:
         """Return (size,) filtered, noisy, limited and quantised values, as a new array."""
-        if not self._filters:
-            values = raw.copy()
-        else:
-            if not self._started:
+        values = raw.copy()
+        if self._filters:
+            if self._filtered is None:
                 self._filtered = raw.copy()
-            self._filtered += self._gain * (raw - self._filtered)
-            values = self._filtered.copy()
-        self._started = True
+            for part, gain in self._filters:
+                state = self._filtered[part]
+                state += gain * (raw[part] - state)
+                values[part] = state
         if self._biased:
             values += self._bias
         if self._noisy:
@@ -316,40 +324,48 @@ class SensorBank:
         if self._limited:
             np.maximum(values, self._low, out=values)
             np.minimum(values, self._high, out=values)
-        if self._coded.size:
-            codes = np.rint((values[self._coded] - self._code_low) / self._code_step)
-            codes = np.minimum(codes, self._code_max)
-            values[self._coded] = self._code_low + codes * self._code_step
+        for part, low, step, last in self._codes:
+            codes = values[part]
+            codes -= low
+            codes /= step
+            np.rint(codes, out=codes)
+            np.minimum(codes, last, out=codes)
+            codes *= step
+            codes += low
         return values
 
-    def _hold(self, time: float, values: FloatArray, stamps: FloatArray) -> None:
-        """Let through the channels whose next sample is due and is not lost."""
-        due = time >= self._due - _TIME_SLACK
+    def _arrives(self, index: int, time: float, period: float, dropout: float) -> bool:
+        """Return whether a slow or lossy channel has a new sample."""
+        due = self._due[index]
+        if time < due - _TIME_SLACK:
+            return False
         # Counting from the due time keeps the mean rate when it does not divide the servo rate.
-        following = np.maximum(self._due + self._periods, time)
-        first = np.isinf(self._due)
-        following[first] = time + self._periods[first]
-        self._due = np.where(due, following, self._due)
-        if self._drops:
-            due &= self._rng.random(len(due)) >= self._dropout
-        self._held = np.where(due[self._owner], values, self._held)
-        self._held_stamps = np.where(due, stamps, self._held_stamps)
+        self._due[index] = time + period if due == -math.inf else max(due + period, time)
+        return dropout == 0.0 or self._rng.random() >= dropout
+
+    def _delay(self) -> None:
+        """Give late channels their earlier samples."""
+        self._past = [*self._past[1:], (self._held, self._held_stamps)]
+        self._values, self._stamps = self._held.copy(), list(self._held_stamps)
+        for index, part, ticks in self._late:
+            values, stamps = self._past[-1 - ticks]
+            self._values[part] = values[part]
+            self._stamps[index] = stamps[index]
 
     def channels(self, time: float) -> dict[str, Channel]:
         """Return every channel as it reads at `time` [s], as read-only copies."""
         values = self._values.copy()
         values.flags.writeable = False
         result: dict[str, Channel] = {}
-        rows = zip(
-            self._slices.items(), self._stamps.tolist(), self._limits, self._connected.tolist()
-        )
+        rows = zip(self._slices.items(), self._stamps, self._limits, self._connected)
         for (name, part), stamp, limit, connected in rows:
-            if not connected or stamp != stamp:  # noqa: PLR0124 (NaN: nothing arrived yet)
+            if not connected or math.isnan(stamp):
                 result[name] = MISSING
-                continue
-            late = time - stamp > limit + _TIME_SLACK
-            validity = Validity.STALE if late else Validity.MEASURED
-            result[name] = Channel(values[part], stamp, validity)
+            else:
+                late = time - stamp > limit
+                result[name] = Channel(
+                    values[part], stamp, Validity.STALE if late else Validity.MEASURED
+                )
         return result
 
     def disconnect(self, name: str) -> None:
@@ -362,26 +378,25 @@ class SensorBank:
         check_channel(name)
         self._connected[self.names.index(name)] = True
 
-    _ARRAYS = (
-        "_filtered",
-        "_due",
-        "_held",
-        "_held_stamps",
-        "_ring",
-        "_ring_stamps",
-        "_values",
-        "_stamps",
-        "_connected",
-    )
-
     def save(self) -> BankState:
         """Return the complete state."""
-        arrays = {name: getattr(self, name).copy() for name in self._ARRAYS}
-        return BankState(arrays, dict(self._rng.bit_generator.state), self._row, self._started)
+        # Held values are never written in place, so sharing them is safe; the filter's are.
+        return BankState(
+            None if self._filtered is None else self._filtered.copy(),
+            tuple(self._due),
+            tuple(self._past),
+            (self._held, self._held_stamps),
+            (self._values, self._stamps),
+            tuple(self._connected),
+            dict(self._rng.bit_generator.state),
+        )
 
     def restore(self, state: BankState) -> None:
         """Go back to a saved state of this bank, bit for bit."""
-        for name in self._ARRAYS:
-            setattr(self, name, state.arrays[name].copy())
+        self._filtered = None if state.filtered is None else state.filtered.copy()
+        self._due = list(state.due)
+        self._past = list(state.past)
+        self._held, self._held_stamps = state.held
+        self._values, self._stamps = state.shown
+        self._connected = list(state.connected)
         self._rng.bit_generator.state = dict(state.random)
-        self._row, self._started = state.row, state.started

@@ -67,14 +67,16 @@ ROVER_SERVO = ServoConfig(
 
 @dataclasses.dataclass(frozen=True)
 class ServoState:
-    """Integrals of the speed loops, (4,) each, as duty."""
+    """Integrals of the speed loops as duty, wheels then arm joints."""
 
-    wheels: FloatArray
-    arm: FloatArray
+    integrals: tuple[float, ...]
 
 
 class Servo:
-    """Turns a command and the latest observation into duty, once a servo tick."""
+    """Turns a command and the latest observation into duty, once a servo tick.
+
+    It works axis by axis in plain numbers: for eight axes that costs a fifth of array arithmetic.
+    """
 
     def __init__(self, config: ServoConfig, period: float) -> None:
         """Prepare the motor lines.
@@ -83,18 +85,16 @@ class Servo:
             config: Motors and gains.
             period: Servo tick [s].
         """
-        self._config = config
-        self._period = period
-        self._wheel_torque = np.array(config.wheel_stall_torque)
-        self._wheel_speed = np.array(config.wheel_no_load_speed)
-        self._arm_torque = np.array(config.arm_stall_torque)
-        self._arm_speed = np.array(config.arm_no_load_speed)
+        self._gain = config.rate_gain
+        self._growth = config.rate_integral * period
+        self._position_gain = config.position_gain
+        self._torque = (*config.wheel_stall_torque, *config.arm_stall_torque)
+        self._no_load = (*config.wheel_no_load_speed, *config.arm_no_load_speed)
         self.reset()
 
     def reset(self) -> None:
         """Forget the integrals."""
-        self._wheel_integral = np.zeros(4)
-        self._arm_integral = np.zeros(4)
+        self._integrals = [0.0] * 8
 
     def duty(self, command: Command, observation: Observation) -> FloatArray:
         """Return (8,) duty in [-1, 1], wheels then arm joints.
@@ -106,64 +106,68 @@ class Servo:
         Raises:
             RobotError: If a needed channel is missing or stale.
         """
-        result = np.empty(8)
-        result[:4] = self._wheel_duty(command, observation)
-        result[4:] = self._arm_duty(command, observation)
-        np.maximum(result, -1.0, out=result)
-        return np.minimum(result, 1.0, out=result)
+        duties = self._wheel_duties(command, observation) + self._arm_duties(command, observation)
+        return np.array([max(-1.0, min(1.0, duty)) for duty in duties])
 
-    def _wheel_duty(self, command: Command, observation: Observation) -> FloatArray:
-        if command.wheel_mode is WheelMode.DUTY:
-            self._wheel_integral = np.zeros(4)
-            return command.wheels
-        speeds = _needed(observation.wheel_speeds, "wheel_speeds", command.wheel_mode.value)
-        if command.wheel_mode is WheelMode.EFFORT:
-            self._wheel_integral = np.zeros(4)
-            return command.wheels / self._wheel_torque + speeds / self._wheel_speed
-        duty, self._wheel_integral = self._follow(
-            command.wheels, speeds, self._wheel_speed, self._wheel_integral
-        )
-        return duty
+    def _wheel_duties(self, command: Command, observation: Observation) -> list[float]:
+        asked, mode = command.wheels.tolist(), command.wheel_mode
+        if mode is WheelMode.DUTY:
+            return self._pass(0, asked)
+        speeds = _needed(observation.wheel_speeds, "wheel_speeds", mode.value)
+        if mode is WheelMode.EFFORT:
+            return self._push(0, asked, speeds)
+        return self._follow(0, asked, speeds)
 
-    def _arm_duty(self, command: Command, observation: Observation) -> FloatArray:
-        mode = command.arm_mode
+    def _arm_duties(self, command: Command, observation: Observation) -> list[float]:
+        asked, mode = command.arm.tolist(), command.arm_mode
         if mode is ArmMode.DUTY:
-            self._arm_integral = np.zeros(4)
-            return command.arm
+            return self._pass(4, asked)
         rates = _needed(observation.arm_rates, "arm_rates", mode.value)
         if mode is ArmMode.EFFORT:
-            self._arm_integral = np.zeros(4)
-            return command.arm / self._arm_torque + rates / self._arm_speed
-        target = command.arm
+            return self._push(4, asked, rates)
         if mode is ArmMode.POSITION:
             angles = _needed(observation.arm_angles, "arm_angles", mode.value)
-            target = command.arm_rates + self._config.position_gain * (command.arm - angles)
-        duty, self._arm_integral = self._follow(target, rates, self._arm_speed, self._arm_integral)
-        return duty
+            forward, gain = command.arm_rates.tolist(), self._position_gain
+            asked = [f + gain * (a - x) for f, a, x in zip(forward, asked, angles)]
+        return self._follow(4, asked, rates)
 
-    def _follow(
-        self, target: FloatArray, speed: FloatArray, no_load: FloatArray, integral: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the duty that follows `target` [rad/s] and the next integral, (4,) each."""
-        target = np.minimum(np.maximum(target, -no_load), no_load)
-        error = (target - speed) / no_load
-        grown = integral + (self._config.rate_integral * self._period) * error
-        duty = target / no_load + self._config.rate_gain * error + grown
-        # A saturated axis must not wind up: its integral stays where it was.
-        return duty, np.where(np.abs(duty) < 1.0, grown, integral)
+    def _pass(self, first: int, duties: list[float]) -> list[float]:
+        """Return four duties as they are; the integrals are forgotten."""
+        self._integrals[first : first + 4] = (0.0, 0.0, 0.0, 0.0)
+        return duties
+
+    def _push(self, first: int, efforts: list[float], speeds: list[float]) -> list[float]:
+        """Return the duties that give four efforts [N m] at these speeds [rad/s]."""
+        self._integrals[first : first + 4] = (0.0, 0.0, 0.0, 0.0)
+        lines = zip(efforts, speeds, self._torque[first:], self._no_load[first:])
+        return [effort / stall + speed / no_load for effort, speed, stall, no_load in lines]
+
+    def _follow(self, first: int, targets: list[float], speeds: list[float]) -> list[float]:
+        """Return the duties by which four axes follow `targets` [rad/s]."""
+        duties: list[float] = []
+        for axis, (target, speed) in enumerate(zip(targets, speeds), first):
+            no_load = self._no_load[axis]
+            wanted = max(-1.0, min(1.0, target / no_load))
+            error = wanted - speed / no_load
+            grown = self._integrals[axis] + self._growth * error
+            duty = wanted + self._gain * error + grown
+            # A saturated axis must not wind up: its integral stays where it was.
+            if -1.0 < duty < 1.0:
+                self._integrals[axis] = grown
+            duties.append(duty)
+        return duties
 
     def save(self) -> ServoState:
         """Return the complete state."""
-        return ServoState(self._wheel_integral.copy(), self._arm_integral.copy())
+        return ServoState(tuple(self._integrals))
 
     def restore(self, state: ServoState) -> None:
         """Go back to a saved state."""
-        self._wheel_integral = state.wheels.copy()
-        self._arm_integral = state.arm.copy()
+        self._integrals = list(state.integrals)
 
 
-def _needed(channel: Channel, name: str, mode: str) -> FloatArray:
-    """Return a channel's value, or refuse to drive blind."""
+def _needed(channel: Channel, name: str, mode: str) -> list[float]:
+    """Return a channel's values, or refuse to drive blind."""
     if not channel.usable:
         raise RobotError(f"{mode} mode needs {name}, which is {channel.validity.value}")
-    return channel.value.astype(float, copy=False)
+    return channel.value.tolist()
