@@ -94,6 +94,12 @@ class Estimate:
         return abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, spread)
 
 
+    def physical_information(self) -> FloatArray:
+        """Return the posterior information (22, 22) by the physical parameters."""
+        scale = coordinate_scale(self.theta)
+        return self.information / np.outer(scale, scale)
+
+
 @dataclasses.dataclass
 class _Normal:
     """Normal equations of the data at one point: cost, gradient and information."""

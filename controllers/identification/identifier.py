@@ -1,0 +1,189 @@
+"""On-line identification: what was measured in one window decides how the arm swings in the next."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.identification.arm_motion import (
+    CONSTANT,
+    MODES,
+    ArmLimits,
+    ArmState,
+    Excitation,
+    RigidArm,
+    Trajectory,
+    swing,
+)
+from controllers.identification.compliant_base import ArmOnMount
+from controllers.identification.excitation import (
+    CRITERIA,
+    REPLAN_PERIOD,
+    Knowledge,
+    Planner,
+    random_excitation,
+)
+from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse
+from controllers.identification.output_error import Estimate, OutputError, Window
+from controllers.identification.parameters import COUNT, Prior
+from controllers.identification.regressor import regressor
+
+FloatArray = NDArray[np.float64]
+
+EXCITATIONS = ("constant", "random", *CRITERIA)
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentifierConfig:
+    """What an identification is set up with.
+
+    Attributes:
+        excitation: One of `EXCITATIONS`.
+        arm: The arm, whose own parameters are known (Thesis eq. 2-1, 'knowns').
+        limits: What the arm can do.
+        prior: What is believed beforehand.
+        time_step: Sampling time [s].
+        rest_angle: Arm angle at which the robot came to rest [rad].
+        modes: The rotations used, of `arm_motion.MODES`.
+    """
+
+    excitation: str = "information"
+    arm: RigidArm = RigidArm()
+    limits: ArmLimits = ArmLimits()
+    prior: Prior = Prior()
+    time_step: float = 0.005
+    rest_angle: float = np.pi / 4
+    modes: tuple[str, ...] = MODES
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown excitation.
+
+        Raises:
+            ValueError: Naming the excitation and those that there are.
+        """
+        if self.excitation not in EXCITATIONS:
+            raise ValueError(
+                f"excitation {self.excitation!r}: expected one of {', '.join(EXCITATIONS)}"
+            )
+
+
+class Identifier:
+    """Plans windows of arm motion and estimates from what was measured in them.
+
+    Attributes:
+        plan_seconds: Time that each plan took [s].
+        estimate_seconds: Time that each on-line update of the estimate took [s].
+    """
+
+    def __init__(self, config: IdentifierConfig, generator: np.random.Generator) -> None:
+        """Start from the prior.
+
+        Args:
+            config: What to do.
+            generator: For the planner's starting points and for random excitation.
+        """
+        self._config = config
+        self._generator = generator
+        self.steps = round(REPLAN_PERIOD / config.time_step)
+        arms = {m: ArmOnMount.of(config.arm, m, config.rest_angle) for m in config.modes}
+        self._arms = arms
+        self._fit = OutputError(arms, config.prior)
+        self._kalman = KalmanFilter.from_prior(config.prior)
+        self._square = np.zeros((COUNT, COUNT))
+        self._raw_square = np.zeros((COUNT, COUNT))
+        self._product = np.zeros(COUNT)
+        self._arm_states = {m: ArmState(angle=config.rest_angle) for m in config.modes}
+        self._excitations = dict.fromkeys(config.modes, CONSTANT)
+        self._pending: dict[str, Trajectory] = {}
+        self._sigma: FloatArray | None = None
+        criterion = CRITERIA.get(config.excitation)
+        self._planner = None
+        if criterion:
+            self._planner = Planner(criterion, arms, config.limits, config.time_step, self.steps)
+        self.plan_seconds: list[float] = []
+        self.estimate_seconds: list[float] = []
+
+    @property
+    def estimate(self) -> Estimate:
+        """Our present estimate."""
+        return self._fit.estimate
+
+    @property
+    def excitations(self) -> dict[str, Excitation]:
+        """Excitation of each mode in the present window."""
+        return dict(self._excitations)
+
+    def kalman_estimate(self) -> FloatArray:
+        """Return the plain Kalman filter's estimate (22,)."""
+        return self._kalman.estimate.copy()
+
+    def pseudo_inverse_estimate(self) -> FloatArray:
+        """Return x = (A^T A)^-1 A^T F over all samples (22,)."""
+        scale = np.sqrt(np.maximum(np.diag(self._square), 1e-300))
+        return pseudo_inverse(self._square / np.outer(scale, scale), self._product / scale) / scale
+
+    def next_motion(self) -> dict[str, Trajectory]:
+        """Plan the next window and return each mode's arm motion in it."""
+        start = time.perf_counter()
+        if self._config.excitation == "random":
+            for mode in self._excitations:
+                self._excitations[mode] = random_excitation(self._config.limits, self._generator)
+        elif self._planner and self._sigma is not None:
+            self._excitations = self._planner.plan(
+                self._knowledge(self._sigma), self._excitations, self._generator
+            )
+        self.plan_seconds.append(time.perf_counter() - start)
+        for mode, excitation in self._excitations.items():
+            self._pending[mode], self._arm_states[mode] = swing(
+                self._arm_states[mode],
+                excitation,
+                self._config.limits,
+                self.steps,
+                self._config.time_step,
+            )
+        return dict(self._pending)
+
+    def measured(self, outputs: Mapping[str, FloatArray], sigma: FloatArray) -> Estimate:
+        """Take in what was measured in the window.
+
+        Args:
+            outputs: (n, 24) deviations from rest of each mode.
+            sigma: (24,) deviations of the sensors' noise.
+
+        Returns:
+            The updated estimate.
+        """
+        start = time.perf_counter()
+        windows = {m: Window(self._pending[m], outputs[m], sigma) for m in outputs}
+        estimate = self._fit.add(windows)
+        self.estimate_seconds.append(time.perf_counter() - start)
+        self._sigma = sigma
+        for mode, samples in outputs.items():
+            matrix, right = regressor(samples, self._arms[mode])
+            self._kalman.update(matrix, right, sigma[18:24])
+            weight = 1 / sigma[18:24, None]
+            raw = matrix.reshape(-1, COUNT)
+            self._raw_square += raw.T @ raw
+            rows = (matrix * weight).reshape(-1, COUNT)
+            self._square += rows.T @ rows
+            self._product += rows.T @ (right * weight[:, 0]).ravel()
+        return estimate
+
+    def finish(self) -> Estimate:
+        """Fit all windows to convergence and return the result."""
+        return self._fit.fit()
+
+    def _knowledge(self, sigma: FloatArray) -> Knowledge:
+        estimate = self._fit.estimate
+        return Knowledge(
+            parameters=estimate.parameters,
+            information=estimate.physical_information(),
+            sigma=sigma,
+            arm_states=dict(self._arm_states),
+            base_states={m: self._fit.base_state(m) for m in self._arms},
+            regressor_square=self._raw_square,
+        )
