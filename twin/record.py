@@ -198,8 +198,7 @@ class Recorder:
 
     def log_text(self, path: str, text: str) -> None:
         """Add a line to a log, at the latest tick's time."""
-        self._set_time()
-        self._stream.log(path, rr.TextLog(text))
+        self._stream.send_columns(path, self._now(), rr.TextLog.columns(text=[text]))
 
     def flush(self) -> None:
         """Write everything taken so far to the file."""
@@ -235,11 +234,10 @@ class Recorder:
         self._seen[f"{robot}/stereo"] = stereo.stamp
         self._next_image[robot] = self._time + 1.0 / self._config.image_rate
         quality = [int(cv2.IMWRITE_JPEG_QUALITY), self._config.jpeg_quality]
-        self._set_time()
         for side, image in zip(("left", "right"), stereo.value):
             _, data = cv2.imencode(".jpg", np.asarray(image, dtype=np.uint8), quality)
-            packed = rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
-            self._stream.log(f"{robot}/stereo/{side}", packed)
+            packed = rr.EncodedImage.columns(blob=[data.tobytes()], media_type=["image/jpeg"])
+            self._stream.send_columns(f"{robot}/stereo/{side}", self._now(), packed)
 
     def _take_bodies(self) -> None:
         if self._simulation is None:
@@ -294,9 +292,12 @@ class Recorder:
             curve.times.clear()
             curve.values.clear()
 
-    def _set_time(self) -> None:
-        self._stream.set_time("sim_time", duration=self._time)
-        self._stream.set_time("step", sequence=self._step)
+    def _now(self) -> list[rr.TimeColumn]:
+        # The SDK's own `log` would add wall-clock timelines; a run has its own time only.
+        return [
+            rr.TimeColumn("sim_time", duration=[self._time]),
+            rr.TimeColumn("step", sequence=[self._step]),
+        ]
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:

@@ -19,7 +19,8 @@ from twin.robot import (
     Observation,
     RobotError,
 )
-from twin.sensors import CHANNEL_OFFSETS, BankState, SensorBank, SensorSuite
+from twin.sensor_bank import BankState, SensorBank
+from twin.sensors import CHANNEL_OFFSETS, SensorSuite
 from twin.servo import Servo, ServoConfig, ServoState
 
 IntArray = NDArray[np.intp]

@@ -43,9 +43,7 @@ class Drive:
             now = observations["rover1"].time
             self.recorder.log_scalars("excitation/omega", [now, 2 * now], ["x", "y"])
             self.recorder.log_band("estimates/mass", 3.0, 2.0, 4.0, ["mass"])
-        return {
-            "rover1": Command(np.full(4, 1.0), self.arm, WheelMode.SPEED, ArmMode.POSITION)
-        }
+        return {"rover1": Command(np.full(4, 1.0), self.arm, WheelMode.SPEED, ArmMode.POSITION)}
 
 
 def small(stereo=None):
@@ -63,3 +61,159 @@ def columns(path):
         for name in batch.schema.names:
             entity.setdefault(name, []).extend(batch.column(name).to_pylist())
     return rows
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "deep" / "run.rrd"
+    simulation = small(StereoConfig(10.0))
+    with Recorder(path, simulation) as recorder:
+        run(simulation.robots, [Drive(recorder)], SimClock(simulation), recorder, 1.0)
+    return path, simulation, columns(path)
+
+
+def test_recording_holds_bodies_sensors_commands_images_and_estimates(recorded):
+    _, _, rows = recorded
+    for entity in ("rover1/duty/wheels", "rover1/duty/arm", "excitation/omega"):
+        assert len(rows[f"/{entity}"]["sim_time"]) == 100
+    assert len(rows["/rover1/sensors/gyro"]["sim_time"]) == 100
+    assert len(rows["/rover1/sensors/inclinometer"]["sim_time"]) == 25
+    assert len(rows["/world/rover1/chassis"]["Transform3D:translation"]) == 25
+    for part, value in (("mean", 3.0), ("low", 2.0), ("high", 4.0)):
+        values = rows[f"/estimates/mass/{part}"]["Scalars:scalars"]
+        assert [v for v in values if v is not None] == [[value]] * 100
+
+
+def test_images_are_throttled_to_the_recorders_rate(recorded):
+    _, _, rows = recorded
+    images = rows["/rover1/stereo/left"]["EncodedImage:blob"]
+    assert len([image for image in images if image]) == 4
+
+
+def test_meshes_are_written_once_and_never_again(recorded):
+    _, _, rows = recorded
+    meshes = rows["/world/rover1/chassis"]["Mesh3D:vertex_positions"]
+    assert len([mesh for mesh in meshes if mesh]) == 1
+
+
+def test_both_timelines_count_together(recorded):
+    _, _, rows = recorded
+    steps = [s for s in rows["/rover1/duty/arm"]["step"] if s is not None]
+    assert steps == list(range(100))
+
+
+def test_recorded_poses_are_those_of_the_simulation(tmp_path):
+    simulation = small()
+    with Recorder(tmp_path / "run.rrd", simulation) as recorder:
+        recorder.record(0, simulation.time, {}, {})
+    rows = columns(tmp_path / "run.rrd")["/world/rover1/shoulder"]
+    body = simulation.model.body("rover1/shoulder").id
+    np.testing.assert_allclose(
+        rows["Transform3D:translation"][-1][0], simulation.data.xpos[body], atol=1e-6
+    )
+    quaternion = np.array(rows["Transform3D:quaternion"][-1][0])
+    np.testing.assert_allclose(np.roll(quaternion, 1), simulation.data.xquat[body], atol=1e-6)
+
+
+def test_missing_channels_leave_no_curve(tmp_path):
+    simulation = small()
+    simulation.robots["rover1"].disconnect_sensor("gyro")
+    simulation.settle(0.02)
+    with Recorder(tmp_path / "run.rrd", simulation) as recorder:
+        observations = {"rover1": simulation.robots["rover1"].observe()}
+        recorder.record(0, simulation.time, observations, {})
+    rows = columns(tmp_path / "run.rrd")
+    assert "/rover1/sensors/gyro" not in rows and "/rover1/sensors/heading" in rows
+
+
+def test_curve_may_not_change_its_width(tmp_path):
+    with Recorder(tmp_path / "run.rrd") as recorder:
+        recorder.log_scalars("a", [1.0, 2.0])
+        with pytest.raises(ValueError, match="curve 'a' has 2 values, got 3"):
+            recorder.log_scalars("a", [1.0, 2.0, 3.0])
+
+
+KILLED = """
+import sys, time
+from tests.twin.test_record import Drive, Recorder, SimClock, run, small
+simulation = small()
+recorder = Recorder(sys.argv[1], simulation)
+run(simulation.robots, [Drive(recorder)], SimClock(simulation), recorder, 1.0)
+print("flushed", flush=True)
+time.sleep(60)
+"""
+
+
+def test_killed_run_loses_nothing_that_was_flushed(tmp_path):
+    path = tmp_path / "run.rrd"
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(path)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "flushed\n"
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    rows = columns(path)
+    assert len(rows["/rover1/duty/arm"]["sim_time"]) == 100
+
+
+def test_body_mesh_spans_the_geom_that_it_shows():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="box" size="1 2 3" pos="5 0 0" rgba="1 0 0 1"/>'
+        '<geom type="sphere" size="9" group="3"/></worldbody></mujoco>'
+    )
+    mesh = body_mesh(model, 0)
+    assert mesh is not None
+    np.testing.assert_allclose(mesh.vertices.min(axis=0), [4, -2, -3])
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), [6, 2, 3])
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
+    np.testing.assert_array_equal(geom_colour(model, 0), [255, 0, 0, 255])
+
+
+def test_height_field_mesh_lies_on_the_physical_ground():
+    model = make_model(ROUGH, (RobotPlacement(),))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    ground = model.geom("ground").id
+    rocks = [g for g in range(model.ngeom) if model.geom(g).name.startswith("rock")]
+    model.geom_rgba[rocks, 3] = 0.0
+    model.geom_matid[rocks] = -1
+    mesh = body_mesh(model, 0)
+    assert mesh is not None
+    for vertex in mesh.vertices[(np.abs(mesh.vertices[:, :2]) < 2.5).all(axis=1)][::200]:
+        above = vertex + [1e-4, 1e-4, 1.0]
+        hit = mujoco.mj_rayHfield(model, data, ground, above, np.array([0.0, 0.0, -1.0]))
+        distance = hit[0] if isinstance(hit, tuple) else hit
+        assert distance == pytest.approx(1.0, abs=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("field", [FLAT, ROUGH], ids=["flat", "rough"])
+def test_twenty_seconds_with_stereo_fit_in_15_megabytes(tmp_path, field):
+    path = tmp_path / "run.rrd"
+    with connect("sim", field=field, stereo=StereoConfig(4.0)) as link:
+        with Recorder(path, link.simulation) as recorder:
+            begin = time.perf_counter()
+            run(link.robots, [Drive(recorder)], link.clock, recorder, 20.0)
+            print(f"{time.perf_counter() - begin:.1f} s for 20 s")
+    print(f"{path.stat().st_size / 1e6:.1f} MB")
+    assert path.stat().st_size <= 15e6
+    assert len(columns(path)["/rover1/stereo/left"]["sim_time"]) >= 80
+
+
+@pytest.mark.slow
+def test_screenshot_shows_the_recording(recorded, tmp_path):
+    path, _, _ = recorded
+    picture = tmp_path / "view.png"
+    try:
+        screenshot(path, picture)
+    except RuntimeError as error:
+        if "mesa-vulkan-drivers" in str(error):
+            pytest.skip(str(error))
+        raise
+    assert picture.stat().st_size > 50_000
+
+
+def test_screenshot_of_nothing_says_so(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no recording .*none\.rrd"):
+        screenshot(tmp_path / "none.rrd", tmp_path / "out.png")

@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.robot import Validity
+from twin.sensor_bank import SensorBank
 from twin.sensors import (
     CHANNEL_OFFSETS,
     CHANNEL_WIDTHS,
     DATASHEET,
     IDEAL,
     ChannelSpec,
-    SensorBank,
     SensorSuite,
 )
 

@@ -12,7 +12,8 @@ from twin.camera import Renderer, StereoConfig, StereoRig
 from twin.clock import SimClock
 from twin.loop import run
 from twin.robot import Command, Observation, WheelMode
-from twin.sensors import DATASHEET, SensorBank
+from twin.sensor_bank import SensorBank
+from twin.sensors import DATASHEET
 from twin.sim_robot import SimRobot
 from twin.simulation import Simulation
 
