@@ -10,7 +10,7 @@ import dataclasses
 import enum
 import math
 from collections.abc import Mapping
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,7 @@ class Lifecycle(enum.Enum):
     ERROR = "error"
 
 
-@dataclasses.dataclass(frozen=True)
-class Channel:
+class Channel(NamedTuple):
     """One sensor's latest sample.
 
     Attributes:
@@ -140,7 +139,12 @@ class Command:
             ValueError: If an array is not (4,) or holds a NaN or an infinity.
         """
         for name in ("wheels", "arm", "arm_rates"):
-            values = np.asarray(getattr(self, name), dtype=float)
+            values = getattr(self, name)
+            # Four finite numbers have a finite square sum, unless they are absurdly large.
+            if type(values) is np.ndarray and values.dtype.char == "d" and values.shape == (4,):
+                if math.isfinite(values.dot(values)):
+                    continue
+            values = np.asarray(values, dtype=float)
             if values.shape != (4,):
                 raise ValueError(f"command {name}: expected 4 numbers, got shape {values.shape}")
             if not all(map(math.isfinite, values.tolist())):

@@ -107,7 +107,7 @@ class Servo:
             RobotError: If a needed channel is missing or stale.
         """
         duties = self._wheel_duties(command, observation) + self._arm_duties(command, observation)
-        return np.array([max(-1.0, min(1.0, duty)) for duty in duties])
+        return np.array([_clamp(duty) for duty in duties])
 
     def _wheel_duties(self, command: Command, observation: Observation) -> list[float]:
         asked, mode = command.wheels.tolist(), command.wheel_mode
@@ -147,7 +147,7 @@ class Servo:
         duties: list[float] = []
         for axis, (target, speed) in enumerate(zip(targets, speeds), first):
             no_load = self._no_load[axis]
-            wanted = max(-1.0, min(1.0, target / no_load))
+            wanted = _clamp(target / no_load)
             error = wanted - speed / no_load
             grown = self._integrals[axis] + self._growth * error
             duty = wanted + self._gain * error + grown
@@ -164,6 +164,10 @@ class Servo:
     def restore(self, state: ServoState) -> None:
         """Go back to a saved state."""
         self._integrals = list(state.integrals)
+
+
+def _clamp(value: float) -> float:
+    return -1.0 if value < -1.0 else 1.0 if value > 1.0 else value
 
 
 def _needed(channel: Channel, name: str, mode: str) -> list[float]:
