@@ -6,6 +6,12 @@ from experiments.contract import Experiment
 
 _ALL: tuple[Experiment, ...] = (
     Experiment(
+        name="ch2-simulation",
+        summary="the simplified rover identifies itself by swinging its arm",
+        thesis="Table 2-1, figures 2-4 to 2-7",
+        module="experiments.ch2_simulation",
+    ),
+    Experiment(
         name="bench",
         summary="speed and accuracy measured against a named peer in the same run",
         thesis="beyond the thesis",
