@@ -12,6 +12,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch2_simulation",
     ),
     Experiment(
+        name="ch2-payload",
+        summary="an unknown payload is identified by swinging the arm that holds it",
+        thesis="section 6.2 (c), suggested only",
+        module="experiments.ch2_payload",
+    ),
+    Experiment(
         name="bench",
         summary="speed and accuracy measured against a named peer in the same run",
         thesis="beyond the thesis",

@@ -1,0 +1,136 @@
+"""Joint and base motion from encoders and inclinometer, and the one filter for both sides.
+
+Rates and accelerations are plain central differences of what was measured, which distort nothing.
+Their noise is large, but the equations of motion are linear in the accelerations: so the noise is
+taken out afterwards, by one filter that goes over both sides of the equation, measured wrench and
+predicted wrench alike, and biases neither.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from controllers.identification.observation_log import IdentificationError, ObservationLog
+from controllers.identification.serial_arm import BaseMotion, JointMotion
+
+FloatArray = NDArray[np.float64]
+
+CHANNELS = ("arm_angles", "inclinometer", "arm_base_wrench")
+SHORTEST = 60
+"""Least number of ticks of a run."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SensingConfig:
+    """How the measured signals are to be read.
+
+    Attributes:
+        gravity: [m/s^2].
+        lever: (3,) from the point about which the base tilts to the arm's base frame [m].
+        inclinometer_bandwidth: First-order corner of the tilt sensor, undone here [Hz].
+    """
+
+    gravity: float = 9.81
+    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inclinometer_bandwidth: float = 6.0
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmRecord:
+    """A run of the arm as one consistent set of samples, at the wrench's time stamps.
+
+    Attributes:
+        times: (n,) [s].
+        joints: Of the arm.
+        base: Of the arm's base frame: tilt only, the base does not travel.
+        wrench: (n, 6) force [N] and moment [N m] by the rover on the arm.
+    """
+
+    times: FloatArray
+    joints: JointMotion
+    base: BaseMotion
+    wrench: FloatArray
+
+
+def read_arm(log: ObservationLog, config: SensingConfig) -> ArmRecord:
+    """Return what a run says of the arm's and the base's motion, and of the wrench between them.
+
+    Args:
+        log: With `CHANNELS`.
+        config: How to read them.
+
+    Raises:
+        IdentificationError: If the run is too short or its ticks are not even.
+    """
+    times = log.times
+    if len(times) < SHORTEST:
+        raise IdentificationError(
+            f"a run of {len(times)} ticks is too short; at least {SHORTEST} are needed"
+        )
+    if np.ptp(np.diff(times)) > 0.1 * np.median(np.diff(times)):
+        raise IdentificationError("the ticks of the run are not even; resample it first")
+    stamps = times - log.age("arm_base_wrench")
+    seen = times - log.age("arm_angles")
+    motion = _at(stamps, seen, *_differentiate(log.values("arm_angles"), seen))
+    base = _base_motion(log, config, stamps)
+    return ArmRecord(stamps, JointMotion(*motion), base, log.values("arm_base_wrench"))
+
+
+def filter_alike(values: FloatArray, window: int, stride: int = 1) -> FloatArray:
+    """Return weighted means under a raised cosine, where it fits in whole.
+
+    Args:
+        values: (n, ...) samples.
+        window: Ticks under the cosine, odd.
+        stride: Ticks from one mean to the next.
+    """
+    flat = values.reshape(len(values), -1)
+    means = sliding_window_view(flat, window, axis=0)[::stride] @ raised_cosine(window)
+    return means.reshape(-1, *values.shape[1:])
+
+
+def raised_cosine(window: int) -> FloatArray:
+    """Return the weights (window,) of `filter_alike`; their sum is one."""
+    weights = 1.0 - np.cos(2.0 * np.pi * np.arange(1, window + 1) / (window + 1))
+    return weights / weights.sum()
+
+
+def _differentiate(
+    values: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values, rates and accelerations, by central differences on an even grid."""
+    period = (times[-1] - times[0]) / (len(times) - 1)
+    rates = np.gradient(values, period, axis=0)
+    inner = np.diff(values, 2, axis=0) / period**2
+    return values, rates, np.concatenate([inner[:1], inner, inner[-1:]])
+
+
+def _at(times: FloatArray, stamps: FloatArray, *series: FloatArray) -> list[FloatArray]:
+    """Return series (n, width) that are known at some stamps as they are at some times."""
+    return [np.stack([np.interp(times, stamps, row) for row in one.T], axis=1) for one in series]
+
+
+def _base_motion(log: ObservationLog, config: SensingConfig, times: FloatArray) -> BaseMotion:
+    """Return the base's tilting motion at some times; heading and travel are taken as fixed."""
+    stamps, seen = log.samples("inclinometer")
+    if len(stamps) < SHORTEST // 4:
+        raise IdentificationError(
+            f"only {len(stamps)} samples of the inclinometer; {SHORTEST // 4} are needed"
+        )
+    even = np.linspace(stamps[0], stamps[-1], len(stamps))
+    lag = 1.0 / (2.0 * np.pi * config.inclinometer_bandwidth)
+    slow = _at(even, stamps, seen)[0]
+    undone = slow + lag * np.gradient(slow, even[1] - even[0], axis=0)
+    tilt, rate, acceleration = _at(times, even, *_differentiate(undone, even))
+    pitch, roll = tilt.T
+    still = np.zeros_like(pitch)
+    up = np.stack([-np.sin(roll) * np.cos(pitch), np.sin(pitch), np.cos(roll) * np.cos(pitch)], 1)
+    omega = np.stack([rate[:, 0], rate[:, 1], still], axis=1)
+    alpha = np.stack([acceleration[:, 0], acceleration[:, 1], still], axis=1)
+    # Products of rates are left out: at a tilt of a few degrees they are below their own noise.
+    moving = np.cross(alpha, np.asarray(config.lever))
+    return BaseMotion(config.gravity * up + moving, omega, alpha)
