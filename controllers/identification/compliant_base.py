@@ -231,9 +231,7 @@ def _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, work):
     for _ in range(2):
         for i in range(STAGES):
             position, velocity = _stage_motion(h, i, q, v, stage)
-            residual(
-                p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i], work[6 * i :]
-            )
+            residual(p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i], work[6 * i :])
         for r in range(6 * STAGES):
             change = 0.0
             for c in range(6 * STAGES):

@@ -296,9 +296,7 @@ class Planner:
         vector = excitation.vector() + step * (bounds[:, 1] - bounds[:, 0])
         return Excitation(*np.clip(vector, bounds[:, 0], bounds[:, 1]).tolist())
 
-    def _moved(
-        self, chosen: Mapping[str, Excitation], step: FloatArray
-    ) -> dict[str, Excitation]:
+    def _moved(self, chosen: Mapping[str, Excitation], step: FloatArray) -> dict[str, Excitation]:
         step = np.clip(step, -0.5, 0.5).reshape(-1, 3)
         return {
             mode: self._stepped(excitation, part)
@@ -326,5 +324,3 @@ def random_excitation(limits: ArmLimits, generator: np.random.Generator) -> Exci
         generator.uniform(*limits.amplitude),
         float(np.exp(generator.uniform(low, high))),
     )
-
-

@@ -1,4 +1,4 @@
-"""On-line identification: what was measured in one window decides how the arm swings in the next."""
+"""On-line identification: what one window measures decides how the arm swings in the next."""
 
 from __future__ import annotations
 

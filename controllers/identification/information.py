@@ -62,7 +62,7 @@ def mutual_information(
 
     Args:
         estimate: (n,).
-        sigma: (n,) standard deviations.
+        sigma: (n,) standard deviations; NaN or infinity where nothing is known.
         bounds: (n, 2) ends of the range.
         bits: Precision of the sensor.
 
@@ -80,10 +80,14 @@ def _information(estimate, sigma, bounds, bits):
         low, high = bounds[n, 0], bounds[n, 1]
         width = (high - low) / count
         mean = min(max(estimate[n], low), high)
-        scale = 1.0 / (math.sqrt(2.0) * max(sigma[n], 1e-12 * (high - low)))
+        # A thousand ranges are as good as infinity, which is also what NaN stands for.
+        spread = 1e3 * (high - low)
+        if sigma[n] < spread:
+            spread = max(sigma[n], 1e-12 * (high - low))
+        scale = 1.0 / (math.sqrt(2.0) * spread)
         # Beyond eight sigma a bin holds nothing that counts.
-        first = max(0, int((mean - 8 * sigma[n] - low) / width))
-        last = min(count, int((mean + 8 * sigma[n] - low) / width) + 1)
+        first = max(0, int((mean - 8 * spread - low) / width))
+        last = min(count, int((mean + 8 * spread - low) / width) + 1)
         total = 0.5 * (math.erf((high - mean) * scale) - math.erf((low - mean) * scale))
         uncertainty = 0.0
         below = math.erf((low + first * width - mean) * scale)

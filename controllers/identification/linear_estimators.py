@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.identification.parameters import COUNT, Prior, from_coordinates
+from controllers.identification.parameters import COUNT, LEVER, Prior, from_coordinates
 
 FloatArray = NDArray[np.float64]
 
@@ -42,7 +42,9 @@ class KalmanFilter:
     def from_prior(cls, prior: Prior) -> KalmanFilter:
         """Start from the same guess as every other estimator here."""
         guess = from_coordinates(prior.mean())
-        sigma = np.maximum(np.abs(guess) * np.expm1(prior.log_sigma), prior.lever_sigma)
+        sigma = np.abs(guess) * np.expm1(prior.log_sigma)
+        sigma[4:7] = sigma[1:4].mean()
+        sigma[LEVER] = prior.lever_sigma
         return cls(guess, np.diag(sigma**2))
 
     def update(self, matrix: FloatArray, right: FloatArray, sigma: FloatArray) -> None:

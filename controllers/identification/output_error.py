@@ -12,10 +12,11 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import Trajectory
-from controllers.identification.compliant_base import ArmOnMount, BaseState, simulate
+from controllers.identification.compliant_base import CHANNELS, ArmOnMount, BaseState, simulate
 from controllers.identification.parameters import (
     COUNT,
     DAMPING,
@@ -55,8 +56,12 @@ class Window:
         """Refuse what cannot be weighed.
 
         Raises:
-            MeasurementError: If a measurement is not finite or a deviation is not positive.
+            MeasurementError: If there is not one sample of 24 channels for each step, a measurement
+                is not finite or a deviation is not positive.
         """
+        expected = (len(self.trajectory.jerk), CHANNELS)
+        if self.outputs.shape != expected:
+            raise MeasurementError(f"outputs of shape {self.outputs.shape}: expected {expected}")
         check_finite(self.outputs)
         if not np.all(self.sigma > 0):
             raise MeasurementError(f"sigma {self.sigma}: every channel needs a positive deviation")
@@ -88,11 +93,11 @@ class Estimate:
     def trustworthy(self) -> bool:
         """True when chi^2 per measurement says that the model explains the data.
 
-        The tolerance widens to four standard deviations where data are few.
+        The tolerance widens to four standard deviations where data are few: those of uniform
+        noise, whose squares vary by 0.8 (2 if Gaussian: then four count as two and a half).
         """
         spread = 4 * np.sqrt(0.8 / max(self.measurements, 1))
         return abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, spread)
-
 
     def physical_information(self) -> FloatArray:
         """Return the posterior information (22, 22) by the physical parameters."""
@@ -278,7 +283,8 @@ class Identifiability:
 
     Attributes:
         unidentifiable: Names of the parameters of which the data say little.
-        directions: The combinations that stay unknown, as name -> weight, largest weights first.
+        directions: The combinations that stay unknown, as name -> weight in prior deviations,
+            largest weights first.
     """
 
     unidentifiable: tuple[str, ...]
@@ -291,23 +297,25 @@ def identifiability(
     """Say by name what a fit could not determine.
 
     A parameter counts as unidentifiable when its deviation stayed above `shrinkage` of the
-    prior's; a direction when its information gained stayed below that of the prior.
+    prior's, and a direction likewise. The prior is taken where the estimate lies: its deviation
+    of the inertia, in kg m^2, falls with the body's size, which is not the data's merit.
 
     Args:
         estimate: A fit.
         prior: The prior that it was made with.
         shrinkage: Ratio of posterior to prior deviation.
     """
-    sigma = (prior or Prior()).sigma()
-    whitened = estimate.information * np.outer(sigma, sigma)
-    posterior = np.sqrt(np.diag(np.linalg.inv(whitened)))
-    names = tuple(NAMES[i] for i in np.flatnonzero(posterior > shrinkage))
-    values, vectors = np.linalg.eigh(whitened)
+    _, _, precision = (prior or Prior()).term(estimate.theta)
+    sigma = np.sqrt(np.diag(np.linalg.inv(precision)))
+    posterior = np.sqrt(np.diag(np.linalg.inv(estimate.information)))
+    names = tuple(NAMES[i] for i in np.flatnonzero(posterior > shrinkage * sigma))
+    values, vectors = scipy.linalg.eigh(estimate.information, precision)
     directions = []
     for value, vector in zip(values, vectors.T, strict=True):
         if value * shrinkage**2 > 1:
             break
-        order = np.argsort(-np.abs(vector))
-        kept = [i for i in order if abs(vector[i]) > 0.2]
-        directions.append({NAMES[i]: float(vector[i]) for i in kept})
+        weights = vector / sigma
+        weights /= np.linalg.norm(weights)
+        kept = [i for i in np.argsort(-np.abs(weights)) if abs(weights[i]) > 0.2]
+        directions.append({NAMES[i]: float(weights[i]) for i in kept})
     return Identifiability(names, tuple(directions))

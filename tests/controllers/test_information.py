@@ -1,0 +1,114 @@
+"""Mutual information against quadrature and closed form; observability against known systems."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.stats
+
+from controllers.identification.information import (
+    BITS,
+    entropy,
+    mutual_information,
+    observability_matrix,
+    transition_matrix,
+)
+
+RANGE = (-2.0, 6.0)
+
+
+def bits(estimate: float, sigma: float, n: int = BITS) -> float:
+    bounds = np.array([RANGE])
+    return float(mutual_information(np.array([estimate]), np.array([sigma]), bounds, n)[0])
+
+
+def by_quadrature(estimate: float, sigma: float, n: int) -> float:
+    """Equation 2-12b by adding up the density on a fine grid."""
+    edges = np.linspace(*RANGE, 2**n + 1)
+    fine = np.linspace(*RANGE, 400 * 2**n + 1)
+    density = scipy.stats.norm.pdf(fine, estimate, sigma)
+    areas = (density[1:] + density[:-1]).reshape(2**n, -1).sum(axis=1)
+    q = areas / areas.sum()
+    assert len(edges) == len(q) + 1
+    return n - scipy.stats.entropy(q, base=2)
+
+
+@pytest.mark.parametrize("estimate", [-1.9, 0.3, 5.0])
+@pytest.mark.parametrize("sigma", [0.05, 0.4, 3.0, 50.0])
+@pytest.mark.parametrize("n", [4, 8])
+def test_information_equals_numerical_integration(estimate, sigma, n):
+    assert bits(estimate, sigma, n) == pytest.approx(by_quadrature(estimate, sigma, n), abs=1e-4)
+
+
+@pytest.mark.parametrize("part", [20, 100, 400])
+def test_information_well_inside_the_range_is_log_of_range_over_sigma_less_2_05(part):
+    expected = np.log2(part) - 0.5 * np.log2(2 * np.pi * np.e)
+    assert bits(1.7, 8.0 / part) == pytest.approx(expected, abs=0.01)
+    assert expected == pytest.approx(np.log2(part) - 2.05, abs=0.01)
+
+
+@pytest.mark.parametrize("sigma", [1e3, 1e12, 1e25, np.inf, np.nan])
+def test_nothing_known_is_0_bits(sigma):
+    assert bits(1.0, sigma) == pytest.approx(0, abs=1e-4)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-300, 1e-9])
+@pytest.mark.parametrize("estimate", [-2.0, 1.003, 6.0, 60.0])
+def test_exactly_known_is_10_bits(estimate, sigma):
+    assert bits(estimate, sigma) == pytest.approx(10, abs=1e-6)
+
+
+def test_edge_between_two_states_of_the_sensor_costs_one_bit():
+    assert bits(2.0, 0.0) == pytest.approx(9, abs=1e-6)
+
+
+def test_estimate_outside_its_range_counts_as_lying_at_its_end():
+    for sigma in (1e-3, 0.1, 2.0):
+        assert bits(1e6, sigma) == bits(RANGE[1], sigma)
+        assert bits(-1e6, sigma) == bits(RANGE[0], sigma)
+
+
+def test_information_grows_as_sigma_falls():
+    found = [bits(0.7, sigma) for sigma in np.geomspace(100, 1e-4, 60)]
+    assert np.all(np.diff(found) > -1e-9)
+
+
+def test_entropy_is_greatest_for_equal_chances_and_adds_over_successive_choices():
+    generator = np.random.default_rng(0)
+    assert entropy(np.full(8, 1 / 8)) == pytest.approx(3)
+    assert entropy(np.array([1.0, 0.0])) == 0
+    for _ in range(20):
+        p, q = generator.dirichlet(np.ones(5)), generator.dirichlet(np.ones(3))
+        assert 0 < entropy(p) < np.log2(5)
+        split = np.concatenate([p[:4], p[4] * q])
+        assert entropy(split) == pytest.approx(entropy(p) + p[4] * entropy(q))
+        assert entropy(p) == pytest.approx(scipy.stats.entropy(p, base=2))
+
+
+def test_position_of_a_mass_on_a_spring_shows_its_state_and_velocity_of_a_free_one_does_not():
+    spring = transition_matrix(np.array([[0.0, 1.0], [-4.0, -0.1]]), 0.05)
+    free = transition_matrix(np.array([[0.0, 1.0], [0.0, 0.0]]), 0.05)
+    position, velocity = np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]])
+    rank = np.linalg.matrix_rank
+    assert rank(observability_matrix(spring, position)) == 2
+    assert rank(observability_matrix(free, position)) == 2
+    assert rank(observability_matrix(free, velocity)) == 1
+
+
+def test_observability_matrix_has_the_blocks_of_equation_2_5():
+    generator = np.random.default_rng(1)
+    phi, h = generator.normal(size=(4, 4)), generator.normal(size=(2, 4))
+    found = observability_matrix(phi, h)
+    assert found.shape == (4, 8)
+    for power in range(4):
+        block = (h @ np.linalg.matrix_power(phi, power)).T
+        np.testing.assert_allclose(found[:, 2 * power : 2 * power + 2], block)
+
+
+def test_transition_matrix_equals_the_matrix_exponential():
+    dynamics = np.random.default_rng(2).normal(size=(6, 6))
+    expected = scipy.linalg.expm(0.1 * dynamics)
+    np.testing.assert_allclose(transition_matrix(dynamics, 0.1), expected, atol=1e-12)
+    two_terms = transition_matrix(dynamics, 0.001, terms=2)
+    np.testing.assert_allclose(two_terms, scipy.linalg.expm(0.001 * dynamics), atol=1e-4)
