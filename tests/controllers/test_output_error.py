@@ -153,7 +153,7 @@ def unknown_after(
 
 
 def test_three_modes_with_changing_excitation_leave_nothing_unidentifiable():
-    unknown, estimate = unknown_after(PATHS, ARMS, part=0.1)
+    unknown, estimate = unknown_after(PATHS, ARMS, part=0.05)
     assert unknown == set()
     assert identifiability(estimate).directions == ()
 

@@ -11,7 +11,7 @@ from controllers.identification.arm_motion import MODES, mode_axes
 from controllers.identification.compliant_base import SIGNALS
 from controllers.identification.parameters import NAMES
 from controllers.identification.regressor import MeasurementError, regressor
-from models.compliant_base.build import XML
+from models.compliant_base.build import compile_plant
 from models.datasheets import TABLE_2_1_TRUTH
 from tests.controllers.newton_euler import GRAVITY, cross, hinge_motion
 from tests.controllers.recorded import ARMS, TRUTH, motion, recorded
@@ -79,30 +79,11 @@ def test_equation_as_printed_is_biased_on_noise_free_data():
     assert max(errors["mass"], errors["kx"], errors["ky"]) > 1
 
 
-def hinges_outermost(mode: str) -> mujoco.MjModel:
-    """The plant of appendix B.2: the base turns about the springs' nominal position."""
-    spec = mujoco.MjSpec.from_file(str(XML))
-    base, arm = spec.body("base"), spec.body("arm")
-    axis, turn = mode_axes(mode)
-    slides = [joint for joint in base.joints if joint.type == mujoco.mjtJoint.mjJNT_SLIDE]
-    kept = [(j.name, list(j.axis), list(j.stiffness), list(j.damping)) for j in slides]
-    for joint in slides:
-        spec.delete(joint)
-    for name, direction, stiffness, damping in kept:
-        joint = base.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
-        joint.stiffness, joint.damping = stiffness, damping
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, turn.ravel())
-    arm.quat = quaternion
-    spec.joint("arm_joint").axis = turn.T @ axis
-    return spec.compile()
-
-
 def follow(mode: str) -> tuple[np.ndarray, np.ndarray]:
-    """Absolute motion and wrench (n, 24) of that plant from its static rest, and the rest (24,)."""
-    model = hinges_outermost(mode)
-    data = mujoco.MjData(model)
+    """Absolute motion and wrench (n, 24) of the plant of appendix B.2 from rest, and the rest."""
     axis, held = mode_axes(mode)
+    model = compile_plant(TABLE_2_1_TRUTH, axis, held, hinges_outermost=True)
+    data = mujoco.MjData(model)
 
     def row() -> np.ndarray:
         quaternion, turn = np.empty(4), np.empty(9)
