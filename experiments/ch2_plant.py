@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 
 import mujoco
@@ -10,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import Trajectory, mode_axes
-from controllers.identification.compliant_base import CHANNELS, SIGNALS
+from controllers.identification.compliant_base import CHANNELS
 from models.compliant_base.build import compile_plant
 
 FloatArray = NDArray[np.float64]
@@ -28,6 +27,7 @@ class Plant:
         mode: str,
         rest_angle: float = np.pi / 4,
         time_step: float = 0.0005,
+        hinges_outermost: bool = False,
     ) -> None:
         """Compile the plant and load its springs so that it rests.
 
@@ -36,9 +36,12 @@ class Plant:
             mode: "x", "y" or "z".
             rest_angle: Arm angle at rest [rad].
             time_step: Physics step [s]; the compliance is stiff, keep it at or below 0.5 ms.
+            hinges_outermost: Build the joints in the order that the estimators do not expect.
         """
         self._axis, self._rotation = mode_axes(mode)
-        self._model = compile_plant(parameters, self._axis, self._rotation)
+        self._model = compile_plant(parameters, self._axis, self._rotation, hinges_outermost)
+        first, second = slice(0, 3), slice(3, 6)
+        self._slides, self._hinges = (second, first) if hinges_outermost else (first, second)
         self._model.opt.timestep = time_step
         self._data = mujoco.MjData(self._model)
         self._data.qpos[6] = rest_angle
@@ -70,9 +73,8 @@ class Plant:
             data.ctrl[0] = jerk
             mujoco.mj_step(self._model, data, nstep=steps)
             mujoco.mj_forward(self._model, data)
-            row[SIGNALS["displacement"]], row[SIGNALS["angles"]] = data.qpos[:3], data.qpos[3:6]
-            row[SIGNALS["velocity"]], row[SIGNALS["angle_rates"]] = data.qvel[:3], data.qvel[3:6]
-            row[SIGNALS["acceleration"]] = data.qacc[:3]
-            row[SIGNALS["angle_accelerations"]] = data.qacc[3:6]
+            for start, state in enumerate((data.qpos, data.qvel, data.qacc)):
+                row[3 * start : 3 * start + 3] = state[self._slides]
+                row[9 + 3 * start : 12 + 3 * start] = state[self._hinges]
             row[18:24] = self._wrench() - self._rest_wrench
         return outputs

@@ -155,7 +155,7 @@ def run(options: Options, output: Output) -> None:
     own = options.truth is None and options.random_truth is None
     measure(groups, output, of_table=own)
     judge(groups, output)
-    verify(output, options.seed)
+    verify(options, output)
     tabulate(groups, output, of_table=own)
     draw_figures(groups, output)
     if options.record:

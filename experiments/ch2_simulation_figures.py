@@ -133,12 +133,12 @@ def draw_overview(groups: Results) -> Figure:
         ax.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names])
         ax.set(yscale="log", ylabel="average error [%]", title=f"{noise} noise")
         ax.grid(axis="y", which="both", alpha=0.25)
-    axes[0].legend(ncols=3, fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     return figure
 
 
 def _times(trial: dict[str, Any]) -> FloatArray:
-    return REPLAN_PERIOD * np.arange(1, len(trial["bits"]) + 1)
+    return np.linspace(REPLAN_PERIOD, _duration(trial), len(trial["bits"]))
 
 
 def _duration(trial: dict[str, Any]) -> float:

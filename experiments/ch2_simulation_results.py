@@ -62,7 +62,9 @@ def measure(groups: Results, output: Output, of_table: bool) -> None:
         output: Where they go.
         of_table: Whether the truth is Table 2-1's, so that the thesis' figures belong beside.
     """
-    thesis = dict(zip(("constant", "information"), TABLE_2_1_AVERAGE_ERROR)) if of_table else {}
+    thesis: dict[str, float] = {}
+    if of_table:
+        thesis = dict(zip(("constant", "information"), TABLE_2_1_AVERAGE_ERROR))
     for noise, excitation in groups:
         for estimator in ESTIMATORS:
             printed = thesis.get(excitation) if (estimator, noise) == ("kalman", "fixed") else None

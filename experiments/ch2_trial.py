@@ -56,7 +56,7 @@ def largest(outputs: Mapping[str, FloatArray]) -> FloatArray:
 @functools.lru_cache(maxsize=8)
 def fixed_scale(truth: tuple[float, ...], duration: float = DURATION) -> FloatArray:
     """Return what each channel senses at most under the constant excitation, (24,)."""
-    values = dict(zip(NAMES, truth))
+    values: dict[str, float] = dict(zip(NAMES, truth))
     steps = round(duration / TIME_STEP)
     motion, _ = swing(ArmState(), CONSTANT, ArmLimits(), steps, TIME_STEP)
     return largest({mode: Plant(values, mode).follow(motion) for mode in MODES})
@@ -70,7 +70,7 @@ def run_trial(trial: Trial) -> dict[str, Any]:
         replanning, and the times taken [s].
     """
     truth = np.array(trial.truth)
-    values = dict(zip(NAMES, trial.truth))
+    values: dict[str, float] = dict(zip(NAMES, trial.truth))
     from_mapping(values)
     noise_generator, plan_generator = (
         np.random.default_rng(child) for child in np.random.SeedSequence(trial.seed).spawn(2)

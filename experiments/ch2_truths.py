@@ -38,6 +38,8 @@ LEVER_RANGE = (0.35, 0.35, 0.25)
 """Greatest distance of a random arm mount from the centre of gravity along x, y, z [m]."""
 SPREAD = 2.5
 """Random dampings and stiffnesses lie within this factor of a typical value."""
+LARGEST = 1e9
+"""Greatest magnitude of any parameter in a file, in its SI unit."""
 TYPICAL_DAMPING = (150.0, 250.0)
 """Geometric middle of translational [N s/m] and rotational [N m s/rad] damping."""
 TYPICAL_STIFFNESS = (1000.0, 2500.0)
@@ -61,7 +63,7 @@ def load_truth(path: Path) -> Truth:
         content = _read(path)
     except OSError as error:
         raise OptionError(f"--truth {path}: {error.strerror or error}") from None
-    except (ValueError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise OptionError(f"--truth {path}: not valid {_kind(path)}: {error}") from None
     if isinstance(content, dict) and set(content) == {"truth"}:
         content = content["truth"]
@@ -70,9 +72,11 @@ def load_truth(path: Path) -> Truth:
     for name, value in content.items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise OptionError(f"--truth {path}: {name} is a {_type(value)}, not a number")
+        if abs(value) > LARGEST:
+            raise OptionError(f"--truth {path}: {name} is beyond {LARGEST:g} SI units")
     try:
         vector = from_mapping(content)
-    except (ParameterError, OverflowError) as error:
+    except ParameterError as error:
         raise OptionError(f"--truth {path}: {error}") from None
     return tuple(vector.tolist())
 
