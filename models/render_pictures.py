@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from models.compliant_base.build import XML as PLANT
 from models.compose import FLAT, FOLDER, ROUGH, RobotPlacement, make_model, settle
 from models.datasheets import CAMERA
 
@@ -98,7 +99,13 @@ def main() -> None:
     arm = Shot((0.0, 0.18, 0.17), 0.55, 170.0, -12.0)
     field = Shot((0.45, 0.3, 0.05), 2.2, 120.0, -25.0)
     eye = Shot(camera="rover1/stereo_left")
+    plant = mujoco.MjModel.from_xml_path(str(PLANT))
+    plant_raised = mujoco.MjData(plant)
+    plant_raised.qpos[6] = np.pi / 4
+    mujoco.mj_forward(plant, plant_raised)
+    side = Shot((0.0, 0.15, 0.1), 1.7, 150.0, -18.0)
     pictures = {
+        "compliant_base/compliant_base.png": take(plant, plant_raised, side, size),
         "rover/rover.png": take(flat, rest, rover, size),
         "arm/arm.png": take(flat, rest, arm, size),
         "field/field.png": take(rough, rough_rest, field, size),
