@@ -114,6 +114,9 @@ class _Normal:
     information: FloatArray
 
 
+_Linearised = tuple[_Normal, dict[str, BaseState]]
+
+
 class OutputError:
     """Fits the 22 parameters to windows of all three modes, on line and at the end.
 
@@ -184,44 +187,50 @@ class OutputError:
         Returns:
             The best estimate, also kept as `estimate`.
         """
-        best = self._descend(self._linearised_at, iterations)
+        here = (self._data, self._states)
+        best, reached = self._descend(self._linearised_at, here, iterations)
         for attempt in range(restarts):
             if best.trustworthy:
                 break
             start = self._prior.mean()
             start[DAMPING.start :] += 0.5 * np.cos(np.arange(12) * (attempt + 1.0))
-            other = self._descend(start, iterations)
+            other, place = self._descend(start, self._linearise(start), iterations)
             if other.chi_square < best.chi_square:
-                best = other
+                best, reached = other, place
         self._linearised_at = best.theta
+        # Later windows are added to what was linearised here.
+        self._data, self._states = reached
         self.estimate = best
         return best
 
-    def _descend(self, theta: FloatArray, iterations: int) -> Estimate:
-        normal, _ = self._linearise(theta)
+    def _descend(
+        self, theta: FloatArray, linearised: _Linearised, iterations: int
+    ) -> tuple[Estimate, _Linearised]:
+        normal, states = linearised
         objective = self._objective(theta, normal)
         damping, count = 1e-3, 0
         while count < iterations:
             count += 1
             candidate = self._held(theta, self._step_from(theta, normal, damping))
             step = candidate - theta
-            other, _ = self._linearise(candidate)
+            other, other_states = self._linearise(candidate)
             improved = self._objective(candidate, other)
             if np.isfinite(improved) and improved < objective:
                 gain, objective = objective - improved, improved
-                theta, normal, damping = candidate, other, damping / 10
+                theta, damping = candidate, damping / 10
+                normal, states = other, other_states
                 if gain < 1e-3:
                     break
             elif np.abs(step).max() < 1e-6 or damping > 1e8:
                 break
             else:
                 damping *= 10
-        return self._summary(theta, normal, count)
+        return self._summary(theta, normal, count), (normal, states)
 
     def _objective(self, theta: FloatArray, normal: _Normal) -> float:
         return 0.5 * normal.cost + self._prior.term(theta)[0]
 
-    def _linearise(self, theta: FloatArray) -> tuple[_Normal, dict[str, BaseState]]:
+    def _linearise(self, theta: FloatArray) -> _Linearised:
         """Simulate all windows at `theta`; return normal equations and the states reached."""
         normal = _Normal(0.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))
         states = {mode: BaseState.at_rest() for mode in self._windows}

@@ -77,27 +77,48 @@ def test_result_hardly_depends_on_the_guess():
     assert np.all(np.abs(found[0].parameters - found[1].parameters) < 0.3 * spread)
 
 
+def cut(mode: str, n: int, outputs: np.ndarray, sigma: np.ndarray) -> Window:
+    """The n-th part of 80 steps."""
+    path, rows = PATHS[mode], slice(80 * n, 80 * n + 81)
+    steps = slice(80 * n, 80 * n + 80)
+    part = dataclasses.replace(
+        path,
+        angle=path.angle[rows],
+        rate=path.rate[rows],
+        acceleration=path.acceleration[rows],
+        jerk=path.jerk[steps],
+    )
+    return Window(part, outputs[steps], sigma)
+
+
 def test_estimate_on_line_stays_near_the_final_fit():
     outputs, sigma = noisy(5)
     search = OutputError(ARMS)
-    cut = {m: [part for part in np.split(outputs[m], 5)] for m in MODES}
     for n in range(5):
-        windows = {}
-        for mode in MODES:
-            path, rows = PATHS[mode], slice(80 * n, 80 * n + 81)
-            part = dataclasses.replace(
-                path,
-                angle=path.angle[rows],
-                rate=path.rate[rows],
-                acceleration=path.acceleration[rows],
-                jerk=path.jerk[80 * n : 80 * n + 80],
-            )
-            windows[mode] = Window(part, cut[mode][n], sigma)
-        online = search.add(windows)
+        online = search.add({mode: cut(mode, n, outputs[mode], sigma) for mode in MODES})
     final = search.fit()
     spread = np.sqrt(np.diag(final.covariance))
     assert np.all(np.abs(online.parameters - final.parameters) < spread)
     assert final.measurements == 3 * 400 * 24
+
+
+def test_windows_that_come_after_a_fit_add_to_it():
+    outputs, sigma = noisy(5, windows=2)
+    after, never = OutputError(ARMS), OutputError(ARMS)
+    for n in range(2):
+        windows = {mode: cut(mode, n, outputs[mode], sigma) for mode in MODES}
+        # A limit that is never reached: nothing is simulated anew.
+        found = after.add(windows, relinearise_above=np.inf if n else 0.1)
+        never.add(windows)
+        if n == 0:
+            after.fit()
+    final = never.fit()
+    spread = np.sqrt(np.diag(final.covariance))
+    assert np.all(np.abs(found.parameters - final.parameters) < spread)
+    assert found.chi_square < 1.05
+    for mode in MODES:
+        ends = [search.base_state(mode).position for search in (after, never)]
+        np.testing.assert_allclose(*ends, rtol=0.1, atol=1e-4)
 
 
 def test_physical_information_is_the_inverse_of_the_covariance():

@@ -166,7 +166,7 @@ def identify(arm, config, seen):
 
 def test_payload_is_recovered_without_noise(arm):
     config = PayloadConfig(arm)
-    estimate = identify(arm, config, observations(arm, config, 20.0, 0.0)).estimate()
+    estimate = identify(arm, config, observations(arm, config, 12.0, 0.0)).estimate()
     assert estimate.mass == pytest.approx(BOX.mass, rel=1e-4)
     np.testing.assert_allclose(estimate.centre, BOX.centre, atol=1e-4)
     assert np.all(np.linalg.eigvalsh(pseudo_inertia(estimate.parameters)) > 0.0)
@@ -175,14 +175,14 @@ def test_payload_is_recovered_without_noise(arm):
 def test_covariance_and_chi_squared_are_calibrated(arm):
     config = PayloadConfig(arm)
     errors, chi_squared = [], []
-    for seed in range(5):
-        seen = observations(arm, config, 20.0, 1.0, seed=seed)
+    for seed in range(3):
+        seen = observations(arm, config, 10.0, 1.0, seed=seed)
         estimate = identify(arm, config, seen).estimate()
         sigma = np.sqrt(np.diag(estimate.covariance))
         errors.append(((estimate.linear - BOX.parameters()) / sigma)[:4])
         chi_squared.append(estimate.chi_squared)
-    assert np.mean(chi_squared) == pytest.approx(1.0, abs=0.15)
-    assert 0.4 < np.mean(np.square(errors)) < 2.0
+    assert np.mean(chi_squared) == pytest.approx(1.0, abs=0.2)
+    assert 0.3 < np.mean(np.square(errors)) < 2.5
 
 
 def test_resting_arm_hides_inertias_by_name_and_shows_the_mass(arm):
