@@ -18,6 +18,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch2_payload",
     ),
     Experiment(
+        name="ch2-friction",
+        summary="the arm's jerks show the friction under the wheels and when they slip",
+        thesis="section 6.2 (b), suggested only",
+        module="experiments.ch2_friction",
+    ),
+    Experiment(
         name="bench",
         summary="speed and accuracy measured against a named peer in the same run",
         thesis="beyond the thesis",

@@ -69,7 +69,7 @@ def run(options: Options, output: Output) -> None:
     """Identify one payload for each seed, and score.
 
     Args:
-        options: ``quick`` takes 6 seeds instead of 40.
+        options: ``quick`` takes 6 seeds instead of 24.
         output: Receives ``mass_error_percent`` and ``centre_error_mm`` among others.
     """
     configs = [
@@ -79,7 +79,7 @@ def run(options: Options, output: Output) -> None:
             "duration": options.duration,
             "record": str(output.file("run.rrd")) if options.record and index == 0 else None,
         }
-        for index, seed in enumerate(options.job_seeds(40, 6))
+        for index, seed in enumerate(options.job_seeds(24, 6))
     ]
     results = sweep(identify_one, configs, options, output, label="payloads")
     _measure(results, output)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from controllers.identification.friction import KnownBase
 from controllers.identification.serial_arm import FloatArray, Link, RigidBody, SerialArm
 from experiments.contract import OptionError
-from models.compose import ARM_JOINTS
+from models import datasheets
+from models.compose import ARM_JOINTS, FLAT, RobotPlacement, make_model
 
 
 def known_arm(model: mujoco.MjModel, robot: str = "rover1") -> SerialArm:
@@ -75,6 +77,25 @@ def merge(masses: list[float], centres: list[FloatArray], tensors: list[FloatArr
         for m, lever in zip(weights, levers)
     )
     return RigidBody(mass, centre, np.sum(tensors, axis=0) + steiner)
+
+
+def known_base() -> KnownBase:
+    """Return the rover without its arm, in the body frame."""
+    model = make_model(FLAT, [RobotPlacement("rover1", arm=False)])
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    root = model.body("rover1/chassis").id
+    parts = np.flatnonzero(model.body_rootid == root)
+    axes = data.ximat[parts].reshape(-1, 3, 3)
+    tensors = [a @ np.diag(i) @ a.T for a, i in zip(axes, model.body_inertia[parts])]
+    centres = list(data.xipos[parts] - data.xpos[root])
+    body = merge(model.body_mass[parts].tolist(), centres, tensors)
+    sheet = datasheets.ROVER
+    corners = [(-1, 1), (1, 1), (-1, -1), (1, -1)]
+    wheels = [(x * sheet.half_track, y * sheet.half_wheelbase) for x, y in corners]
+    ground = np.full((4, 1), -sheet.centre_height)
+    return KnownBase(body, np.array(sheet.arm_mount), np.hstack([wheels, ground]))
 
 
 def _matrix(quaternion: FloatArray) -> FloatArray:

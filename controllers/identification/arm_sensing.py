@@ -32,11 +32,14 @@ class SensingConfig:
         gravity: [m/s^2].
         lever: (3,) from the point about which the base tilts to the arm's base frame [m].
         inclinometer_bandwidth: First-order corner of the tilt sensor, undone here [Hz].
+        tilt_motion: Whether the base's accelerations are taken from the tilt too, and not only
+            the direction of gravity.
     """
 
     gravity: float = 9.81
     lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
     inclinometer_bandwidth: float = 6.0
+    tilt_motion: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,6 +132,9 @@ def _base_motion(log: ObservationLog, config: SensingConfig, times: FloatArray) 
     pitch, roll = tilt.T
     still = np.zeros_like(pitch)
     up = np.stack([-np.sin(roll) * np.cos(pitch), np.sin(pitch), np.cos(roll) * np.cos(pitch)], 1)
+    if not config.tilt_motion:
+        nothing = np.zeros_like(up)
+        return BaseMotion(config.gravity * up, nothing, nothing)
     omega = np.stack([rate[:, 0], rate[:, 1], still], axis=1)
     alpha = np.stack([acceleration[:, 0], acceleration[:, 1], still], axis=1)
     # Products of rates are left out: at a tilt of a few degrees they are below their own noise.

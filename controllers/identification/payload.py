@@ -52,9 +52,9 @@ class SwingConfig:
         fade: Time to go from where the arm is to the full swing [s].
     """
 
-    middle: tuple[float, ...] = (0.0, 0.9, -0.5, 0.3)
-    amplitude: tuple[float, ...] = (0.7, 0.35, 0.5, 0.9)
-    frequency: tuple[float, ...] = (0.37, 0.23, 0.31, 0.61)
+    middle: tuple[float, ...] = (0.0, 1.1, -0.5, 0.3)
+    amplitude: tuple[float, ...] = (0.7, 0.3, 0.5, 0.8)
+    frequency: tuple[float, ...] = (0.15, 0.09, 0.125, 0.25)
     fade: float = 2.0
 
 
@@ -68,8 +68,10 @@ class PayloadConfig:
         sensing: How the signals are read.
         swing: How the arm moves.
         window: Ticks under the filter of both sides, odd; one equation each half window.
-        scales: Largest plausible mass [kg] and distance from the wrist [m]; a parameter is
-            identifiable when the data leave less than half of what these alone would.
+        scales: Largest plausible mass [kg] and distance d from the wrist [m].
+        resolution: The mass is identifiable when its standard deviation is below this fraction of
+            the largest one; first moments and inertias when theirs are below this fraction of
+            m d and m d^2, with the mass m that was found.
     """
 
     arm: SerialArm
@@ -78,6 +80,7 @@ class PayloadConfig:
     swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
     window: int = 59
     scales: tuple[float, float] = (0.3, 0.15)
+    resolution: float = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,7 +89,8 @@ class PayloadEstimate:
 
     Attributes:
         parameters: (10,) in the order of `serial_arm.NAMES`, of a body that can exist.
-        covariance: (10, 10) of the linear estimate, from the sensor's noise.
+        covariance: (10, 10) of the linear estimate, from the sensor's noise; where `chi_squared`
+            is above 1, times that.
         linear: (10,) the linear estimate, whether or not a body can have it.
         chi_squared: Of the linear fit, per degree of freedom; 1 when all is noise.
         unidentifiable: Names of parameters that the motion did not show.
@@ -201,7 +205,7 @@ def estimate_payload(log: ObservationLog, config: PayloadConfig) -> PayloadEstim
     sigma = np.array(config.wrench_noise) * np.sqrt(gain)
     rows = (matrix / sigma[:, None]).reshape(-1, COUNT)
     right = (left / sigma).ravel()
-    return _solve(rows, right, times, parameter_scales(*config.scales))
+    return _solve(rows, right, times, config)
 
 
 def parameter_scales(mass: float, distance: float) -> FloatArray:
@@ -210,27 +214,31 @@ def parameter_scales(mass: float, distance: float) -> FloatArray:
 
 
 def _solve(
-    rows: FloatArray, right: FloatArray, times: FloatArray, scales: FloatArray
+    rows: FloatArray, right: FloatArray, times: FloatArray, config: PayloadConfig
 ) -> PayloadEstimate:
     """Solve the weighted equations rows phi = right, whose errors have unit variance."""
+    mass, distance = config.scales
+    scales = parameter_scales(mass, distance)
     scaled = rows * scales
     linear = np.linalg.lstsq(scaled, right, rcond=1e-9)[0] * scales
     information = scaled.T @ scaled
-    covariance = np.linalg.inv(information + np.eye(COUNT))
-    spread = np.sqrt(np.diag(covariance))
-    hidden = tuple(name for name, size in zip(NAMES, spread, strict=True) if size > 0.5)
+    residual = right - rows @ linear
+    chi_squared = float(residual @ residual) / (residual.size - COUNT)
+    # The unit matrix says that no parameter is larger than its scale: directions that no motion
+    # showed keep that much.
+    relative = max(1.0, chi_squared) * np.linalg.inv(information + np.eye(COUNT))
+    covariance = relative * np.outer(scales, scales)
+    physical = physical_parameters(linear, information, scales)
+    sizes = parameter_scales(max(float(physical[0]), 1e-3 * mass), distance)
+    sizes[0] = mass
+    spread = np.sqrt(np.diag(covariance)) / sizes
+    hidden = tuple(
+        name for name, size in zip(NAMES, spread, strict=True) if size > config.resolution
+    )
     if "mass" in hidden:
         raise IdentificationError("the motion does not show the payload's mass")
-    residual = right - rows @ linear
-    freedom = residual.size - COUNT
     return PayloadEstimate(
-        parameters=physical_parameters(linear, information, scales),
-        covariance=covariance * np.outer(scales, scales),
-        linear=linear,
-        chi_squared=float(residual @ residual) / freedom,
-        unidentifiable=hidden,
-        residual=residual.reshape(-1, 6),
-        times=times,
+        physical, covariance, linear, chi_squared, hidden, residual.reshape(-1, 6), times
     )
 
 
