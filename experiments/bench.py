@@ -6,12 +6,14 @@ import dataclasses
 from collections.abc import Callable
 
 from experiments import contract
+from experiments.bench_identification import bench_identification
 from experiments.bench_loop import bench_loop
 from experiments.contract import OptionError
 from experiments.output import Output
 
 BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "loop": bench_loop,
+    "identification": bench_identification,
 }
 
 

@@ -291,6 +291,7 @@ def _integrate(
     motion_columns, parameter_columns = np.zeros((STAGES, 12, 18)), np.zeros((STAGES, 12, 22))
     matrix, stage = np.empty((6 * STAGES, 6 * STAGES)), np.zeros((STAGES, 6))
     s_a = np.zeros((6, 22))
+    kins = (rest_kin, rest_kin, rest_kin)
     for n in range(jerk.shape[0]):
         cubic = (angle[n], rate[n], acceleration[n], jerk[n])
         for sub in range(substeps):

@@ -222,7 +222,7 @@ class Planner:
             gradient, hessian = jacobian.T @ values, jacobian.T @ jacobian
             for _ in range(3):
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-12)
-                step = np.linalg.solve(damped, -gradient)
+                step = np.linalg.solve(damped, -gradient).astype(np.float64)
                 trial = self._moved(chosen, step)
                 trial_forecasts = {m: self._forecast(knowledge, m, trial[m]) for m in trial}
                 cost = _cost(residuals, trial_forecasts)

@@ -23,7 +23,7 @@ def pseudo_inverse(matrix: FloatArray, right: FloatArray) -> FloatArray:
     Returns:
         x (22,). Unobservable directions get their least-norm value.
     """
-    return np.linalg.lstsq(matrix, right, rcond=None)[0]
+    return np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64)
 
 
 @dataclasses.dataclass
