@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from controllers.identification.friction import friction_in_use, normal_forces
+from controllers.identification.limit_load import friction_in_use, normal_forces
 from experiments.known_arm import known_base
 
 WHEELS = np.array([[-0.14, 0.15], [0.14, 0.15], [-0.14, -0.15], [0.14, -0.15]])
