@@ -12,6 +12,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch2_simulation",
     ),
     Experiment(
+        name="ch2-rover",
+        summary="the complete rover identifies how it pitches, by inclinometer and arm wrench",
+        thesis="Table 2-2, figures 2-9 to 2-12",
+        module="experiments.ch2_rover",
+    ),
+    Experiment(
         name="ch2-payload",
         summary="an unknown payload is identified by swinging the arm that holds it",
         thesis="section 6.2 (c), suggested only",

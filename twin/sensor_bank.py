@@ -27,6 +27,7 @@ class BankState:
 
     Attributes:
         filtered: (size,) low-pass states, if there was a sample.
+        unfiltered: (size,) last inputs of the low passes.
         due: By channel, when the next sample is due [s].
         past: Held samples of the last ticks, for delays.
         held: Latest values (size,) and their time stamps.
@@ -36,6 +37,7 @@ class BankState:
     """
 
     filtered: FloatArray | None
+    unfiltered: FloatArray
     due: tuple[float, ...]
     past: tuple[Sample, ...]
     held: Sample
@@ -92,7 +94,7 @@ class SensorBank:
         self._limited = bool(np.any(np.isfinite(self._low) | np.isfinite(self._high)))
         parts = list(self._slices.values())
         self._filters = [
-            (part, -math.expm1(-2.0 * math.pi * spec.bandwidth * period))
+            (part, *_low_pass(2.0 * math.pi * spec.bandwidth * period))
             for spec, part in zip(specs, parts)
             if spec.bandwidth is not None
         ]
@@ -121,6 +123,7 @@ class SensorBank:
         """Forget every sample; all channels are missing until the next `sample`."""
         nothing = [math.nan] * len(self.names)
         self._filtered: FloatArray | None = None
+        self._unfiltered = np.zeros(self.size)
         self._due = [-math.inf] * len(self.names)
         self._held = np.zeros(self.size)
         self._held_stamps = nothing
@@ -150,10 +153,13 @@ class SensorBank:
         values = raw.copy()
         if self._filters:
             if self._filtered is None:
-                self._filtered = raw.copy()
-            for part, gain in self._filters:
-                state = self._filtered[part]
-                state += gain * (raw[part] - state)
+                self._filtered, self._unfiltered = raw.copy(), raw.copy()
+            for part, keep, before, now in self._filters:
+                state, last = self._filtered[part], self._unfiltered[part]
+                state *= keep
+                state += before * last
+                state += now * raw[part]
+                last[:] = raw[part]
                 values[part] = state
         if self._biased:
             values += self._bias
@@ -220,6 +226,7 @@ class SensorBank:
         # Held values are never written in place, so sharing them is safe; the filter's are.
         return BankState(
             None if self._filtered is None else self._filtered.copy(),
+            self._unfiltered.copy(),
             tuple(self._due),
             tuple(self._past),
             (self._held, self._held_stamps),
@@ -231,12 +238,27 @@ class SensorBank:
     def restore(self, state: BankState) -> None:
         """Go back to a saved state of this bank, bit for bit."""
         self._filtered = None if state.filtered is None else state.filtered.copy()
+        self._unfiltered = state.unfiltered.copy()
         self._due = list(state.due)
         self._past = list(state.past)
         self._held, self._held_stamps = state.held
         self._values, self._stamps = state.shown
         self._connected = list(state.connected)
         self._rng.bit_generator.state = dict(state.random)
+
+
+def _low_pass(decay: float) -> tuple[float, float, float]:
+    """Return a first-order filter's weights of its state, the last input and the present one.
+
+    Exact for an input that runs straight from sample to sample: holding it instead would shift
+    the filter by half a sample.
+
+    Args:
+        decay: Pole times sampling period.
+    """
+    keep = math.exp(-decay)
+    mean = (1.0 - keep) / decay
+    return keep, mean - keep, 1.0 - mean
 
 
 def _runs(flags: list[bool]) -> list[tuple[int, int]]:

@@ -95,7 +95,12 @@ class SimRobot:
         self._sensordata = data.sensordata
         self._source, self._into, missing = _wire(model, prefix)
         self._orientation = _sensor(model, prefix + _ORIENTATION[0])
-        lags = dict.fromkeys(_ACCELERATION_CHANNELS, float(model.opt.timestep))
+        self._history = data.history
+        self._averaged, samples = _averaged_wrench(model, prefix)
+        step = float(model.opt.timestep)
+        lags = dict.fromkeys(_ACCELERATION_CHANNELS, step)
+        # A mean of n samples, the last of them a step old, stands for its middle.
+        lags["arm_base_wrench"] = step * (1 + samples) / 2
         self._bank = SensorBank(suite, period, rng, lags)
         for channel in missing:
             self._bank.disconnect(channel)
@@ -204,6 +209,8 @@ class SimRobot:
         """Sample all sensors at `time` [s], the end of a servo tick; the owner calls it."""
         raw = self._raw
         raw[self._into] = self._sensordata[self._source]
+        for part, block, samples in self._averaged:
+            raw[part] = self._history[block].reshape(samples, 3).sum(axis=0) / samples
         if self._orientation >= 0:
             start = self._orientation
             w, x, y, z = self._sensordata[start : start + 4].tolist()
@@ -281,6 +288,29 @@ def _sensor(model: mujoco.MjModel, name: str) -> int:
     """Return where a sensor's data begins, or -1 if the scene lacks it."""
     index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
     return int(model.sensor_adr[index]) if index >= 0 else -1
+
+
+def _averaged_wrench(
+    model: mujoco.MjModel, prefix: str
+) -> tuple[list[tuple[slice, slice, int]], int]:
+    """Return where the wrench goes and where its latest samples lie in MuJoCo's history.
+
+    A force/torque transducer averages; one sample of a hundred a second would alias the steps of
+    the motors' duty into the wrench. Also returns the number of samples, 1 without a history.
+    """
+    averaged: list[tuple[slice, slice, int]] = []
+    count = 1
+    place = CHANNEL_OFFSETS["arm_base_wrench"]
+    for offset, (sensor, width) in zip((0, 3), _SENSORS["arm_base_wrench"]):
+        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, prefix + sensor)
+        if index < 0 or model.sensor_history[index, 0] < 1:
+            continue
+        count = int(model.sensor_history[index, 0])
+        # The buffer holds two words of book-keeping, the times, then the samples.
+        first = int(model.sensor_historyadr[index]) + 2 + count
+        part = slice(place + offset, place + offset + width)
+        averaged.append((part, slice(first, first + count * width), count))
+    return averaged, count
 
 
 def _wire(model: mujoco.MjModel, prefix: str) -> tuple[IntArray, IntArray, list[str]]:

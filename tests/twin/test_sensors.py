@@ -71,12 +71,12 @@ def test_noise_may_differ_between_components():
     np.testing.assert_allclose(np.std(rows, axis=0), [0.0, 0.1, 0.2], rtol=0.05)
 
 
-def test_low_pass_follows_the_first_order_step_response():
-    signal = np.ones(60)
-    signal[0] = 0.0
-    values, _ = feed(bank(bandwidth=6.0), signal)
+def test_low_pass_follows_the_first_order_ramp_response():
     time = np.arange(60) * PERIOD
-    np.testing.assert_allclose(values, 1.0 - np.exp(-2 * np.pi * 6.0 * time), atol=1e-12)
+    values, _ = feed(bank(bandwidth=6.0), time)
+    lag = 1.0 / (2 * np.pi * 6.0)
+    expected = time - lag * (1.0 - np.exp(-time / lag))
+    np.testing.assert_allclose(values, expected, atol=1e-12)
 
 
 def test_low_pass_starts_settled_at_the_first_value():

@@ -1,0 +1,301 @@
+"""A controller that swings a rover's arm and identifies how the rover pitches under it."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from controllers.identification.arm_motion import (
+    CONSTANT,
+    ArmLimits,
+    ArmState,
+    Excitation,
+    Trajectory,
+    swing,
+)
+from controllers.identification.excitation import REPLAN_PERIOD, random_excitation
+from controllers.identification.pitch import (
+    CRITERIA,
+    PitchEstimate,
+    PitchFit,
+    PitchPrior,
+    PitchSensors,
+    fisher_information,
+)
+from twin.robot import ArmMode, Command, Observation, RobotError
+
+FloatArray = NDArray[np.float64]
+
+EXCITATIONS = ("constant", "random", *CRITERIA)
+GRAVITY = 9.81
+
+ROVER_ARM_LIMITS = ArmLimits(
+    amplitude=(0.05, 0.7), offset=(0.75, np.pi / 2), rate=4.0, acceleration=12.0
+)
+"""Keeps the stretched arm above the ground and short of its stop, and all wheels loaded.
+
+The wheels carry 44 N on a half wheelbase of 0.15 m, so 6.6 N m lift a pair of them and end the
+linear range; the arm's weight takes 1.7 N m of that, and near the base's resonance its reaction
+counts double.
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class SwingingArm:
+    """What is known of the stretched arm: it swings about the shoulder, in the pitch plane.
+
+    Attributes:
+        mass: Of all that swings [kg].
+        inertia: About its centre, about x [kg m^2].
+        centre: (2,) y, z of its centre from the shoulder at angle zero [m].
+        shoulder: (2,) y, z of the shoulder from the force/torque sensor [m].
+    """
+
+    mass: float
+    inertia: float
+    centre: tuple[float, float]
+    shoulder: tuple[float, float]
+
+    def wrench(self, trajectory: Trajectory) -> FloatArray:
+        """Return force and moment on the arm at the sensor (n + 1, 6), the base at rest."""
+        cos, sin = np.cos(trajectory.angle), np.sin(trajectory.angle)
+        y = cos * self.centre[0] - sin * self.centre[1]
+        z = sin * self.centre[0] + cos * self.centre[1]
+        rate_squared = trajectory.rate**2
+        ay = -z * trajectory.acceleration - y * rate_squared
+        az = y * trajectory.acceleration - z * rate_squared
+        wrench = np.zeros((len(y), 6))
+        wrench[:, 1], wrench[:, 2] = self.mass * ay, self.mass * (az + GRAVITY)
+        y, z = y + self.shoulder[0], z + self.shoulder[1]
+        wrench[:, 3] = self.inertia * trajectory.acceleration
+        wrench[:, 3] += y * wrench[:, 2] - z * wrench[:, 1]
+        return wrench
+
+
+@dataclasses.dataclass(frozen=True)
+class RoverIdentifierConfig:
+    """Set-up of the controller.
+
+    Attributes:
+        robot: Name of the robot that it drives.
+        arm: What is known of its arm.
+        excitation: One of `EXCITATIONS`.
+        limits: What the shoulder can do.
+        sensors: What the sensors are.
+        prior: What is believed of the rover.
+        approach: Time to bring the arm to its start [s].
+        rest: Time at rest over which the sensors are tared [s].
+        duration: Time of excitation [s].
+    """
+
+    robot: str
+    arm: SwingingArm
+    excitation: str = "information"
+    limits: ArmLimits = ROVER_ARM_LIMITS
+    sensors: PitchSensors = PitchSensors()
+    prior: PitchPrior = PitchPrior()
+    approach: float = 2.0
+    rest: float = 1.5
+    duration: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown excitation.
+
+        Raises:
+            ValueError: Naming it and those that there are.
+        """
+        if self.excitation not in EXCITATIONS:
+            raise ValueError(
+                f"excitation {self.excitation!r}: expected one of {', '.join(EXCITATIONS)}"
+            )
+
+    @property
+    def total(self) -> float:
+        """Time that the whole identification takes [s]."""
+        return self.approach + self.rest + self.duration
+
+
+@dataclasses.dataclass
+class Log:
+    """What the robot saw while it was excited, since the tare.
+
+    Attributes:
+        times: Robot time of each tick since the excitation began [s].
+        shoulder: Shoulder angle [rad].
+        wrench: (6,) deviation from rest at each tick.
+        tilt: Pitch read, deviation from rest [rad].
+        tilt_indices: Tick of each reading.
+        estimates: After each window.
+        excitations: Of each window.
+        step_seconds: Time that each estimate and plan took together [s].
+    """
+
+    times: list[float] = dataclasses.field(default_factory=list)
+    shoulder: list[float] = dataclasses.field(default_factory=list)
+    wrench: list[FloatArray] = dataclasses.field(default_factory=list)
+    tilt: list[float] = dataclasses.field(default_factory=list)
+    tilt_indices: list[int] = dataclasses.field(default_factory=list)
+    estimates: list[PitchEstimate] = dataclasses.field(default_factory=list)
+    excitations: list[Excitation] = dataclasses.field(default_factory=list)
+    step_seconds: list[float] = dataclasses.field(default_factory=list)
+
+
+class RoverIdentifier:
+    """Approach, rest, excite; estimate and plan anew every 0.4 s."""
+
+    def __init__(self, config: RoverIdentifierConfig, generator: np.random.Generator) -> None:
+        """Set up.
+
+        Args:
+            config: What to do.
+            generator: For the planner's starting points and for random excitation.
+        """
+        self.config = config
+        self._generator = generator
+        self._window = round(REPLAN_PERIOD / config.sensors.period)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all data and start again with the approach."""
+        self.log = Log()
+        self.fit = PitchFit(self.config.sensors, self.config.prior)
+        self._tick = 0
+        self._start: FloatArray | None = None
+        self._tares: dict[str, list[FloatArray]] = {"inclinometer": [], "arm_base_wrench": []}
+        self._tare: dict[str, FloatArray] = {}
+        self._last_tilt_stamp = -np.inf
+        self._arm_state = ArmState()
+        self._excitation = CONSTANT
+        self._motion: Trajectory | None = None
+
+    @property
+    def done(self) -> bool:
+        """True when the excitation is over."""
+        return self._tick * self.config.sensors.period >= self.config.total
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Take one tick in, and say where the arm is to go.
+
+        Raises:
+            RobotError: If a sensor that the identification lives by is missing or stale.
+        """
+        observation = observations[self.config.robot]
+        for name in ("arm_base_wrench", "arm_angles", "inclinometer"):
+            channel = getattr(observation, name)
+            if not channel.usable:
+                raise RobotError(
+                    f"{name} is {channel.validity.value}: identification needs it; "
+                    "check its connection"
+                )
+        now = self._tick * self.config.sensors.period
+        self._tick += 1
+        if now < self.config.approach:
+            return self._approach(observation, now)
+        if now < self.config.approach + self.config.rest:
+            return self._rest(observation, now)
+        return self._excite(observation)
+
+    def finish(self) -> PitchEstimate:
+        """Fit everything once more and return the estimate."""
+        return self._estimate()
+
+    def _approach(self, observation: Observation, now: float) -> Mapping[str, Command]:
+        if self._start is None:
+            self._start = np.array(observation.arm_angles.value, dtype=float)
+        goal = np.array([0.0, self._arm_state.angle, 0.0, 0.0])
+        share = min(1.0, now / (0.7 * self.config.approach))
+        smooth = share * share * (3 - 2 * share)
+        return self._command(self._start + smooth * (goal - self._start), np.zeros(4))
+
+    def _rest(self, observation: Observation, now: float) -> Mapping[str, Command]:
+        # The first half lets the rover settle; a tare from one sample would carry its noise.
+        if now > self.config.approach + self.config.rest / 2:
+            for name, samples in self._tares.items():
+                samples.append(np.array(getattr(observation, name).value, dtype=float))
+        return self._command(np.array([0.0, self._arm_state.angle, 0.0, 0.0]), np.zeros(4))
+
+    def _excite(self, observation: Observation) -> Mapping[str, Command]:
+        log = self.log
+        if not self._tare:
+            self._tare = {name: np.mean(rows, axis=0) for name, rows in self._tares.items()}
+        tick = len(log.times)
+        log.times.append(tick * self.config.sensors.period)
+        log.shoulder.append(float(observation.arm_angles.value[1]))
+        log.wrench.append(observation.arm_base_wrench.value - self._tare["arm_base_wrench"])
+        tilt = observation.inclinometer
+        if tilt.stamp > self._last_tilt_stamp:
+            self._last_tilt_stamp = tilt.stamp
+            age = round((observation.time - tilt.stamp) / self.config.sensors.period)
+            if tick >= age:
+                log.tilt.append(float(tilt.value[0] - self._tare["inclinometer"][0]))
+                log.tilt_indices.append(tick - age)
+        phase = tick % self._window
+        if phase == 0:
+            self._replan()
+        assert self._motion is not None
+        angles = np.array([0.0, self._motion.angle[phase + 1], 0.0, 0.0])
+        return self._command(angles, np.array([0.0, self._motion.rate[phase + 1], 0.0, 0.0]))
+
+    def _replan(self) -> None:
+        start = time.perf_counter()
+        if self.log.tilt:
+            self.log.estimates.append(self._estimate(iterations=4))
+        if self.config.excitation == "random":
+            self._excitation = random_excitation(self.config.limits, self._generator)
+        elif self.config.excitation in CRITERIA and self.log.tilt:
+            self._excitation = self._plan()
+        self.log.step_seconds.append(time.perf_counter() - start)
+        self.log.excitations.append(self._excitation)
+        self._motion, self._arm_state = self._swing(self._excitation)
+
+    def _swing(self, excitation: Excitation) -> tuple[Trajectory, ArmState]:
+        period = self.config.sensors.period
+        return swing(self._arm_state, excitation, self.config.limits, self._window, period)
+
+    def _estimate(self, iterations: int = 30) -> PitchEstimate:
+        log = self.log
+        return self.fit.fit(
+            np.array(log.wrench), np.array(log.tilt_indices), np.array(log.tilt), iterations
+        )
+
+    def _plan(self, candidates: int = 12) -> Excitation:
+        """Best of some random excitations and the present one, then least squares from there."""
+        residuals = CRITERIA[self.config.excitation](self.fit.estimate)
+        # The base's own memory is a few tenths of a second: a second of the past is enough.
+        past = np.array(self.log.wrench[-round(1 / self.config.sensors.period) :])
+        rest = self.config.arm.wrench(self._still())[0]
+        bounds = self.config.limits.bounds()
+
+        def evaluate(vector: FloatArray) -> FloatArray:
+            motion, _ = self._swing(Excitation(*vector.tolist()))
+            forecast = self.config.arm.wrench(motion)[1:] - rest
+            wrench = np.concatenate([past, forecast])
+            return residuals(
+                fisher_information(self.fit.estimate, wrench, len(forecast), self.config.sensors)
+            )
+
+        present = np.clip(self._excitation.vector(), bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6)
+        starts = [present] + [
+            random_excitation(self.config.limits, self._generator).vector()
+            for _ in range(candidates)
+        ]
+        costs = [float(np.sum(evaluate(vector) ** 2)) for vector in starts]
+        best = starts[int(np.argmin(costs))]
+        span = bounds[:, 1] - bounds[:, 0]
+        solution = scipy.optimize.least_squares(
+            evaluate, best, bounds=(bounds[:, 0], bounds[:, 1]), x_scale=span, max_nfev=4
+        )
+        return Excitation(*solution.x.tolist())
+
+    def _still(self) -> Trajectory:
+        angle = np.array([ArmState().angle])
+        return Trajectory(self.config.sensors.period, angle, np.zeros(1), np.zeros(1), np.zeros(0))
+
+    def _command(self, angles: FloatArray, rates: FloatArray) -> Mapping[str, Command]:
+        command = Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)
+        return {self.config.robot: command}

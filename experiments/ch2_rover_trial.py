@@ -1,0 +1,152 @@
+"""One identification of the complete rover through the robot contract."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.identification.information import mutual_information
+from controllers.identification.pitch import (
+    NAMES,
+    RANGES,
+    PitchSensors,
+    predict_tilt,
+)
+from controllers.identification.rover_identifier import (
+    RoverIdentifier,
+    RoverIdentifierConfig,
+    SwingingArm,
+)
+from models.compose import FLAT, RobotPlacement, make_model
+from twin.connect import Connection, connect
+from twin.loop import LoopRecorder, run
+
+FloatArray = NDArray[np.float64]
+
+ROBOT = "rover1"
+
+
+@dataclasses.dataclass(frozen=True)
+class RoverTrial:
+    """What to run.
+
+    Attributes:
+        robot: Which robot, as `twin.connect.connect` takes it.
+        excitation: One of `rover_identifier.EXCITATIONS`.
+        seed: Of sensor noise and planner.
+        duration: Of the excitation [s].
+        unseen: Duration of the motion that the result is tried on [s].
+    """
+
+    robot: str
+    excitation: str
+    seed: int
+    duration: float = 10.0
+    unseen: float = 4.0
+
+
+def known_swinging_arm() -> SwingingArm:
+    """Return what is known of the rover's arm, stretched, from its own data sheet's model."""
+    model = make_model(FLAT, [RobotPlacement(ROBOT)])
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    shoulder = model.body(f"{ROBOT}/upper_arm").id
+    bodies = [i for i in range(model.nbody) if _descends(model, i, shoulder)]
+    base = data.body(f"{ROBOT}/chassis")
+    rotation, pivot = base.xmat.reshape(3, 3), data.xpos[shoulder]
+    masses = model.body_mass[bodies]
+    centres = (data.xipos[bodies] - pivot) @ rotation
+    centre = masses @ centres / masses.sum()
+    inertia = 0.0
+    for index, mass, place in zip(bodies, masses, centres):
+        axes = rotation.T @ data.ximat[index].reshape(3, 3)
+        inertia += (axes @ np.diag(model.body_inertia[index]) @ axes.T)[0, 0]
+        inertia += mass * np.sum((place - centre)[1:] ** 2)
+    mount = (pivot - data.site(f"{ROBOT}/arm_base").xpos) @ rotation
+    return SwingingArm(
+        mass=float(masses.sum()),
+        inertia=float(inertia),
+        centre=(float(centre[1]), float(centre[2])),
+        shoulder=(float(mount[1]), float(mount[2])),
+    )
+
+
+def _descends(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+    while body > 0:
+        if body == ancestor:
+            return True
+        body = int(model.body_parentid[body])
+    return False
+
+
+def identify(
+    connection: Connection,
+    config: RoverIdentifierConfig,
+    generator: np.random.Generator,
+    recorder: LoopRecorder | None = None,
+) -> RoverIdentifier:
+    """Run one identification on a robot and return the controller with its log."""
+    controller = RoverIdentifier(config, generator)
+    run(connection.robots, [controller], connection.clock, recorder, config.total)
+    controller.finish()
+    return controller
+
+
+def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
+    """Identify, then predict the tilt of a motion that was not used.
+
+    Returns:
+        Estimates and their deviations after every window and at the end, what was measured, and
+        the normalised error of the predicted tilt.
+    """
+    noise, plan, other = np.random.SeedSequence(trial.seed).generate_state(3).tolist()
+    config = RoverIdentifierConfig(
+        ROBOT, known_swinging_arm(), trial.excitation, duration=trial.duration
+    )
+    with connect(trial.robot, robots=[RobotPlacement(ROBOT)], seed=noise) as connection:
+        controller = identify(connection, config, np.random.default_rng(plan))
+        unseen = dataclasses.replace(config, excitation="random", duration=trial.unseen)
+        trying = identify(connection, unseen, np.random.default_rng(other))
+    log, estimate = controller.log, controller.fit.estimate
+    sigmas = np.array([np.sqrt(np.diag(e.covariance)) for e in log.estimates])
+    parameters = np.array([e.parameters for e in log.estimates])
+    bits = [mutual_information(p, s, RANGES) for p, s in zip(parameters, sigmas)]
+    return {
+        "parameters": estimate.parameters,
+        "sigma": np.sqrt(np.diag(estimate.covariance)),
+        "chi_square": estimate.chi_square,
+        "unidentifiable": list(estimate.unidentifiable(config.prior)),
+        "tilt_nrmse": tilt_nrmse(estimate.parameters, trying, config.sensors),
+        "history": parameters,
+        "history_sigma": sigmas,
+        "bits": np.array(bits),
+        "excitations": np.array([e.vector() for e in log.excitations]),
+        "shoulder": np.array(log.shoulder),
+        "tilt": np.array(log.tilt),
+        "tilt_times": np.array(log.tilt_indices) * config.sensors.period,
+        "step_seconds": np.array(log.step_seconds),
+    }
+
+
+def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, sensors: PitchSensors) -> float:
+    """Return the r.m.s. error of the predicted tilt over the tilt's own r.m.s., in percent.
+
+    The inclinometer's known noise is taken out of both: it is not the prediction's.
+    """
+    log = trying.log
+    predicted = predict_tilt(parameters, np.array(log.wrench), sensors, sensors.wrench_age)
+    tilt = np.array(log.tilt)
+    error = tilt - predicted[log.tilt_indices]
+    noise = sensors.tilt_sigma**2
+    wrong = max(float(np.var(error)) - noise, 0.0)
+    return float(100 * np.sqrt(wrong / max(float(np.var(tilt)) - noise, noise)))
+
+
+def error_percent(parameters: FloatArray, truth: dict[str, float]) -> FloatArray:
+    """Return the magnitude of each parameter's error in percent of its true value, (5,)."""
+    true = np.array([truth[name] for name in NAMES])
+    return 100 * np.abs(parameters - true) / np.abs(true)
