@@ -233,11 +233,12 @@ class FrictionProbe:
         return posture, rates
 
     def estimate(self) -> FrictionEstimate:
-        """Return the friction, from all that was recorded.
+        """Return the friction, from all that was recorded once the arm was stretched.
 
         Raises:
             IdentificationError: If the run is too short.
         """
+        self._log.forget_before(self._begin + self._config.jerks.approach)
         return estimate_friction(self._log, self._config)
 
 

@@ -32,6 +32,13 @@ class ObservationLog:
         self._values: dict[str, list[FloatArray]] = {name: [] for name in channels}
         self._stamps: dict[str, list[float]] = {name: [] for name in channels}
 
+    def forget_before(self, time: float) -> None:
+        """Drop the ticks before a time [s]."""
+        first = int(np.searchsorted(self._times, time))
+        del self._times[:first]
+        for rows in (*self._values.values(), *self._stamps.values()):
+            del rows[:first]
+
     def __len__(self) -> int:
         return len(self._times)
 

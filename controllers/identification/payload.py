@@ -153,11 +153,12 @@ class PayloadIdentifier:
         return {self._robot: command}
 
     def estimate(self) -> PayloadEstimate:
-        """Return the payload, from all that was recorded.
+        """Return the payload, from all that was recorded once the swing had faded in.
 
         Raises:
             IdentificationError: If the run is too short.
         """
+        self._log.forget_before(self._begin + self._config.swing.fade)
         return estimate_payload(self._log, self._config)
 
 

@@ -227,5 +227,5 @@ def test_missing_stale_and_nan_are_refused_by_name(arm):
 
 def test_too_short_a_run_is_told(arm):
     config = PayloadConfig(arm, sensing=SensingConfig())
-    with pytest.raises(IdentificationError, match="a run of 10 ticks is too short"):
+    with pytest.raises(IdentificationError, match="a run of 0 ticks is too short"):
         identify(arm, config, observations(arm, config, 0.095, 0.0)).estimate()
