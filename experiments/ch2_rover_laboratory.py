@@ -63,7 +63,8 @@ class _Bench:
         for _ in range(round(seconds / _STEP)):
             mujoco.mj_step(self.model, data)
             tilts.append(self.tilt(data) - self.tilt(self.rest))
-        return np.arange(1, len(tilts) + 1) * _STEP, np.array(tilts)
+        times = _STEP * np.arange(1.0, len(tilts) + 1)
+        return times.astype(np.float64), np.array(tilts)
 
 
 @functools.lru_cache(maxsize=1)

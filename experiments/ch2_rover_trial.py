@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import mujoco
@@ -11,12 +12,14 @@ from numpy.typing import NDArray
 
 from controllers.identification.information import mutual_information
 from controllers.identification.pitch import (
+    CRITERIA,
     NAMES,
     RANGES,
-    PitchSensors,
     predict_tilt,
 )
 from controllers.identification.rover_identifier import (
+    GENTLE_ARM_LIMITS,
+    ROVER_ARM_LIMITS,
     RoverIdentifier,
     RoverIdentifierConfig,
     SwingingArm,
@@ -24,6 +27,8 @@ from controllers.identification.rover_identifier import (
 from models.compose import FLAT, RobotPlacement, make_model
 from twin.connect import Connection, connect
 from twin.loop import LoopRecorder, run
+from twin.robot import Command, Observation
+from twin.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
 
@@ -104,13 +109,21 @@ def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
         the normalised error of the predicted tilt.
     """
     noise, plan, other = np.random.SeedSequence(trial.seed).generate_state(3).tolist()
+    planned = trial.excitation in CRITERIA
     config = RoverIdentifierConfig(
-        ROBOT, known_swinging_arm(), trial.excitation, duration=trial.duration
+        ROBOT,
+        known_swinging_arm(),
+        trial.excitation,
+        limits=ROVER_ARM_LIMITS if planned else GENTLE_ARM_LIMITS,
+        duration=trial.duration,
     )
     with connect(trial.robot, robots=[RobotPlacement(ROBOT)], seed=noise) as connection:
         controller = identify(connection, config, np.random.default_rng(plan))
-        unseen = dataclasses.replace(config, excitation="random", duration=trial.unseen)
-        trying = identify(connection, unseen, np.random.default_rng(other))
+        unseen = dataclasses.replace(
+            config, excitation="random", limits=GENTLE_ARM_LIMITS, duration=trial.unseen
+        )
+        truth = TrueTilt(connection.simulation) if connection.simulation else None
+        trying = identify(connection, unseen, np.random.default_rng(other), truth)
     log, estimate = controller.log, controller.fit.estimate
     sigmas = np.array([np.sqrt(np.diag(e.covariance)) for e in log.estimates])
     parameters = np.array([e.parameters for e in log.estimates])
@@ -120,7 +133,7 @@ def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
         "sigma": np.sqrt(np.diag(estimate.covariance)),
         "chi_square": estimate.chi_square,
         "unidentifiable": list(estimate.unidentifiable(config.prior)),
-        "tilt_nrmse": tilt_nrmse(estimate.parameters, trying, config.sensors),
+        "tilt_nrmse": tilt_nrmse(estimate.parameters, trying, truth),
         "history": parameters,
         "history_sigma": sigmas,
         "bits": np.array(bits),
@@ -132,17 +145,45 @@ def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
     }
 
 
-def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, sensors: PitchSensors) -> float:
+class TrueTilt:
+    """Notes the chassis' true pitch at every tick, for the score alone."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Watch a scene."""
+        self._chassis = simulation.data.body(f"{ROBOT}/chassis")
+        self.values: list[float] = []
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one tick."""
+        self.values.append(float(np.arcsin(self._chassis.xmat.reshape(3, 3)[2, 1])))
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, truth: TrueTilt | None) -> float:
     """Return the r.m.s. error of the predicted tilt over the tilt's own r.m.s., in percent.
 
-    The inclinometer's known noise is taken out of both: it is not the prediction's.
+    In simulation the prediction is held against the true tilt; on a real robot against the
+    inclinometer, whose known noise is taken out of the error.
     """
-    log = trying.log
-    predicted = predict_tilt(parameters, np.array(log.wrench), sensors, sensors.wrench_age)
+    log, sensors = trying.log, trying.config.sensors
+    wrench = np.array(log.wrench)
+    if truth is not None:
+        exact = dataclasses.replace(sensors, tilt_bandwidth=1e4)
+        predicted = predict_tilt(parameters, wrench, exact, sensors.wrench_age)
+        tilt = np.array(truth.values[-len(wrench) :])
+        return float(100 * np.std(tilt - predicted) / np.std(tilt))
+    predicted = predict_tilt(parameters, wrench, sensors, sensors.wrench_age)
     tilt = np.array(log.tilt)
-    error = tilt - predicted[log.tilt_indices]
     noise = sensors.tilt_sigma**2
-    wrong = max(float(np.var(error)) - noise, 0.0)
+    wrong = max(float(np.var(tilt - predicted[log.tilt_indices])) - noise, 0.0)
     return float(100 * np.sqrt(wrong / max(float(np.var(tilt)) - noise, noise)))
 
 

@@ -166,9 +166,18 @@ def settle(model: mujoco.MjModel, seconds: float = 2.0) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
     mujoco.mj_step(model, data, max(1, round(seconds / model.opt.timestep)))
+    _shift_history(model, data, -data.time)
     data.time = 0.0
     mujoco.mj_forward(model, data)
     return data
+
+
+def _shift_history(model: mujoco.MjModel, data: mujoco.MjData, shift: float) -> None:
+    """Move the stamps of kept sensor samples; ones from the future would block new samples."""
+    for (count, _), start in zip(model.sensor_history, model.sensor_historyadr):
+        if count > 0:
+            # Two words of book-keeping, then the stamps.
+            data.history[start + 2 : start + 2 + count] += shift
 
 
 def arm_hold_voltage(model: mujoco.MjModel, data: mujoco.MjData, robot: str) -> NDArray[np.float64]:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from controllers.identification.information import BITS, mutual_information
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int_]
 
 NAMES = ("ixx", "ry", "rz", "b_pitch", "k_pitch")
 UNITS = ("kg m^2", "m", "m", "N m s/rad", "N m/rad")
@@ -184,7 +185,7 @@ class PitchFit:
         self.estimate = self._summary(self.prior.mean(), np.zeros((6, 6)), 0.0, 0)
 
     def fit(
-        self, wrench: FloatArray, indices: FloatArray, tilt: FloatArray, iterations: int = 30
+        self, wrench: FloatArray, indices: IndexArray, tilt: FloatArray, iterations: int = 30
     ) -> PitchEstimate:
         """Fit all that was measured since rest, and keep the result as `estimate`.
 
@@ -226,7 +227,7 @@ class PitchFit:
         return self.estimate
 
     def _evaluate(
-        self, point: FloatArray, wrench: FloatArray, indices: FloatArray, tilt: FloatArray
+        self, point: FloatArray, wrench: FloatArray, indices: IndexArray, tilt: FloatArray
     ) -> tuple[float, FloatArray, FloatArray]:
         predicted, columns = _derivatives(point, wrench, self._sensors)
         residual = (tilt - predicted[indices]) / self._sensors.tilt_sigma

@@ -26,6 +26,7 @@ from controllers.identification.pitch import (
     PitchPrior,
     PitchSensors,
     fisher_information,
+    predict_tilt,
 )
 from twin.robot import ArmMode, Command, Observation, RobotError
 
@@ -35,14 +36,12 @@ EXCITATIONS = ("constant", "random", *CRITERIA)
 GRAVITY = 9.81
 
 ROVER_ARM_LIMITS = ArmLimits(
-    amplitude=(0.05, 0.7), offset=(0.75, np.pi / 2), rate=4.0, acceleration=12.0
+    amplitude=(0.05, 0.7), offset=(0.75, np.pi / 2), rate=4.0, acceleration=20.0
 )
-"""Keeps the stretched arm above the ground and short of its stop, and all wheels loaded.
+"""Keeps the stretched arm above the ground in front and short of its stop behind."""
 
-The wheels carry 44 N on a half wheelbase of 0.15 m, so 6.6 N m lift a pair of them and end the
-linear range; the arm's weight takes 1.7 N m of that, and near the base's resonance its reaction
-counts double.
-"""
+GENTLE_ARM_LIMITS = dataclasses.replace(ROVER_ARM_LIMITS, acceleration=12.0)
+"""No excitation within these lifts a wheel, planned or not."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,6 +90,9 @@ class RoverIdentifierConfig:
         approach: Time to bring the arm to its start [s].
         rest: Time at rest over which the sensors are tared [s].
         duration: Time of excitation [s].
+        tilt_limit: Greatest tilt from rest that a plan may predict [rad]. The wheels carry 44 N
+            on a half wheelbase of 0.15 m, so 6.6 N m, the arm's weight included, lift a pair of
+            them, and the suspension is linear no more.
     """
 
     robot: str
@@ -102,6 +104,7 @@ class RoverIdentifierConfig:
     approach: float = 2.0
     rest: float = 1.5
     duration: float = 10.0
+    tilt_limit: float = np.deg2rad(0.9)
 
     def __post_init__(self) -> None:
         """Refuse an unknown excitation.
@@ -226,7 +229,8 @@ class RoverIdentifier:
         tick = len(log.times)
         log.times.append(tick * self.config.sensors.period)
         log.shoulder.append(float(observation.arm_angles.value[1]))
-        log.wrench.append(observation.arm_base_wrench.value - self._tare["arm_base_wrench"])
+        wrench = np.asarray(observation.arm_base_wrench.value, dtype=float)
+        log.wrench.append(wrench - self._tare["arm_base_wrench"])
         tilt = observation.inclinometer
         if tilt.stamp > self._last_tilt_stamp:
             self._last_tilt_stamp = tilt.stamp
@@ -270,14 +274,17 @@ class RoverIdentifier:
         past = np.array(self.log.wrench[-round(1 / self.config.sensors.period) :])
         rest = self.config.arm.wrench(self._still())[0]
         bounds = self.config.limits.bounds()
+        sensors = self.config.sensors
+        unfiltered = dataclasses.replace(sensors, tilt_bandwidth=1e4)
 
         def evaluate(vector: FloatArray) -> FloatArray:
             motion, _ = self._swing(Excitation(*vector.tolist()))
             forecast = self.config.arm.wrench(motion)[1:] - rest
             wrench = np.concatenate([past, forecast])
-            return residuals(
-                fisher_information(self.fit.estimate, wrench, len(forecast), self.config.sensors)
-            )
+            added = fisher_information(self.fit.estimate, wrench, len(forecast), sensors)
+            tilt = predict_tilt(self.fit.estimate.parameters, wrench, unfiltered)
+            excess = np.abs(tilt[len(past) :]).max() / self.config.tilt_limit - 1
+            return np.append(residuals(added), 10 * max(excess, 0.0))
 
         present = np.clip(self._excitation.vector(), bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6)
         starts = [present] + [
