@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import rerun.blueprint as rrb
 from rich.console import Console
 from rich.table import Table
 
@@ -40,7 +41,7 @@ from models.datasheets import (
 from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
-from twin.record import Recorder
+from twin.record import Recorder, default_blueprint
 from twin.robot import Command, Observation
 
 Results = dict[str, list[dict[str, Any]]]
@@ -189,11 +190,21 @@ def record_run(options: Options, output: Output) -> str:
             stereo=StereoConfig(),
             seed=options.seed,
         ) as connection,
-        Recorder(path, connection.simulation) as recorder,
+        Recorder(path, connection.simulation, _blueprint()) as recorder,
     ):
         story = EstimateRecorder(recorder, controller)
         loop.run(connection.robots, [controller], connection.clock, story, config.total)
     return str(output.directory / "run.rrd")
+
+
+def _blueprint() -> rrb.Blueprint:
+    """Return the usual layout with one view for each parameter: their sizes differ widely."""
+    views = [
+        rrb.TimeSeriesView(origin=f"estimates/{name}", name=f"{name} [{unit}]")
+        for name, unit in zip(NAMES, UNITS)
+    ]
+    excitation = rrb.TimeSeriesView(origin="excitation", name="Excitation")
+    return default_blueprint([ROBOT], [rrb.Grid(excitation, *views, grid_columns=3)])
 
 
 class EstimateRecorder:

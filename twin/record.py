@@ -305,7 +305,9 @@ def body_name(model: mujoco.MjModel, body: int) -> str:
     return str(model.body(body).name) or f"body_{body}"
 
 
-def default_blueprint(robots: Sequence[str], extra: Sequence[rrb.View] = ()) -> rrb.Blueprint:
+def default_blueprint(
+    robots: Sequence[str], extra: Sequence[rrb.View | rrb.Container] = ()
+) -> rrb.Blueprint:
     """Return the layout: the scene, each robot's eyes and curves, and what experiments add.
 
     Args:
