@@ -20,6 +20,7 @@ from controllers.identification.compliant_base import CHANNELS, ArmOnMount, Base
 from controllers.identification.parameters import (
     COUNT,
     DAMPING,
+    INERTIA,
     NAMES,
     Prior,
     coordinate_scale,
@@ -267,10 +268,11 @@ class OutputError:
         return theta + np.linalg.solve(damped, gradient)
 
     def _held(self, theta: FloatArray, target: FloatArray) -> FloatArray:
-        """Return `target`, or as far towards it as stays physical and near."""
+        """Return `target`, or as far towards it as stays near, and the inertia physical."""
         step = target - theta
         step *= min(1.0, 1.0 / max(np.abs(step).max(), 1e-12))
-        return theta + step * largest_physical_step(theta, step)
+        step[INERTIA] *= largest_physical_step(theta, step)
+        return theta + step
 
     def _summary(self, theta: FloatArray, normal: _Normal, iterations: int) -> Estimate:
         information = normal.information + self._prior.term(theta)[2]

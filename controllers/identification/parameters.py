@@ -42,6 +42,7 @@ NAMES = (
 UNITS = ("kg",) + ("kg m^2",) * 6 + ("m",) * 3
 UNITS += ("N s/m",) * 3 + ("N m s/rad",) * 3 + ("N/m",) * 3 + ("N m/rad",) * 3
 COUNT = len(NAMES)
+INERTIA = slice(1, 7)
 LEVER = slice(7, 10)
 DAMPING = slice(10, 16)
 STIFFNESS = slice(16, 22)
@@ -49,6 +50,8 @@ STIFFNESS = slice(16, 22)
 # Element (row, column) of the inertia tensor that each of the parameters 1..6 is.
 INERTIA_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 2), (1, 2), (0, 1))
 _LOGARITHMIC = np.array([0, *range(10, 22)])
+# Least ratio of the second moments in a search: thinner bodies are lost to rounding.
+_FLATTEST = 1e-4
 
 
 class ParameterError(ValueError):
@@ -138,11 +141,20 @@ def coordinate_scale(coordinates: FloatArray) -> FloatArray:
 
 
 def largest_physical_step(coordinates: FloatArray, step: FloatArray) -> float:
-    """Return the factor, at most 1, by which `step` may be taken and stay well inside a body."""
+    """Return the factor, at most 1, by which `step` may be taken and stay well inside a body.
+
+    Zero if even a small part of it would leave a body thinner than a hundredth of its breadth.
+    """
     moments = second_moments(coordinates)
     change = second_moments(coordinates + step) - moments
     lowest = scipy.linalg.eigh(change, moments, eigvals_only=True)[0]
-    return 1.0 if lowest >= -0.9 else float(-0.9 / lowest)
+    factor = 1.0 if lowest >= -0.9 else float(-0.9 / lowest)
+    while factor > 1e-3:
+        values = np.linalg.eigvalsh(moments + factor * change)
+        if values[0] > _FLATTEST * values[-1]:
+            return factor
+        factor /= 2
+    return 0.0
 
 
 _MOMENT_BASIS = np.array([second_moments(row) for row in np.eye(COUNT)[1:7]])
