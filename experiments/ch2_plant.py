@@ -10,12 +10,28 @@ from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import Trajectory, mode_axes
 from controllers.identification.compliant_base import CHANNELS
+from controllers.identification.parameters import NAMES, inertia_tensor
 from models.compliant_base.build import compile_plant
 
 FloatArray = NDArray[np.float64]
 
 NOISE_FRACTION = 0.1
 """White noise of up to 10 % of the maximum sensed value (Thesis section 2.6.1)."""
+
+
+SAMPLING = 0.005
+
+
+def stable_step(parameters: Mapping[str, float]) -> float:
+    """Return a step [s] that RK4 bears, a whole fraction of 5 ms and at most 0.5 ms.
+
+    The stiffest motion is rotation held back by its damping alone, at b / I; RK4 is stable up to
+    2.8 I / b.
+    """
+    inertia = inertia_tensor(np.array([parameters[name] for name in NAMES]))
+    fastest = max(parameters[name] for name in ("b_pitch", "b_roll", "b_yaw"))
+    longest = min(0.0005, 2 * float(np.linalg.eigvalsh(inertia)[0]) / fastest)
+    return SAMPLING / int(np.ceil(SAMPLING / longest - 1e-9))
 
 
 class Plant:
@@ -26,7 +42,7 @@ class Plant:
         parameters: Mapping[str, float],
         mode: str,
         rest_angle: float = np.pi / 4,
-        time_step: float = 0.0005,
+        time_step: float | None = None,
         hinges_outermost: bool = False,
     ) -> None:
         """Compile the plant and load its springs so that it rests.
@@ -35,14 +51,14 @@ class Plant:
             parameters: The 22 true values by name.
             mode: "x", "y" or "z".
             rest_angle: Arm angle at rest [rad].
-            time_step: Physics step [s]; the compliance is stiff, keep it at or below 0.5 ms.
+            time_step: Physics step [s]; unless given, one at which the compliance is stable.
             hinges_outermost: Build the joints in the order that the estimators do not expect.
         """
         self._axis, self._rotation = mode_axes(mode)
         self._model = compile_plant(parameters, self._axis, self._rotation, hinges_outermost)
         first, second = slice(0, 3), slice(3, 6)
         self._slides, self._hinges = (second, first) if hinges_outermost else (first, second)
-        self._model.opt.timestep = time_step
+        self._model.opt.timestep = time_step or stable_step(parameters)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[6] = rest_angle
         mujoco.mj_forward(self._model, self._data)
@@ -66,7 +82,7 @@ class Plant:
         Returns:
             (n, 24) noise-free outputs at the steps' ends, rows as `compliant_base.SIGNALS`.
         """
-        steps = round(trajectory.time_step / self._model.opt.timestep)
+        steps = max(1, round(trajectory.time_step / self._model.opt.timestep))
         outputs = np.empty((len(trajectory.jerk), CHANNELS))
         data = self._data
         for row, jerk in zip(outputs, trajectory.jerk, strict=True):
