@@ -18,8 +18,7 @@ FloatArray = NDArray[np.float64]
 NOISE_FRACTION = 0.1
 """White noise of up to 10 % of the maximum sensed value (Thesis section 2.6.1)."""
 
-
-SAMPLING = 0.005
+SAMPLING = 0.005  # [s] (Thesis section 2.6.1)
 
 
 def stable_step(parameters: Mapping[str, float]) -> float:
