@@ -166,9 +166,10 @@ _DIAGONAL = np.equal(*_LOWER)
 class Prior:
     """What is believed before the first sample: an order of magnitude, no more.
 
-    The inertia is guessed as that of a cube of side `size`, by the log-Cholesky factor of its
-    second moments: the deviation grows without bound towards a flat body, so that a search in the
-    tensor's own elements never reaches one.
+    The inertia is guessed as that of a cube of side `size` and of the mass itself, not of its
+    guess: a body found to be lighter is not believed to be as hard to turn. The deviation is that
+    of the log-Cholesky factor of the second moments; it grows without bound towards a flat body,
+    so that a search in the tensor's own elements never reaches one.
 
     Attributes:
         mass: Guess [kg].
@@ -200,11 +201,8 @@ class Prior:
 
     def sigma(self) -> FloatArray:
         """Return the prior standard deviation (22,) of the search coordinates, at the mean."""
-        sigma = np.full(COUNT, self.log_sigma)
-        _, _, information = self.inertia_term(self.mean())
-        sigma[1:7] = np.sqrt(np.diag(np.linalg.inv(information[1:7, 1:7])))
-        sigma[LEVER] = self.lever_sigma
-        return sigma
+        _, _, information = self.term(self.mean())
+        return np.sqrt(np.diag(np.linalg.inv(information)))
 
     def term(self, coordinates: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return cost (half of the squares), gradient (22,) and information (22, 22)."""
@@ -213,25 +211,29 @@ class Prior:
         precision = np.full(COUNT, self.log_sigma**-2)
         precision[LEVER] = self.lever_sigma**-2
         deviation = (coordinates - self.mean())[others]
-        gradient[others] = precision[others] * deviation
-        information[others, others] = precision[others]
-        return cost + float(0.5 * gradient[others] @ deviation), gradient, information
+        pull = precision[others] * deviation
+        gradient[others] += pull
+        information[others, others] += precision[others]
+        return cost + float(0.5 * pull @ deviation), gradient, information
 
     def inertia_term(self, coordinates: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the inertia's share of `term`."""
+        """Return the inertia's share of `term`, which also ties it to the mass."""
         factor = np.linalg.cholesky(second_moments(coordinates))
         inverse = np.linalg.inv(factor)
-        guess = np.sqrt(self.mass * self.size**2 / 12)
+        guess = np.exp(0.5 * coordinates[0]) * self.size / np.sqrt(12)
         deviation = (factor / guess)[_LOWER]
+        # The guess grows with the root of the mass.
+        change = np.empty((7, 6))
+        change[0] = np.where(_DIAGONAL, -0.5, -0.5 * deviation)
         deviation[_DIAGONAL] = np.log(deviation[_DIAGONAL])
         # dL = L Phi(L^-1 dS L^-T), Phi keeping the lower triangle and half of the diagonal.
         turned = inverse @ _MOMENT_BASIS @ inverse.T
         kept = np.tril(turned) - 0.5 * np.einsum("kii->ki", turned)[:, :, None] * np.eye(3)
-        change = (factor @ kept)[:, _LOWER[0], _LOWER[1]] / guess
-        change[:, _DIAGONAL] *= guess / np.diag(factor)
+        change[1:] = (factor @ kept)[:, _LOWER[0], _LOWER[1]] / guess
+        change[1:, _DIAGONAL] *= guess / np.diag(factor)
         gradient, information = np.zeros(COUNT), np.zeros((COUNT, COUNT))
-        gradient[1:7] = change @ deviation / self.factor_sigma**2
-        information[1:7, 1:7] = change @ change.T / self.factor_sigma**2
+        gradient[:7] = change @ deviation / self.factor_sigma**2
+        information[:7, :7] = change @ change.T / self.factor_sigma**2
         return float(0.5 * deviation @ deviation) / self.factor_sigma**2, gradient, information
 
 

@@ -114,7 +114,7 @@ def test_prior_grows_without_bound_towards_a_flat_body():
         flat = np.array(TRUTH)
         flat[1:7] = [0.1 + thickness, 0.1 + thickness, 0.2, 0, 0, 0]
         costs.append(Prior().term(to_coordinates(flat))[0])
-    assert np.all(np.diff(costs) > 10)
+    assert np.all(np.diff(costs) > 5)
 
 
 def test_a_step_is_shortened_so_that_it_stays_inside_a_body():
