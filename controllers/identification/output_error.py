@@ -308,8 +308,9 @@ def identifiability(
     """Say by name what a fit could not determine.
 
     A parameter counts as unidentifiable when its deviation stayed above `shrinkage` of the
-    prior's, and a direction likewise. The prior is taken where the estimate lies: its deviation
-    of the inertia, in kg m^2, falls with the body's size, which is not the data's merit.
+    prior's, and a direction likewise. The prior is taken where the estimate lies, and the
+    inertia's for a given mass: its deviation falls with the body's size and with what is known of
+    the mass, neither of which the data say of the inertia.
 
     Args:
         estimate: A fit.
@@ -318,6 +319,7 @@ def identifiability(
     """
     _, _, precision = (prior or Prior()).term(estimate.theta)
     sigma = np.sqrt(np.diag(np.linalg.inv(precision)))
+    sigma[INERTIA] = np.sqrt(np.diag(np.linalg.inv(precision[INERTIA, INERTIA])))
     posterior = np.sqrt(np.diag(np.linalg.inv(estimate.information)))
     names = tuple(NAMES[i] for i in np.flatnonzero(posterior > shrinkage * sigma))
     values, vectors = scipy.linalg.eigh(estimate.information, precision)

@@ -69,7 +69,7 @@ def test_noisy_mujoco_data_are_explained_to_the_noise():
 def test_result_hardly_depends_on_the_guess():
     outputs, sigma = noisy(4)
     found = []
-    for guess in (Prior(), Prior(mass=2.5, size=0.5**0.5, damping=400, stiffness=5000)):
+    for guess in (Prior(), Prior(mass=2.5, damping=400, stiffness=5000)):
         search = OutputError(ARMS, guess)
         search.add({mode: Window(PATHS[mode], outputs[mode], sigma) for mode in MODES})
         found.append(search.fit())
