@@ -97,6 +97,11 @@ class Observation:
     stereo: Channel = MISSING
 
 
+NOTHING = np.zeros(4)
+"""Four zeros, read-only."""
+NOTHING.flags.writeable = False
+
+
 class WheelMode(enum.Enum):
     """What the four wheel numbers of a command mean."""
 
@@ -126,11 +131,11 @@ class Command:
         arm_rates: (4,) feed-forward rates [rad/s], used with ``ArmMode.POSITION`` only.
     """
 
-    wheels: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
-    arm: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
+    wheels: FloatArray = dataclasses.field(default_factory=lambda: NOTHING)
+    arm: FloatArray = dataclasses.field(default_factory=lambda: NOTHING)
     wheel_mode: WheelMode = WheelMode.DUTY
     arm_mode: ArmMode = ArmMode.DUTY
-    arm_rates: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
+    arm_rates: FloatArray = dataclasses.field(default_factory=lambda: NOTHING)
 
     def __post_init__(self) -> None:
         """Refuse what no wire may ever carry.
@@ -140,6 +145,8 @@ class Command:
         """
         for name in ("wheels", "arm", "arm_rates"):
             values = getattr(self, name)
+            if values is NOTHING:
+                continue
             # Four finite numbers have a finite square sum, unless they are absurdly large.
             if type(values) is np.ndarray and values.dtype.char == "d" and values.shape == (4,):
                 if math.isfinite(values.dot(values)):

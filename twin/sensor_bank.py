@@ -10,38 +10,48 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.robot import MISSING, Channel, FloatArray, Validity
 from twin.sensors import CHANNEL_OFFSETS, CHANNEL_WIDTHS, ChannelSpec, SensorSuite, check_channel
 
-Sample = tuple[FloatArray, list[float]]
 _TIME_SLACK = 1e-9
 
 
-@dataclasses.dataclass(frozen=True)
-class BankState:
+# Rows of the coefficients of every component: noise, offset, range, the low pass's weights of its
+# state, the last input and the present one, the converter's step (zero for none) and last code.
+_SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST = range(9)
+# Rows of the timing of every channel; a period of zero means every tick.
+_LAG, _PERIOD, _DROPOUT = range(3)
+
+
+class BankState(NamedTuple):
     """Complete state of a `SensorBank`, enough to go on bit for bit.
 
     Attributes:
-        filtered: (size,) low-pass states, if there was a sample.
+        filtered: (size,) low-pass states; NaN before the first sample.
         unfiltered: (size,) last inputs of the low passes.
-        due: By channel, when the next sample is due [s].
-        past: Held samples of the last ticks, for delays.
-        held: Latest values (size,) and their time stamps.
-        shown: The same after delays.
-        connected: By channel.
-        random: State of the generator.
+        due: (channels,) when the next sample is due [s].
+        past: (depth, size) held samples of the last ticks, the latest last.
+        past_stamps: (depth, channels) when they were taken [s]; NaN before the first.
     """
 
-    filtered: FloatArray | None
+    filtered: FloatArray
     unfiltered: FloatArray
-    due: tuple[float, ...]
-    past: tuple[Sample, ...]
-    held: Sample
-    shown: Sample
+    due: FloatArray
+    past: FloatArray
+    past_stamps: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class SavedBank:
+    """A `BankState` with what else a bank remembers: wires and the generator's state."""
+
+    state: BankState
     connected: tuple[bool, ...]
     random: Mapping[str, Any]
 
@@ -65,70 +75,36 @@ class SensorBank:
             lags: By channel, how much older than the tick the raw value is [s].
         """
         self.names = tuple(CHANNEL_WIDTHS)
+        self.size = sum(CHANNEL_WIDTHS.values())
         self._rng = rng
-        widths = list(CHANNEL_WIDTHS.values())
-        self._slices = {
-            name: slice(CHANNEL_OFFSETS[name], CHANNEL_OFFSETS[name] + width)
-            for name, width in CHANNEL_WIDTHS.items()
-        }
-        self.size = sum(widths)
         specs = [suite.channels.get(name, ChannelSpec()) for name in self.names]
-        self._lags = [(lags or {}).get(name, 0.0) for name in self.names]
+        self._owner = np.repeat(np.arange(len(self.names)), list(CHANNEL_WIDTHS.values()))
+        self._chain = _chain(specs, period)
+        self._timing = _timing(specs, [(lags or {}).get(name, 0.0) for name in self.names], period)
+        self._delay_ticks = np.array([round(spec.delay / period) for spec in specs])
+        self._parts = [
+            (name, slice(CHANNEL_OFFSETS[name], CHANNEL_OFFSETS[name] + width))
+            for name, width in CHANNEL_WIDTHS.items()
+        ]
         self._limits = [spec.age_limit + _TIME_SLACK for spec in specs]
         self._connected = [spec.connected for spec in specs]
-        self._set_chain(specs, widths, period)
-        self._set_timing(specs, period)
+        self._noisy = bool(np.any(self._chain[_SIGMA] > 0.0))
+        self._lossy = bool(np.any(self._timing[_DROPOUT] > 0.0))
+        self._noise = np.zeros(self.size)
+        self._luck = np.ones(len(self.names))
         self.reset()
-
-    def _set_chain(self, specs: list[ChannelSpec], widths: list[int], period: float) -> None:
-        """Set the coefficients of filter, noise, range and converter."""
-
-        def spread(field: str) -> FloatArray:
-            parts = [np.broadcast_to(getattr(s, field), (w,)) for s, w in zip(specs, widths)]
-            return np.concatenate(parts).astype(float)
-
-        self._sigma, self._bias = spread("noise"), spread("bias")
-        self._low, self._high = spread("low"), spread("high")
-        self._noisy = bool(np.any(self._sigma > 0.0))
-        self._biased = bool(np.any(self._bias != 0.0))
-        self._limited = bool(np.any(np.isfinite(self._low) | np.isfinite(self._high)))
-        parts = list(self._slices.values())
-        self._filters = [
-            (part, *_low_pass(2.0 * math.pi * spec.bandwidth * period))
-            for spec, part in zip(specs, parts)
-            if spec.bandwidth is not None
-        ]
-        self._codes: list[tuple[slice, FloatArray, FloatArray, FloatArray]] = []
-        for first, end in _runs([spec.bits is not None for spec in specs]):
-            part = slice(parts[first].start, parts[end - 1].stop)
-            levels = np.repeat([2.0 ** (s.bits or 0) for s in specs[first:end]], widths[first:end])
-            low, high = self._low[part], self._high[part]
-            self._codes.append((part, low, (high - low) / levels, levels - 1.0))
-
-    def _set_timing(self, specs: list[ChannelSpec], period: float) -> None:
-        """Set which channels are slow or lossy, and which are late by how many ticks."""
-        self._slow = [
-            (index, part, 1.0 / spec.rate if spec.rate else 0.0, spec.dropout)
-            for index, (spec, part) in enumerate(zip(specs, self._slices.values()))
-            if spec.dropout > 0.0 or (spec.rate is not None and spec.rate * period < 1.0)
-        ]
-        self._late = [
-            (index, part, round(spec.delay / period))
-            for index, (spec, part) in enumerate(zip(specs, self._slices.values()))
-            if round(spec.delay / period) > 0
-        ]
-        self._depth = 1 + max((ticks for _, _, ticks in self._late), default=0)
 
     def reset(self) -> None:
         """Forget every sample; all channels are missing until the next `sample`."""
-        nothing = [math.nan] * len(self.names)
-        self._filtered: FloatArray | None = None
-        self._unfiltered = np.zeros(self.size)
-        self._due = [-math.inf] * len(self.names)
-        self._held = np.zeros(self.size)
-        self._held_stamps = nothing
-        self._past = [(self._held, nothing)] * self._depth
-        self._values, self._stamps = self._held, nothing
+        depth, channels = 1 + int(self._delay_ticks.max()), len(self.names)
+        self._state = BankState(
+            np.full(self.size, math.nan),
+            np.zeros(self.size),
+            np.full(channels, -math.inf),
+            np.zeros((depth, self.size)),
+            np.full((depth, channels), math.nan),
+        )
+        self._show()
 
     def sample(self, time: float, raw: FloatArray) -> None:
         """Take one sample of everything.
@@ -137,74 +113,29 @@ class SensorBank:
             time: Robot time of this servo tick [s].
             raw: (size,) true values in the order of `CHANNEL_WIDTHS`.
         """
-        values = self._measure(raw)
-        stamps = [time - lag for lag in self._lags]
-        for index, part, period, dropout in self._slow:
-            if not self._arrives(index, time, period, dropout):
-                values[part] = self._held[part]
-                stamps[index] = self._held_stamps[index]
-        self._held, self._held_stamps = values, stamps
-        self._values, self._stamps = values, stamps
-        if self._late:
-            self._delay()
-
-    def _measure(self, raw: FloatArray) -> FloatArray:
-        """Return (size,) filtered, noisy, limited and quantised values, as a new array."""
-        values = raw.copy()
-        if self._filters:
-            if self._filtered is None:
-                self._filtered, self._unfiltered = raw.copy(), raw.copy()
-            for part, keep, before, now in self._filters:
-                state, last = self._filtered[part], self._unfiltered[part]
-                state *= keep
-                state += before * last
-                state += now * raw[part]
-                last[:] = raw[part]
-                values[part] = state
-        if self._biased:
-            values += self._bias
         if self._noisy:
-            values += self._sigma * self._rng.standard_normal(self.size)
-        if self._limited:
-            np.maximum(values, self._low, out=values)
-            np.minimum(values, self._high, out=values)
-        for part, low, step, last in self._codes:
-            codes = values[part]
-            codes -= low
-            codes /= step
-            np.rint(codes, out=codes)
-            np.minimum(codes, last, out=codes)
-            codes *= step
-            codes += low
-        return values
+            self._rng.standard_normal(out=self._noise)
+        if self._lossy:
+            self._rng.random(out=self._luck)
+        chance = raw, self._noise, self._luck
+        _advance(time, *chance, self._owner, self._chain, self._timing, *self._state)
+        self._show()
 
-    def _arrives(self, index: int, time: float, period: float, dropout: float) -> bool:
-        """Return whether a slow or lossy channel has a new sample."""
-        due = self._due[index]
-        if time < due - _TIME_SLACK:
-            return False
-        # Counting from the due time keeps the mean rate when it does not divide the servo rate.
-        self._due[index] = time + period if due == -math.inf else max(due + period, time)
-        return dropout == 0.0 or self._rng.random() >= dropout
-
-    def _delay(self) -> None:
-        """Give late channels their earlier samples."""
-        self._past = [*self._past[1:], (self._held, self._held_stamps)]
-        self._values, self._stamps = self._held.copy(), list(self._held_stamps)
-        for index, part, ticks in self._late:
-            values, stamps = self._past[-1 - ticks]
-            self._values[part] = values[part]
-            self._stamps[index] = stamps[index]
+    def _show(self) -> None:
+        """Set what the channels read: the samples of as many ticks ago as each is late."""
+        self._values, self._stamps = np.empty(self.size), np.empty(len(self.names))
+        _, _, _, past, stamps = self._state
+        _read(self._owner, self._delay_ticks, past, stamps, self._values, self._stamps)
 
     def channels(self, time: float) -> dict[str, Channel]:
-        """Return every channel as it reads at `time` [s], as read-only copies."""
-        values = self._values.copy()
+        """Return every channel as it reads at `time` [s], as read-only arrays."""
+        values = self._values
         values.flags.writeable = False
         result: dict[str, Channel] = {}
         measured, stale = Validity.MEASURED, Validity.STALE
-        rows = zip(self._slices.items(), self._stamps, self._limits, self._connected)
+        rows = zip(self._parts, self._stamps.tolist(), self._limits, self._connected)
         for (name, part), stamp, limit, connected in rows:
-            if not connected or math.isnan(stamp):
+            if not connected or stamp != stamp:
                 result[name] = MISSING
             else:
                 late = time - stamp > limit
@@ -221,47 +152,124 @@ class SensorBank:
         check_channel(name)
         self._connected[self.names.index(name)] = True
 
-    def save(self) -> BankState:
+    def save(self) -> SavedBank:
         """Return the complete state."""
-        # Held values are never written in place, so sharing them is safe; the filter's are.
-        return BankState(
-            None if self._filtered is None else self._filtered.copy(),
-            self._unfiltered.copy(),
-            tuple(self._due),
-            tuple(self._past),
-            (self._held, self._held_stamps),
-            (self._values, self._stamps),
-            tuple(self._connected),
-            dict(self._rng.bit_generator.state),
-        )
+        state = BankState(*(part.copy() for part in self._state))
+        return SavedBank(state, tuple(self._connected), dict(self._rng.bit_generator.state))
 
-    def restore(self, state: BankState) -> None:
+    def restore(self, saved: SavedBank) -> None:
         """Go back to a saved state of this bank, bit for bit."""
-        self._filtered = None if state.filtered is None else state.filtered.copy()
-        self._unfiltered = state.unfiltered.copy()
-        self._due = list(state.due)
-        self._past = list(state.past)
-        self._held, self._held_stamps = state.held
-        self._values, self._stamps = state.shown
-        self._connected = list(state.connected)
-        self._rng.bit_generator.state = dict(state.random)
+        self._state = BankState(*(part.copy() for part in saved.state))
+        self._connected = list(saved.connected)
+        self._rng.bit_generator.state = dict(saved.random)
+        self._show()
 
 
-def _low_pass(decay: float) -> tuple[float, float, float]:
+def _chain(specs: list[ChannelSpec], period: float) -> FloatArray:
+    """Return the coefficients of filter, noise, range and converter, (9, size)."""
+    widths = list(CHANNEL_WIDTHS.values())
+
+    def spread(values: list[Any]) -> FloatArray:
+        parts = [np.broadcast_to(value, (width,)) for value, width in zip(values, widths)]
+        return np.concatenate(parts).astype(float)
+
+    low, high = spread([spec.low for spec in specs]), spread([spec.high for spec in specs])
+    converted = spread([spec.bits is not None for spec in specs]) > 0.0
+    levels = spread([2.0 ** (spec.bits or 0) for spec in specs])
+    step = np.zeros(low.size)
+    step[converted] = ((high - low) / levels)[converted]
+    weights = [_low_pass(spec.bandwidth, period) for spec in specs]
+    noise, bias = spread([spec.noise for spec in specs]), spread([spec.bias for spec in specs])
+    keep, before, now = (spread([weight[n] for weight in weights]) for n in range(3))
+    return np.array([noise, bias, low, high, keep, before, now, step, levels - 1.0])
+
+
+def _timing(specs: list[ChannelSpec], lags: list[float], period: float) -> FloatArray:
+    """Return which channels are late, slow or lossy, (3, channels)."""
+    slow = [spec.rate if spec.rate and spec.rate * period < 1.0 else None for spec in specs]
+    periods = [1.0 / rate if rate else 0.0 for rate in slow]
+    return np.array([lags, periods, [spec.dropout for spec in specs]])
+
+
+def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, float]:
     """Return a first-order filter's weights of its state, the last input and the present one.
 
     Exact for an input that runs straight from sample to sample: holding it instead would shift
     the filter by half a sample.
 
     Args:
-        decay: Pole times sampling period.
+        bandwidth: Corner [Hz]; None for no filter.
+        period: Between samples [s].
     """
+    if bandwidth is None:
+        return 0.0, 0.0, 1.0
+    decay = 2.0 * math.pi * bandwidth * period
     keep = math.exp(-decay)
     mean = (1.0 - keep) / decay
     return keep, mean - keep, 1.0 - mean
 
 
-def _runs(flags: list[bool]) -> list[tuple[int, int]]:
-    """Return first and past-the-end index of each run of true flags."""
-    edges = np.flatnonzero(np.diff([False, *flags, False])).tolist()
-    return list(zip(edges[::2], edges[1::2]))
+@numba.njit(cache=True)
+def _advance(
+    time: float,
+    raw: FloatArray,
+    noise: FloatArray,
+    luck: FloatArray,
+    owner: NDArray[np.intp],
+    chain: FloatArray,
+    timing: FloatArray,
+    filtered: FloatArray,
+    unfiltered: FloatArray,
+    due: FloatArray,
+    past: FloatArray,
+    past_stamps: FloatArray,
+) -> None:
+    """Filter, disturb, limit and quantise a sample, and hold it where it arrives."""
+    latest = past.shape[0] - 1
+    for tick in range(latest):
+        past[tick] = past[tick + 1]
+        past_stamps[tick] = past_stamps[tick + 1]
+    arrived = np.zeros(due.shape[0], np.bool_)
+    for channel in range(due.shape[0]):
+        if time < due[channel] - _TIME_SLACK:
+            continue
+        period = timing[_PERIOD, channel]
+        if period > 0.0:
+            # Counting from the due time keeps the mean rate when it does not divide the servo's.
+            first = math.isinf(due[channel])
+            due[channel] = time + period if first else max(due[channel] + period, time)
+        if luck[channel] >= timing[_DROPOUT, channel]:
+            arrived[channel] = True
+            past_stamps[latest, channel] = time - timing[_LAG, channel]
+    for i in range(raw.shape[0]):
+        if math.isnan(filtered[i]):
+            filtered[i] = unfiltered[i] = raw[i]
+        value = chain[_KEEP, i] * filtered[i]
+        value += chain[_BEFORE, i] * unfiltered[i]
+        value += chain[_NOW, i] * raw[i]
+        filtered[i], unfiltered[i] = value, raw[i]
+        if not arrived[owner[i]]:
+            continue
+        low, step = chain[_LOW, i], chain[_STEP, i]
+        value += chain[_BIAS, i] + chain[_SIGMA, i] * noise[i]
+        value = min(max(value, low), chain[_HIGH, i])
+        if step > 0.0:
+            value = low + step * min(np.rint((value - low) / step), chain[_LAST, i])
+        past[latest, i] = value
+
+
+@numba.njit(cache=True)
+def _read(
+    owner: NDArray[np.intp],
+    delay_ticks: NDArray[np.intp],
+    past: FloatArray,
+    past_stamps: FloatArray,
+    values: FloatArray,
+    stamps: FloatArray,
+) -> None:
+    """Write what each channel reads now into `values` and `stamps`."""
+    latest = past.shape[0] - 1
+    for channel in range(stamps.shape[0]):
+        stamps[channel] = past_stamps[latest - delay_ticks[channel], channel]
+    for i in range(values.shape[0]):
+        values[i] = past[latest - delay_ticks[owner[i]], i]

@@ -8,11 +8,22 @@ proportional-integral loop on what was measured.
 from __future__ import annotations
 
 import dataclasses
+from typing import cast
 
+import numba
 import numpy as np
 
 from models.datasheets import ARM_MOTOR, WHEEL_MOTOR
-from twin.robot import ArmMode, Channel, Command, FloatArray, Observation, RobotError, WheelMode
+from twin.robot import (
+    NOTHING,
+    ArmMode,
+    Channel,
+    Command,
+    FloatArray,
+    Observation,
+    RobotError,
+    WheelMode,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,18 +76,18 @@ ROVER_SERVO = ServoConfig(
 """The rover's motors, from their sheets."""
 
 
-@dataclasses.dataclass(frozen=True)
-class ServoState:
-    """Integrals of the speed loops as duty, wheels then arm joints."""
-
-    integrals: tuple[float, ...]
+_PASS, _PUSH, _FOLLOW, _REACH = range(4)
+_WHEEL_LAWS = {WheelMode.DUTY: _PASS, WheelMode.EFFORT: _PUSH, WheelMode.SPEED: _FOLLOW}
+_ARM_LAWS = {
+    ArmMode.DUTY: _PASS,
+    ArmMode.EFFORT: _PUSH,
+    ArmMode.RATE: _FOLLOW,
+    ArmMode.POSITION: _REACH,
+}
 
 
 class Servo:
-    """Turns a command and the latest observation into duty, once a servo tick.
-
-    It works axis by axis in plain numbers: for eight axes that costs a fifth of array arithmetic.
-    """
+    """Turns a command and the latest observation into duty, once a servo tick."""
 
     def __init__(self, config: ServoConfig, period: float) -> None:
         """Prepare the motor lines.
@@ -85,16 +96,21 @@ class Servo:
             config: Motors and gains.
             period: Servo tick [s].
         """
-        self._gain = config.rate_gain
-        self._growth = config.rate_integral * period
-        self._position_gain = config.position_gain
-        self._torque = (*config.wheel_stall_torque, *config.arm_stall_torque)
-        self._no_load = (*config.wheel_no_load_speed, *config.arm_no_load_speed)
+        self._gains = np.array(
+            [config.rate_gain, config.rate_integral * period, config.position_gain]
+        )
+        # Stall torques above, no-load speeds below, wheels then arm joints.
+        self._lines = np.array(
+            [
+                [*config.wheel_stall_torque, *config.arm_stall_torque],
+                [*config.wheel_no_load_speed, *config.arm_no_load_speed],
+            ]
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forget the integrals."""
-        self._integrals = [0.0] * 8
+        self._integrals = np.zeros(8)
 
     def duty(self, command: Command, observation: Observation) -> FloatArray:
         """Return (8,) duty in [-1, 1], wheels then arm joints.
@@ -106,72 +122,83 @@ class Servo:
         Raises:
             RobotError: If a needed channel is missing or stale.
         """
-        duties = self._wheel_duties(command, observation) + self._arm_duties(command, observation)
-        return np.array([_clamp(duty) for duty in duties])
-
-    def _wheel_duties(self, command: Command, observation: Observation) -> list[float]:
-        asked, mode = command.wheels.tolist(), command.wheel_mode
-        if mode is WheelMode.DUTY:
-            return self._pass(0, asked)
-        speeds = _needed(observation.wheel_speeds, "wheel_speeds", mode.value)
-        if mode is WheelMode.EFFORT:
-            return self._push(0, asked, speeds)
-        return self._follow(0, asked, speeds)
-
-    def _arm_duties(self, command: Command, observation: Observation) -> list[float]:
-        asked, mode = command.arm.tolist(), command.arm_mode
-        if mode is ArmMode.DUTY:
-            return self._pass(4, asked)
-        rates = _needed(observation.arm_rates, "arm_rates", mode.value)
-        if mode is ArmMode.EFFORT:
-            return self._push(4, asked, rates)
-        if mode is ArmMode.POSITION:
-            angles = _needed(observation.arm_angles, "arm_angles", mode.value)
-            forward, gain = command.arm_rates.tolist(), self._position_gain
-            asked = [f + gain * (a - x) for f, a, x in zip(forward, asked, angles)]
-        return self._follow(4, asked, rates)
-
-    def _pass(self, first: int, duties: list[float]) -> list[float]:
-        """Return four duties as they are; the integrals are forgotten."""
-        self._integrals[first : first + 4] = (0.0, 0.0, 0.0, 0.0)
+        wheel_mode, arm_mode = command.wheel_mode, command.arm_mode
+        speeds = rates = angles = NOTHING
+        if wheel_mode is not WheelMode.DUTY:
+            speeds = _needed(observation.wheel_speeds, "wheel_speeds", wheel_mode.value)
+        if arm_mode is not ArmMode.DUTY:
+            rates = _needed(observation.arm_rates, "arm_rates", arm_mode.value)
+        if arm_mode is ArmMode.POSITION:
+            angles = _needed(observation.arm_angles, "arm_angles", arm_mode.value)
+        duties = np.empty(8)
+        _act(
+            _WHEEL_LAWS[wheel_mode],
+            _ARM_LAWS[arm_mode],
+            command.wheels,
+            command.arm,
+            command.arm_rates,
+            speeds,
+            rates,
+            angles,
+            self._lines,
+            self._gains,
+            self._integrals,
+            duties,
+        )
         return duties
 
-    def _push(self, first: int, efforts: list[float], speeds: list[float]) -> list[float]:
-        """Return the duties that give four efforts [N m] at these speeds [rad/s]."""
-        self._integrals[first : first + 4] = (0.0, 0.0, 0.0, 0.0)
-        lines = zip(efforts, speeds, self._torque[first:], self._no_load[first:])
-        return [effort / stall + speed / no_load for effort, speed, stall, no_load in lines]
+    def save(self) -> FloatArray:
+        """Return the complete state: (8,) integrals of the speed loops as duty."""
+        return self._integrals.copy()
 
-    def _follow(self, first: int, targets: list[float], speeds: list[float]) -> list[float]:
-        """Return the duties by which four axes follow `targets` [rad/s]."""
-        duties: list[float] = []
-        for axis, (target, speed) in enumerate(zip(targets, speeds), first):
-            no_load = self._no_load[axis]
-            wanted = _clamp(target / no_load)
+    def restore(self, state: FloatArray) -> None:
+        """Go back to a saved state."""
+        self._integrals = state.copy()
+
+
+@numba.njit(cache=True)
+def _act(
+    wheel_law: int,
+    arm_law: int,
+    wheels: FloatArray,
+    arm: FloatArray,
+    forward: FloatArray,
+    speeds: FloatArray,
+    rates: FloatArray,
+    angles: FloatArray,
+    lines: FloatArray,
+    gains: FloatArray,
+    integrals: FloatArray,
+    duties: FloatArray,
+) -> None:
+    """Write eight axes' duties, and bring their integrals on."""
+    for axis in range(8):
+        joint = axis - 4
+        if axis < 4:
+            law, target, speed = wheel_law, wheels[axis], speeds[axis]
+        else:
+            law, target, speed = arm_law, arm[joint], rates[joint]
+        stall, no_load = lines[0, axis], lines[1, axis]
+        duty = target
+        if law == _PUSH:
+            duty = target / stall + speed / no_load
+        if law == _REACH:
+            target = forward[joint] + gains[2] * (target - angles[joint])
+        if law == _FOLLOW or law == _REACH:
+            wanted = min(max(target / no_load, -1.0), 1.0)
             error = wanted - speed / no_load
-            grown = self._integrals[axis] + self._growth * error
-            duty = wanted + self._gain * error + grown
+            grown = integrals[axis] + gains[1] * error
+            duty = wanted + gains[0] * error + grown
             # A saturated axis must not wind up: its integral stays where it was.
             if -1.0 < duty < 1.0:
-                self._integrals[axis] = grown
-            duties.append(duty)
-        return duties
-
-    def save(self) -> ServoState:
-        """Return the complete state."""
-        return ServoState(tuple(self._integrals))
-
-    def restore(self, state: ServoState) -> None:
-        """Go back to a saved state."""
-        self._integrals = list(state.integrals)
+                integrals[axis] = grown
+        else:
+            integrals[axis] = 0.0
+        duties[axis] = min(max(duty, -1.0), 1.0)
 
 
-def _clamp(value: float) -> float:
-    return -1.0 if value < -1.0 else 1.0 if value > 1.0 else value
-
-
-def _needed(channel: Channel, name: str, mode: str) -> list[float]:
+def _needed(channel: Channel, name: str, mode: str) -> FloatArray:
     """Return a channel's values, or refuse to drive blind."""
     if not channel.usable:
         raise RobotError(f"{mode} mode needs {name}, which is {channel.validity.value}")
-    return channel.value.tolist()
+    return cast("FloatArray", channel.value)

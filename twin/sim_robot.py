@@ -6,6 +6,7 @@ import dataclasses
 import math
 
 import mujoco
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,9 +20,9 @@ from twin.robot import (
     Observation,
     RobotError,
 )
-from twin.sensor_bank import BankState, SensorBank
+from twin.sensor_bank import SavedBank, SensorBank
 from twin.sensors import CHANNEL_OFFSETS, SensorSuite
-from twin.servo import Servo, ServoConfig, ServoState
+from twin.servo import Servo, ServoConfig
 
 IntArray = NDArray[np.intp]
 AXES = (*WHEELS, *ARM_JOINTS)
@@ -50,8 +51,8 @@ class RobotState:
     """Complete state of a `SimRobot` beside the physics."""
 
     lifecycle: Lifecycle
-    bank: BankState
-    servo: ServoState
+    bank: SavedBank
+    servo: FloatArray
     held: Command
     duty: FloatArray
     driven: bool
@@ -171,7 +172,7 @@ class SimRobot:
             raise RobotError(f"robot {self.name!r} is {self._lifecycle.value}, not active")
         self._held = command
         self._apply()
-        return Command(self._duty[:4].copy(), self._duty[4:].copy())
+        return Command(self._duty[:4], self._duty[4:])
 
     def fail(self, reason: str) -> RobotError:
         """Zero all axes, go to ERROR, and return the error to raise."""
@@ -208,9 +209,7 @@ class SimRobot:
     def sense(self, time: float) -> None:
         """Sample all sensors at `time` [s], the end of a servo tick; the owner calls it."""
         raw = self._raw
-        raw[self._into] = self._sensordata[self._source]
-        for part, block, samples in self._averaged:
-            raw[part] = self._history[block].reshape(samples, 3).sum(axis=0) / samples
+        _gather(self._sensordata, self._source, self._into, self._history, self._averaged, raw)
         if self._orientation >= 0:
             start = self._orientation
             w, x, y, z = self._sensordata[start : start + 4].tolist()
@@ -250,6 +249,7 @@ class SimRobot:
             self._duty = self._servo.duty(self._held, self._observation)
         except RobotError as error:
             raise self.fail(str(error)) from error
+        self._duty.flags.writeable = False
         self._ctrl[self._axes] = self._duty * self._volts
         self._driven = True
 
@@ -290,15 +290,35 @@ def _sensor(model: mujoco.MjModel, name: str) -> int:
     return int(model.sensor_adr[index]) if index >= 0 else -1
 
 
-def _averaged_wrench(
-    model: mujoco.MjModel, prefix: str
-) -> tuple[list[tuple[slice, slice, int]], int]:
+@numba.njit(cache=True)
+def _gather(
+    sensordata: FloatArray,
+    source: IntArray,
+    into: IntArray,
+    history: FloatArray,
+    averaged: IntArray,
+    raw: FloatArray,
+) -> None:
+    """Bring MuJoCo's sensors to their places in `raw`, those with a history as its mean."""
+    for i in range(source.shape[0]):
+        raw[into[i]] = sensordata[source[i]]
+    for place, first, width, samples in averaged:
+        for i in range(width):
+            total = 0.0
+            for sample in range(samples):
+                total += history[first + sample * width + i]
+            raw[place + i] = total / samples
+
+
+def _averaged_wrench(model: mujoco.MjModel, prefix: str) -> tuple[IntArray, int]:
     """Return where the wrench goes and where its latest samples lie in MuJoCo's history.
 
     A force/torque transducer averages; one sample of a hundred a second would alias the steps of
-    the motors' duty into the wrench. Also returns the number of samples, 1 without a history.
+    the motors' duty into the wrench. The rows are the first component's place, the first sample's,
+    the number of components and that of samples. Also returns the number of samples, 1 without a
+    history.
     """
-    averaged: list[tuple[slice, slice, int]] = []
+    averaged: list[tuple[int, int, int, int]] = []
     count = 1
     place = CHANNEL_OFFSETS["arm_base_wrench"]
     for offset, (sensor, width) in zip((0, 3), _SENSORS["arm_base_wrench"]):
@@ -308,9 +328,8 @@ def _averaged_wrench(
         count = int(model.sensor_history[index, 0])
         # The buffer holds two words of book-keeping, the times, then the samples.
         first = int(model.sensor_historyadr[index]) + 2 + count
-        part = slice(place + offset, place + offset + width)
-        averaged.append((part, slice(first, first + count * width), count))
-    return averaged, count
+        averaged.append((place + offset, first, width, count))
+    return np.array(averaged, dtype=np.intp).reshape(-1, 4), count
 
 
 def _wire(model: mujoco.MjModel, prefix: str) -> tuple[IntArray, IntArray, list[str]]:
