@@ -26,6 +26,7 @@ from experiments.ch2_simulation_results import (
     Results,
     judge,
     measure,
+    measure_times,
     shown_group,
     tabulate,
 )
@@ -40,6 +41,8 @@ FULL_SEEDS, QUICK_SEEDS = 50, 3
 QUICK_EXCITATIONS = ("constant", "information")
 NOISES = ("fixed", "relative")
 WARM_UP = 0.8
+TIMED = 1
+"""How many trials are repeated alone for their time."""
 SHOWN_RATE = 5
 """Every how many samples of the arm's angle are kept for the figures."""
 
@@ -134,6 +137,13 @@ def trials(options: Options) -> list[Trial]:
     ]
 
 
+def timed(jobs: Sequence[Trial], group: tuple[str, str]) -> list[dict[str, Any]]:
+    """Repeat the first trials of a group alone: in a sweep they share the machine."""
+    chosen = [trial for trial in jobs if (trial.noise, trial.excitation) == group]
+    warm_up()
+    return [run_trial(trial) for trial in chosen[:TIMED]]
+
+
 def grouped(jobs: Sequence[Trial], finished: Sequence[Mapping[str, Any]]) -> Results:
     """Return the results by noise and excitation, each list in the order of truths and seeds."""
     groups: Results = {}
@@ -154,6 +164,7 @@ def run(options: Options, output: Output) -> None:
     groups = grouped(jobs, sweep(identify, jobs, options, output, label="identifications"))
     own = options.truth is None and options.random_truth is None
     measure(groups, output, of_table=own)
+    measure_times(timed(jobs, shown_group(groups)), output)
     judge(groups, output)
     verify(options, output)
     tabulate(groups, output, of_table=own)

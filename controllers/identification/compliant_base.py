@@ -208,13 +208,15 @@ def _invert(matrix):
 
 
 @numba.njit(cache=True)
-def _stage_motion(h, i, q, v, stages):
-    """Position and velocity at stage i from all stages' accelerations."""
-    position, velocity = q + h * _NODES[i] * v, v.copy()
-    for j in range(STAGES):
-        position += h * h * _A2[i, j] * stages[j]
-        velocity += h * _A[i, j] * stages[j]
-    return position, velocity
+def _stage_motion(h, i, q, v, stages, position, velocity):
+    """Fill position and velocity at stage i from all stages' accelerations; all are flat."""
+    for r in range(q.shape[0]):
+        by_acceleration, rate = 0.0, v[r]
+        for j in range(STAGES):
+            by_acceleration += _A2[i, j] * stages[j, r]
+            rate += h * _A[i, j] * stages[j, r]
+        position[r] = q[r] + h * (_NODES[i] * v[r] + h * by_acceleration)
+        velocity[r] = rate
 
 
 @numba.njit(cache=True)
@@ -226,11 +228,11 @@ def _stage_kinematics(inertia, centre, axis, angle, rate, acceleration, jerk, t)
 
 
 @numba.njit(cache=True)
-def _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, work):
+def _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, position, velocity, work):
     """Solve for the stage accelerations; the linearised matrix is close, so two steps do."""
     for _ in range(2):
         for i in range(STAGES):
-            position, velocity = _stage_motion(h, i, q, v, stage)
+            _stage_motion(h, i, q, v, stage, position, velocity)
             residual(p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i], work[6 * i :])
         for r in range(6 * STAGES):
             change = 0.0
@@ -242,17 +244,20 @@ def _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, work):
 @numba.njit(cache=True)
 def _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v):
     """Advance s_q, s_v (6, 22) by one step, and return the last stage's sensitivity (6, 22)."""
-    rhs = np.empty((6 * STAGES, 22))
-    motion = np.empty((12, 22))
-    motion[6:] = s_v
+    rhs, shift = np.empty((6 * STAGES, 22)), np.empty(22)
     for i in range(STAGES):
-        motion[:6] = s_q + h * _NODES[i] * s_v
-        known = np.ascontiguousarray(motion_columns[i, :6, :12])
-        rhs[6 * i : 6 * i + 6] = -(parameter_columns[i, :6] + known @ motion)
-    s_stage = (inverse @ rhs).reshape(STAGES, 6, 22)
-    position, velocity = _stage_motion(h, STAGES - 1, s_q, s_v, s_stage)
-    s_q[:], s_v[:] = position, velocity
-    return s_stage[-1]
+        for r in range(6):
+            row = rhs[6 * i + r]
+            row[:] = parameter_columns[i, r]
+            for k in range(6):
+                by_position = motion_columns[i, r, k]
+                by_rate = motion_columns[i, r, 6 + k] + h * _NODES[i] * by_position
+                shift[:] = by_position * s_q[k] + by_rate * s_v[k]
+                row += shift
+    stages = -(inverse @ rhs).reshape(STAGES, 6 * 22)
+    q, v = s_q.copy().reshape(6 * 22), s_v.copy().reshape(6 * 22)
+    _stage_motion(h, STAGES - 1, q, v, stages, s_q.reshape(6 * 22), s_v.reshape(6 * 22))
+    return stages[STAGES - 1].reshape(6, 22)
 
 
 @numba.njit(cache=True)
@@ -291,6 +296,7 @@ def _integrate(
     motion_columns, parameter_columns = np.zeros((STAGES, 12, 18)), np.zeros((STAGES, 12, 22))
     matrix, stage = np.empty((6 * STAGES, 6 * STAGES)), np.zeros((STAGES, 6))
     s_a = np.zeros((6, 22))
+    position, velocity = np.empty(6), np.empty(6)
     kins = (rest_kin, rest_kin, rest_kin)
     for n in range(jerk.shape[0]):
         cubic = (angle[n], rate[n], acceleration[n], jerk[n])
@@ -301,23 +307,25 @@ def _integrate(
                 _stage_kinematics(inertia, centre, axis, *cubic, h * (sub + _NODES[2])),
             )
             for i in range(STAGES):
-                position, velocity = _stage_motion(h, i, q, v, stage)
+                _stage_motion(h, i, q, v, stage, position, velocity)
                 by_motion(
                     p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i],
                     motion_columns[i], work,
                 )  # fmt: skip
             _stage_matrix(h, motion_columns, matrix)
             inverse = _invert(matrix)
-            _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, work)
+            _newton(
+                h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, position, velocity, work
+            )  # fmt: skip
             if with_sensitivities:
                 for i in range(STAGES):
-                    position, velocity = _stage_motion(h, i, q, v, stage)
+                    _stage_motion(h, i, q, v, stage, position, velocity)
                     by_parameters(
                         p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i],
                         parameter_columns[i], work,
                     )  # fmt: skip
                 s_a = _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v)
-            position, velocity = _stage_motion(h, STAGES - 1, q, v, stage)
+            _stage_motion(h, STAGES - 1, q, v, stage, position, velocity)
             q[:], v[:] = position, velocity
         wrench = residual(p, arm_mass, kins[-1], rest_wrench, q, v, stage[-1], work)
         _store(q, v, stage[-1], wrench, rest, outputs[n])

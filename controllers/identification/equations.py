@@ -150,13 +150,17 @@ def residual(p, arm_mass, kin, rest_wrench, q, v, a, out):
 def by_motion(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
     """Fill (12, 18): derivatives of equations and wrench (six each) by q, v and a.
 
-    Differences of the exact equations, which are linear in a; elsewhere a step of 1e-6 leaves an
-    error of 1e-6, where a linearisation about rest would leave 1e-3.
+    Shift and its rate act through their springs and dampers alone. The rest are differences of the
+    exact equations, which are linear in a; elsewhere a step of 1e-6 leaves an error of 1e-6, where
+    a linearisation about rest would leave 1e-3.
     """
     base, changed = np.empty(12), np.empty(12)
     _stack(p, arm_mass, kin, rest_wrench, q, v, a, base, work)
+    columns[:, :] = 0.0
+    for i in range(3):
+        columns[i, i], columns[i, 6 + i] = p[16 + i], p[10 + i]
     for j in range(6):
-        for k in range(3):
+        for k in range(2 if j < 3 else 0, 3):
             moving = (q, v, a)[k]
             step = 1.0 if k == 2 else 1e-6
             kept = moving[j]
@@ -173,14 +177,14 @@ def by_parameters(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
     base, changed = np.empty(12), np.empty(12)
     _stack(p, arm_mass, kin, rest_wrench, q, v, a, base, work)
     columns[:, :] = 0.0
-    for j in range(1, 10):
-        step = 1.0 if j < 7 else 1e-6
+    _by_inertia(q, v, a, columns)
+    for j in range(7, 10):
         kept = p[j]
-        p[j] = kept + step
+        p[j] = kept + 1e-6
         _stack(p, arm_mass, kin, rest_wrench, q, v, a, changed, work)
         p[j] = kept
         for i in range(12):
-            columns[i, j] = (changed[i] - base[i]) / step
+            columns[i, j] = (changed[i] - base[i]) / 1e-6
     for i in range(3):
         columns[i, 0] = a[i]
     # The weight at rest turns with the lever: rest_wrench holds r2 x F0.
@@ -189,6 +193,27 @@ def by_parameters(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
     for i in range(6):
         columns[i, 10 + i] = v[i]
         columns[i, 16 + i] = q[i]
+
+
+@numba.njit(cache=True)
+def _by_inertia(q, v, a, columns):
+    """Fill columns 1 to 6: the base's own torque is linear in the elements of its inertia."""
+    rates = (v[3], v[4], v[5])
+    _, rate_matrix, rate_bias = _hinges(q[3], q[4], q[5], rates)
+    x, y, z = _times(rate_matrix, rates)
+    alpha = _add(_times(rate_matrix, (a[3], a[4], a[5])), rate_bias)
+    torques = (
+        (alpha[0], x * z, -x * y),
+        (-y * z, alpha[1], x * y),
+        (y * z, -x * z, alpha[2]),
+        (alpha[2] + x * y, z * z - x * x, alpha[0] - y * z),
+        (y * y - z * z, alpha[2] - x * y, alpha[1] + x * z),
+        (alpha[1] - x * z, alpha[0] + y * z, x * x - y * y),
+    )
+    for j in range(6):
+        hinge_torque = _transposed_times(rate_matrix, torques[j])
+        for i in range(3):
+            columns[3 + i, 1 + j] = hinge_torque[i]
 
 
 @numba.njit(cache=True)
