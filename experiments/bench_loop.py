@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -13,7 +14,7 @@ from experiments.timing import compare
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.clock import SimClock
 from twin.loop import run
-from twin.robot import ArmMode, Command, Observation, WheelMode
+from twin.robot import ArmMode, Command, FloatArray, Observation, WheelMode
 from twin.simulation import Simulation
 
 ROBOTS = ("rover1", "rover2")
@@ -40,7 +41,7 @@ class DriveAndHold:
         return {
             name: Command(
                 wheels=wheels,
-                arm=seen.arm_angles.value.astype(float),
+                arm=cast("FloatArray", seen.arm_angles.value),
                 wheel_mode=WheelMode.SPEED,
                 arm_mode=ArmMode.POSITION,
             )

@@ -65,8 +65,7 @@ class Channel(NamedTuple):
 MISSING = Channel(np.empty(0), float("nan"), Validity.MISSING)
 
 
-@dataclasses.dataclass(frozen=True)
-class Observation:
+class Observation(NamedTuple):
     """All that a controller ever learns of a robot.
 
     Attributes:

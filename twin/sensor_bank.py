@@ -83,7 +83,7 @@ class SensorBank:
         self._timing = _timing(specs, [(lags or {}).get(name, 0.0) for name in self.names], period)
         self._delay_ticks = np.array([round(spec.delay / period) for spec in specs])
         self._parts = [
-            (name, slice(CHANNEL_OFFSETS[name], CHANNEL_OFFSETS[name] + width))
+            slice(CHANNEL_OFFSETS[name], CHANNEL_OFFSETS[name] + width)
             for name, width in CHANNEL_WIDTHS.items()
         ]
         self._limits = [spec.age_limit + _TIME_SLACK for spec in specs]
@@ -117,9 +117,20 @@ class SensorBank:
             self._rng.standard_normal(out=self._noise)
         if self._lossy:
             self._rng.random(out=self._luck)
-        chance = raw, self._noise, self._luck
-        _advance(time, *chance, self._owner, self._chain, self._timing, *self._state)
-        self._show()
+        self._values, self._stamps = np.empty(self.size), np.empty(len(self.names))
+        _advance(
+            time,
+            raw,
+            self._noise,
+            self._luck,
+            self._owner,
+            self._chain,
+            self._timing,
+            self._delay_ticks,
+            *self._state,
+            self._values,
+            self._stamps,
+        )
 
     def _show(self) -> None:
         """Set what the channels read: the samples of as many ticks ago as each is late."""
@@ -127,20 +138,21 @@ class SensorBank:
         _, _, _, past, stamps = self._state
         _read(self._owner, self._delay_ticks, past, stamps, self._values, self._stamps)
 
-    def channels(self, time: float) -> dict[str, Channel]:
-        """Return every channel as it reads at `time` [s], as read-only arrays."""
+    def channels(self, time: float) -> list[Channel]:
+        """Return every channel as it reads at `time` [s], read-only, in the order of `names`."""
         values = self._values
         values.flags.writeable = False
-        result: dict[str, Channel] = {}
         measured, stale = Validity.MEASURED, Validity.STALE
-        rows = zip(self._parts, self._stamps.tolist(), self._limits, self._connected)
-        for (name, part), stamp, limit, connected in rows:
-            if not connected or stamp != stamp:
-                result[name] = MISSING
-            else:
-                late = time - stamp > limit
-                result[name] = Channel(values[part], stamp, stale if late else measured)
-        return result
+        return [
+            (
+                Channel(values[part], stamp, measured if time - stamp <= limit else stale)
+                if connected and stamp == stamp
+                else MISSING
+            )
+            for part, stamp, limit, connected in zip(
+                self._parts, self._stamps.tolist(), self._limits, self._connected
+            )
+        ]
 
     def disconnect(self, name: str) -> None:
         """Take a sensor away, as a broken wire does; it is missing from now on."""
@@ -210,6 +222,23 @@ def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, flo
 
 
 @numba.njit(cache=True)
+def _read(
+    owner: NDArray[np.intp],
+    delay_ticks: NDArray[np.intp],
+    past: FloatArray,
+    past_stamps: FloatArray,
+    values: FloatArray,
+    stamps: FloatArray,
+) -> None:
+    """Write what each channel reads now into `values` and `stamps`."""
+    latest = past.shape[0] - 1
+    for channel in range(stamps.shape[0]):
+        stamps[channel] = past_stamps[latest - delay_ticks[channel], channel]
+    for i in range(values.shape[0]):
+        values[i] = past[latest - delay_ticks[owner[i]], i]
+
+
+@numba.njit(cache=True)
 def _advance(
     time: float,
     raw: FloatArray,
@@ -218,13 +247,16 @@ def _advance(
     owner: NDArray[np.intp],
     chain: FloatArray,
     timing: FloatArray,
+    delay_ticks: NDArray[np.intp],
     filtered: FloatArray,
     unfiltered: FloatArray,
     due: FloatArray,
     past: FloatArray,
     past_stamps: FloatArray,
+    values: FloatArray,
+    stamps: FloatArray,
 ) -> None:
-    """Filter, disturb, limit and quantise a sample, and hold it where it arrives."""
+    """Filter, disturb, limit and quantise a sample, hold it where it arrives, and read."""
     latest = past.shape[0] - 1
     for tick in range(latest):
         past[tick] = past[tick + 1]
@@ -256,20 +288,4 @@ def _advance(
         if step > 0.0:
             value = low + step * min(np.rint((value - low) / step), chain[_LAST, i])
         past[latest, i] = value
-
-
-@numba.njit(cache=True)
-def _read(
-    owner: NDArray[np.intp],
-    delay_ticks: NDArray[np.intp],
-    past: FloatArray,
-    past_stamps: FloatArray,
-    values: FloatArray,
-    stamps: FloatArray,
-) -> None:
-    """Write what each channel reads now into `values` and `stamps`."""
-    latest = past.shape[0] - 1
-    for channel in range(stamps.shape[0]):
-        stamps[channel] = past_stamps[latest - delay_ticks[channel], channel]
-    for i in range(values.shape[0]):
-        values[i] = past[latest - delay_ticks[owner[i]], i]
+    _read(owner, delay_ticks, past, past_stamps, values, stamps)

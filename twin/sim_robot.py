@@ -209,19 +209,22 @@ class SimRobot:
     def sense(self, time: float) -> None:
         """Sample all sensors at `time` [s], the end of a servo tick; the owner calls it."""
         raw = self._raw
-        _gather(self._sensordata, self._source, self._into, self._history, self._averaged, raw)
-        if self._orientation >= 0:
-            start = self._orientation
-            w, x, y, z = self._sensordata[start : start + 4].tolist()
-            raw[_PITCH], raw[_PITCH + 1], raw[_HEADING] = tilt(w, x, y, z)
-        self._bank.sample(time, raw)
-        self._observation = Observation(
-            time, **self._bank.channels(time), stereo=self._observation.stereo
+        _gather(
+            self._sensordata,
+            self._source,
+            self._into,
+            self._orientation,
+            self._history,
+            self._averaged,
+            raw,
         )
+        self._bank.sample(time, raw)
+        channels = self._bank.channels(time)
+        self._observation = Observation._make((time, *channels, self._observation.stereo))
 
     def see(self, stereo: Channel) -> None:
         """Take a new stereo pair; the owner calls it."""
-        self._observation = dataclasses.replace(self._observation, stereo=stereo)
+        self._observation = self._observation._replace(stereo=stereo)
 
     def save(self) -> RobotState:
         """Return the complete state beside the physics."""
@@ -261,6 +264,7 @@ class SimRobot:
         self._driven = False
 
 
+@numba.njit(cache=True)
 def tilt(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return pitch, roll and yaw [rad] of a body with orientation quaternion (w, x, y, z).
 
@@ -295,6 +299,7 @@ def _gather(
     sensordata: FloatArray,
     source: IntArray,
     into: IntArray,
+    orientation: int,
     history: FloatArray,
     averaged: IntArray,
     raw: FloatArray,
@@ -302,6 +307,9 @@ def _gather(
     """Bring MuJoCo's sensors to their places in `raw`, those with a history as its mean."""
     for i in range(source.shape[0]):
         raw[into[i]] = sensordata[source[i]]
+    if orientation >= 0:
+        w, x, y, z = sensordata[orientation : orientation + 4]
+        raw[_PITCH], raw[_PITCH + 1], raw[_HEADING] = tilt(w, x, y, z)
     for place, first, width, samples in averaged:
         for i in range(width):
             total = 0.0

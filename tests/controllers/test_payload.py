@@ -212,17 +212,17 @@ def test_missing_stale_and_nan_are_refused_by_name(arm):
     config = PayloadConfig(arm)
     seen = observations(arm, config, 1.0, 0.0)
     identifier = identify(arm, config, seen[:3])
-    without = dataclasses.replace(seen[3], arm_base_wrench=MISSING)
+    without = seen[3]._replace(arm_base_wrench=MISSING)
     with pytest.raises(IdentificationError, match="needs arm_base_wrench, which is missing"):
         identifier.step({"rover1": without})
     stale = Channel(np.zeros(2), 0.0, Validity.STALE)
     with pytest.raises(IdentificationError, match="inclinometer, which is stale"):
-        identifier.step({"rover1": dataclasses.replace(seen[3], inclinometer=stale)})
+        identifier.step({"rover1": seen[3]._replace(inclinometer=stale)})
     broken = seen[3].arm_base_wrench.value.copy()
     broken[2] = np.nan
     bad = Channel(broken, 0.03, Validity.MEASURED)
     with pytest.raises(IdentificationError, match=r"arm_base_wrench\[2\] is nan at 0\.030 s"):
-        identifier.step({"rover1": dataclasses.replace(seen[3], arm_base_wrench=bad)})
+        identifier.step({"rover1": seen[3]._replace(arm_base_wrench=bad)})
 
 
 def test_too_short_a_run_is_told(arm):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.robot import Validity
+from twin.robot import Observation, Validity
 from twin.sensor_bank import SensorBank
 from twin.sensors import (
     CHANNEL_OFFSETS,
@@ -27,12 +27,16 @@ def bank(seed=0, suite=IDEAL, **gyro):
     return SensorBank(suite, PERIOD, np.random.default_rng(seed))
 
 
+def read(sensors, time):
+    return dict(zip(sensors.names, sensors.channels(time), strict=True))
+
+
 def feed(sensors, signal):
     """Sample `signal`, and return the gyro's first value and channel at each tick."""
     values, channels = [], []
     for tick, value in enumerate(signal):
         sensors.sample(tick * PERIOD, np.full(sensors.size, float(value)))
-        channel = sensors.channels(tick * PERIOD)["gyro"]
+        channel = read(sensors, tick * PERIOD)["gyro"]
         channels.append(channel)
         values.append(channel.value[0] if channel.value.size else math.nan)
     return np.array(values), channels
@@ -44,11 +48,15 @@ def test_offsets_lay_the_channels_side_by_side():
     assert ends[-1] == bank().size
 
 
+def test_channels_are_those_of_an_observation_in_its_order():
+    assert Observation._fields[1:-1] == tuple(CHANNEL_WIDTHS)
+
+
 def test_ideal_channels_pass_values_unchanged():
     raw = np.random.default_rng(1).normal(size=bank().size)
     sensors = bank()
     sensors.sample(0.5, raw)
-    for name, channel in sensors.channels(0.5).items():
+    for name, channel in read(sensors, 0.5).items():
         start = CHANNEL_OFFSETS[name]
         np.testing.assert_array_equal(channel.value, raw[start : start + CHANNEL_WIDTHS[name]])
         assert channel.stamp == 0.5 and channel.validity is Validity.MEASURED
@@ -67,7 +75,7 @@ def test_noise_may_differ_between_components():
     rows = []
     for _ in range(4000):
         sensors.sample(0.0, np.zeros(sensors.size))
-        rows.append(sensors.channels(0.0)["gyro"].value)
+        rows.append(read(sensors, 0.0)["gyro"].value)
     np.testing.assert_allclose(np.std(rows, axis=0), [0.0, 0.1, 0.2], rtol=0.05)
 
 
@@ -151,22 +159,22 @@ def test_disconnected_sensor_is_missing_and_empty():
     sensors = bank()
     sensors.sample(0.0, np.ones(sensors.size))
     sensors.disconnect("gyro")
-    channel = sensors.channels(0.0)["gyro"]
+    channel = read(sensors, 0.0)["gyro"]
     assert channel.validity is Validity.MISSING
     assert channel.value.size == 0 and math.isnan(channel.stamp) and not channel.usable
     sensors.connect("gyro")
-    assert sensors.channels(0.0)["gyro"].usable
-    assert bank(connected=False).channels(0.0)["gyro"].validity is Validity.MISSING
+    assert read(sensors, 0.0)["gyro"].usable
+    assert read(bank(connected=False), 0.0)["gyro"].validity is Validity.MISSING
 
 
 def test_nothing_is_measured_before_the_first_sample():
-    assert {c.validity for c in bank().channels(0.0).values()} == {Validity.MISSING}
+    assert {c.validity for c in read(bank(), 0.0).values()} == {Validity.MISSING}
 
 
 def test_values_are_read_only_and_outlive_later_samples():
     sensors = bank()
     sensors.sample(0.0, np.ones(sensors.size))
-    value = sensors.channels(0.0)["gyro"].value
+    value = read(sensors, 0.0)["gyro"].value
     with pytest.raises(ValueError):
         value[0] = 5.0
     sensors.sample(PERIOD, np.zeros(sensors.size))

@@ -1,5 +1,3 @@
-import dataclasses
-
 import mujoco
 import numpy as np
 import pytest
@@ -104,7 +102,7 @@ def test_saturated_loop_does_not_wind_up():
     ],
 )
 def test_servo_does_not_drive_blind(command, channel, validity):
-    blind = dataclasses.replace(observation(), **{channel: Channel(np.zeros(4), 0.0, validity)})
+    blind = observation()._replace(**{channel: Channel(np.zeros(4), 0.0, validity)})
     with pytest.raises(RobotError, match=f"{channel}, which is {validity.value}"):
         Servo(ROVER_SERVO, PERIOD).duty(command, blind)
 

@@ -1,5 +1,3 @@
-import dataclasses
-
 import mujoco
 import numpy as np
 import pytest
@@ -61,8 +59,8 @@ def observations_of(simulation, controller, steps):
 
 def as_bytes(observation: Observation) -> bytes:
     parts = [np.float64(observation.time).tobytes()]
-    for field in dataclasses.fields(observation)[1:]:
-        channel = getattr(observation, field.name)
+    for name in observation._fields[1:]:
+        channel = getattr(observation, name)
         parts += [channel.value.tobytes(), np.float64(channel.stamp).tobytes()]
         parts.append(channel.validity.value.encode())
     return b"".join(parts)

@@ -123,4 +123,6 @@ def test_earlier_observations_do_not_change_afterwards(played):
 def test_observation_has_no_attribute_beyond_the_contract(played):
     _, learner = played
     observation = learner.seen[0]["rover1"]
-    assert set(vars(observation)) == set(Observation.__dataclass_fields__)
+    assert type(observation) is Observation
+    assert not hasattr(observation, "__dict__")
+    assert len(observation) == len(Observation._fields)
