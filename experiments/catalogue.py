@@ -30,6 +30,18 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch2_friction",
     ),
     Experiment(
+        name="appd-calibration",
+        summary="the inclinometers are calibrated by weighing on a tilting table",
+        thesis="Table D-1",
+        module="experiments.appd_calibration",
+    ),
+    Experiment(
+        name="appd-radio",
+        summary="the thesis' radio handshake beside a link in frames, under byte errors",
+        thesis="appendix D, inter-robot communication",
+        module="experiments.appd_radio",
+    ),
+    Experiment(
         name="bench",
         summary="speed and accuracy measured against a named peer in the same run",
         thesis="beyond the thesis",

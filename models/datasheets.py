@@ -303,6 +303,34 @@ class ForceTorqueSheet:
 
 
 @dataclasses.dataclass(frozen=True)
+class PowerStageSheet:
+    """National Semiconductor LMD18200T, the bridge of one motor (maker's data sheet)."""
+
+    switch_resistance: float = 0.33  # Typical, of each of the two switches that conduct [ohm]
+    continuous_current: float = 3.0  # [A]
+    peak_current: float = 6.0  # For `peak_time` [A]
+    peak_time: float = 0.2  # [s]
+    least_pulse: float = 1e-6  # Typical; "at least 1 usec" between transitions of inputs [s]
+    supply: tuple[float, float] = (12.0, 55.0)  # Operating range [V]; the rover has the least
+
+
+@dataclasses.dataclass(frozen=True)
+class PulseClockSheet:
+    """The 555 timers that make one motor's pulses (Thesis fig. D-3).
+
+    Levels are the maker's (NE555 data sheet); the thesis' text gives no values of the parts.
+    """
+
+    supply: float = 5.0  # Vcc [V] (Thesis app. D: laboratory supply; the control fraction's "max")
+    threshold: float = 2.0 / 3.0  # Fraction of Vcc at which the capacitor stops charging
+    trigger: float = 1.0 / 3.0  # Fraction of Vcc below which it charges again
+    resistance_a: float = 68e3  # Assumption: 20 kHz, above hearing, ... [ohm]
+    resistance_b: float = 2.2e3  # ... with 97 % duty, "close to 100 %" as the thesis asks [ohm]
+    capacitance: float = 1e-9  # Assumption [F]
+    converter_bits: int = 12  # Assumption: analogue output of a motion card of its time
+
+
+@dataclasses.dataclass(frozen=True)
 class RodArm:
     """The arm of the simulation study: a slender rod along its y axis (Thesis section 2.6.1)."""
 
@@ -318,6 +346,8 @@ ARM: Final = ArmSheet()
 CAMERA: Final = CameraSheet()
 INCLINOMETER: Final = InclinometerSheet()
 FORCE_TORQUE: Final = ForceTorqueSheet()
+POWER_STAGE: Final = PowerStageSheet()
+PULSE_CLOCK: Final = PulseClockSheet()
 ROD_ARM: Final = RodArm()
 
 INCLINOMETER_CALIBRATION: Final[Mapping[str, Mapping[str, InclinometerCalibration]]] = (

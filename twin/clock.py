@@ -48,6 +48,43 @@ class SimClock:
         self._simulation.step()
 
 
+class Ticking(Protocol):
+    """Something behind boards that advances by a tick: a scene, or one in another process."""
+
+    @property
+    def period(self) -> float:
+        """Servo tick [s]."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """Of the last tick [s]."""
+        ...
+
+    def tick(self) -> None:
+        """Advance by one servo tick."""
+        ...
+
+
+class TickClock:
+    """Time of emulated boards, which advances by a tick out of band."""
+
+    def __init__(self, scene: Ticking) -> None:
+        """Pace by `scene`."""
+        self._scene = scene
+        self.period = scene.period
+        self.misses = 0
+
+    @property
+    def time(self) -> float:
+        """Time of the scene [s]."""
+        return self._scene.time
+
+    def tick(self) -> None:
+        """Advance the scene by one servo tick."""
+        self._scene.tick()
+
+
 class WallClock:
     """Wall time with absolute deadlines, so that lateness does not add up.
 

@@ -2,20 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from types import TracebackType
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
 from twin.camera import StereoConfig
-from twin.clock import Clock, SimClock
+from twin.clock import Clock, SimClock, TickClock, WallClock
+from twin.hardware.connect_boards import (
+    Wiring,
+    emulated_robots,
+    quantised_robots,
+    watched,
+    wired_robot,
+)
+from twin.hardware.emulator.process import EmulatorProcess
+from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 from twin.robot import Robot
 from twin.sensors import DATASHEET, SensorSuite
+from twin.servo import SERVO_PERIOD
 from twin.simulation import Simulation
 
-TARGETS = ("sim",)
+TARGETS: Mapping[str, str] = {
+    "sim": "simulated rovers, sensors as in the datasheets",
+    "quantised": "simulated rovers that count as their boards do, without wires",
+    "emulated": "boards emulated in another process, over their real protocols",
+    "serial:PORT[,analogue=PORT][,wrench=HOST][,robot=NAME][,calibration=FILE][,most_days=N]": (
+        "real boards"
+    ),
+}
 """What `connect` offers."""
-_PLANNED = ("emulated", "serial")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,18 +43,23 @@ class Connection:
         robots: By name.
         clock: Paces `twin.loop.run`.
         simulation: The scene with the truth, for measuring and recording only; None when real.
+        emulator: The process behind emulated boards; None for all others.
+        resources: What `close` takes down besides.
     """
 
     robots: Mapping[str, Robot]
     clock: Clock
     simulation: Simulation | None
+    emulator: EmulatorProcess | None = None
+    resources: contextlib.ExitStack = dataclasses.field(default_factory=contextlib.ExitStack)
 
     def close(self) -> None:
         """Deactivate the robots and take the scene down."""
-        for robot in self.robots.values():
-            robot.deactivate()
-        if self.simulation is not None:
-            self.simulation.close()
+        with self.resources:
+            for robot in self.robots.values():
+                robot.deactivate()
+            if self.simulation is not None:
+                self.simulation.close()
 
     def __enter__(self) -> Connection:
         return self
@@ -60,27 +82,34 @@ def connect(
     stereo: StereoConfig | None = None,
     seed: int = 0,
     settling: float = 1.0,
+    line_faults: float = 0.0,
 ) -> Connection:
     """Return robots that stand still and wait to be activated.
 
     Args:
         target: One of `TARGETS`.
-        robots: Names and starting places; simulated robots only.
+        robots: Names and starting places; simulated and emulated robots only.
         field: Ground of a simulated scene.
-        suite: Sensors of simulated robots.
+        suite: Sensors of simulated robots; boards have their own.
         stereo: Stereo heads of simulated robots; None leaves the channel missing.
         seed: Of all sensor noise.
         settling: Time for which simulated robots come to rest before time zero [s].
+        line_faults: Share of damaged exchanges with emulated motor boards, 0 to 1.
 
     Raises:
-        ValueError: If the target is unknown or not available.
+        ValueError: If the target is unknown or misspelt, or a calibration cannot be used.
+        LinkError: If a port cannot be opened.
+        RobotError: If a board does not answer.
     """
-    word = target.split(":", 1)[0]
-    if word in _PLANNED:
-        raise ValueError(
-            f"robot {target!r} is not available in this version; available: {', '.join(TARGETS)}"
-        )
-    if target not in TARGETS:
+    word, colon, wiring = target.partition(":")
+    if word == "serial" and colon:
+        return _connect_wires(Wiring.parse(wiring))
+    scene = SceneConfig(tuple(robots), field, seed, settling)
+    if target == "emulated":
+        return _connect_emulated(scene, line_faults)
+    if target == "quantised":
+        return _connect_quantised(scene)
+    if target != "sim":
         raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
     model = make_model(field, robots)
     simulation = Simulation(
@@ -92,3 +121,29 @@ def connect(
         data=settle(model, settling),
     )
     return Connection(simulation.robots, SimClock(simulation), simulation)
+
+
+def _connect_quantised(config: SceneConfig) -> Connection:
+    scene = EmulatedScene(config)
+    robots = quantised_robots(scene)
+    return Connection(robots, TickClock(scene), scene.simulation)
+
+
+def _connect_emulated(config: SceneConfig, line_faults: float) -> Connection:
+    with contextlib.ExitStack() as opening:
+        emulator = EmulatorProcess(config, line_faults)
+        opening.callback(emulator.close)
+        robots = emulated_robots(emulator, config)
+        for robot in robots.values():
+            opening.callback(robot.close)
+        resources = opening.pop_all()
+    return Connection(robots, TickClock(emulator), None, emulator, resources)
+
+
+def _connect_wires(wiring: Wiring) -> Connection:
+    clock = WallClock(SERVO_PERIOD)
+    robot = wired_robot(wiring, lambda: clock.time)
+    resources = contextlib.ExitStack()
+    resources.callback(robot.close)
+    resources.enter_context(watched(robot))
+    return Connection({robot.name: robot}, clock, None, None, resources)

@@ -78,12 +78,16 @@ def run(
         for robot in robots.values():
             robot.activate()
         for step in range(steps):
-            observations = {name: robot.observe() for name, robot in robots.items()}
-            _check_lifecycles(robots)
+            observations: dict[str, Observation] = {}
+            for name, robot in robots.items():
+                observations[name] = robot.observe()
+                if robot.lifecycle is Lifecycle.ERROR:
+                    raise RobotError(f"robot {name!r} is in error")
             applied: dict[str, Command] = {}
             for controller in controllers:
                 for name, command in controller.step(observations).items():
-                    _check_target(name, robots, applied)
+                    if name in applied or name not in robots:
+                        raise _wrong_target(name, robots)
                     applied[name] = robots[name].command(command)
             if recorder is not None:
                 recorder.record(step, clock.time, observations, applied)
@@ -95,17 +99,10 @@ def run(
     return RunSummary(steps, clock.time - begin, time.perf_counter() - wall, clock.misses - missed)
 
 
-def _check_lifecycles(robots: Mapping[str, Robot]) -> None:
-    for name, robot in robots.items():
-        if robot.lifecycle is Lifecycle.ERROR:
-            raise RobotError(f"robot {name!r} is in error")
-
-
-def _check_target(name: str, robots: Mapping[str, Robot], applied: Mapping[str, Command]) -> None:
-    if name not in robots:
-        raise ValueError(f"a controller commands unknown robot {name!r}; there are {list(robots)}")
-    if name in applied:
-        raise ValueError(f"two controllers command robot {name!r}")
+def _wrong_target(name: str, robots: Mapping[str, Robot]) -> ValueError:
+    if name in robots:
+        return ValueError(f"two controllers command robot {name!r}")
+    return ValueError(f"a controller commands unknown robot {name!r}; there are {list(robots)}")
 
 
 def _stop(robots: Mapping[str, Robot]) -> None:

@@ -25,6 +25,9 @@ from twin.robot import (
     WheelMode,
 )
 
+SERVO_PERIOD = 0.01
+"""Default servo tick [s]."""
+
 
 @dataclasses.dataclass(frozen=True)
 class ServoConfig:

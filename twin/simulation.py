@@ -18,11 +18,8 @@ import numpy as np
 from twin.camera import StereoConfig, StereoRig, StereoState
 from twin.robot import FloatArray
 from twin.sensors import DATASHEET, SensorSuite
-from twin.servo import ROVER_SERVO, ServoConfig
+from twin.servo import ROVER_SERVO, SERVO_PERIOD, ServoConfig
 from twin.sim_robot import RobotState, SimRobot
-
-SERVO_PERIOD = 0.01
-"""Default servo tick [s]."""
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 

@@ -3,6 +3,7 @@ import pytest
 
 from models.compose import RobotPlacement
 from twin.connect import connect
+from twin.hardware.link import LinkError
 from twin.loop import run
 from twin.robot import Command, Lifecycle, WheelMode
 
@@ -16,9 +17,20 @@ class Drive:
         return dict.fromkeys(observations, command)
 
 
-@pytest.mark.parametrize("target", ["emulated", "serial:/dev/ttyACM0", "serial"])
-def test_planned_robots_say_that_they_are_not_available(target):
-    with pytest.raises(ValueError, match=f"'{target}' is not available in this version.*sim"):
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("serial", "unknown robot 'serial'; available: sim, quantised, emulated, serial:PORT"),
+        ("serial:", "name the motor boards' port first"),
+        ("serial:/dev/nowhere,wrnch=1", "'wrnch=1' is not understood; .*analogue, wrench"),
+        ("serial:/dev/nowhere,robot=rover9", "rover9.toml: cannot be read"),
+        ("serial:/dev/nowhere,most_days=x", "most_days=x is no whole number"),
+        ("serial:/dev/nowhere", "2002-01-01, .* needs at most 365"),
+        ("serial:/dev/nowhere,most_days=99999", "/dev/nowhere: cannot be opened"),
+    ],
+)
+def test_wrong_words_are_named(target, message):
+    with pytest.raises((ValueError, LinkError), match=message):
         connect(target)
 
 

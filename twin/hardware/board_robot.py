@@ -1,0 +1,344 @@
+"""A robot of the contract over motor boards, an analogue board and a force/torque sensor."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
+from twin.hardware.board_set import BoardSet
+from twin.hardware.calibration import Calibration
+from twin.hardware.link import LinkError
+from twin.hardware.roboclaw_codec import Status
+from twin.robot import Command, FloatArray, Lifecycle, Observation, RobotError
+from twin.servo import ROVER_SERVO, Servo, ServoConfig
+from twin.sim_robot import AXES
+
+IntArray = NDArray[np.int64]
+
+# The boards themselves do not stop for a battery that is low or high; the robot does.
+_STOPPING = Status(0xFFFF) | Status.MAIN_VOLTAGE_LOW_WARNING | Status.MAIN_VOLTAGE_HIGH_WARNING
+_STILL = 2
+"""Counts by which an axis at rest may differ from one reading to the next."""
+
+
+@dataclasses.dataclass(frozen=True)
+class BoardRobotConfig:
+    """How patient the robot is.
+
+    Attributes:
+        servo: Motors and gains.
+        sampling: Ages of the samples.
+        period: Servo tick [s].
+        lost_cycles: Consecutive cycles without a motor board after which the robot stops.
+        watchdog: Longest time between two commands while it drives [s].
+        most_speed: Fastest that an output shaft can turn [rad/s]; a faster count is a jump.
+    """
+
+    servo: ServoConfig = ROVER_SERVO
+    sampling: SamplingConfig = SamplingConfig()
+    period: float = 0.01
+    lost_cycles: int = 3
+    watchdog: float = 0.15
+    most_speed: float = 30.0
+
+
+class BoardRobot:
+    """Watches, limits and stops; boards, samples and servo do the rest.
+
+    Attributes:
+        name: As controllers see it.
+        boards: Its boards.
+        calibration: Their constants.
+        fault: Why it is in ERROR; empty otherwise.
+        seconds: Wall time spent in `observe` and `command` so far [s].
+    """
+
+    def __init__(
+        self,
+        name: str,
+        boards: BoardSet,
+        calibration: Calibration,
+        clock: Callable[[], float],
+        config: BoardRobotConfig | None = None,
+    ) -> None:
+        """Take over open boards; nothing is sent before `configure`.
+
+        Args:
+            name: Robot name.
+            boards: Its boards.
+            calibration: Their constants.
+            clock: Robot time [s].
+            config: How patient it is.
+        """
+        self.name = name
+        self.boards = boards
+        self.calibration = calibration
+        self.fault = ""
+        self.seconds = 0.0
+        self._config = config or BoardRobotConfig()
+        self._clock = clock
+        self._samples = BoardSamples(boards, calibration, clock, self._config.sampling)
+        self._servo = Servo(self._config.servo, self._config.period)
+        self._lifecycle = Lifecycle.UNCONFIGURED
+        self._homed = False
+        # The watchdog calls from another thread.
+        self._lock = threading.RLock()
+        self._sampled = self._commanded = -math.inf
+        self._observation = Observation(clock())
+
+    @property
+    def lifecycle(self) -> Lifecycle:
+        """Current state."""
+        return self._lifecycle
+
+    @property
+    def statistics(self) -> SamplingStatistics:
+        """What was not there when it was asked for."""
+        return self._samples.statistics
+
+    def configure(self) -> None:
+        """Set the boards up, stop all axes, take the first sample and go to INACTIVE.
+
+        Raises:
+            RobotError: If a motor board does not answer.
+        """
+        with self._lock:
+            try:
+                self.boards.configure()
+                self.boards.drive(np.zeros(8, dtype=np.int64))
+                self._begin()
+            except LinkError as error:
+                raise RobotError(f"robot {self.name!r}: {error}") from error
+            self._homed = False
+            self._lifecycle = Lifecycle.INACTIVE
+
+    def home(self, angles: FloatArray) -> None:
+        """Tell the robot where its arm is: its encoders count from power-on.
+
+        Args:
+            angles: (4,) joint angles in which the arm stands still, as a jig holds it [rad].
+
+        Raises:
+            RobotError: If the robot drives, the arm moves, or a board does not answer.
+        """
+        with self._lock:
+            if self._lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.ACTIVE):
+                raise RobotError(
+                    f"robot {self.name!r} is {self._lifecycle.value}; home it when it is inactive"
+                )
+            try:
+                self._begin()
+                before = self._samples.arm_counts()
+                self._begin()
+                if np.any(np.abs(self._samples.arm_counts() - before) > _STILL):
+                    raise RobotError(f"robot {self.name!r}: the arm moves; hold it still to home")
+                counts = self.calibration.drive.counts(np.concatenate([np.zeros(4), angles]))
+                for axis in range(4, 8):
+                    self.boards.set_encoder(axis, int(counts[axis]))
+                self._homed = True
+                self._begin()
+            except LinkError as error:
+                raise RobotError(f"robot {self.name!r}: {error}") from error
+
+    def activate(self) -> None:
+        """Go to ACTIVE, from INACTIVE or, explicitly, from ERROR.
+
+        Raises:
+            RobotError: If the robot is not configured or homed, or a board or sensor is not well.
+        """
+        with self._lock:
+            if self._lifecycle is Lifecycle.ACTIVE:
+                return
+            if self._lifecycle is Lifecycle.UNCONFIGURED:
+                raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be activated")
+            if not self._homed:
+                raise RobotError(f"robot {self.name!r} does not know where its arm is: home it")
+            try:
+                self.boards.reset_e_stop()
+                self.boards.drive(np.zeros(8, dtype=np.int64))
+                for address in self.boards.addresses:
+                    self._check_board(address)
+                self._begin()
+                self._check_sensors()
+            except (LinkError, RobotError) as error:
+                raise self._fail(str(error)) from error
+            self._servo.reset()
+            self.fault = ""
+            self._commanded = self._clock()
+            self._lifecycle = Lifecycle.ACTIVE
+
+    def observe(self) -> Observation:
+        """Return what the boards say; they are asked once a servo tick.
+
+        Raises:
+            RobotError: If the robot is not configured.
+        """
+        with self._lock:
+            if self._lifecycle is Lifecycle.UNCONFIGURED:
+                raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be read")
+            if self._clock() - self._sampled > 0.5 * self._config.period:
+                begin = time.perf_counter()
+                self._sampled = self._clock()
+                self._samples.sample()
+                self._observation = self._samples.observation(self._homed)
+                self._judge()
+                self.seconds += time.perf_counter() - begin
+            return self._observation
+
+    def command(self, command: Command) -> Command:
+        """Drive until the next command, and return what is applied, as duty, after limits.
+
+        Args:
+            command: What is asked for.
+
+        Raises:
+            RobotError: If the robot is not ACTIVE, a channel that the mode needs is not usable, or
+                a board is silent; then it is in ERROR and all axes are zeroed.
+        """
+        with self._lock:
+            if self._lifecycle is not Lifecycle.ACTIVE:
+                reason = f": {self.fault}" if self.fault else ""
+                raise RobotError(
+                    f"robot {self.name!r} is {self._lifecycle.value}, not active{reason}"
+                )
+            begin = time.perf_counter()
+            try:
+                duty = self._within_range(self._servo.duty(command, self._observation))
+            except RobotError as error:
+                raise self._fail(str(error)) from error
+            codes = self.calibration.drive.duty_codes(duty)
+            try:
+                self.boards.drive(codes)
+            except LinkError as error:
+                # One cycle without an answer is borne, and counted where encoders are read.
+                if max(self._samples.lost.values()) >= self._config.lost_cycles - 1:
+                    raise self._fail(str(error)) from error
+                self.statistics.lost_boards += 1
+            self._commanded = self._clock()
+            self.seconds += time.perf_counter() - begin
+            applied = self.calibration.drive.duties(codes)
+            return Command(applied[:4], applied[4:])
+
+    def deactivate(self) -> None:
+        """Zero all axes and go to INACTIVE; an ERROR stays until `activate` ends it.
+
+        Raises:
+            RobotError: If a board does not acknowledge; its own timeout stops it then.
+        """
+        with self._lock:
+            if self._lifecycle is Lifecycle.UNCONFIGURED:
+                return
+            self._servo.reset()
+            try:
+                self.boards.drive(np.zeros(8, dtype=np.int64))
+            except LinkError as error:
+                raise self._fail(str(error)) from error
+            if self._lifecycle is Lifecycle.ACTIVE:
+                self._lifecycle = Lifecycle.INACTIVE
+
+    def close(self) -> None:
+        """Zero all axes as far as they can be reached, and close the ports."""
+        with self._lock:
+            if self._lifecycle is not Lifecycle.UNCONFIGURED:
+                self._stop()
+            self._lifecycle = Lifecycle.UNCONFIGURED
+            self.boards.close()
+
+    def guard(self) -> None:
+        """Stop a robot that drives and has not been commanded in time; a watchdog calls it."""
+        with self._lock:
+            late = self._clock() - self._commanded
+            if self._lifecycle is Lifecycle.ACTIVE and late > self._config.watchdog:
+                self._fail(f"no command for {late:.2f} s")
+
+    def _begin(self) -> None:
+        self._samples.begin()
+        self._sampled = self._clock()
+        self._observation = self._samples.observation(self._homed)
+
+    def _judge(self) -> None:
+        """Stop for what must not go on."""
+        self.guard()
+        if self._lifecycle is not Lifecycle.ACTIVE:
+            return
+        lost = [a for a, n in self._samples.lost.items() if n >= self._config.lost_cycles]
+        jumped = np.flatnonzero(np.abs(self._samples.rates) > self._config.most_speed)
+        try:
+            if lost:
+                raise RobotError(f"motor board {lost[0]:#x} is silent")
+            if jumped.size:
+                self._homed = False
+                raise RobotError(
+                    f"the counter of {AXES[jumped[0]]} jumped, as after a reset of its board; "
+                    "home the robot"
+                )
+            self._check_sensors()
+            self._check_in_turn()
+        except LinkError:
+            self.statistics.lost_boards += 1
+        except RobotError as error:
+            self._fail(str(error))
+
+    def _check_sensors(self) -> None:
+        """Raise a RobotError if a sensor that the robot has cannot be believed."""
+        needed = {
+            "inclinometer": self.boards.has_analogue,
+            "arm_base_wrench": self.boards.has_wrench,
+        }
+        for name, present in needed.items():
+            channel = getattr(self._observation, name)
+            if present and not channel.usable:
+                raise RobotError(f"{name} is {channel.validity.value}")
+
+    def _check_in_turn(self) -> None:
+        """Ask one board for its status, and now and then for all that it says of itself."""
+        cycle, boards = self.statistics.cycles, self.boards.addresses
+        address = boards[cycle % len(boards)]
+        if cycle % len(boards) == 0:
+            self._check_board(boards[cycle // len(boards) % len(boards)])
+        elif self.boards.status(address) & _STOPPING:
+            self._check_board(address)
+
+    def _check_board(self, address: int) -> None:
+        """Raise a RobotError if a board must not drive, a LinkError if it is silent."""
+        state, limits = self.boards.state(address), self.calibration.limits
+        if not math.isclose(state.timeout, limits.serial_timeout, abs_tol=1e-6):
+            self._homed = False
+            raise RobotError(f"motor board {address:#x} was reset; configure and home the robot")
+        if state.status & _STOPPING:
+            named = (state.status & _STOPPING).name or hex(state.status)
+            raise RobotError(f"motor board {address:#x} reports {named.lower()}")
+        if not limits.least_battery <= state.battery <= limits.most_battery:
+            raise RobotError(f"motor board {address:#x} has a battery of {state.battery:.1f} V")
+
+    def _within_range(self, duty: FloatArray) -> FloatArray:
+        """Take away the duty that drives a joint on beyond its range."""
+        angles = self._observation.arm_angles
+        if not angles.usable:
+            return duty
+        lower, upper = self.calibration.drive.ranges.T
+        arm = np.where(angles.value <= lower, np.maximum(duty[4:], 0.0), duty[4:])
+        arm = np.where(angles.value >= upper, np.minimum(arm, 0.0), arm)
+        return np.concatenate([duty[:4], arm])
+
+    def _fail(self, reason: str) -> RobotError:
+        """Zero all axes, go to ERROR, and return the error to raise."""
+        self._stop()
+        self._lifecycle = Lifecycle.ERROR
+        self.fault = reason
+        return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
+
+    def _stop(self) -> None:
+        self._servo.reset()
+        try:
+            self.boards.drive(np.zeros(8, dtype=np.int64))
+        except LinkError:
+            # What cannot be reached stops by its own timeout.
+            self.statistics.lost_boards += 1

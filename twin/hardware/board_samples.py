@@ -1,0 +1,196 @@
+"""Counts of the boards, sampled in turn and kept with their age."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.hardware import roboclaw_codec as codec
+from twin.hardware.board_set import BoardSet
+from twin.hardware.calibration import AngleSensor, Calibration
+from twin.hardware.link import LinkError
+from twin.robot import MISSING, Channel, FloatArray, Observation, Validity
+
+ARM = slice(4, 8)
+
+
+@dataclasses.dataclass(frozen=True)
+class SamplingConfig:
+    """Ages from which samples are stale [s].
+
+    Attributes:
+        encoder_age: Of encoder values.
+        tilt_age: Of inclinometer and potentiometer, which are read every fourth cycle.
+        wrench_age: Of the wrench.
+    """
+
+    encoder_age: float = 0.035
+    tilt_age: float = 0.2
+    wrench_age: float = 0.1
+
+
+@dataclasses.dataclass
+class SamplingStatistics:
+    """What was not there when it was asked for.
+
+    Attributes:
+        cycles: Times that the boards were sampled.
+        lost_boards: Motor boards that did not answer.
+        lost_analogue: Analogue inputs that were not read.
+        lost_wrenches: Cycles without a new wrench.
+    """
+
+    cycles: int = 0
+    lost_boards: int = 0
+    lost_analogue: int = 0
+    lost_wrenches: int = 0
+
+
+class BoardSamples:
+    """The latest sample of everything; a sample that is missed leaves the one before."""
+
+    def __init__(
+        self,
+        boards: BoardSet,
+        calibration: Calibration,
+        clock: Callable[[], float],
+        config: SamplingConfig,
+    ) -> None:
+        """Start without a sample.
+
+        Args:
+            boards: Where they come from.
+            calibration: Of the robot.
+            clock: Robot time [s].
+            config: Ages.
+        """
+        self.statistics = SamplingStatistics()
+        self.lost = dict.fromkeys(boards.addresses, 0)
+        self._boards = boards
+        self._calibration = calibration
+        self._clock = clock
+        self._config = config
+        tilt = calibration.inclinometer
+        pair = [tilt.pitch.pin, tilt.roll.pin]
+        centre = [calibration.analogue.centre.pin]
+        # Pins by cycle: each is read every fourth time.
+        self._turns: tuple[list[int], ...] = (pair, [], centre, [])
+        self._raw: NDArray[np.int64] = np.zeros(8, dtype=np.int64)
+        self._counts: NDArray[np.int64] = np.zeros(8, dtype=np.int64)
+        self._count_rates = np.zeros(8)
+        self._stamps = np.full(8, math.nan)
+        self._codes: dict[int, tuple[int, float]] = {}
+        self._wrench: tuple[FloatArray, float] | None = None
+
+    @property
+    def rates(self) -> FloatArray:
+        """(8,) speeds of the output shafts [rad/s]."""
+        return self._calibration.drive.rates(self._count_rates)
+
+    def begin(self) -> None:
+        """Read everything, and count from here.
+
+        Raises:
+            LinkError: If a motor board does not answer.
+        """
+        self.lost = dict.fromkeys(self.lost, 0)
+        for address in self._boards.addresses:
+            self._take(address, self._boards.encoders(address), anew=True)
+        self._read_analogue([pin for turn in self._turns for pin in turn])
+        self._read_wrench()
+
+    def sample(self) -> None:
+        """Read what is due in this cycle; what does not answer is counted."""
+        for address in self._boards.addresses:
+            try:
+                pair = self._boards.encoders(address)
+            except LinkError:
+                self.lost[address] += 1
+                self.statistics.lost_boards += 1
+            else:
+                self.lost[address] = 0
+                self._take(address, pair)
+        self._read_analogue(self._turns[self.statistics.cycles % len(self._turns)])
+        self._read_wrench()
+        self.statistics.cycles += 1
+
+    def arm_counts(self) -> NDArray[np.int64]:
+        """Return the arm's counters (4,) as they were read last."""
+        return self._raw[ARM].copy()
+
+    def observation(self, homed: bool) -> Observation:
+        """Return the latest samples, each with what it is worth now.
+
+        Args:
+            homed: Whether the arm's counters mean angles.
+        """
+        config, tilt = self._config, self._calibration.inclinometer
+        angles, rates = self._calibration.drive.angles(self._counts), self.rates
+        wheels, arm = float(self._stamps[:4].min()), float(self._stamps[ARM].min())
+        wrench = MISSING
+        if self._wrench is not None:
+            wrench = self._aged(*self._wrench, config.wrench_age)
+        return Observation(
+            time=self._clock(),
+            wheel_speeds=self._aged(rates[:4], wheels, config.encoder_age),
+            centre_angle=self._angles(self._calibration.analogue.centre),
+            arm_angles=self._aged(angles[ARM], arm, config.encoder_age) if homed else MISSING,
+            arm_rates=self._aged(rates[ARM], arm, config.encoder_age),
+            inclinometer=self._angles(tilt.pitch, tilt.roll),
+            arm_base_wrench=wrench,
+        )
+
+    def _take(self, address: int, pair: tuple[int, int], anew: bool = False) -> None:
+        """Take a board's counters; they wrap, so only their change counts."""
+        now = self._clock()
+        for axis, place in enumerate(self._calibration.drive.axes):
+            if place.address != address:
+                continue
+            raw = pair[place.channel - 1]
+            step = codec.signed_difference(raw, int(self._raw[axis]))
+            elapsed = now - self._stamps[axis]
+            if anew:
+                self._counts[axis], self._count_rates[axis] = raw, 0.0
+            elif elapsed > 0.0:
+                self._counts[axis] += step
+                self._count_rates[axis] = step / elapsed
+            self._raw[axis], self._stamps[axis] = raw, now
+
+    def _read_analogue(self, pins: list[int]) -> None:
+        if not (pins and self._boards.has_analogue):
+            return
+        for pin, code in self._boards.analogue(pins).items():
+            if code is None:
+                self.statistics.lost_analogue += 1
+            else:
+                self._codes[pin] = code, self._clock()
+
+    def _read_wrench(self) -> None:
+        if not self._boards.has_wrench:
+            return
+        counts = self._boards.wrench()
+        if counts is None:
+            self.statistics.lost_wrenches += 1
+        else:
+            self._wrench = self._calibration.force_torque.wrench(counts), self._clock()
+
+    def _angles(self, *sensors: AngleSensor) -> Channel:
+        """Return the angles of analogue sensors, as old as the oldest; missing if one is."""
+        found = [self._codes.get(sensor.pin) for sensor in sensors]
+        known = [sample for sample in found if sample is not None]
+        if len(known) < len(sensors):
+            return MISSING
+        board = self._calibration.analogue
+        angles = [float(board.angle(code, s)) for s, (code, _) in zip(sensors, known, strict=True)]
+        return self._aged(np.array(angles), min(stamp for _, stamp in known), self._config.tilt_age)
+
+    def _aged(self, values: FloatArray, stamp: float, age: float) -> Channel:
+        if math.isnan(stamp):
+            return MISSING
+        values.flags.writeable = False
+        stale = self._clock() - stamp > age + 1e-9
+        return Channel(values, stamp, Validity.STALE if stale else Validity.MEASURED)

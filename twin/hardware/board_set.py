@@ -1,0 +1,266 @@
+"""All boards of one robot as one device, and the same over their real wires."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.hardware import roboclaw_codec as codec
+from twin.hardware.calibration import Calibration
+from twin.hardware.firmata import AnalogueBoard
+from twin.hardware.force_torque import NetForceTorque
+from twin.hardware.link import LinkError
+from twin.hardware.roboclaw import RoboClawBus
+from twin.hardware.roboclaw_codec import Command, Status
+
+IntArray = NDArray[np.int64]
+
+_CURRENT_UNIT = 0.01  # [A]
+_VOLTAGE_UNIT = 0.1  # [V]
+_TIMEOUT_UNIT = 0.1  # [s]
+_SET_ENCODER = {1: Command.SET_ENCODER_1, 2: Command.SET_ENCODER_2}
+_SET_LIMIT = {1: Command.SET_CURRENT_LIMIT_1, 2: Command.SET_CURRENT_LIMIT_2}
+_GET_LIMIT = {1: Command.GET_CURRENT_LIMIT_1, 2: Command.GET_CURRENT_LIMIT_2}
+
+
+@dataclasses.dataclass(frozen=True)
+class BoardState:
+    """What one motor board says of itself.
+
+    Attributes:
+        address: On the bus.
+        status: Errors and warnings.
+        battery: Main voltage [V].
+        currents: Of both motors [A].
+        timeout: Serial timeout that is set; 0 after a reset [s].
+    """
+
+    address: int
+    status: Status
+    battery: float
+    currents: tuple[float, float]
+    timeout: float
+
+
+class BoardSet(Protocol):
+    """What `BoardRobot` asks of the boards; axes are in the order of `motor_calibration.AXES`."""
+
+    @property
+    def addresses(self) -> Sequence[int]:
+        """Of the motor boards."""
+        ...
+
+    @property
+    def has_analogue(self) -> bool:
+        """Whether there are an inclinometer and a potentiometer."""
+        ...
+
+    @property
+    def has_wrench(self) -> bool:
+        """Whether there is a force/torque sensor."""
+        ...
+
+    def configure(self) -> None:
+        """Set timeouts and current limits.
+
+        Raises:
+            LinkError: If a board does not answer.
+        """
+        ...
+
+    def encoders(self, address: int) -> tuple[int, int]:
+        """Return both counters of a board, signed 32 bits.
+
+        Raises:
+            LinkError: If it does not answer.
+        """
+        ...
+
+    def set_encoder(self, axis: int, count: int) -> None:
+        """Set the counter of an axis that stands still.
+
+        Raises:
+            LinkError: If the board does not do it.
+        """
+        ...
+
+    def drive(self, codes: IntArray) -> None:
+        """Set the duty codes (8,) of all axes.
+
+        Raises:
+            LinkError: If a board does not acknowledge; the others were told all the same.
+        """
+        ...
+
+    def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
+        """Return the converter codes of analogue inputs, None for those that were not read."""
+        ...
+
+    def wrench(self) -> IntArray | None:
+        """Return the force/torque sensor's counts (6,), None if there is no new sample."""
+        ...
+
+    def status(self, address: int) -> Status:
+        """Return a board's status.
+
+        Raises:
+            LinkError: If it does not answer.
+        """
+        ...
+
+    def state(self, address: int) -> BoardState:
+        """Return all that a board says of itself.
+
+        Raises:
+            LinkError: If it does not answer.
+        """
+        ...
+
+    def reset_e_stop(self) -> None:
+        """Let go of a latched e-stop on every board.
+
+        Raises:
+            LinkError: If a board does not answer.
+        """
+        ...
+
+    def close(self) -> None:
+        """Close all ports."""
+        ...
+
+
+class WiredBoards:
+    """Boards on a serial bus, an analogue board and a force/torque sensor, each on its wire."""
+
+    def __init__(
+        self,
+        bus: RoboClawBus,
+        calibration: Calibration,
+        analogue: AnalogueBoard | None = None,
+        force_torque: NetForceTorque | None = None,
+    ) -> None:
+        """Take over open clients.
+
+        Args:
+            bus: The motor boards.
+            calibration: Which axis is where, and its limits.
+            analogue: Potentiometer and inclinometer, if there are.
+            force_torque: The sensor under the arm, if there is, with a scale of one: the
+                calibration converts its counts.
+        """
+        self.bus = bus
+        self.analogue_board = analogue
+        self.force_torque = force_torque
+        self.has_analogue = analogue is not None
+        self.has_wrench = force_torque is not None
+        self._limits = calibration.limits
+        self._axes = calibration.drive.axes
+        self.addresses = tuple(sorted({axis.address for axis in self._axes}))
+        self._places = {
+            address: [_axis_at(calibration, address, channel) for channel in (1, 2)]
+            for address in self.addresses
+        }
+
+    def configure(self) -> None:
+        """Set timeouts and current limits, and read the limits back."""
+        steps = round(self._limits.serial_timeout / _TIMEOUT_UNIT)
+        for address in self.addresses:
+            self.bus.write(address, Command.SET_TIMEOUT, steps)
+        for axis in self._axes:
+            units = round(axis.current_limit / _CURRENT_UNIT)
+            self.bus.write(axis.address, _SET_LIMIT[axis.channel], units, 0)
+            found = self.bus.read(axis.address, _GET_LIMIT[axis.channel])[0]
+            if found != units:
+                raise LinkError(
+                    f"board {axis.address:#x} keeps a current limit of {found * _CURRENT_UNIT} A "
+                    f"where {axis.current_limit} A was set"
+                )
+
+    def encoders(self, address: int) -> tuple[int, int]:
+        """Return both counters of a board."""
+        one, two = self.bus.read(address, Command.GET_ENCODERS)
+        return one, two
+
+    def set_encoder(self, axis: int, count: int) -> None:
+        """Set the counter of an axis that stands still."""
+        place = self._axes[axis]
+        for _ in range(3):
+            try:
+                self.bus.write(place.address, _SET_ENCODER[place.channel], count)
+                return
+            except LinkError:
+                # The acknowledgement may be what was lost. At rest the counter tells.
+                if self.encoders(place.address)[place.channel - 1] == count:
+                    return
+        raise LinkError(f"board {place.address:#x} does not take an encoder count")
+
+    def drive(self, codes: IntArray) -> None:
+        """Set the duty codes of all axes."""
+        failed: LinkError | None = None
+        for address, (one, two) in self._places.items():
+            try:
+                self.bus.write(address, Command.DUTY_BOTH, _code(codes, one), _code(codes, two))
+            except LinkError as error:
+                failed = failed or error
+        if failed is not None:
+            raise failed
+
+    def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
+        """Return the converter codes of analogue inputs."""
+        if self.analogue_board is None:
+            return dict.fromkeys(pins)
+        try:
+            return self.analogue_board.poll(pins)
+        except LinkError:
+            return dict.fromkeys(pins)
+
+    def wrench(self) -> IntArray | None:
+        """Return the force/torque sensor's counts (6,)."""
+        if self.force_torque is None:
+            return None
+        reading = self.force_torque.read()
+        return None if reading is None else np.rint(reading.wrench).astype(np.int64)
+
+    def status(self, address: int) -> Status:
+        """Return a board's status."""
+        return self.bus.status(address)
+
+    def state(self, address: int) -> BoardState:
+        """Return all that a board says of itself."""
+        one, two = self.bus.read(address, Command.GET_CURRENTS)
+        return BoardState(
+            address,
+            self.bus.status(address),
+            self.bus.read(address, Command.GET_MAIN_VOLTAGE)[0] * _VOLTAGE_UNIT,
+            (one * _CURRENT_UNIT, two * _CURRENT_UNIT),
+            self.bus.read(address, Command.GET_TIMEOUT)[0] * _TIMEOUT_UNIT,
+        )
+
+    def reset_e_stop(self) -> None:
+        """Let go of a latched e-stop on every board."""
+        for address in self.addresses:
+            if self.bus.status(address) & Status.E_STOP:
+                self.bus.write(address, Command.RESET_E_STOP)
+
+    def close(self) -> None:
+        """Close all ports."""
+        self.bus.close()
+        for device in (self.analogue_board, self.force_torque):
+            if device is not None:
+                device.close()
+
+
+def _axis_at(calibration: Calibration, address: int, channel: int) -> int | None:
+    for number, axis in enumerate(calibration.drive.axes):
+        if (axis.address, axis.channel) == (address, channel):
+            return number
+    return None
+
+
+def _code(codes: IntArray, axis: int | None) -> int:
+    code = 0 if axis is None else int(codes[axis])
+    return max(-codec.FULL_DUTY, min(codec.FULL_DUTY, code))

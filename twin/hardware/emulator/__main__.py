@@ -1,0 +1,197 @@
+"""``python -m twin.hardware.emulator``: boards to connect to, with the physics behind them.
+
+Without ``--realtime`` the physics stand still until a line on the standard input says
+``{"do": "tick"}``: time passes out of band, never by a command on the bus, which a retry would
+repeat. Every line is answered by one line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import selectors
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import numpy as np
+import tyro
+
+from models.compose import FieldConfig, RobotPlacement
+from twin.hardware.emulator.faults import LineFaultConfig, RobotFault, ScheduledFault
+from twin.hardware.emulator.rig import EmulatedRig
+from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Emulated boards of rovers on pseudo-terminals and loopback UDP.
+
+    Attributes:
+        robots: Names of the rovers; each needs a file in calibration/.
+        realtime: Let the physics run on the wall clock at 100 Hz.
+        seed: Of all noise and damage.
+        line_faults: Share of the exchanges with the motor boards that are damaged, 0 to 1.
+        faults: File with scheduled faults: a JSON list of {"robot", "time" [s], "kind",
+            "duration" [s], "address"}.
+        scene: JSON of a `SceneConfig`, for programs; overrides robots and seed.
+    """
+
+    robots: tuple[str, ...] = ("rover1",)
+    realtime: bool = False
+    seed: int = 0
+    line_faults: float = 0.0
+    faults: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    scene: Annotated[str, tyro.conf.arg(metavar="JSON")] = ""
+
+
+class Emulator:
+    """Scene, rigs and the loop that serves them."""
+
+    def __init__(
+        self, scene: SceneConfig, line_faults: float, faults: list[dict[str, Any]]
+    ) -> None:
+        """Build the scene and power the boards on.
+
+        Args:
+            scene: What is emulated.
+            line_faults: Share of damaged exchanges.
+            faults: Scheduled ones, as in the file.
+        """
+        self.scene = EmulatedScene(scene)
+        config = LineFaultConfig(line_faults)
+        sources = np.random.default_rng([scene.seed, 5]).spawn(len(self.scene.rovers))
+        self.rigs = {
+            name: EmulatedRig(rover, config, _faults_of(name, faults), source)
+            for (name, rover), source in zip(self.scene.rovers.items(), sources, strict=True)
+        }
+        self._selector = selectors.DefaultSelector()
+        for rig in self.rigs.values():
+            self._selector.register(rig.bus, selectors.EVENT_READ, rig.serve_bus)
+            self._selector.register(rig.analogue, selectors.EVENT_READ, rig.serve_analogue)
+            self._selector.register(rig.wrench, selectors.EVENT_READ, rig.serve_wrench)
+
+    def listen(self) -> None:
+        """Take control lines from the standard input."""
+        self._selector.register(sys.stdin.fileno(), selectors.EVENT_READ, None)
+
+    def tick(self) -> None:
+        """Advance boards and physics by one servo tick."""
+        for rig in self.rigs.values():
+            rig.before_tick(self.scene.time, self.scene.period)
+        self.scene.tick()
+
+    def serve(self, wait: float) -> bool:
+        """Serve what comes within `wait` [s]; return False when the control line was closed."""
+        for key, _ in self._selector.select(wait):
+            if key.data is not None:
+                key.data(time.monotonic())
+            elif not self._obey():
+                return False
+        now = time.monotonic()
+        for rig in self.rigs.values():
+            rig.serve_late(now)
+        return True
+
+    def _obey(self) -> bool:
+        """Carry out what stands on the control line."""
+        data = os.read(sys.stdin.fileno(), 65536)
+        if not data:
+            return False
+        for line in data.splitlines():
+            print(json.dumps(self._answer(json.loads(line))), flush=True)
+        return True
+
+    def _answer(self, order: dict[str, Any]) -> dict[str, Any]:
+        match order["do"]:
+            case "tick":
+                self.tick()
+                return {"time": self.scene.time}
+            case "fault":
+                self.rigs[order["robot"]].inject(_fault(order))
+                return {"time": self.scene.time}
+            case "state":
+                return {name: self._state(name) for name in self.rigs}
+            case other:
+                return {"error": f"unknown order {other!r}"}
+
+    def _state(self, name: str) -> dict[str, Any]:
+        """Return what a person beside the robot could measure."""
+        rover, rig = self.scene.rovers[name], self.rigs[name]
+        damage = {kind.value: count for kind, count in rig.bus_line.counts.items()}
+        return {
+            "arm_angles": rover.angles()[4:].tolist(),
+            "angles": rover.angles().tolist(),
+            "codes": rover.codes.tolist(),
+            "damage": damage,
+        }
+
+    def close(self) -> None:
+        """Take ports and scene down."""
+        self._selector.close()
+        for rig in self.rigs.values():
+            rig.close()
+        self.scene.close()
+
+
+def _fault(entry: dict[str, Any]) -> ScheduledFault:
+    fields = {key: entry[key] for key in ("time", "duration", "address") if key in entry}
+    return ScheduledFault(kind=RobotFault(entry["kind"]), **fields)
+
+
+def _faults_of(name: str, faults: Sequence[dict[str, Any]]) -> list[ScheduledFault]:
+    return [_fault(entry) for entry in faults if entry.get("robot", name) == name]
+
+
+def _scene(options: Options) -> SceneConfig:
+    if not options.scene:
+        # Two metres apart, side by side.
+        places = [RobotPlacement(n, (2.0 * i, 0.0)) for i, n in enumerate(options.robots)]
+        return SceneConfig(tuple(places), seed=options.seed)
+    table = json.loads(options.scene)
+    robots = [RobotPlacement(**_tuples(entry)) for entry in table["robots"]]
+    return SceneConfig(
+        tuple(robots),
+        FieldConfig(**_tuples(table["field"])),
+        table["seed"],
+        table["settling"],
+        {name: Path(path) for name, path in table["calibrations"].items()},
+    )
+
+
+def _tuples(table: dict[str, Any]) -> dict[str, Any]:
+    listed = cast("dict[str, list[Any]]", {k: v for k, v in table.items() if isinstance(v, list)})
+    return {**table, **{key: tuple(values) for key, values in listed.items()}}
+
+
+def main() -> int:
+    """Serve until the control line is closed or the process is interrupted."""
+    options = tyro.cli(Options, description=__doc__)
+    faults: list[dict[str, Any]] = []
+    if options.faults:
+        faults = json.loads(options.faults.read_text())
+    emulator = Emulator(_scene(options), options.line_faults, faults)
+    ports = {name: rig.ports for name, rig in emulator.rigs.items()}
+    period = emulator.scene.period
+    print(json.dumps({"ports": ports, "period": period, "time": emulator.scene.time}), flush=True)
+    emulator.listen()
+    due, serving = time.monotonic() + period, True
+    try:
+        while serving:
+            wait = max(0.0, due - time.monotonic()) if options.realtime else 0.002
+            serving = emulator.serve(wait)
+            if options.realtime and time.monotonic() >= due:
+                emulator.tick()
+                due += period
+    except KeyboardInterrupt:
+        pass
+    finally:
+        emulator.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""Boards without wires: the same counts as the emulated ones, with nothing that could fail."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.hardware import roboclaw_codec as codec
+from twin.hardware.board_set import BoardState
+from twin.hardware.emulator.rover import EmulatedRover
+from twin.hardware.roboclaw_codec import Status
+
+IntArray = NDArray[np.int64]
+
+
+class DirectBoards:
+    """A `BoardSet` that reaches into the emulated rover: the simulation, quantised."""
+
+    has_analogue = True
+    has_wrench = True
+
+    def __init__(self, rover: EmulatedRover) -> None:
+        """Power on: the encoders count from zero."""
+        self._rover = rover
+        self._axes = rover.calibration.drive.axes
+        self.addresses = tuple(sorted({axis.address for axis in self._axes}))
+        self._offset = -rover.counts()
+        self._timeout = 0.0
+
+    def configure(self) -> None:
+        """Set the timeout, which nothing here watches."""
+        self._timeout = self._rover.calibration.limits.serial_timeout
+
+    def encoders(self, address: int) -> tuple[int, int]:
+        """Return both counters of a board."""
+        counts = self._rover.counts() + self._offset
+        found = {a.channel: int(c) for a, c in zip(self._axes, counts) if a.address == address}
+        one, two = (codec.signed_difference(found.get(channel, 0), 0) for channel in (1, 2))
+        return one, two
+
+    def set_encoder(self, axis: int, count: int) -> None:
+        """Set the counter of an axis."""
+        self._offset[axis] = count - self._rover.counts()[axis]
+
+    def drive(self, codes: IntArray) -> None:
+        """Set the duty codes of all axes."""
+        self._rover.codes = codes.copy()
+
+    def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
+        """Return the converter codes of analogue inputs."""
+        return {pin: self._rover.analogue(pin) for pin in pins}
+
+    def wrench(self) -> IntArray | None:
+        """Return the force/torque sensor's counts (6,)."""
+        return self._rover.wrench()
+
+    def status(self, address: int) -> Status:
+        """Return that all is well."""
+        return Status.NORMAL
+
+    def state(self, address: int) -> BoardState:
+        """Return what a board would say."""
+        currents = self._rover.currents()
+        found = {a.channel: float(c) for a, c in zip(self._axes, currents) if a.address == address}
+        pair = found.get(1, 0.0), found.get(2, 0.0)
+        return BoardState(address, Status.NORMAL, self._rover.battery, pair, self._timeout)
+
+    def reset_e_stop(self) -> None:
+        """There is none."""
+
+    def close(self) -> None:
+        """Stop the motors."""
+        self._rover.codes = np.zeros(8, dtype=np.int64)

@@ -1,0 +1,166 @@
+"""What goes wrong on an emulated line, by chance or at a given time."""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import enum
+
+import numpy as np
+
+from twin.hardware.emulator.ports import SerialDevice
+
+
+class LineFault(enum.Enum):
+    """Damage to one exchange on a serial line."""
+
+    FLIP_REQUEST = "flip_request"
+    FLIP_REPLY = "flip_reply"
+    LOSE_REQUEST = "lose_request"
+    LOSE_REPLY = "lose_reply"
+    LOSE_BYTE = "lose_byte"
+    LATE = "late"
+    MERGED = "merged"
+    TRUNCATED = "truncated"
+    WRONG_ACKNOWLEDGE = "wrong_acknowledge"
+
+
+@dataclasses.dataclass(frozen=True)
+class LineFaultConfig:
+    """How often an exchange is damaged.
+
+    Attributes:
+        rate: Share of the exchanges, in [0, 1].
+        kinds: Which damage, equally likely.
+        latest: Longest delay of a late answer [s].
+    """
+
+    rate: float = 0.0
+    kinds: tuple[LineFault, ...] = tuple(LineFault)
+    latest: float = 0.03
+
+    def __post_init__(self) -> None:
+        """Refuse what is no share.
+
+        Raises:
+            ValueError: If the rate is not within [0, 1].
+        """
+        if not 0.0 <= self.rate <= 1.0:
+            raise ValueError(f"line fault rate: got {self.rate}, needs 0 to 1")
+
+
+class FaultyLine:
+    """A device behind a line that damages what it carries; bytes keep their order.
+
+    Attributes:
+        counts: How often each kind of damage was done.
+        silent: True while nothing gets through at all.
+    """
+
+    def __init__(
+        self, device: SerialDevice, config: LineFaultConfig, rng: np.random.Generator
+    ) -> None:
+        """Put a device behind a line.
+
+        Args:
+            device: What answers.
+            config: How often what goes wrong.
+            rng: Decides each time.
+        """
+        self.counts: collections.Counter[LineFault] = collections.Counter()
+        self.silent = False
+        self._device = device
+        self._config = config
+        self._rng = rng
+        self._waiting: list[tuple[float, bytes]] = []
+        self._last_reply = b"\xff"
+
+    def feed(self, data: bytes, now: float) -> bytes:
+        """Take what came at `now` [s], and return what gets out by then."""
+        if data and not self.silent:
+            self._exchange(data, now)
+        return self.due(now)
+
+    def due(self, now: float) -> bytes:
+        """Return what is on its way and gets out by `now` [s]."""
+        out = b""
+        while self._waiting and self._waiting[0][0] <= now:
+            out += self._waiting.pop(0)[1]
+        return out
+
+    def _exchange(self, request: bytes, now: float) -> None:
+        kind, delay = None, 0.0
+        if self._rng.random() < self._config.rate:
+            kind = self._config.kinds[self._rng.integers(len(self._config.kinds))]
+            self.counts[kind] += 1
+        if kind is LineFault.FLIP_REQUEST:
+            request = self._flip(request)
+        if kind is LineFault.LOSE_BYTE:
+            place = int(self._rng.integers(len(request)))
+            request = request[:place] + request[place + 1 :]
+        reply = b""
+        if kind is not LineFault.LOSE_REQUEST:
+            reply = self._device.feed(request, now)
+        clean = reply
+        if kind is LineFault.LATE:
+            delay = float(self._rng.uniform(0.2, 1.0)) * self._config.latest
+        elif reply:
+            reply = self._damaged(reply, kind)
+        self._last_reply = clean or self._last_reply
+        if self._waiting:
+            delay = max(delay, self._waiting[-1][0] - now)
+        self._waiting.append((now + delay, reply))
+
+    def _damaged(self, reply: bytes, kind: LineFault | None) -> bytes:
+        match kind:
+            case LineFault.FLIP_REPLY:
+                return self._flip(reply)
+            case LineFault.LOSE_REPLY:
+                return b""
+            case LineFault.MERGED:
+                return self._last_reply + reply
+            case LineFault.TRUNCATED:
+                return reply[: int(self._rng.integers(len(reply)))]
+            case LineFault.WRONG_ACKNOWLEDGE if len(reply) == 1:
+                return bytes((int(self._rng.integers(255)),))
+            case _:
+                return reply
+
+    def _flip(self, data: bytes) -> bytes:
+        """Return `data` with one to three bits flipped."""
+        changed = bytearray(data)
+        places = self._rng.choice(8 * len(data), size=min(3, 8 * len(data)), replace=False)
+        for place in places[: int(self._rng.integers(1, 4))]:
+            changed[place // 8] ^= 1 << (int(place) % 8)
+        return bytes(changed)
+
+
+class RobotFault(enum.Enum):
+    """Faults of a robot at a given time."""
+
+    BUS_SILENT = "bus_silent"
+    BOARD_RESET = "board_reset"
+    COUNTER_PRESET = "counter_preset"
+    E_STOP = "e_stop"
+    OVER_CURRENT = "over_current"
+    BROWN_OUT = "brown_out"
+    DRIVER_FAULT = "driver_fault"
+    NO_WRENCH = "no_wrench"
+    NO_ANALOGUE = "no_analogue"
+
+
+@dataclasses.dataclass(frozen=True)
+class ScheduledFault:
+    """One fault.
+
+    Attributes:
+        time: When it begins [s]; at 0 the boards power on with it.
+        kind: What happens.
+        duration: For how long, where that has a meaning [s].
+        address: Of the motor board that it happens to.
+    """
+
+    time: float
+    kind: RobotFault
+    duration: float = 1e9
+    address: int = 0x80

@@ -1,0 +1,221 @@
+"""A pair of emulated 9600-baud radio modems: pace, delay and byte errors.
+
+The same lines carry bytes in virtual time within one process (`VirtualModems`), so that an hour of
+radio takes seconds, and in real time between two pseudo-terminals (`PtyModems`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import select
+import threading
+import time
+from collections import deque
+from types import TracebackType
+
+import numpy as np
+
+from twin.hardware.emulator.ports import PseudoTerminal
+from twin.hardware.radio_channel import BITS_PER_BYTE
+
+_MAX_WAIT = 0.05  # [s] how often an idle thread looks whether to end
+
+
+@dataclasses.dataclass(frozen=True)
+class ModemConfig:
+    """How a pair of modems carries bytes; alike and at once in both directions.
+
+    Attributes:
+        baud: Bits a second, 8N1: a tenth of it is bytes a second.
+        delay: From a byte's last bit in to the same out at the other end [s].
+        error_rate: Probability that a byte is hit.
+        flip: Share of hits that change the byte to another.
+        loss: Share of hits that lose it.
+        insertion: Share of hits that put a random byte before it.
+        buffer: Bytes that wait to be sent; what comes beyond them is lost, as without flow control.
+    """
+
+    baud: int = 9600
+    delay: float = 0.005
+    error_rate: float = 0.0
+    flip: float = 1.0
+    loss: float = 1.0
+    insertion: float = 1.0
+    buffer: int = 1024
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that no modem can have.
+
+        Raises:
+            ValueError: Naming the field and its value.
+        """
+        for name in ("baud", "buffer"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"modem {name} must be positive, got {getattr(self, name)}")
+        if not 0.0 <= self.error_rate <= 1.0:
+            raise ValueError(f"modem error_rate must be a probability, got {self.error_rate}")
+        for name in ("delay", "flip", "loss", "insertion"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"modem {name} must not be negative, got {getattr(self, name)}")
+        if self.error_rate > 0.0 and self.flip + self.loss + self.insertion == 0.0:
+            raise ValueError("modem error_rate is positive, but flip, loss and insertion are zero")
+
+
+class Line:
+    """One direction of the radio.
+
+    Attributes:
+        carried: Bytes taken.
+        hits: Bytes hit by an error.
+        overflow: Bytes lost because the modem's buffer was full.
+    """
+
+    def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:
+        """Begin idle; `rng` draws the errors."""
+        self.carried = 0
+        self.hits = 0
+        self.overflow = 0
+        self._config = config
+        self._rng = rng
+        self._duration = BITS_PER_BYTE / config.baud
+        shares = np.array([config.flip, config.loss, config.insertion])
+        self._shares = shares / shares.sum() if config.error_rate > 0.0 else shares
+        self._free = -math.inf
+        self._coming: deque[tuple[float, bytes]] = deque()
+        self._until_hit = self._draw_gap()
+
+    def put(self, data: bytes, now: float) -> None:
+        """Take bytes from a computer at `now` [s]."""
+        for index in range(len(data)):
+            if (self._free - now) / self._duration > self._config.buffer - 0.5:
+                self.overflow += len(data) - index
+                return
+            self._free = max(now, self._free) + self._duration
+            arrived = self._corrupt(data[index : index + 1])
+            if arrived:
+                self._coming.append((self._free + self._config.delay, arrived))
+
+    def take(self, now: float) -> bytes:
+        """Return what has arrived by `now` [s]."""
+        arrived: list[bytes] = []
+        while self._coming and self._coming[0][0] <= now:
+            arrived.append(self._coming.popleft()[1])
+        return b"".join(arrived)
+
+    def next_arrival(self) -> float:
+        """When the next byte arrives [s]; infinity if none is on the way."""
+        return self._coming[0][0] if self._coming else math.inf
+
+    def _corrupt(self, byte: bytes) -> bytes:
+        self.carried += 1
+        self._until_hit -= 1
+        if self._until_hit > 0:
+            return byte
+        self._until_hit = self._draw_gap()
+        self.hits += 1
+        kind = int(self._rng.choice(3, p=self._shares))
+        if kind == 0:
+            return bytes([byte[0] ^ int(self._rng.integers(1, 256))])
+        return b"" if kind == 1 else bytes([int(self._rng.integers(256))]) + byte
+
+    def _draw_gap(self) -> float:
+        """Draw how many bytes on the next hit is."""
+        rate = self._config.error_rate
+        return float(self._rng.geometric(rate)) if rate > 0.0 else math.inf
+
+
+class VirtualChannel:
+    """One computer's line to its modem, in virtual time."""
+
+    def __init__(self, modems: VirtualModems, out: Line, into: Line) -> None:
+        """Send on `out` and receive from `into`, by the clock of `modems`."""
+        self._modems = modems
+        self._out = out
+        self._into = into
+
+    def now(self) -> float:
+        """Virtual time [s]."""
+        return self._modems.time
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+        self._out.put(data, self._modems.time)
+
+    def read(self) -> bytes:
+        """Return what has arrived."""
+        return self._into.take(self._modems.time)
+
+
+class VirtualModems:
+    """Two modems in virtual time; whoever owns them sets `time`, never back.
+
+    Attributes:
+        time: Virtual time [s].
+        lines: From the first to the second end, and back.
+        ends: The two computers' channels.
+    """
+
+    def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:
+        """Begin at time zero; `rng` draws the errors of both directions."""
+        self.time = 0.0
+        first, second = rng.spawn(2)
+        self.lines = Line(config, first), Line(config, second)
+        there, back = self.lines
+        self.ends = VirtualChannel(self, there, back), VirtualChannel(self, back, there)
+
+    def next_arrival(self) -> float:
+        """When a byte arrives at either end [s]; infinity if none is on the way."""
+        return min(line.next_arrival() for line in self.lines)
+
+
+class PtyModems:
+    """Two modems between two pseudo-terminals, at the real pace, in a thread.
+
+    Attributes:
+        ports: Device paths for the two computers.
+        lines: From the first to the second port, and back.
+    """
+
+    def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:
+        """Open the ports and begin; `rng` draws the errors of both directions."""
+        first, second = rng.spawn(2)
+        self.lines = Line(config, first), Line(config, second)
+        self._ends = PseudoTerminal(), PseudoTerminal()
+        self.ports = self._ends[0].name, self._ends[1].name
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="modems", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop, and take the ports away."""
+        if not self._ending.is_set():
+            self._ending.set()
+            self._thread.join()
+            for end in self._ends:
+                end.close()
+
+    def __enter__(self) -> PtyModems:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _serve(self) -> None:
+        directions = tuple(zip(self._ends, self.lines, reversed(self._ends)))
+        while not self._ending.is_set():
+            arrival = min(line.next_arrival() for line in self.lines)
+            wait = min(max(0.0, arrival - time.monotonic()), _MAX_WAIT)
+            ready, _, _ = select.select(self._ends, [], [], wait)
+            now = time.monotonic()
+            for source, line, target in directions:
+                if source in ready:
+                    line.put(source.read(), now)
+                arrived = line.take(now)
+                if arrived:
+                    target.write(arrived)

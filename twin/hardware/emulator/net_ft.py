@@ -1,0 +1,108 @@
+"""An ATI Net F/T's raw data transfer (RDT): answers datagrams; sockets are the caller's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+
+from twin.hardware.force_torque import (
+    MONITOR_LATCHED,
+    RECORD_SIZE,
+    RESET_LATCH,
+    SET_BIAS,
+    START_BUFFERED,
+    START_REALTIME,
+    STOP,
+    Record,
+    decode_request,
+    encode_record,
+)
+
+_MODULUS = 1 << 32
+_LARGEST = (1 << 31) - 1
+_MOST_AT_ONCE = 100  # Records sent in one `due`; after a pause, the older ones are left out.
+
+
+class NetFT:
+    """The sensor's state and answers."""
+
+    def __init__(
+        self,
+        counts: Callable[[], tuple[int, ...]],
+        rate: float = 7000.0,
+        output_rate: float = 7000.0,
+        buffer: int = 40,
+    ) -> None:
+        """Power the sensor up.
+
+        Args:
+            counts: The six counts before bias, in the sensor's frame.
+            rate: Internal samples a second [Hz].
+            output_rate: Records a second of a stream [Hz].
+            buffer: Records in a datagram of a buffered stream.
+        """
+        self._counts, self._rate = counts, rate
+        self._period, self._buffer = 1.0 / output_rate, buffer
+        self.status = 0
+        self.power_cycle(0.0)
+
+    def power_cycle(self, now: float) -> None:
+        """Start again at `now` [s]: no stream, no bias, samples counted from 0."""
+        self._started = now
+        self._bias = (0,) * 6
+        self._client: Hashable | None = None
+        self._left: int | None = None  # Records still to be sent; None is without end.
+        self._next = 0.0  # Time of the next record [s].
+        self._rdt_sequence = 0
+        self._in_datagram = 1
+        self._pending = b""
+
+    def answer(self, datagram: bytes, address: Hashable, now: float) -> list[bytes]:
+        """Take a datagram, and return those that go back to its sender at once.
+
+        Args:
+            datagram: What came; anything but a request is ignored.
+            address: Of the sender, kept for the stream that it may start.
+            now: Time [s].
+        """
+        request = decode_request(datagram)
+        if request is None:
+            return []
+        command, samples = request
+        if command in (START_REALTIME, START_BUFFERED):
+            self._client = address
+            self._left = samples or None
+            self._rdt_sequence, self._next, self._pending = 0, now, b""
+            self._in_datagram = self._buffer if command == START_BUFFERED else 1
+            return [sent for sent, _ in self.due(now)]
+        if command == STOP:
+            self._client = None
+        elif command == SET_BIAS:
+            self._bias = tuple(int(count) for count in self._counts())
+        elif command == RESET_LATCH and self.status == MONITOR_LATCHED:
+            self.status = 0
+        return []
+
+    def due(self, now: float) -> list[tuple[bytes, Hashable]]:
+        """Return the datagrams of the present stream that are due at `now` [s], with addresses."""
+        if self._client is not None:
+            self._next = max(self._next, now - _MOST_AT_ONCE * self._period)
+        sent: list[tuple[bytes, Hashable]] = []
+        while self._client is not None and self._next <= now:
+            self._pending += encode_record(self._record(self._next))
+            self._next += self._period
+            if self._left is not None:
+                self._left -= 1
+            last = self._left == 0
+            if last or len(self._pending) >= self._in_datagram * RECORD_SIZE:
+                sent.append((self._pending, self._client))
+                self._pending = b""
+            if last:
+                self._client = None
+        return sent
+
+    def _record(self, time: float) -> Record:
+        self._rdt_sequence = (self._rdt_sequence + 1) % _MODULUS
+        sample = int((time - self._started) * self._rate) % _MODULUS
+        values = (int(count) - zero for count, zero in zip(self._counts(), self._bias))
+        kept = tuple(min(max(value, -_LARGEST - 1), _LARGEST) for value in values)
+        return Record(self._rdt_sequence, sample, self.status, kept)

@@ -1,0 +1,49 @@
+"""Where emulated devices are reached: pseudo-terminals, which no network sees."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pty
+import tty
+from typing import Protocol
+
+
+class SerialDevice(Protocol):
+    """A board on a serial line."""
+
+    def feed(self, data: bytes, now: float) -> bytes:
+        """Take what came on the wire at `now` [s], and return what the board answers."""
+        ...
+
+
+class PseudoTerminal:
+    """A raw pseudo-terminal; the device sits on this side, the host opens `name`."""
+
+    def __init__(self) -> None:
+        """Open the pair."""
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.name = os.ttyname(self._slave)
+
+    def fileno(self) -> int:
+        """Return the device's end, for `select`."""
+        return self._master
+
+    def read(self) -> bytes:
+        """Return what the host sent, without waiting."""
+        try:
+            return os.read(self._master, 4096)
+        except (BlockingIOError, OSError):
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send to the host; what its full buffer does not take is lost, as on a wire."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._master, data)
+
+    def close(self) -> None:
+        """Take the port away."""
+        os.close(self._master)
+        os.close(self._slave)

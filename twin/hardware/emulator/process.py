@@ -1,0 +1,108 @@
+"""Emulated boards in a process of their own, and its clock."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from typing import IO, Any, cast
+
+from twin.hardware.emulator.scene import SceneConfig
+from twin.hardware.link import LinkError
+
+
+class EmulatorProcess:
+    """A running emulator; time passes by `tick`, or by itself if it runs in real time.
+
+    Attributes:
+        ports: By robot: paths of "bus" and "analogue", UDP port of "wrench".
+        period: Servo tick [s].
+        time: Of the last tick [s].
+    """
+
+    def __init__(
+        self,
+        scene: SceneConfig,
+        line_faults: float = 0.0,
+        realtime: bool = False,
+    ) -> None:
+        """Start the process and wait until its boards have power.
+
+        Args:
+            scene: What is emulated.
+            line_faults: Share of the exchanges with the motor boards that are damaged.
+            realtime: Whether time passes by itself.
+
+        Raises:
+            LinkError: If it does not start.
+        """
+        table = {
+            "robots": [dataclasses.asdict(robot) for robot in scene.robots],
+            "field": dataclasses.asdict(scene.field),
+            "seed": scene.seed,
+            "settling": scene.settling,
+            "calibrations": {name: str(path) for name, path in scene.calibrations.items()},
+        }
+        command = [sys.executable, "-m", "twin.hardware.emulator", "--scene", json.dumps(table)]
+        command += ["--line-faults", str(line_faults)]
+        command += ["--realtime"] if realtime else []
+        self._process = subprocess.Popen(  # noqa: S603
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+        )
+        begun = self._read()
+        self.ports: dict[str, dict[str, Any]] = begun["ports"]
+        self.period: float = begun["period"]
+        self.time: float = begun["time"]
+
+    def tick(self) -> None:
+        """Advance by one servo tick.
+
+        Raises:
+            LinkError: If the process is gone.
+        """
+        self.time = self._ask({"do": "tick"})["time"]
+
+    def inject(self, robot: str, kind: str, duration: float = 1e9, address: int = 0x80) -> None:
+        """Let a fault begin at the next tick.
+
+        Args:
+            robot: It happens to.
+            kind: Value of `emulator.faults.RobotFault`.
+            duration: [s].
+            address: Of the motor board concerned.
+        """
+        order = {"do": "fault", "robot": robot, "time": self.time, "kind": kind}
+        self._ask({**order, "duration": duration, "address": address})
+
+    def state(self) -> dict[str, Any]:
+        """Return, by robot, what a person beside it could measure."""
+        return self._ask({"do": "state"})
+
+    def close(self) -> None:
+        """Stop the process."""
+        cast("IO[str]", self._process.stdin).close()
+        try:
+            self._process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        cast("IO[str]", self._process.stdout).close()
+
+    def _ask(self, order: dict[str, Any]) -> dict[str, Any]:
+        try:
+            stream = cast("IO[str]", self._process.stdin)
+            stream.write(json.dumps(order) + "\n")
+            stream.flush()
+        except (OSError, ValueError) as error:
+            raise LinkError(f"the emulator is gone ({error})") from None
+        return self._read()
+
+    def _read(self) -> dict[str, Any]:
+        line = cast("IO[str]", self._process.stdout).readline()
+        if not line:
+            raise LinkError("the emulator ended; its own message stands above")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise LinkError(f"emulator: {answer['error']}")
+        return answer

@@ -1,0 +1,121 @@
+"""What the boards of one emulated rover are wired to: amplifier, motors, encoders, sensors."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.hardware.calibration import Calibration
+from twin.hardware.emulator.amplifier import (
+    AmplifierConfig,
+    converter_codes,
+    current_limit,
+    motor_current,
+    motor_volts,
+)
+from twin.robot import Command, FloatArray
+from twin.sensors import DATASHEET, IDEAL, ChannelSpec, SensorSuite
+from twin.sim_robot import AXES, SimRobot
+
+IntArray = NDArray[np.int64]
+
+_TILT = DATASHEET.channels["inclinometer"]
+ANALOGUE_SENSORS = SensorSuite(
+    "analogue",
+    {
+        **IDEAL.channels,
+        # The converter samples whenever it is asked; range and counts are the board's.
+        "inclinometer": dataclasses.replace(
+            _TILT, rate=None, low=-np.inf, high=np.inf, stale_after=None
+        ),
+        "arm_base_wrench": DATASHEET.channels["arm_base_wrench"],
+        "accelerometer": ChannelSpec(connected=False),
+        "gyro": ChannelSpec(connected=False),
+        "heading": ChannelSpec(connected=False),
+    },
+)
+"""What reaches the boards, before they make counts of it."""
+
+
+class EmulatedRover:
+    """Counts and voltages of one simulated rover, as its boards see them."""
+
+    def __init__(
+        self,
+        robot: SimRobot,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        calibration: Calibration,
+        amplifier: AmplifierConfig | None = None,
+    ) -> None:
+        """Wire a rover up, and activate it: its boards have power.
+
+        Args:
+            robot: With the suite `ANALOGUE_SENSORS`.
+            model: Its scene.
+            data: The scene's state.
+            calibration: How its boards count.
+            amplifier: Its power stage.
+        """
+        self.calibration = calibration
+        self.codes = np.zeros(8, dtype=np.int64)
+        self.battery = 12.0
+        self._robot = robot
+        self._data = data
+        self._config = amplifier or AmplifierConfig()
+        joints = [model.joint(f"{robot.name}/{axis}_joint") for axis in AXES]
+        self._positions = np.array([int(joint.qposadr[0]) for joint in joints])
+        self._velocities = np.array([int(joint.dofadr[0]) for joint in joints])
+        self._high_time = np.zeros(8)
+        self._currents = np.zeros(8)
+        robot.activate()
+
+    @property
+    def name(self) -> str:
+        """Of the robot."""
+        return self._robot.name
+
+    def angles(self) -> FloatArray:
+        """Return the shafts' true angles (8,) [rad]."""
+        return self._data.qpos[self._positions].copy()
+
+    def counts(self) -> IntArray:
+        """Return encoder counts (8,) since the model's zero, unwrapped."""
+        return self.calibration.drive.counts(self.angles())
+
+    def currents(self) -> FloatArray:
+        """Return the motor currents (8,) of the present tick [A]."""
+        return self._currents
+
+    def drive(self, period: float) -> None:
+        """Bring the duty codes to the motors for one tick of `period` [s]."""
+        config = dataclasses.replace(self._config, battery=self.battery)
+        codes = converter_codes(self.calibration.drive.duties(self.codes), config)
+        speeds = self._data.qvel[self._velocities]
+        limit = current_limit(self._high_time, config)
+        self._currents = motor_current(codes, speeds, config, limit)
+        high = np.abs(self._currents) >= 0.999 * config.continuous_current
+        self._high_time = np.where(high, self._high_time + period, 0.0)
+        volts = motor_volts(codes, speeds, config, limit)
+        duty = np.clip(volts / self._config.battery, -1.0, 1.0)
+        self._robot.command(Command(duty[:4], duty[4:]))
+
+    def analogue(self, pin: int) -> int:
+        """Return what the converter makes of an input; zero where nothing is wired."""
+        tilt, board = self.calibration.inclinometer, self.calibration.analogue
+        seen = self._robot.observe()
+        for sensor, angle in (
+            (tilt.pitch, seen.inclinometer.value[0]),
+            (tilt.roll, seen.inclinometer.value[1]),
+            (board.centre, seen.centre_angle.value[0]),
+        ):
+            if sensor.pin == pin:
+                return int(board.angle_codes(angle, sensor))
+        return 0
+
+    def wrench(self) -> IntArray:
+        """Return the counts (6,) of the force/torque sensor."""
+        return self.calibration.force_torque.counts(self._robot.observe().arm_base_wrench.value)

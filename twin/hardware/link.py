@@ -1,0 +1,88 @@
+"""A serial port with deadlines, and what may go wrong on it."""
+
+from __future__ import annotations
+
+import select
+import time
+
+import serial
+
+
+class LinkError(RuntimeError):
+    """A device did not answer as it must, after all retries."""
+
+
+class SerialLink:
+    """Bytes to and from one port; every call returns by its deadline."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        """Open the port.
+
+        Args:
+            port: Device path.
+            baud: Bits a second; a pseudo-terminal ignores it.
+
+        Raises:
+            LinkError: If the port cannot be opened.
+        """
+        self.port = port
+        try:
+            self._serial = serial.Serial(port, baud, timeout=0, write_timeout=0.05, exclusive=True)
+        except (serial.SerialException, ValueError) as error:
+            raise LinkError(
+                f"{port}: cannot be opened ({error}); is the board plugged in?"
+            ) from None
+
+    def write(self, data: bytes) -> None:
+        """Send bytes.
+
+        Raises:
+            LinkError: If the port is gone or does not take them.
+        """
+        try:
+            self._serial.write(data)
+        except (serial.SerialException, OSError) as error:
+            raise LinkError(f"{self.port}: {error}") from None
+
+    def read(self, count: int, deadline: float) -> bytes:
+        """Return up to `count` bytes: fewer if they are not there by `deadline`.
+
+        Args:
+            count: Bytes wanted.
+            deadline: On the clock of `time.monotonic` [s]; one that has passed takes what is there.
+
+        Raises:
+            LinkError: If the port is gone.
+        """
+        received = bytearray()
+        while len(received) < count:
+            remaining = max(0.0, deadline - time.monotonic())
+            try:
+                ready, _, _ = select.select([self._serial.fileno()], [], [], remaining)
+                if not ready:
+                    break
+                received += self._serial.read(count - len(received))
+            except (serial.SerialException, OSError) as error:
+                raise LinkError(f"{self.port}: {error}") from None
+        return bytes(received)
+
+    def drain(self, quiet: float, most: float = 0.05) -> int:
+        """Discard input until nothing came for `quiet` [s], but no longer than `most` [s].
+
+        Returns:
+            The number of bytes discarded.
+
+        Raises:
+            LinkError: If the port is gone.
+        """
+        end, count = time.monotonic() + most, 0
+        while True:
+            now = time.monotonic()
+            dropped = self.read(4096, now) or self.read(1, min(now + quiet, end))
+            count += len(dropped)
+            if not dropped or time.monotonic() >= end:
+                return count
+
+    def close(self) -> None:
+        """Close the port."""
+        self._serial.close()

@@ -1,0 +1,92 @@
+"""Frames on the radio's line: COBS(kind and age, session, sequence, body, CRC-16), zero.
+
+The CRC has the polynomial of CRC-16/XMODEM, 0x1021, but begins with ones and is inverted
+(CRC-16/GENIBUS). XMODEM is blind to zeros put before the data or behind the CRC, and in COBS one
+byte hit at either end does just that: of 1000 messages at 1 % of bytes hit, two were wrong.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, NamedTuple
+
+import fastcrc
+from cobs import cobs as _untyped  # pyright: ignore[reportMissingTypeStubs]
+
+_cobs: Any = _untyped
+
+_HEADER = struct.Struct(">BHB")  # kind << 4 | age, session, sequence
+_CRC = struct.Struct(">H")
+
+
+class Frame(NamedTuple):
+    """What a frame says.
+
+    Attributes:
+        kind: What the body is, 0 to 15.
+        age: How many sequence numbers back the sender's oldest unconfirmed message is, 0 to 15.
+        session: Of the sender of the messages that are numbered, 0 to 65535.
+        sequence: Number of a message, 0 to 255.
+        body: At least one byte.
+    """
+
+    kind: int
+    age: int
+    session: int
+    sequence: int
+    body: bytes
+
+
+def encode_frame(frame: Frame) -> bytes:
+    """Return a frame as it goes on the line."""
+    head = _HEADER.pack(frame.kind << 4 | frame.age, frame.session, frame.sequence)
+    data = head + frame.body
+    encoded: bytes = _cobs.encode(data + _CRC.pack(fastcrc.crc16.genibus(data)))
+    return encoded + b"\0"
+
+
+class FrameParser:
+    """Cuts a stream of bytes into frames; what is no frame is counted and dropped."""
+
+    def __init__(self, message_limit: int) -> None:
+        """Hold no more than the longest frame of `message_limit` [bytes]."""
+        length = _HEADER.size + message_limit + _CRC.size
+        self._most: int = _cobs.max_encoded_length(length)
+        self._buffer = bytearray()
+        self._overlong = False
+        self.rejected = 0
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Take bytes, and return the frames that they complete."""
+        frames: list[Frame] = []
+        pieces = data.split(b"\0")
+        for piece in pieces[:-1]:
+            self._extend(piece)
+            frame = None if self._overlong else _decode_frame(self._buffer)
+            if frame is not None:
+                frames.append(frame)
+            elif self._buffer or self._overlong:
+                self.rejected += 1
+            self._buffer.clear()
+            self._overlong = False
+        self._extend(pieces[-1])
+        return frames
+
+    def _extend(self, piece: bytes) -> None:
+        self._overlong = self._overlong or len(self._buffer) + len(piece) > self._most
+        if not self._overlong:
+            self._buffer += piece
+
+
+def _decode_frame(data: bytes | bytearray) -> Frame | None:
+    try:
+        plain: bytes = _cobs.decode(data)
+    except _cobs.DecodeError:
+        return None
+    if len(plain) <= _HEADER.size + _CRC.size:
+        return None
+    content = plain[: -_CRC.size]
+    if _CRC.pack(fastcrc.crc16.genibus(content)) != plain[-_CRC.size :]:
+        return None
+    mixed, session, sequence = _HEADER.unpack_from(content)
+    return Frame(mixed >> 4, mixed & 0xF, session, sequence, content[_HEADER.size :])
