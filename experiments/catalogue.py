@@ -54,5 +54,6 @@ EXPERIMENTS: dict[str, Experiment] = {experiment.name: experiment for experiment
 # name -> (module with main(arguments) -> exit status, summary)
 COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("experiments.doctor", "versions, renderer, and what is missing on this machine"),
+    "calibrate": ("experiments.calibrate", "a person calibrates a real robot's inclinometer"),
     "report": ("experiments.report", "all results beside the thesis' in OUT/report.html"),
 }

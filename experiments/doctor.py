@@ -12,11 +12,14 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from experiments import provenance
 from experiments.command_line import parse
+from experiments.contract import OptionError
+from experiments.doctor_robot import examine_robot, wiring_of
+from experiments.findings import Finding
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PROBE_TIMEOUT = 60.0  # [s]
@@ -34,42 +37,46 @@ MESA_DRIVERS = "libgl1-mesa-dri"
 
 @dataclasses.dataclass(frozen=True)
 class DoctorOptions:
-    """The doctor has no options."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Finding:
-    """One line of the doctor's report.
+    """Options of the doctor.
 
     Attributes:
-        what: What was looked at.
-        value: What was found.
-        remedy: What to do about it; empty when it is in order.
-        required: Whether the project cannot work without it.
+        robot: Look at this robot too, before it moves: serial:PORT[,NAME=VALUE...], or emulated.
+        patience: How long to wait for a person at the e-stop [s].
     """
 
-    what: str
-    value: str
-    remedy: str = ""
-    required: bool = True
+    robot: str = ""
+    patience: float = 30.0
 
-    @property
-    def fatal(self) -> bool:
-        """True when something required is missing."""
-        return bool(self.remedy) and self.required
+    def __post_init__(self) -> None:
+        """Refuse a wait that is none, and robots without boards.
+
+        Raises:
+            OptionError: Naming the option.
+        """
+        if not 0.0 < self.patience <= 3600.0:
+            raise OptionError(f"--patience: expected 0 to 3600 s, got {self.patience}")
+        if self.robot not in ("", "emulated"):
+            wiring_of(self.robot)
 
 
 def main(arguments: Sequence[str]) -> int:
     """Print the findings; return 1 if something required is missing, else 0."""
-    parse(DoctorOptions, "doctor", "What is here and what is missing.", arguments)
-    findings = [*examine_python(), *examine_packages(pins(CHECKOUT)), *examine_rendering()]
-    for finding in findings:
-        mark = "MISSING" if finding.fatal else "note" if finding.remedy else "ok"
-        remedy = f"  -> {finding.remedy}" if finding.remedy else ""
-        print(f"{mark:8}{finding.what:24}{finding.value}{remedy}")
-    failed = sum(finding.fatal for finding in findings)
-    print(f"{failed} required things are missing" if failed else "all required things are here")
+    options = parse(DoctorOptions, "doctor", "What is here and what is missing.", arguments)
+    failed = 0
+    for finding in _findings(options):
+        print(finding.line, flush=True)
+        failed += finding.fatal
+    print(f"{failed} required things are missing or not well" if failed else "all required is here")
     return 1 if failed else 0
+
+
+def _findings(options: DoctorOptions) -> Iterator[Finding]:
+    """Look at the machine, then at the robot if there is one."""
+    yield from examine_python()
+    yield from examine_packages(pins(CHECKOUT))
+    yield from examine_rendering()
+    if options.robot:
+        yield from examine_robot(options.robot, options.patience)
 
 
 def examine_python() -> list[Finding]:

@@ -28,9 +28,8 @@ TARGETS: Mapping[str, str] = {
     "sim": "simulated rovers, sensors as in the datasheets",
     "quantised": "simulated rovers that count as their boards do, without wires",
     "emulated": "boards emulated in another process, over their real protocols",
-    "serial:PORT[,analogue=PORT][,wrench=HOST][,robot=NAME][,calibration=FILE][,most_days=N]": (
-        "real boards"
-    ),
+    "serial:PORT[,analogue=PORT][,wrench=HOST][,robot=NAME][,calibration=FILE][,most_days=N]"
+    "[,home=YAW:SHOULDER:ELBOW:WRIST]": "real boards; home: the arm's angles in its jig [rad]",
 }
 """What `connect` offers."""
 

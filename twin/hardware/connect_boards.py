@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import math
 import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -25,10 +26,12 @@ from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 from twin.hardware.firmata import BAUD, AnalogueBoard
 from twin.hardware.force_torque import PORT, NetForceTorque
 from twin.hardware.link import SerialLink
-from twin.hardware.roboclaw import RoboClawBus
+from twin.hardware.roboclaw import BusTiming, RoboClawBus
 
 BUS_BAUD = 460800
 """Four boards, twice a cycle, at 100 Hz need so much."""
+_PATIENCE = 0.25
+"""Longest call of boards whose time stands still meanwhile [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +45,10 @@ class Wiring:
         robot: Whose boards they are.
         calibration: Its file; the repository's own unless given.
         most_days: Largest age of the calibration [days].
+        home: Joint angles (4,) in which the arm stands in its jig [rad]; empty if it is not.
         emulated: Whether they are emulated, so that an old calibration is as good as a new one.
+        patient: Whether their time stands still while they are asked. Then a call may take long,
+            and a busy machine changes nothing.
     """
 
     bus: str
@@ -51,7 +57,9 @@ class Wiring:
     robot: str = "rover1"
     calibration: Path | None = None
     most_days: int = MOST_DAYS
+    home: tuple[float, ...] = ()
     emulated: bool = False
+    patient: bool = False
 
     @classmethod
     def parse(cls, words: str) -> Wiring:
@@ -59,14 +67,15 @@ class Wiring:
 
         Args:
             words: "/dev/ttyACM0,analogue=/dev/ttyACM1,wrench=192.168.1.1,robot=rover1,
-                calibration=FILE,most_days=365"; all but the first may be left out.
+                calibration=FILE,most_days=365,home=0:0.9:-1.4:0.1"; all but the first may be left
+                out. `home` are the joint angles in which the arm stands now [rad].
 
         Raises:
             ValueError: Naming the word that is wrong, and those that there are.
         """
         bus, *others = words.split(",")
         options: dict[str, str] = {}
-        names = ("analogue", "wrench", "robot", "calibration", "most_days")
+        names = ("analogue", "wrench", "robot", "calibration", "most_days", "home")
         for word in others:
             name, equals, value = word.partition("=")
             if not equals or name not in names:
@@ -77,17 +86,22 @@ class Wiring:
             options[name] = value
         if not bus:
             raise ValueError("serial: name the motor boards' port first, as serial:/dev/ttyACM0")
-        path, days = options.pop("calibration", None), options.pop("most_days", str(MOST_DAYS))
+        _, colon, port = options.get("wrench", "").partition(":")
+        if colon and not (port.isdecimal() and 0 < int(port) < 65536):
+            raise ValueError(
+                f"serial: wrench={options['wrench']} has no port number behind its colon"
+            )
+        days, path = options.get("most_days", str(MOST_DAYS)), options.get("calibration")
         if not days.isdecimal():
             raise ValueError(f"serial: most_days={days} is no whole number of days")
-        file = Path(path) if path else None
         return cls(
             bus,
             options.get("analogue", ""),
             options.get("wrench", ""),
             options.get("robot", "rover1"),
-            file,
+            Path(path) if path else None,
             int(days),
+            _joint_angles(options.get("home", "")),
         )
 
     def load_calibration(self) -> Calibration:
@@ -101,30 +115,55 @@ class Wiring:
         return load_calibration(path, self.robot, today, self.most_days)
 
 
+def _joint_angles(words: str) -> tuple[float, ...]:
+    try:
+        angles = tuple(float(word) for word in words.split(":") if words)
+    except ValueError:
+        angles = (math.nan,)
+    if angles and not (len(angles) == 4 and all(map(math.isfinite, angles))):
+        raise ValueError(f"serial: home={words} is not four joint angles [rad], as 0:0.9:-1.4:0.1")
+    return angles
+
+
 def open_boards(wiring: Wiring, calibration: Calibration) -> WiredBoards:
     """Open every port that the user named, and no other.
 
     Raises:
         LinkError: If one cannot be opened.
     """
+    timing = BusTiming(call=_PATIENCE) if wiring.patient else BusTiming()
     with contextlib.ExitStack() as opened:
-        bus = RoboClawBus(SerialLink(wiring.bus, BUS_BAUD))
+        bus = RoboClawBus(SerialLink(wiring.bus, BUS_BAUD), timing)
         opened.callback(bus.close)
         analogue = force_torque = None
         if wiring.analogue:
-            analogue = AnalogueBoard(SerialLink(wiring.analogue, BAUD))
+            analogue = _analogue_board(wiring)
             opened.callback(analogue.close)
             analogue.open()
         if wiring.wrench:
-            host, _, port = wiring.wrench.partition(":")
-            # The calibration converts: counts pass as they are.
-            force_torque = NetForceTorque(host, 1.0, 1.0, int(port) if port else PORT)
+            force_torque = _force_torque(wiring)
         opened.pop_all()
     return WiredBoards(bus, calibration, analogue, force_torque)
 
 
+def _analogue_board(wiring: Wiring) -> AnalogueBoard:
+    link = SerialLink(wiring.analogue, BAUD)
+    if wiring.patient:
+        return AnalogueBoard(link, deadline=_PATIENCE, silence=_PATIENCE / 5)
+    return AnalogueBoard(link)
+
+
+def _force_torque(wiring: Wiring) -> NetForceTorque:
+    host, _, port = wiring.wrench.partition(":")
+    number = int(port) if port else PORT
+    # The calibration converts: counts pass as they are.
+    if wiring.patient:
+        return NetForceTorque(host, 1.0, 1.0, number, _PATIENCE)
+    return NetForceTorque(host, 1.0, 1.0, number)
+
+
 def wired_robot(wiring: Wiring, clock: Callable[[], float]) -> BoardRobot:
-    """Return a configured robot over its wires.
+    """Return a configured robot over its wires, homed if the wiring tells its pose.
 
     Raises:
         CalibrationError: If its calibration cannot be used.
@@ -136,6 +175,8 @@ def wired_robot(wiring: Wiring, clock: Callable[[], float]) -> BoardRobot:
     robot = BoardRobot(wiring.robot, boards, calibration, clock)
     try:
         robot.configure()
+        if wiring.home:
+            robot.home(np.array(wiring.home))
     except BaseException:
         robot.close()
         raise
@@ -153,6 +194,8 @@ def emulated_wiring(emulator: EmulatorProcess, scene: SceneConfig, robot: str) -
 def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, BoardRobot]:
     """Return homed robots over the boards of an emulator.
 
+    The emulator's time must pass by ticks.
+
     Raises:
         LinkError: If a port cannot be opened.
         RobotError: If a board does not answer.
@@ -161,6 +204,7 @@ def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, 
     robots: dict[str, BoardRobot] = {}
     for placement in scene.robots:
         wiring = emulated_wiring(emulator, scene, placement.name)
+        wiring = dataclasses.replace(wiring, patient=True)
         robot = wired_robot(wiring, lambda: emulator.time)
         robot.home(np.array(state[placement.name]["arm_angles"]))
         robots[placement.name] = robot

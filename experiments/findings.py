@@ -1,0 +1,34 @@
+"""What the doctor finds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Finding:
+    """One line of the doctor's report.
+
+    Attributes:
+        what: What was looked at.
+        value: What was found.
+        remedy: What to do about it; empty when it is in order.
+        required: Whether the project cannot work without it.
+    """
+
+    what: str
+    value: str
+    remedy: str = ""
+    required: bool = True
+
+    @property
+    def fatal(self) -> bool:
+        """True when something required is missing."""
+        return bool(self.remedy) and self.required
+
+    @property
+    def line(self) -> str:
+        """As it is printed."""
+        mark = "PROBLEM" if self.fatal else "note" if self.remedy else "ok"
+        remedy = f"  -> {self.remedy}" if self.remedy else ""
+        return f"{mark:8}{self.what:24}{self.value}{remedy}"
