@@ -34,6 +34,8 @@ FloatArray = NDArray[np.float64]
 CHI_SQUARE_TOLERANCE = 0.01
 """How far chi^2 per measurement may lie from 1 before the fit is refused."""
 
+SMALLEST_GAIN = 1e-4
+"""Of half the squared residuals, at which a fit has converged: 0.014 standard deviations away."""
 
 SUBSTEPS = 2
 """Integration steps a sample: one would leave 0.3 % in the angular accelerations, a bias."""
@@ -210,23 +212,28 @@ class OutputError:
         normal, states = linearised
         objective = self._objective(theta, normal)
         damping, count = 1e-3, 0
-        while count < iterations:
+        while count < iterations and self._gain_left(theta, normal) > SMALLEST_GAIN:
             count += 1
             candidate = self._held(theta, self._step_from(theta, normal, damping))
             step = candidate - theta
             other, other_states = self._linearise(candidate)
             improved = self._objective(candidate, other)
             if np.isfinite(improved) and improved < objective:
-                gain, objective = objective - improved, improved
+                objective = improved
                 theta, damping = candidate, damping / 10
                 normal, states = other, other_states
-                if gain < 1e-3:
-                    break
             elif np.abs(step).max() < 1e-6 or damping > 1e8:
                 break
             else:
                 damping *= 10
         return self._summary(theta, normal, count), (normal, states)
+
+    def _gain_left(self, theta: FloatArray, normal: _Normal) -> float:
+        """Return what a full Newton step promises to gain of half the squared residuals."""
+        _, pull, precision = self._prior.term(theta)
+        gradient = normal.gradient - pull
+        step = np.linalg.solve(normal.information + precision, gradient)
+        return 0.5 * float(gradient @ step)
 
     def _objective(self, theta: FloatArray, normal: _Normal) -> float:
         return 0.5 * normal.cost + self._prior.term(theta)[0]
