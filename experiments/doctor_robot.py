@@ -252,7 +252,8 @@ def _stop_finding(boards: WiredBoards, patient: Patient) -> Finding:
         return Finding("e-stop", f"not seen by {deaf}", remedy)
     stuck = _await_stop(boards, pressed=False, patience=patient.patience)
     if stuck:
-        return Finding("e-stop", f"still pressed, says {stuck}", "release it")
+        remedy = "release it; some firmware wants its power switched off and on"
+        return Finding("e-stop", f"still pressed, says {stuck}", remedy)
     return Finding("e-stop", "seen and released on every board")
 
 
