@@ -24,8 +24,9 @@ Slip is seen in the yaw rate of the base, the leaky integral of its acceleration
 the base only gives a little and comes back, so a slip is a turn by more than a small angle. While
 the arm's jerk sets the rover sliding, the filter blurs acceleration and wrench by a few ticks and u
 overshoots; while friction alone brakes the slide it does not. So the estimate is the median of u
-over the braking half of the slides with all wheels loaded, and the lower bound, for runs without a
-slip, is the greatest u less a margin for the overshoot.
+over the braking half of the slides with all wheels loaded, if that lasted for two windows of the
+filter at least: from fewer samples the median is chance. The lower bound, for all other runs, is
+the greatest u with all wheels loaded less a margin for the overshoot.
 """
 
 from __future__ import annotations
@@ -107,7 +108,8 @@ class FrictionConfig:
         memory: Time constant of the integral of the base's yaw acceleration [s].
         slip_rates: Yaw rates of the base from which it may slip, and surely slides [rad/s].
         slip_angle: Turn above which it was a slip [rad].
-        least_normal: Normal force below which a wheel no longer counts as loaded [N].
+        least_normal: Normal force below which a wheel no longer counts as loaded [N]: a quarter of
+            its share; where less is left, its errors count for too much.
         least_use: Part of a slide's usual friction in use below which the wheels hold again.
         wrench_error: (6,) standard deviation of the filtered wrench's difference to the known arm,
             joint accelerations' errors included [N, N m].
@@ -125,7 +127,7 @@ class FrictionConfig:
     memory: float = 0.4
     slip_rates: tuple[float, float] = (0.1, 0.2)
     slip_angle: float = 0.03
-    least_normal: float = 1.0
+    least_normal: float = 3.0
     least_use: float = 0.55
     wrench_error: tuple[float, ...] = (0.1, 0.1, 0.1, 0.02, 0.02, 0.02)
     base_spread: tuple[float, float] = (3.0, 20.0)
@@ -162,7 +164,7 @@ class FrictionEstimate:
 
     Attributes:
         slipped: Whether the rover slipped.
-        friction: The coefficient; NaN if it did not slip.
+        friction: The coefficient; NaN if it did not slip, or too briefly to tell.
         lower_bound: What it is at least.
         onset: Time of the first slip [s]; NaN if there was none.
         rolled: Whether a wheel rolled against its brake, so that not all of the motion was slip.
@@ -256,11 +258,13 @@ def estimate_friction(log: ObservationLog, config: FrictionConfig) -> FrictionEs
     slipping = slides(load, config)
     braking = brakes(load, slipping, config)
     slipped = bool(np.any(braking))
+    enough = np.count_nonzero(braking) >= 2 * config.window
     part, constant = config.margin
+    most = float(np.max(load.used[loaded(load, config)], initial=0.0))
     return FrictionEstimate(
         slipped=slipped,
-        friction=float(np.median(load.used[braking])) if slipped else float("nan"),
-        lower_bound=max(0.0, float(np.max(load.used)) * (1.0 - part) - constant),
+        friction=float(np.median(load.used[braking])) if enough else float("nan"),
+        lower_bound=max(0.0, most * (1.0 - part) - constant),
         onset=float(load.times[slipping][0]) if slipped else float("nan"),
         rolled=bool(np.max(np.abs(log.values("wheel_speeds"))) > config.rolling),
         load=load,
@@ -286,6 +290,11 @@ def slides(load: GroundLoad, config: FrictionConfig) -> BoolArray:
     return result
 
 
+def loaded(load: GroundLoad, config: FrictionConfig) -> BoolArray:
+    """Return (n,) whether all wheels pressed on the ground at each sample."""
+    return np.asarray(np.min(load.normals, axis=1) > config.least_normal)
+
+
 def brakes(load: GroundLoad, slipping: BoolArray, config: FrictionConfig) -> BoolArray:
     """Return (n,) whether friction alone braked a slide at each sample, with all wheels loaded.
 
@@ -297,7 +306,7 @@ def brakes(load: GroundLoad, slipping: BoolArray, config: FrictionConfig) -> Boo
         slipping: (n,) from `slides`.
         config: What counts.
     """
-    sliding = slipping & (np.min(load.normals, axis=1) > config.least_normal)
+    sliding = slipping & loaded(load, config)
     if not np.any(sliding):
         return sliding
     usual = config.least_use * np.quantile(load.used[sliding], 0.9)
