@@ -36,6 +36,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.appd_calibration",
     ),
     Experiment(
+        name="appd-boards",
+        summary="the rover through emulated boards with all their faults, and at 100 Hz",
+        thesis="figure D-3",
+        module="experiments.appd_boards",
+    ),
+    Experiment(
         name="appd-radio",
         summary="the thesis' radio handshake beside a link in frames, under byte errors",
         thesis="appendix D, inter-robot communication",

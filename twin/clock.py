@@ -123,8 +123,11 @@ class WallClock:
         return self._now() - self._start
 
     def tick(self) -> None:
-        """Wait for the next deadline; deadlines that have passed are counted and skipped."""
-        self._ticks += 1
+        """Wait for the next deadline; deadlines that have passed are counted and skipped.
+
+        Before the first one robots are set up; that misses nothing.
+        """
+        self._ticks = self._ticks + 1 if self._ticks else int(self.time / self.period) + 1
         remaining = self._ticks * self.period - self.time
         if remaining < 0.0:
             late = int(-remaining / self.period) + 1

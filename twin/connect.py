@@ -125,7 +125,10 @@ def connect(
 def _connect_quantised(config: SceneConfig) -> Connection:
     scene = EmulatedScene(config)
     robots = quantised_robots(scene)
-    return Connection(robots, TickClock(scene), scene.simulation)
+    resources = contextlib.ExitStack()
+    for robot in robots.values():
+        resources.callback(robot.close)
+    return Connection(robots, TickClock(scene), scene.simulation, None, resources)
 
 
 def _connect_emulated(config: SceneConfig, line_faults: float) -> Connection:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import threading
 import time
@@ -11,12 +12,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.hardware import roboclaw_codec as codec
 from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration import Calibration
 from twin.hardware.link import LinkError
 from twin.hardware.roboclaw_codec import Status
-from twin.robot import Command, FloatArray, Lifecycle, Observation, RobotError
+from twin.robot import NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
 from twin.servo import ROVER_SERVO, Servo, ServoConfig
 from twin.sim_robot import AXES
 
@@ -37,6 +39,8 @@ class BoardRobotConfig:
         sampling: Ages of the samples.
         period: Servo tick [s].
         lost_cycles: Consecutive cycles without a motor board after which the robot stops.
+        lost_time: Time without a motor board after which it stops [s]: one that is silent holds
+            the others up, until a cycle takes many periods.
         watchdog: Longest time between two commands while it drives [s].
         most_speed: Fastest that an output shaft can turn [rad/s]; a faster count is a jump.
     """
@@ -45,6 +49,7 @@ class BoardRobotConfig:
     sampling: SamplingConfig = SamplingConfig()
     period: float = 0.01
     lost_cycles: int = 3
+    lost_time: float = 0.1
     watchdog: float = 0.15
     most_speed: float = 30.0
 
@@ -88,6 +93,9 @@ class BoardRobot:
         self._servo = Servo(self._config.servo, self._config.period)
         self._lifecycle = Lifecycle.UNCONFIGURED
         self._homed = False
+        # Whether the boards acknowledged the zeros they were last sent.
+        self._zeroed = True
+        self._unheard = 0
         # The watchdog calls from another thread.
         self._lock = threading.RLock()
         self._sampled = self._commanded = -math.inf
@@ -110,13 +118,15 @@ class BoardRobot:
             RobotError: If a motor board does not answer.
         """
         with self._lock:
+            self._homed = False
+            self._lifecycle = Lifecycle.UNCONFIGURED
             try:
                 self.boards.configure()
-                self.boards.drive(np.zeros(8, dtype=np.int64))
+                self._zero()
                 self._begin()
             except LinkError as error:
                 raise RobotError(f"robot {self.name!r}: {error}") from error
-            self._homed = False
+            self._warm()
             self._lifecycle = Lifecycle.INACTIVE
 
     def home(self, angles: FloatArray) -> None:
@@ -140,8 +150,10 @@ class BoardRobot:
                 if np.any(np.abs(self._samples.arm_counts() - before) > _STILL):
                     raise RobotError(f"robot {self.name!r}: the arm moves; hold it still to home")
                 counts = self.calibration.drive.counts(np.concatenate([np.zeros(4), angles]))
+                # Until all counters are set, none of them means an angle.
+                self._homed = False
                 for axis in range(4, 8):
-                    self.boards.set_encoder(axis, int(counts[axis]))
+                    self.boards.set_encoder(axis, codec.signed_difference(int(counts[axis]), 0))
                 self._homed = True
                 self._begin()
             except LinkError as error:
@@ -159,10 +171,13 @@ class BoardRobot:
             if self._lifecycle is Lifecycle.UNCONFIGURED:
                 raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be activated")
             if not self._homed:
-                raise RobotError(f"robot {self.name!r} does not know where its arm is: home it")
+                raise RobotError(
+                    f"robot {self.name!r} does not know where its arm is: put it in its jig and "
+                    "home it (home=YAW:SHOULDER:ELBOW:WRIST [rad] after serial:PORT)"
+                )
             try:
                 self.boards.reset_e_stop()
-                self.boards.drive(np.zeros(8, dtype=np.int64))
+                self._zero()
                 for address in self.boards.addresses:
                     self._check_board(address)
                 self._begin()
@@ -170,6 +185,7 @@ class BoardRobot:
             except (LinkError, RobotError) as error:
                 raise self._fail(str(error)) from error
             self._servo.reset()
+            self._unheard = 0
             self.fault = ""
             self._commanded = self._clock()
             self._lifecycle = Lifecycle.ACTIVE
@@ -216,9 +232,12 @@ class BoardRobot:
             codes = self.calibration.drive.duty_codes(duty)
             try:
                 self.boards.drive(codes)
+                self._unheard = 0
             except LinkError as error:
-                # One cycle without an answer is borne, and counted where encoders are read.
-                if max(self._samples.lost.values()) >= self._config.lost_cycles - 1:
+                # Few cycles without an answer are borne; this one's encoders were read before.
+                self._unheard += 1
+                cycles = max(self._unheard, 1 + max(self._samples.lost.values()))
+                if cycles >= self._config.lost_cycles or self._lost_for_long():
                     raise self._fail(str(error)) from error
                 self.statistics.lost_boards += 1
             self._commanded = self._clock()
@@ -237,7 +256,7 @@ class BoardRobot:
                 return
             self._servo.reset()
             try:
-                self.boards.drive(np.zeros(8, dtype=np.int64))
+                self._zero()
             except LinkError as error:
                 raise self._fail(str(error)) from error
             if self._lifecycle is Lifecycle.ACTIVE:
@@ -263,12 +282,22 @@ class BoardRobot:
         self._sampled = self._clock()
         self._observation = self._samples.observation(self._homed)
 
+    def _warm(self) -> None:
+        """Load the servo's code for all kinds of arrays: half a second, too long while driving."""
+        for wheels, arm, rates in itertools.product((NOTHING, np.zeros(4)), repeat=3):
+            self._servo.duty(Command(wheels, arm, arm_rates=rates), self._observation)
+        self._servo.reset()
+
     def _judge(self) -> None:
         """Stop for what must not go on."""
         self.guard()
+        if self._lifecycle is Lifecycle.ERROR and not self._zeroed:
+            # A board that hears questions again does not time out any more.
+            self._stop()
         if self._lifecycle is not Lifecycle.ACTIVE:
             return
-        lost = [a for a, n in self._samples.lost.items() if n >= self._config.lost_cycles]
+        most = 1 if self._lost_for_long() else self._config.lost_cycles
+        lost = [a for a, n in self._samples.lost.items() if n >= most]
         jumped = np.flatnonzero(np.abs(self._samples.rates) > self._config.most_speed)
         try:
             if lost:
@@ -286,6 +315,9 @@ class BoardRobot:
         except RobotError as error:
             self._fail(str(error))
 
+    def _lost_for_long(self) -> bool:
+        return self._samples.silence > self._config.lost_time
+
     def _check_sensors(self) -> None:
         """Raise a RobotError if a sensor that the robot has cannot be believed."""
         needed = {
@@ -298,12 +330,11 @@ class BoardRobot:
                 raise RobotError(f"{name} is {channel.validity.value}")
 
     def _check_in_turn(self) -> None:
-        """Ask one board for its status, and now and then for all that it says of itself."""
-        cycle, boards = self.statistics.cycles, self.boards.addresses
-        address = boards[cycle % len(boards)]
-        if cycle % len(boards) == 0:
-            self._check_board(boards[cycle // len(boards) % len(boards)])
-        elif self.boards.status(address) & _STOPPING:
+        """Ask one board for its status; once a round, another one, for all it says of itself."""
+        boards = self.boards.addresses
+        turn, place = divmod(self.statistics.cycles, len(boards))
+        address = boards[place]
+        if place == turn % len(boards) or self.boards.status(address) & _STOPPING:
             self._check_board(address)
 
     def _check_board(self, address: int) -> None:
@@ -335,10 +366,15 @@ class BoardRobot:
         self.fault = reason
         return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
 
+    def _zero(self) -> None:
+        self._zeroed = False
+        self.boards.drive(np.zeros(8, dtype=np.int64))
+        self._zeroed = True
+
     def _stop(self) -> None:
         self._servo.reset()
         try:
-            self.boards.drive(np.zeros(8, dtype=np.int64))
+            self._zero()
         except LinkError:
             # What cannot be reached stops by its own timeout.
             self.statistics.lost_boards += 1

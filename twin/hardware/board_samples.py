@@ -91,6 +91,13 @@ class BoardSamples:
         """(8,) speeds of the output shafts [rad/s]."""
         return self._calibration.drive.rates(self._count_rates)
 
+    @property
+    def silence(self) -> float:
+        """For how long the boards that do not answer have been silent, at most [s]."""
+        now, axes = self._clock(), self._calibration.drive.axes
+        stamps = [self._stamps[axis] for axis, place in enumerate(axes) if self.lost[place.address]]
+        return max((now - float(stamp) for stamp in stamps), default=0.0)
+
     def begin(self) -> None:
         """Read everything, and count from here.
 
@@ -154,7 +161,10 @@ class BoardSamples:
             step = codec.signed_difference(raw, int(self._raw[axis]))
             elapsed = now - self._stamps[axis]
             if anew:
-                self._counts[axis], self._count_rates[axis] = raw, 0.0
+                # As near to zero as it can be: the counter may stand just beyond a wrap.
+                zero = int(self._calibration.drive.zero_counts[axis])
+                self._counts[axis] = zero + codec.signed_difference(raw, zero)
+                self._count_rates[axis] = 0.0
             elif elapsed > 0.0:
                 self._counts[axis] += step
                 self._count_rates[axis] = step / elapsed

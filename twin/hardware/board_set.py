@@ -164,6 +164,7 @@ class WiredBoards:
             address: [_axis_at(calibration, address, channel) for channel in (1, 2)]
             for address in self.addresses
         }
+        self._silent: set[int] = set()
 
     def configure(self) -> None:
         """Set timeouts and current limits, and read the limits back."""
@@ -201,10 +202,14 @@ class WiredBoards:
     def drive(self, codes: IntArray) -> None:
         """Set the duty codes of all axes."""
         failed: LinkError | None = None
-        for address, (one, two) in self._places.items():
+        # A board that was silent the last time does not hold the others up.
+        for address in sorted(self._places, key=self._silent.__contains__):
+            one, two = self._places[address]
             try:
                 self.bus.write(address, Command.DUTY_BOTH, _code(codes, one), _code(codes, two))
+                self._silent.discard(address)
             except LinkError as error:
+                self._silent.add(address)
                 failed = failed or error
         if failed is not None:
             raise failed
@@ -222,7 +227,10 @@ class WiredBoards:
         """Return the force/torque sensor's counts (6,)."""
         if self.force_torque is None:
             return None
-        reading = self.force_torque.read()
+        try:
+            reading = self.force_torque.read()
+        except LinkError:
+            return None
         return None if reading is None else np.rint(reading.wrench).astype(np.int64)
 
     def status(self, address: int) -> Status:

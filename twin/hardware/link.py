@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import time
 
@@ -27,22 +28,28 @@ class SerialLink:
         """
         self.port = port
         try:
-            self._serial = serial.Serial(port, baud, timeout=0, write_timeout=0.05, exclusive=True)
+            self._serial = serial.Serial(port, baud, timeout=0, exclusive=True)
         except (serial.SerialException, ValueError) as error:
             raise LinkError(
                 f"{port}: cannot be opened ({error}); is the board plugged in?"
             ) from None
 
     def write(self, data: bytes) -> None:
-        """Send bytes.
+        """Send bytes, without waiting: a port whose buffer is full is dead.
+
+        pyserial's write fails when this process, not the port, was held up for its timeout.
 
         Raises:
             LinkError: If the port is gone or does not take them.
         """
         try:
-            self._serial.write(data)
+            sent = os.write(self._serial.fileno(), data)
+        except BlockingIOError:
+            sent = 0
         except (serial.SerialException, OSError) as error:
             raise LinkError(f"{self.port}: {error}") from None
+        if sent < len(data):
+            raise LinkError(f"{self.port}: takes no bytes")
 
     def read(self, count: int, deadline: float) -> bytes:
         """Return up to `count` bytes: fewer if they are not there by `deadline`.

@@ -19,6 +19,20 @@ from twin.hardware.roboclaw_codec import Command, Status
 
 T = TypeVar("T")
 
+# Asked in turn to see the line clear: each answer tells which of them it belongs to, unless it is
+# later than a whole round, some 140 ms. All firmware answers them alike, and the servo cycle asks
+# other ones.
+_PROBES = (
+    Command.GET_LOGIC_VOLTAGE,
+    Command.GET_TEMPERATURE,
+    Command.GET_ENCODER_1,
+    Command.GET_ENCODER_2,
+    Command.GET_SPEED_1,
+    Command.GET_SPEED_2,
+    Command.GET_VELOCITY_PID_1,
+    Command.GET_VELOCITY_PID_2,
+)
+
 
 class Link(Protocol):
     """What the bus asks of a serial port; see `twin.hardware.link.SerialLink`."""
@@ -66,7 +80,7 @@ class BusStatistics:
         transactions: Calls.
         retries: Requests sent again.
         silent: Requests without an answer, or with a part of one.
-        refused: Answers whose checksum or acknowledgement was wrong.
+        refused: Answers whose checksum or acknowledgement was wrong, or with bytes behind them.
         stray: Bytes that nobody had asked for.
         failures: Calls that ended with a `LinkError`.
         worst_call: Longest call [s].
@@ -96,6 +110,7 @@ class RoboClawBus:
         self._timing = timing or BusTiming()
         # After a failure an answer may still be on its way; nothing is believed before it passed.
         self._suspect = True
+        self._turn = 0
         self._status_length: dict[int, int] = {}
 
     def read(self, address: int, command: Command) -> tuple[int, ...]:
@@ -114,7 +129,7 @@ class RoboClawBus:
             reply = self._ask(address, command, length, deadline)
             return self._judge(reply, length, codec.decode_reply(address, command, reply))
 
-        return self._call(f"{command.name} of board {address:#x}", address, exchange)
+        return self._call(f"{command.name} of board {address:#x}", address, command, exchange)
 
     def write(self, address: int, command: Command, *values: int) -> None:
         """Tell a board, and wait for its acknowledgement.
@@ -135,8 +150,7 @@ class RoboClawBus:
             reply = self._link.read(1, deadline)
             return self._judge(reply, 1, reply == bytes((codec.ACKNOWLEDGE,)) or None)
 
-        repeatable = command not in codec.NOT_REPEATABLE
-        self._call(f"{command.name} to board {address:#x}", address, exchange, repeatable)
+        self._call(f"{command.name} to board {address:#x}", address, command, exchange)
 
     def status(self, address: int) -> Status:
         """Return a board's status, of whichever layout its firmware has.
@@ -149,13 +163,14 @@ class RoboClawBus:
         def exchange(deadline: float) -> Status | None:
             length = self._status_length.get(address, 6)
             reply = self._ask(address, command, length, deadline)
-            payload = codec.checked(address, command, reply)
-            status = None if payload is None else codec.decode_status(payload)
-            if status is not None:
+            status = codec.decode_status_reply(address, reply)
+            if status is None:
+                self._status_length.pop(address, None)  # It may be another firmware by now.
+            else:
                 self._status_length[address] = len(reply)
             return self._judge(reply, len(reply) or length, status)
 
-        return self._call(f"status of board {address:#x}", address, exchange)
+        return self._call(f"status of board {address:#x}", address, command, exchange)
 
     def version(self, address: int) -> str:
         """Return a board's firmware version, as it names itself.
@@ -178,7 +193,7 @@ class RoboClawBus:
             text = None if payload is None else payload.decode("ascii", "replace").rstrip("\n\0")
             return self._judge(reply, len(reply) or 1, text)
 
-        return self._call(f"version of board {address:#x}", address, exchange)
+        return self._call(f"version of board {address:#x}", address, command, exchange)
 
     def close(self) -> None:
         """Close the port."""
@@ -201,8 +216,8 @@ class RoboClawBus:
         self,
         what: str,
         address: int,
+        command: Command,
         exchange: Callable[[float], T | None],
-        repeatable: bool = True,
     ) -> T:
         """Exchange until an answer is right or the time is up."""
         begin = time.monotonic()
@@ -211,39 +226,62 @@ class RoboClawBus:
         tries = 0
         try:
             while time.monotonic() + self._timing.reply < end:
-                if not self._clear(address, end):
+                if not self._clear(address, command, end):
                     continue
                 tries += 1
                 self.statistics.retries += tries > 1
                 value = exchange(min(time.monotonic() + self._timing.reply, end))
-                if value is not None:
+                if value is not None and self._stands_alone():
                     return value
                 self._suspect = True
-                if not repeatable:
+                if command in codec.NOT_REPEATABLE:
                     break
             self.statistics.failures += 1
             raise LinkError(f"{what}: no valid answer in {tries} tries on {self._link.port}")
         finally:
             self.statistics.worst_call = max(self.statistics.worst_call, time.monotonic() - begin)
 
-    def _clear(self, address: int, end: float) -> bool:
+    def _stands_alone(self) -> bool:
+        """Tell whether nothing follows an answer.
+
+        What is followed may be an old answer come again, or the first byte of the answer to a
+        question that a damaged write became; that may well be the one of an acknowledgement.
+        """
+        behind = self._link.drain(0.0, 0.0)
+        self.statistics.stray += behind
+        self.statistics.refused += behind > 0
+        return not behind
+
+    def _clear(self, address: int, command: Command, end: float) -> bool:
         """Make sure that no earlier answer can be taken for the next one.
 
-        Bytes keep their order on a line: once the answer to one more question has come, all that
-        was on its way before has passed. That question differs from those of the servo cycle.
+        Bytes keep their order on a line: once the answer to one more question has come, and to no
+        earlier one like it, all that was on its way before has passed.
         """
-        stray = self._link.drain(0.0)
+        stray = self._link.drain(0.0, end - time.monotonic())
         self.statistics.stray += stray
         if not (self._suspect or stray):
             return True
         self._suspect = True
         self.statistics.stray += self._link.drain(self._timing.quiet, end - time.monotonic())
+        if time.monotonic() < end:
+            self._suspect = not self._probe(address, self._next_probe(command), end)
+        return not self._suspect
+
+    def _next_probe(self, command: Command) -> Command:
+        """Return the next probe; it must not be the question itself."""
+        self._turn = (self._turn + 1) % len(_PROBES)
+        probe = _PROBES[self._turn]
+        return self._next_probe(command) if probe is command else probe
+
+    def _probe(self, address: int, question: Command, end: float) -> bool:
+        """Ask, and let pass what comes before the answer."""
         deadline = min(time.monotonic() + self._timing.reply, end)
-        self._link.write(codec.encode_read(address, Command.GET_PWM_MODE))
-        tail = b""
-        while byte := self._link.read(1, deadline):
-            tail = (tail + byte)[-3:]
-            if codec.decode_reply(address, Command.GET_PWM_MODE, tail) is not None:
-                self._suspect = False
+        self._link.write(codec.encode_read(address, question))
+        length, tail = codec.reply_length(question), b""
+        # A board that babbles sends for ever.
+        while time.monotonic() < deadline and (byte := self._link.read(1, deadline)):
+            tail = (tail + byte)[-length:]
+            if codec.decode_reply(address, question, tail) is not None:
                 return True
         return False

@@ -8,6 +8,7 @@ command: the answer to another question never passes for this one's. All numbers
 from __future__ import annotations
 
 import enum
+import math
 import struct
 
 import fastcrc
@@ -217,6 +218,17 @@ def checked(address: int, command: Command, reply: bytes) -> bytes | None:
     return payload if checksum(bytes((address, command)) + payload) == crc else None
 
 
+def decode_status_reply(address: int, reply: bytes) -> Status | None:
+    """Return the status in a reply of either layout, or None if it is not the answer.
+
+    The checksum does not see zeros behind it: a short reply and two zeros would pass for a long
+    one, with bits that nobody set.
+    """
+    payload = checked(address, Command.GET_STATUS, reply)
+    short = len(reply) > 4 and checked(address, Command.GET_STATUS, reply[:4])
+    return None if payload is None or short else decode_status(payload)
+
+
 def decode_status(payload: bytes) -> Status | None:
     """Return the status of either layout, told apart by its length; None for other lengths."""
     if len(payload) == 4:
@@ -245,5 +257,11 @@ def signed_difference(later: int, earlier: int, bits: int = 32) -> int:
 
 
 def duty_code(duty: float) -> int:
-    """Return the wire code of a duty in [-1, 1]; outside it saturates, it never wraps."""
+    """Return the wire code of a duty in [-1, 1]; outside it saturates, it never wraps.
+
+    Raises:
+        ValueError: If it is not a number: comparisons would make full drive of it.
+    """
+    if math.isnan(duty):
+        raise ValueError("duty is not a number")
     return round(max(-1.0, min(1.0, duty)) * FULL_DUTY)

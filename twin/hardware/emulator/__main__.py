@@ -111,7 +111,10 @@ class Emulator:
                 self.tick()
                 return {"time": self.scene.time}
             case "fault":
-                self.rigs[order["robot"]].inject(_fault(order))
+                try:
+                    self.rigs[order["robot"]].inject(_fault(order))
+                except (KeyError, ValueError) as error:
+                    return {"error": f"no such fault: {error}"}
                 return {"time": self.scene.time}
             case "state":
                 return {name: self._state(name) for name in self.rigs}

@@ -92,7 +92,7 @@ class FaultyLine:
         kind, delay = None, 0.0
         if self._rng.random() < self._config.rate:
             kind = self._config.kinds[self._rng.integers(len(self._config.kinds))]
-            self.counts[kind] += 1
+        sent = request
         if kind is LineFault.FLIP_REQUEST:
             request = self._flip(request)
         if kind is LineFault.LOSE_BYTE:
@@ -102,10 +102,14 @@ class FaultyLine:
         if kind is not LineFault.LOSE_REQUEST:
             reply = self._device.feed(request, now)
         clean = reply
-        if kind is LineFault.LATE:
+        if kind is LineFault.LATE and reply:
             delay = float(self._rng.uniform(0.2, 1.0)) * self._config.latest
         elif reply:
             reply = self._damaged(reply, kind)
+        # What has no reply cannot lose one: only damage that was done is counted.
+        lost = kind is LineFault.LOSE_REQUEST
+        if kind is not None and (lost or delay or request != sent or reply != clean):
+            self.counts[kind] += 1
         self._last_reply = clean or self._last_reply
         if self._waiting:
             delay = max(delay, self._waiting[-1][0] - now)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import subprocess
@@ -81,7 +82,9 @@ class EmulatorProcess:
 
     def close(self) -> None:
         """Stop the process."""
-        cast("IO[str]", self._process.stdin).close()
+        # A process that died leaves an order that nobody takes.
+        with contextlib.suppress(BrokenPipeError):
+            cast("IO[str]", self._process.stdin).close()
         try:
             self._process.wait(5.0)
         except subprocess.TimeoutExpired:

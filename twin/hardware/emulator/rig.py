@@ -174,7 +174,13 @@ class EmulatedRig:
             self.wrench.sendto(record, cast("tuple[str, int]", address))
 
     def inject(self, fault: ScheduledFault) -> None:
-        """Add a fault; one whose time has passed begins at the next tick."""
+        """Add a fault; one whose time has passed begins at the next tick.
+
+        Raises:
+            ValueError: If there is no such board.
+        """
+        if fault.address not in self.boards.boards:
+            raise ValueError(f"no motor board {fault.address:#x}")
         self._schedule = sorted([*self._schedule, fault], key=lambda entry: entry.time)
 
     def _begin(self, fault: ScheduledFault) -> None:

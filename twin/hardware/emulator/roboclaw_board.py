@@ -267,6 +267,8 @@ class RoboClawLine:
 
     def feed(self, data: bytes, now: float) -> bytes:
         """Take what came on the wire at `now` [s], and return the answers."""
+        if not data:
+            return b""
         if now - self._last > codec.PACKET_GAP:
             self._buffer = b""
         self._last = now
