@@ -28,8 +28,10 @@ TARGETS: Mapping[str, str] = {
     "sim": "simulated rovers, sensors as in the datasheets",
     "quantised": "simulated rovers that count as their boards do, without wires",
     "emulated": "boards emulated in another process, over their real protocols",
-    "serial:PORT[,analogue=PORT][,wrench=HOST][,robot=NAME][,calibration=FILE][,most_days=N]"
-    "[,home=YAW:SHOULDER:ELBOW:WRIST]": "real boards; home: the arm's angles in its jig [rad]",
+    "serial:PORT[,analogue=PORT][,wrench=HOST][,stereo=LEFT:RIGHT][,robot=NAME]"
+    "[,calibration=FILE][,most_days=N][,home=YAW:SHOULDER:ELBOW:WRIST]": (
+        "real boards; home: the arm's angles in its jig [rad]"
+    ),
 }
 """What `connect` offers."""
 
@@ -90,7 +92,8 @@ def connect(
         robots: Names and starting places; simulated and emulated robots only.
         field: Ground of a simulated scene.
         suite: Sensors of simulated robots; boards have their own.
-        stereo: Stereo heads of simulated robots; None leaves the channel missing.
+        stereo: Stereo heads of simulated and quantised robots; None leaves the channel missing,
+            as it is on emulated boards.
         seed: Of all sensor noise.
         settling: Time for which simulated robots come to rest before time zero [s].
         line_faults: Share of damaged exchanges with emulated motor boards, 0 to 1.
@@ -107,7 +110,7 @@ def connect(
     if target == "emulated":
         return _connect_emulated(scene, line_faults)
     if target == "quantised":
-        return _connect_quantised(scene)
+        return _connect_quantised(scene, stereo)
     if target != "sim":
         raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
     model = make_model(field, robots)
@@ -122,8 +125,8 @@ def connect(
     return Connection(simulation.robots, SimClock(simulation), simulation)
 
 
-def _connect_quantised(config: SceneConfig) -> Connection:
-    scene = EmulatedScene(config)
+def _connect_quantised(config: SceneConfig, stereo: StereoConfig | None) -> Connection:
+    scene = EmulatedScene(config, stereo)
     robots = quantised_robots(scene)
     resources = contextlib.ExitStack()
     for robot in robots.values():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from twin.hardware import roboclaw_codec as codec
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration import AngleSensor, Calibration
+from twin.hardware.camera import StereoFrame
 from twin.hardware.link import LinkError
 from twin.robot import MISSING, Channel, FloatArray, Observation, Validity
 
@@ -26,11 +27,13 @@ class SamplingConfig:
         encoder_age: Of encoder values.
         tilt_age: Of inclinometer and potentiometer, which are read every fourth cycle.
         wrench_age: Of the wrench.
+        stereo_age: Of a stereo pair.
     """
 
     encoder_age: float = 0.035
     tilt_age: float = 0.2
     wrench_age: float = 0.1
+    stereo_age: float = 1.0
 
 
 @dataclasses.dataclass
@@ -85,6 +88,7 @@ class BoardSamples:
         self._stamps = np.full(8, math.nan)
         self._codes: dict[int, tuple[int, float]] = {}
         self._wrench: tuple[FloatArray, float] | None = None
+        self._stereo: StereoFrame | None = None
 
     @property
     def rates(self) -> FloatArray:
@@ -109,6 +113,7 @@ class BoardSamples:
             self._take(address, self._boards.encoders(address), anew=True)
         self._read_analogue([pin for turn in self._turns for pin in turn])
         self._read_wrench()
+        self._stereo = self._boards.stereo(self._clock()) or self._stereo
 
     def sample(self) -> None:
         """Read what is due in this cycle; what does not answer is counted."""
@@ -123,6 +128,7 @@ class BoardSamples:
                 self._take(address, pair)
         self._read_analogue(self._turns[self.statistics.cycles % len(self._turns)])
         self._read_wrench()
+        self._stereo = self._boards.stereo(self._clock()) or self._stereo
         self.statistics.cycles += 1
 
     def arm_counts(self) -> NDArray[np.int64]:
@@ -141,6 +147,9 @@ class BoardSamples:
         wrench = MISSING
         if self._wrench is not None:
             wrench = self._aged(*self._wrench, config.wrench_age)
+        stereo = MISSING
+        if self._stereo is not None:
+            stereo = self._aged(*self._stereo, config.stereo_age)
         return Observation(
             time=self._clock(),
             wheel_speeds=self._aged(rates[:4], wheels, config.encoder_age),
@@ -149,6 +158,7 @@ class BoardSamples:
             arm_rates=self._aged(rates[ARM], arm, config.encoder_age),
             inclinometer=self._angles(tilt.pitch, tilt.roll),
             arm_base_wrench=wrench,
+            stereo=stereo,
         )
 
     def _take(self, address: int, pair: tuple[int, int], anew: bool = False) -> None:
@@ -198,7 +208,7 @@ class BoardSamples:
         angles = [float(board.angle(code, s)) for s, (code, _) in zip(sensors, known, strict=True)]
         return self._aged(np.array(angles), min(stamp for _, stamp in known), self._config.tilt_age)
 
-    def _aged(self, values: FloatArray, stamp: float, age: float) -> Channel:
+    def _aged(self, values: NDArray[np.generic], stamp: float, age: float) -> Channel:
         if math.isnan(stamp):
             return MISSING
         values.flags.writeable = False

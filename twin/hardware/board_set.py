@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from twin.hardware import roboclaw_codec as codec
 from twin.hardware.calibration import Calibration
+from twin.hardware.camera import StereoCapture, StereoFrame
 from twin.hardware.firmata import AnalogueBoard
 from twin.hardware.force_torque import NetForceTorque
 from twin.hardware.link import LinkError
@@ -104,6 +105,10 @@ class BoardSet(Protocol):
         """Return the force/torque sensor's counts (6,), None if there is no new sample."""
         ...
 
+    def stereo(self, now: float) -> StereoFrame | None:
+        """Return the cameras' newest pair at `now` [s], None if there is no new one."""
+        ...
+
     def status(self, address: int) -> Status:
         """Return a board's status.
 
@@ -142,6 +147,7 @@ class WiredBoards:
         calibration: Calibration,
         analogue: AnalogueBoard | None = None,
         force_torque: NetForceTorque | None = None,
+        camera: StereoCapture | None = None,
     ) -> None:
         """Take over open clients.
 
@@ -151,10 +157,12 @@ class WiredBoards:
             analogue: Potentiometer and inclinometer, if there are.
             force_torque: The sensor under the arm, if there is, with a scale of one: the
                 calibration converts its counts.
+            camera: The stereo head, if there is.
         """
         self.bus = bus
         self.analogue_board = analogue
         self.force_torque = force_torque
+        self.camera = camera
         self.has_analogue = analogue is not None
         self.has_wrench = force_torque is not None
         self._limits = calibration.limits
@@ -233,6 +241,13 @@ class WiredBoards:
             return None
         return None if reading is None else np.rint(reading.wrench).astype(np.int64)
 
+    def stereo(self, now: float) -> StereoFrame | None:
+        """Return the cameras' newest pair."""
+        try:
+            return None if self.camera is None else self.camera.read(now)
+        except LinkError:
+            return None
+
     def status(self, address: int) -> Status:
         """Return a board's status."""
         return self.bus.status(address)
@@ -257,7 +272,7 @@ class WiredBoards:
     def close(self) -> None:
         """Close all ports."""
         self.bus.close()
-        for device in (self.analogue_board, self.force_torque):
+        for device in (self.analogue_board, self.force_torque, self.camera):
             if device is not None:
                 device.close()
 

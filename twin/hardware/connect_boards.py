@@ -20,6 +20,7 @@ from twin.hardware.calibration import (
     calibration_path,
     load_calibration,
 )
+from twin.hardware.camera import StereoCapture
 from twin.hardware.emulator.direct import DirectBoards
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
@@ -42,6 +43,7 @@ class Wiring:
         bus: Serial port of the motor boards.
         analogue: Serial port of the analogue board; empty for none.
         wrench: Host, or host:port, of the force/torque sensor; empty for none.
+        stereo: One or two captures, as "0:1" or "left.avi:right.avi"; empty for none.
         robot: Whose boards they are.
         calibration: Its file; the repository's own unless given.
         most_days: Largest age of the calibration [days].
@@ -54,6 +56,7 @@ class Wiring:
     bus: str
     analogue: str = ""
     wrench: str = ""
+    stereo: str = ""
     robot: str = "rover1"
     calibration: Path | None = None
     most_days: int = MOST_DAYS
@@ -66,7 +69,7 @@ class Wiring:
         """Return the wiring that stands behind ``serial:``.
 
         Args:
-            words: "/dev/ttyACM0,analogue=/dev/ttyACM1,wrench=192.168.1.1,robot=rover1,
+            words: "/dev/ttyACM0,analogue=/dev/ttyACM1,wrench=192.168.1.1,stereo=0:1,robot=rover1,
                 calibration=FILE,most_days=365,home=0:0.9:-1.4:0.1"; all but the first may be left
                 out. `home` are the joint angles in which the arm stands now [rad].
 
@@ -75,7 +78,7 @@ class Wiring:
         """
         bus, *others = words.split(",")
         options: dict[str, str] = {}
-        names = ("analogue", "wrench", "robot", "calibration", "most_days", "home")
+        names = ("analogue", "wrench", "stereo", "robot", "calibration", "most_days", "home")
         for word in others:
             name, equals, value = word.partition("=")
             if not equals or name not in names:
@@ -96,12 +99,13 @@ class Wiring:
             raise ValueError(f"serial: most_days={days} is no whole number of days")
         return cls(
             bus,
-            options.get("analogue", ""),
-            options.get("wrench", ""),
-            options.get("robot", "rover1"),
-            Path(path) if path else None,
-            int(days),
-            _joint_angles(options.get("home", "")),
+            analogue=options.get("analogue", ""),
+            wrench=options.get("wrench", ""),
+            stereo=options.get("stereo", ""),
+            robot=options.get("robot", "rover1"),
+            calibration=Path(path) if path else None,
+            most_days=int(days),
+            home=_joint_angles(options.get("home", "")),
         )
 
     def load_calibration(self) -> Calibration:
@@ -130,20 +134,32 @@ def open_boards(wiring: Wiring, calibration: Calibration) -> WiredBoards:
 
     Raises:
         LinkError: If one cannot be opened.
+        ValueError: If the captures make no pair.
     """
     timing = BusTiming(call=_PATIENCE) if wiring.patient else BusTiming()
     with contextlib.ExitStack() as opened:
         bus = RoboClawBus(SerialLink(wiring.bus, BUS_BAUD), timing)
         opened.callback(bus.close)
-        analogue = force_torque = None
+        analogue = force_torque = camera = None
         if wiring.analogue:
             analogue = _analogue_board(wiring)
             opened.callback(analogue.close)
             analogue.open()
         if wiring.wrench:
             force_torque = _force_torque(wiring)
+            opened.callback(force_torque.close)
+        if wiring.stereo:
+            camera = _camera(wiring.stereo)
         opened.pop_all()
-    return WiredBoards(bus, calibration, analogue, force_torque)
+    return WiredBoards(bus, calibration, analogue, force_torque, camera)
+
+
+def _camera(words: str) -> StereoCapture:
+    """Return the captures that are named by device number or file, two or one."""
+    named = [int(word) if word.isdecimal() else word for word in words.split(":")]
+    if len(named) > 2:
+        raise ValueError(f"serial: stereo={words} names {len(named)} captures, needs one or two")
+    return StereoCapture(named[0] if len(named) == 1 else (named[0], named[1]))
 
 
 def _analogue_board(wiring: Wiring) -> AnalogueBoard:
@@ -188,7 +204,9 @@ def emulated_wiring(emulator: EmulatorProcess, scene: SceneConfig, robot: str) -
     ports = emulator.ports[robot]
     host = f"127.0.0.1:{ports['wrench']}"
     path = scene.calibrations.get(robot)
-    return Wiring(ports["bus"], ports["analogue"], host, robot, path, emulated=True)
+    return Wiring(
+        ports["bus"], ports["analogue"], host, robot=robot, calibration=path, emulated=True
+    )
 
 
 def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, BoardRobot]:

@@ -69,7 +69,7 @@ class BusTiming:
 
     reply: float = 0.006
     quiet: float = 0.0115
-    call: float = 0.055
+    call: float = 0.045
 
 
 @dataclasses.dataclass

@@ -12,6 +12,7 @@ from twin import servo
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_set import BoardState, WiredBoards
 from twin.hardware.calibration import calibration_path, read_calibration
+from twin.hardware.camera import StereoFrame
 from twin.hardware.connect_boards import watched
 from twin.hardware.link import LinkError
 from twin.hardware.roboclaw_codec import Status
@@ -43,6 +44,7 @@ class Boards:
         self.counts = np.zeros(6, dtype=np.int64)
         self.silent, self.deaf, self.refuses = set(), set(), set()
         self.asked, self.driven = [], []
+        self.pair = None
         self.closed = False
 
     def _hear(self, what, address):
@@ -80,6 +82,9 @@ class Boards:
     def wrench(self):
         self.asked.append(("wrench", 0))
         return self.counts
+
+    def stereo(self, now):
+        return self.pair
 
     def status(self, address):
         self._hear("status", address)
@@ -457,15 +462,15 @@ def test_silent_board_stops_the_robot_after_three_cycles(bench):
 
 
 def test_silent_board_that_holds_the_others_up_stops_the_robot_within_its_time(bench):
-    """On the wall clock each call to it takes 55 ms, so three cycles would take 0.3 s."""
+    """On the wall clock each call to it takes 45 ms, so three cycles would take 0.3 s."""
 
     class Bus(Boards):
         def _hear(self, what, address):
-            bench.time += 0.055 * (address in self.silent)
+            bench.time += 0.045 * (address in self.silent)
             super()._hear(what, address)
 
         def drive(self, codes):
-            bench.time += 0.055 * len(self.silent)
+            bench.time += 0.045 * len(self.silent)
             super().drive(codes)
 
     bench.boards = Bus()
@@ -473,8 +478,8 @@ def test_silent_board_that_holds_the_others_up_stops_the_robot_within_its_time(b
     bench.active().cycle()
     bench.boards.silent, start = {0x83}, bench.time
     bench.cycles_until_error()
-    # Its own zeros are the last of all, so theirs were sent 55 ms before.
-    assert bench.time - start - 0.055 <= 0.2 + PERIOD
+    # Its own zeros are the last of all, so theirs were sent 45 ms before.
+    assert bench.time - start - 0.045 <= 0.2 + PERIOD
     assert "0x83" in bench.robot.fault or "no valid answer" in bench.robot.fault
 
 
@@ -620,3 +625,26 @@ def test_wrench_without_a_network_is_a_missing_sample_not_an_exception():
 
     boards = WiredBoards(None, CALIBRATION, None, Unplugged())
     assert boards.wrench() is None
+
+
+def test_stereo_pair_is_kept_with_its_stamp_until_it_is_too_old(bench):
+    images = np.zeros((2, 4, 6), np.uint8)
+    bench.homed()
+    assert bench.cycle().stereo.validity is Validity.MISSING
+    bench.boards.pair = StereoFrame(images, bench.time)
+    stamp = bench.time
+    seen = bench.cycle().stereo
+    assert seen.value is images and seen.stamp == stamp and seen.usable
+    bench.boards.pair = None
+    seen = [bench.cycle().stereo for _ in range(105)]
+    assert all(pair.stamp == stamp for pair in seen)
+    assert seen[90].usable and seen[-1].validity is Validity.STALE
+
+
+def test_cameras_that_fail_are_missing_pairs_not_an_exception():
+    class Unplugged:
+        def read(self, now):
+            raise LinkError("camera 0: no more images")
+
+    boards = WiredBoards(None, CALIBRATION, camera=Unplugged())
+    assert boards.stereo(1.0) is None

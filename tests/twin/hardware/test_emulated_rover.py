@@ -1,5 +1,6 @@
 """The rover through emulated boards beside the simulation, and what its processes open."""
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -7,12 +8,15 @@ import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
 from experiments.ch2_rover_trial import known_swinging_arm
+from twin.camera import StereoConfig
 from twin.connect import connect
+from twin.hardware.connect_boards import emulated_wiring, wired_robot
 from twin.hardware.emulator.__main__ import Emulator
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS
@@ -320,7 +324,7 @@ def test_boards_stop_by_themselves_when_their_host_is_killed(emulator):
     [
         ("", "name the motor boards' port first"),
         (",analogue=/dev/nowhere", "name the motor boards' port first"),
-        ("/dev/nowhere,bluetooth=1", "'bluetooth=1' is not understood.*analogue, wrench, robot"),
+        ("/dev/nowhere,bluetooth=1", "'bluetooth=1' is not understood.*analogue, wrench, stereo, robot"),
         ("/dev/nowhere,analogue", "'analogue' is not understood"),
         ("/dev/nowhere,wrench=10.0.0.1:ft", "wrench=10.0.0.1:ft has no port number"),
         ("/dev/nowhere,wrench=10.0.0.1:70000", "wrench=10.0.0.1:70000 has no port number"),
@@ -372,3 +376,31 @@ def test_faults_of_a_file_begin_and_end_in_their_time():
     assert volts == [12.0, 12.0, 9.0, 9.0, 12.0, 12.0]
     assert stopped == [[]] * 3 + [[0x81]] * 3
     assert boards[0x81].status is Status.E_STOP
+
+
+def test_quantised_rover_sees_what_the_simulated_one_sees():
+    pairs = []
+    for target in ("sim", "quantised"):
+        with connect(target, stereo=StereoConfig(noise_db=None), seed=3) as link:
+            link.clock.tick()
+            pair = link.robots[ROBOT].observe().stereo
+            assert pair.usable and pair.value.dtype == np.uint8
+            pairs.append(pair.value)
+    np.testing.assert_array_equal(*pairs)
+
+
+def test_wired_robot_sees_with_the_captures_that_are_named(emulator, tmp_path):
+    names = []
+    for side, level in (("left", 40), ("right", 160)):
+        for k in range(3):
+            cv2.imwrite(str(tmp_path / f"{side}_{k:04d}.png"), np.full((8, 12), level, np.uint8))
+        names.append(str(tmp_path / f"{side}_%04d.png"))
+    wiring = emulated_wiring(emulator, SceneConfig(), ROBOT)
+    wiring = dataclasses.replace(wiring, patient=True, stereo=":".join(names))
+    robot = wired_robot(wiring, lambda: emulator.time)
+    try:
+        pair = robot.observe().stereo
+    finally:
+        robot.close()
+    assert pair.value.shape == (2, 8, 12) and pair.usable
+    assert pair.value[0].max() == 40 and pair.value[1].min() == 160

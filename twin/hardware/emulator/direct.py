@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin.hardware import roboclaw_codec as codec
 from twin.hardware.board_set import BoardState
+from twin.hardware.camera import StereoFrame
 from twin.hardware.emulator.rover import EmulatedRover
 from twin.hardware.roboclaw_codec import Status
 
@@ -55,6 +56,13 @@ class DirectBoards:
     def wrench(self) -> IntArray | None:
         """Return the force/torque sensor's counts (6,)."""
         return self._rover.wrench()
+
+    def stereo(self, now: float) -> StereoFrame | None:
+        """Return the latest stereo pair, if there is one."""
+        pair = self._rover.stereo()
+        if not pair.usable:
+            return None
+        return StereoFrame(np.asarray(pair.value, dtype=np.uint8), pair.stamp)
 
     def status(self, address: int) -> Status:
         """Return that all is well."""

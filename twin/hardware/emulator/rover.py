@@ -16,7 +16,7 @@ from twin.hardware.emulator.amplifier import (
     motor_current,
     motor_volts,
 )
-from twin.robot import Command, FloatArray
+from twin.robot import Channel, Command, FloatArray
 from twin.sensors import DATASHEET, IDEAL, ChannelSpec, SensorSuite
 from twin.sim_robot import AXES, SimRobot
 
@@ -119,3 +119,7 @@ class EmulatedRover:
     def wrench(self) -> IntArray:
         """Return the counts (6,) of the force/torque sensor."""
         return self.calibration.force_torque.counts(self._robot.observe().arm_base_wrench.value)
+
+    def stereo(self) -> Channel:
+        """Return the latest stereo pair of its cameras, which count nothing."""
+        return self._robot.observe().stereo

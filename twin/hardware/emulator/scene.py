@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
+from twin.camera import StereoConfig
 from twin.hardware.calibration import Calibration, calibration_path, load_calibration
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
 from twin.simulation import Simulation
@@ -43,8 +44,12 @@ class SceneConfig:
 class EmulatedScene:
     """Physics that advance by a tick, never by a command: a repeated one must not count twice."""
 
-    def __init__(self, config: SceneConfig) -> None:
+    def __init__(self, config: SceneConfig, stereo: StereoConfig | None = None) -> None:
         """Build the scene and let it come to rest.
+
+        Args:
+            config: What is emulated.
+            stereo: How the stereo heads see; None for without.
 
         Raises:
             CalibrationError: If a robot's calibration cannot be used.
@@ -55,6 +60,7 @@ class EmulatedScene:
             model,
             [robot.name for robot in config.robots],
             suite=ANALOGUE_SENSORS,
+            stereo=stereo,
             seed=config.seed,
             data=settle(model, config.settling),
         )
