@@ -23,7 +23,7 @@ from experiments.appd_boards_figures import (
     draw_stops,
 )
 from experiments.appd_boards_line import call_damaged
-from experiments.appd_boards_live import compare_boards, keep_pace
+from experiments.appd_boards_live import compare_boards, keep_bare_pace, keep_pace
 from experiments.appd_boards_trial import (
     KINDS,
     PERIOD,
@@ -88,6 +88,7 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(8, 2)
     # What is timed comes first, while nothing else of ours runs.
     pace = keep_pace(PACE[options.quick], seeds[0] % 2**31)
+    bare = keep_bare_pace(PACE[options.quick] / 3.0, pace["exchanges"])
     draws = np.random.default_rng(seeds[0]).integers(2**31, size=len(RATES)).tolist()
     calls: list[dict[str, Any]] = []
     for (rate, counts), seed in zip(RATES.items(), draws):
@@ -102,6 +103,7 @@ def run(options: Options, output: Output) -> None:
     _measure_stops(trials, output)
     _measure_calls(calls, trials, output)
     _measure_pace(pace, PACE[options.quick], output)
+    _measure_bare_pace(bare, pace, output)
     for name, result in zip(LINES, compared):
         _measure_identity(name, result, CYCLES[options.quick], output)
     _measure_amplifier(output)
@@ -175,6 +177,8 @@ def _measure_pace(result: Mapping[str, Any], duration: float, output: Output) ->
     output.measure("miss_fraction", missed)
     output.measure("period_ms", distribution(1e3 * result["periods"]))
     output.measure("adapter_ms", distribution(1e3 * result["adapter"]))
+    if result["said"]:
+        output.measure("stopped_after_s", result["steps"] * PERIOD)
     output.check(
         f"deadlines missed at 100 Hz in {duration:g} s",
         missed,
@@ -182,6 +186,15 @@ def _measure_pace(result: Mapping[str, Any], duration: float, output: Output) ->
         missed <= MISS_BOUND,
     )
     output.figure("pace", draw_pace(result, PERIOD))
+
+
+def _measure_bare_pace(bare: Mapping[str, Any], pace: Mapping[str, Any], output: Output) -> None:
+    """Store what an echo costs on this machine, which bounds what the adapter can do."""
+    output.measure("exchanges_per_cycle", pace["exchanges"])
+    output.measure("miss_fraction/echo", bare["misses"] / bare["steps"])
+    output.measure("echo_ms", distribution(1e3 * bare["exchange"]))
+    ratio = float(np.median(pace["adapter"]) / np.median(bare["exchange"]))
+    output.measure("adapter_over_echo", ratio)
 
 
 def _measure_identity(name: str, result: Mapping[str, Any], least: int, output: Output) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import subprocess
+import sys
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,15 +18,19 @@ from models.compose import RobotPlacement
 from twin.clock import WallClock
 from twin.connect import connect
 from twin.hardware.board_robot import BoardRobot
-from twin.hardware.connect_boards import emulated_wiring, watched, wired_robot
+from twin.hardware.board_set import WiredBoards
+from twin.hardware.connect_boards import BUS_BAUD, emulated_wiring, watched, wired_robot
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
+from twin.hardware.link import SerialLink
 from twin.loop import run
 from twin.robot import ArmMode, Channel, Command, Observation, RobotError, WheelMode
 
 SPEED = 3.0  # [rad/s] of the wheels
 SWING = 0.2  # [rad] of the arm's joints
 SINKING = 1.5  # [s] until the arm, without power, lies still and can be homed
+
+_QUESTION = bytes(6)
 
 
 class _Keep:
@@ -130,7 +136,8 @@ def keep_pace(duration: float, seed: int) -> dict[str, Any]:
 
     Returns:
         ``steps`` done, ``misses``, the ``periods`` from one cycle's begin to the next [s], the
-        ``adapter`` time of each cycle [s], and what the robot ``said`` if it stopped.
+        ``adapter`` time of each cycle [s], what the robot ``said`` if it stopped, and the
+        ``exchanges`` with motor boards in a cycle.
     """
     scene = SceneConfig((RobotPlacement(ROBOT),), seed=seed)
     emulator = EmulatorProcess(scene, realtime=True)
@@ -141,17 +148,50 @@ def keep_pace(duration: float, seed: int) -> dict[str, Any]:
         wiring = emulated_wiring(emulator, scene, ROBOT)
         robot = wired_robot(wiring, lambda: robot_time.time)
         resources.callback(robot.close)
+        boards = cast("WiredBoards", robot.boards)
         robot.home(np.array(emulator.state()[ROBOT]["arm_angles"]))
         robot.activate()
         resources.enter_context(watched(robot))
         # Made last: what passes before the loop is no deadline missed.
         clock = _NotedClock(robot)
+        asked = boards.bus.statistics.transactions
         with contextlib.suppress(RobotError):
             run({ROBOT: robot}, [_Roam()], clock, duration=duration)
+        exchanges = boards.bus.statistics.transactions - asked
     return {
         "steps": len(clock.begun),
         "misses": clock.misses,
         "periods": np.diff(clock.begun),
         "adapter": np.diff(clock.taken),
         "said": robot.fault,
+        "exchanges": round(exchanges / max(1, len(clock.begun))),
     }
+
+
+def keep_bare_pace(duration: float, exchanges: int) -> dict[str, Any]:
+    """Do as many exchanges a cycle with a process that only echoes: what this machine allows.
+
+    Args:
+        duration: On the wall clock [s].
+        exchanges: Questions and answers in a cycle.
+
+    Returns:
+        ``steps``, ``misses``, and the ``exchange`` times of all cycles [s].
+    """
+    command = [sys.executable, "-m", "experiments.echo_probe"]
+    steps, taken = round(duration / PERIOD), list[float]()
+    with subprocess.Popen(  # noqa: S603
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as echo:
+        assert echo.stdin is not None and echo.stdout is not None
+        with contextlib.closing(SerialLink(echo.stdout.readline().strip(), BUS_BAUD)) as link:
+            clock = WallClock(PERIOD)
+            for _ in range(steps):
+                clock.tick()
+                begin = time.perf_counter()
+                for _ in range(exchanges):
+                    link.write(_QUESTION)
+                    link.read(len(_QUESTION), time.monotonic() + 0.5)
+                taken.append(time.perf_counter() - begin)
+        echo.stdin.close()
+    return {"steps": steps, "misses": clock.misses, "exchange": np.array(taken)}

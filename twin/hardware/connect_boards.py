@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import gc
 import math
 import threading
 from collections.abc import Callable, Generator
@@ -196,6 +197,9 @@ def wired_robot(wiring: Wiring, clock: Callable[[], float]) -> BoardRobot:
     except BaseException:
         robot.close()
         raise
+    # To search all that is loaded by now for garbage takes two cycles.
+    gc.collect()
+    gc.freeze()
     return robot
 
 

@@ -68,9 +68,12 @@ class SerialLink:
                 ready, _, _ = select.select([self._serial.fileno()], [], [], remaining)
                 if not ready:
                     break
-                received += self._serial.read(count - len(received))
+                part = self._take(count - len(received))
             except (serial.SerialException, OSError) as error:
                 raise LinkError(f"{self.port}: {error}") from None
+            if not part:
+                raise LinkError(f"{self.port}: is ready and gives nothing; is it unplugged?")
+            received += part
         return bytes(received)
 
     def drain(self, quiet: float, most: float = 0.05) -> int:
@@ -84,11 +87,23 @@ class SerialLink:
         """
         end, count = time.monotonic() + most, 0
         while True:
-            now = time.monotonic()
-            dropped = self.read(4096, now) or self.read(1, min(now + quiet, end))
+            try:
+                dropped = self._take(4096)
+            except (serial.SerialException, OSError) as error:
+                raise LinkError(f"{self.port}: {error}") from None
+            # Twice for every call: not to wait costs no more than one look.
+            if not dropped and quiet > 0.0:
+                dropped = self.read(1, min(time.monotonic() + quiet, end))
             count += len(dropped)
             if not dropped or time.monotonic() >= end:
                 return count
+
+    def _take(self, most: int) -> bytes:
+        """Return what is there, which may be nothing."""
+        try:
+            return os.read(self._serial.fileno(), most)
+        except BlockingIOError:
+            return b""
 
     def close(self) -> None:
         """Close the port."""
