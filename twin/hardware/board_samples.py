@@ -30,7 +30,7 @@ class SamplingConfig:
         stereo_age: Of a stereo pair.
     """
 
-    encoder_age: float = 0.035
+    encoder_age: float = 0.1
     tilt_age: float = 0.2
     wrench_age: float = 0.1
     stereo_age: float = 1.0
