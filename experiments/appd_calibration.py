@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from experiments import contract
 from experiments.appd_tilt_table import BITS, converter, true_sensors, weigh_one
 from experiments.intervals import distribution, fraction
-from experiments.known_arm import require_simulated
 from experiments.output import Output
 from experiments.sweep import sweep
 from models.datasheets import ARM, DEGREE, GRAVITY, INCLINOMETER, INCLINOMETER_CALIBRATION
@@ -42,23 +41,8 @@ SLOPE_BOUND, ZERO_BOUND, TILT_BOUND = 1.0, 0.5, 0.3  # [%], [%], [deg]
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of the calibration of the inclinometers.
-
-    Attributes:
-        robot: Which robot: sim.
-    """
-
-    robot: str = "sim"
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run.
-
-        Raises:
-            OptionError: If the robot is unknown.
-        """
-        super().__post_init__()
-        require_simulated(self.robot)
+class Options(contract.SimulatedOptions):
+    """Options of the calibration of the inclinometers."""
 
 
 def run(options: Options, output: Output) -> None:

@@ -27,7 +27,6 @@ from experiments.appd_radio_figures import (
 from experiments.appd_radio_trial import FATES, LINKS, TrialConfig, run_trial
 from experiments.contract import OptionError
 from experiments.intervals import distribution, fraction
-from experiments.known_arm import require_simulated
 from experiments.output import Output
 from experiments.sweep import sweep
 from twin.hardware.emulator.modem import ModemConfig
@@ -44,16 +43,14 @@ PERCENTILES = (50, 95, 99)
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.SimulatedOptions):
     """Options of the radio experiment.
 
     Attributes:
         delay: Of the modems, one way [s]; the framed link's advantage grows with it.
-        robot: Which robots tell each other where they are: sim.
     """
 
     delay: float = 0.005
-    robot: str = "sim"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run.
@@ -62,7 +59,6 @@ class Options(contract.Options):
             OptionError: If the delay is out of range or the robot unknown.
         """
         super().__post_init__()
-        require_simulated(self.robot)
         if not 0.0 <= self.delay <= 0.05:
             raise OptionError(f"--delay: expected 0 to 0.05 s, got {self.delay}")
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -26,7 +26,7 @@ from experiments import contract
 from experiments.ch2_payload import sensing
 from experiments.contract import ExperimentError
 from experiments.intervals import distribution, fraction
-from experiments.known_arm import known_arm, known_base, require_simulated
+from experiments.known_arm import known_arm, known_base
 from experiments.output import Output
 from experiments.sweep import sweep
 from models.compose import FieldConfig, RobotPlacement, make_model
@@ -44,23 +44,10 @@ FIELD = FieldConfig(texture_pixels=64)
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of the friction estimation.
+class Options(contract.SimulatedOptions):
+    """Options of the friction estimation."""
 
-    Attributes:
-        robot: Which robot: sim.
-    """
-
-    robot: str = "sim"
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run.
-
-        Raises:
-            OptionError: If the robot is unknown.
-        """
-        super().__post_init__()
-        require_simulated(self.robot)
+    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
 
 
 def run(options: Options, output: Output) -> None:

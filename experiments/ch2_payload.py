@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ from controllers.identification.serial_arm import NAMES, RigidBody, SerialArm
 from experiments import contract
 from experiments.contract import ExperimentError
 from experiments.intervals import distribution, fraction
-from experiments.known_arm import known_arm, require_simulated
+from experiments.known_arm import known_arm
 from experiments.output import Output
 from experiments.sweep import sweep
 from models import datasheets
@@ -42,15 +42,14 @@ FIELD = FieldConfig(texture_pixels=64)
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.SimulatedOptions):
     """Options of the payload identification.
 
     Attributes:
-        robot: Which robot: sim.
         duration: Time for which the arm swings [s].
     """
 
-    robot: str = "sim"
+    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
     duration: float = 30.0
 
     def __post_init__(self) -> None:
@@ -60,7 +59,6 @@ class Options(contract.Options):
             OptionError: If the robot is unknown or the swing too short.
         """
         super().__post_init__()
-        require_simulated(self.robot)
         if not 3.0 <= self.duration <= 600.0:
             raise contract.OptionError(f"--duration: expected 3 to 600 s, got {self.duration}")
 

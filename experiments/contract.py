@@ -6,7 +6,7 @@ import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import tyro
@@ -79,6 +79,32 @@ class Options:
         """
         count = self.seeds if self.seeds is not None else (quick if self.quick else full)
         return [int(word) for word in np.random.SeedSequence(self.seed).generate_state(count)]
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulatedOptions(Options):
+    """Options of an experiment that sets or scores by what only a simulation knows.
+
+    Attributes:
+        targets: What the experiment runs on.
+        robot: Which robot: sim or, where boards serve as well, quantised or emulated.
+    """
+
+    targets: ClassVar[tuple[str, ...]] = ("sim",)
+    robot: str = "sim"
+
+    def __post_init__(self) -> None:
+        """Refuse robots whose payload, ground or tilt could not be set.
+
+        Raises:
+            OptionError: If the robot is not simulated, or as `Options`.
+        """
+        super().__post_init__()
+        if self.robot not in self.targets:
+            raise OptionError(
+                f"--robot {self.robot}: what this experiment sets is known of simulated robots "
+                f"only; available: {', '.join(self.targets)}"
+            )
 
 
 @dataclasses.dataclass(frozen=True)

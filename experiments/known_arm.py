@@ -7,7 +7,6 @@ import numpy as np
 
 from controllers.identification.friction import KnownBase
 from controllers.identification.serial_arm import FloatArray, Link, RigidBody, SerialArm
-from experiments.contract import OptionError
 from models import datasheets
 from models.compose import ARM_JOINTS, FLAT, RobotPlacement, make_model
 
@@ -102,16 +101,3 @@ def _matrix(quaternion: FloatArray) -> FloatArray:
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
-
-
-def require_simulated(target: str) -> None:
-    """Refuse robots whose payload or ground could not be set, and so not scored.
-
-    Args:
-        target: The option ``--robot``.
-
-    Raises:
-        OptionError: If it is not a simulated robot.
-    """
-    if target != "sim":
-        raise OptionError(f"--robot {target}: unknown or not available here; available: sim")

@@ -20,7 +20,7 @@ from typing import Annotated, Any, cast
 import numpy as np
 import tyro
 
-from models.compose import FieldConfig, RobotPlacement
+from models.compose import FieldConfig, PayloadConfig, RobotPlacement
 from twin.hardware.emulator.faults import LineFaultConfig, RobotFault, ScheduledFault
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
@@ -155,7 +155,7 @@ def _scene(options: Options) -> SceneConfig:
         places = [RobotPlacement(n, (2.0 * i, 0.0)) for i, n in enumerate(options.robots)]
         return SceneConfig(tuple(places), seed=options.seed)
     table = json.loads(options.scene)
-    robots = [RobotPlacement(**_tuples(entry)) for entry in table["robots"]]
+    robots = [_placement(_tuples(entry)) for entry in table["robots"]]
     return SceneConfig(
         tuple(robots),
         FieldConfig(**_tuples(table["field"])),
@@ -163,6 +163,12 @@ def _scene(options: Options) -> SceneConfig:
         table["settling"],
         {name: Path(path) for name, path in table["calibrations"].items()},
     )
+
+
+def _placement(entry: dict[str, Any]) -> RobotPlacement:
+    payload = entry.pop("payload")
+    box = None if payload is None else PayloadConfig(**_tuples(payload))
+    return RobotPlacement(**entry, payload=box)
 
 
 def _tuples(table: dict[str, Any]) -> dict[str, Any]:
