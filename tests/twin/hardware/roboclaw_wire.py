@@ -3,11 +3,11 @@
 import contextlib
 import math
 import select
-import threading
 import time
 import types
 from unittest import mock
 
+from tests.twin.hardware.serving import Served
 from twin.hardware import link, roboclaw
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
@@ -61,23 +61,16 @@ def boards_on_a_line(addresses=(0x80,), old_firmware=False):
     return boards, RoboClawLine(boards)
 
 
-class PtyWire:
+class PtyWire(Served):
     """Serves a device at a pseudo-terminal in a thread; `clock` is what the device is told."""
 
     def __init__(self, device, clock=time.monotonic):
         self.port = PseudoTerminal()
         self._rounds = 0
         self._device, self._clock = device, clock
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        super().__init__()
 
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join()
+    def close(self):
         self.port.close()
 
     def open(self):
@@ -89,14 +82,13 @@ class PtyWire:
         while self._rounds < end:
             time.sleep(0.0005)
 
-    def _run(self):
-        while not self._stop.is_set():
-            ready, _, _ = select.select([self.port], [], [], 0.0005)
-            heard = self.port.read() if ready else b""
-            said = self._device.feed(heard, self._clock())
-            if said:
-                self.port.write(said)
-            self._rounds += 1
+    def serve(self):
+        ready, _, _ = select.select([self.port], [], [], 0.0005)
+        heard = self.port.read() if ready else b""
+        said = self._device.feed(heard, self._clock())
+        if said:
+            self.port.write(said)
+        self._rounds += 1
 
 
 class VirtualLink:

@@ -1,5 +1,4 @@
 import select
-import threading
 import time
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.twin.hardware.serving import Served
 from twin.hardware import firmata_codec as codec
 from twin.hardware.emulator.firmata_board import FirmataBoard
 from twin.hardware.emulator.ports import PseudoTerminal
@@ -21,7 +21,7 @@ WORST_CALL = 0.024  # [s] Three times the deadline.
 STALL = 0.5  # [s] A busy machine may stop a call for a while; a client that hangs takes longer.
 
 
-class Wire:
+class Wire(Served):
     """Runs a board behind a pseudo-terminal, and damages what passes at a given rate."""
 
     def __init__(self, board, rng=None, rate=0.0, kinds=FAULTS):
@@ -33,32 +33,24 @@ class Wire:
         self._held = []  # (due, bytes) to the host.
         self._merged = b""
         self._delay = 0.0  # [s]
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        super().__init__()
 
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join()
+    def close(self):
         self.port.close()
 
-    def _run(self):
-        while not self._stop.is_set():
-            ready, _, _ = select.select([self.port], [], [], 0.001)
-            now = time.monotonic()
-            heard = self._damaged(self.port.read(), False) if ready else b""
-            said = self.board.feed(heard, now) + self.inject
-            self.inject = b""
-            if said:
-                self._delay = 0.0
-                damaged = self._damaged(said, True)
-                self._held.append((now + self._delay, damaged))
-            # What comes after late bytes waits behind them: a wire does not reorder.
-            while self._held and self._held[0][0] <= now:
-                self.port.write(self._held.pop(0)[1])
+    def serve(self):
+        ready, _, _ = select.select([self.port], [], [], 0.001)
+        now = time.monotonic()
+        heard = self._damaged(self.port.read(), False) if ready else b""
+        said = self.board.feed(heard, now) + self.inject
+        self.inject = b""
+        if said:
+            self._delay = 0.0
+            damaged = self._damaged(said, True)
+            self._held.append((now + self._delay, damaged))
+        # What comes after late bytes waits behind them: a wire does not reorder.
+        while self._held and self._held[0][0] <= now:
+            self.port.write(self._held.pop(0)[1])
 
     def _damaged(self, data, to_host):
         data, self._merged = self._merged + data if to_host else data, b""

@@ -1,6 +1,5 @@
 import select
 import socket
-import threading
 import time
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.twin.hardware.serving import Served
 from twin.hardware import force_torque as ft
 from twin.hardware.emulator.net_ft import NetFT
 from twin.hardware.force_torque import NetForceTorque, Record
@@ -21,7 +21,7 @@ U32 = st.integers(0, 2**32 - 1)
 I32 = st.integers(-(2**31), 2**31 - 1)
 
 
-class Server:
+class Server(Served):
     """Serves a sensor on the loopback interface, and damages what passes at a given rate."""
 
     def __init__(self, sensor, rng=None, rate=0.0, kinds=FAULTS):
@@ -35,38 +35,30 @@ class Server:
         self.last_address = None
         self._held = []  # (due, datagram, address)
         self._swapped = None
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        super().__init__()
 
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join()
+    def close(self):
         self.socket.close()
         self.stranger.close()
 
-    def _run(self):
-        while not self._stop.is_set():
-            ready, _, _ = select.select([self.socket], [], [], 0.001)
-            now = time.monotonic()
-            out = []
-            if ready:
-                try:
-                    data, self.last_address = self.socket.recvfrom(2048)
-                except OSError:  # A client has given its port up.
-                    continue
-                if not self._strikes(("no_request",)):
-                    answers = self.sensor.answer(data, self.last_address, now)
-                    out += [(answer, self.last_address) for answer in answers]
-            out += self.sensor.due(now)
-            for datagram, address in out:
-                self._send(datagram, address, now)
-            for entry in [entry for entry in self._held if entry[0] <= now]:
-                self._held.remove(entry)
-                self._put(entry[1], entry[2])
+    def serve(self):
+        ready, _, _ = select.select([self.socket], [], [], 0.001)
+        now = time.monotonic()
+        out = []
+        if ready:
+            try:
+                data, self.last_address = self.socket.recvfrom(2048)
+            except OSError:  # A client has given its port up.
+                return
+            if not self._strikes(("no_request",)):
+                answers = self.sensor.answer(data, self.last_address, now)
+                out += [(answer, self.last_address) for answer in answers]
+        out += self.sensor.due(now)
+        for datagram, address in out:
+            self._send(datagram, address, now)
+        for entry in [entry for entry in self._held if entry[0] <= now]:
+            self._held.remove(entry)
+            self._put(entry[1], entry[2])
 
     def _strikes(self, kinds):
         kind = str(self.rng.choice(self.kinds)) if self.rng.random() < self.rate else ""
