@@ -54,7 +54,8 @@ class Options(contract.Options):
     """Options of ch2-rover.
 
     Attributes:
-        robot: Which robot: sim, or a board in later versions.
+        robot: Which robot: sim, quantised, emulated, or serial:PORT[,NAME=VALUE...] for real
+            boards.
         excitations: Which excitations to compare (unless said, all; two with --quick).
         duration: Time of excitation [s].
     """
