@@ -60,6 +60,7 @@ def test_kalman_filter_refuses_another_number_of_columns():
         KalmanFilter.from_prior(Prior()).update(np.ones((3, 6, 21)), np.ones((3, 6)), np.ones(6))
 
 
+@pytest.mark.slow
 def test_kalman_filter_is_over_confident_where_a_is_measured_and_ours_is_calibrated():
     ours, kalmans, errors = [], [], []
     paths = {mode: motion(mode, windows=3) for mode in MODES}

@@ -128,6 +128,7 @@ def test_physical_information_is_the_inverse_of_the_covariance():
     np.testing.assert_allclose(estimate.parameters, from_coordinates(estimate.theta))
 
 
+@pytest.mark.slow
 def test_joint_order_that_is_not_the_plants_is_detected_by_chi_square():
     """Hinge angles read as about z, y, x: pitch and yaw of every angular channel exchanged."""
     outputs, sigma = noisy(6, windows=1)

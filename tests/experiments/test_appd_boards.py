@@ -50,6 +50,7 @@ def test_motors_stop_after_each_fault_and_a_wrap_stops_nothing():
     assert result["wrong"] == [0] * len(KINDS)
 
 
+@pytest.mark.slow
 def test_robot_that_ignores_an_e_stop_is_found_out(monkeypatch):
     monkeypatch.setattr(BoardRobot, "_check_in_turn", lambda self: None)
     result = run_batch(Batch(("e_stop",), SEED))

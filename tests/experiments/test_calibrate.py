@@ -73,6 +73,7 @@ def _wrong(calibration):
     return dataclasses.replace(calibration, inclinometer=section)
 
 
+@pytest.mark.slow
 def test_person_finds_the_constants_of_the_boards_behind_wrong_ones():
     scene = EmulatedScene(SceneConfig((RobotPlacement("rover1", stereo=False),), FIELD))
     rover = scene.rovers["rover1"]

@@ -19,6 +19,7 @@ from twin.loop import run
 BOX = PayloadConfig(0.15, (0.01, 0.0, -0.01))
 
 
+@pytest.mark.slow
 def test_payload_on_the_rover_is_within_the_bars():
     estimate = ch2_payload.identify(BOX, seed=1)
     truth = ch2_payload.true_body(BOX)

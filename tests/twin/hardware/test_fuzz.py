@@ -152,6 +152,7 @@ def test_a_million_random_bytes_harm_no_motor_board():
     assert not bench.writes
 
 
+@pytest.mark.slow
 def test_a_million_bytes_of_damaged_packets_harm_no_motor_board():
     bench = Bench(np.random.default_rng(1))
     feed(bench.take, mutants(bench.rng, roboclaw_packets(bench.rng), 1_000_000), 1000)
