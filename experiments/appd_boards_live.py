@@ -23,7 +23,7 @@ from twin.hardware.connect_boards import BUS_BAUD, emulated_wiring, watched, wir
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.link import SerialLink
-from twin.loop import run
+from twin.loop import LoopRecorder, run
 from twin.robot import ArmMode, Channel, Command, Observation, RobotError, WheelMode
 
 SPEED = 3.0  # [rad/s] of the wheels
@@ -33,7 +33,7 @@ SINKING = 1.5  # [s] until the arm, without power, lies still and can be homed
 _QUESTION = bytes(6)
 
 
-class _Keep:
+class _Keep(LoopRecorder):
     """Keeps what a robot saw and did."""
 
     def __init__(self) -> None:
@@ -48,9 +48,6 @@ class _Keep:
     ) -> None:
         """Take one tick."""
         self.ticks.append((observations[ROBOT], applied[ROBOT]))
-
-    def flush(self) -> None:
-        """Nothing is buffered."""
 
 
 def compare_boards(config: dict[str, Any]) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from twin.connect import connect
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio import FramedLink
 from twin.hardware.radio_messages import PoseMessage, WrenchMessage, unpack
+from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
 from twin.record import Recorder
 from twin.robot import ArmMode, Command, Observation, WheelMode
@@ -158,7 +159,7 @@ class Conversation:
         return {rover.name: rover.step(observations[rover.name]) for rover in self.rovers}
 
 
-class _Truth:
+class _Truth(LoopRecorder):
     """Keeps where the rovers are, for the figure only."""
 
     def __init__(self, data: Any) -> None:
@@ -174,9 +175,6 @@ class _Truth:
     ) -> None:
         """Keep one tick."""
         self.rows.append([time, *(float(x) for body in self._bodies for x in body.xpos[:2])])
-
-    def flush(self) -> None:
-        """Nothing is buffered."""
 
 
 class _Both:

@@ -13,7 +13,7 @@ from experiments.output import Output
 from experiments.timing import compare
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.clock import SimClock
-from twin.loop import run
+from twin.loop import LoopRecorder, run
 from twin.robot import ArmMode, Command, FloatArray, Observation, WheelMode
 from twin.simulation import Simulation
 
@@ -49,7 +49,7 @@ class DriveAndHold:
         }
 
 
-class VoltageRecorder:
+class VoltageRecorder(LoopRecorder):
     """Keeps the motor voltages of every tick, for the peer to repeat."""
 
     def __init__(self, data: mujoco.MjData) -> None:
@@ -66,9 +66,6 @@ class VoltageRecorder:
         """Keep the voltages that the tick before this one ended with."""
         if step > 0:
             self.voltages.append(self._data.ctrl.copy())
-
-    def flush(self) -> None:
-        """Nothing is buffered."""
 
 
 def bench_loop(options: Options, output: Output) -> None:

@@ -16,7 +16,7 @@ from experiments.ch2_rover_trial import ROBOT, known_swinging_arm
 from models.compose import FLAT, RobotPlacement, build_scene, compile_scene, settle
 from twin.camera import renderer
 from twin.clock import SimClock
-from twin.loop import run
+from twin.loop import LoopRecorder, run
 from twin.robot import Command, Observation
 from twin.simulation import Simulation
 
@@ -24,7 +24,7 @@ CAMERA = "overview"
 SIZE = (400, 280)
 
 
-class Filming:
+class Filming(LoopRecorder):
     """Takes a picture of the scene every few ticks."""
 
     def __init__(self, simulation: Simulation, first: int, every: int) -> None:
@@ -49,9 +49,6 @@ class Filming:
         if step >= self._first and step % self._every == 0:
             scene = self._simulation
             self.frames.append(renderer().render(scene.model, scene.data, CAMERA, *SIZE))
-
-    def flush(self) -> None:
-        """Nothing is held back."""
 
 
 def film(seconds: float, rate: float, seed: int) -> list[NDArray[np.uint8]]:

@@ -145,7 +145,7 @@ def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
     }
 
 
-class TrueTilt:
+class TrueTilt(LoopRecorder):
     """Notes the chassis' true pitch at every tick, for the score alone."""
 
     def __init__(self, simulation: Simulation) -> None:
@@ -162,9 +162,6 @@ class TrueTilt:
     ) -> None:
         """Take one tick."""
         self.values.append(float(np.arcsin(self._chassis.xmat.reshape(3, 3)[2, 1])))
-
-    def flush(self) -> None:
-        """Nothing is held back."""
 
 
 def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, truth: TrueTilt | None) -> float:

@@ -25,8 +25,7 @@ class LoopRecorder(Protocol):
         ...
 
     def flush(self) -> None:
-        """Bring everything taken so far to its place."""
-        ...
+        """Bring everything taken so far to its place; nothing, unless it is buffered."""
 
 
 @dataclasses.dataclass(frozen=True)
