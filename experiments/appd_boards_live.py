@@ -19,7 +19,13 @@ from twin.clock import WallClock
 from twin.connect import connect
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.board_set import WiredBoards
-from twin.hardware.connect_boards import BUS_BAUD, emulated_wiring, watched, wired_robot
+from twin.hardware.connect_boards import (
+    BUS_BAUD,
+    emulated_wiring,
+    watched,
+    wired_robot,
+    without_pauses,
+)
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.link import SerialLink
@@ -149,6 +155,7 @@ def keep_pace(duration: float, seed: int) -> dict[str, Any]:
         robot.home(np.array(emulator.state()[ROBOT]["arm_angles"]))
         robot.activate()
         resources.enter_context(watched(robot))
+        resources.enter_context(without_pauses())
         # Made last: what passes before the loop is no deadline missed.
         clock = _NotedClock(robot)
         asked = boards.bus.statistics.transactions

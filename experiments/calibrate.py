@@ -23,6 +23,7 @@ from twin.hardware.board_robot import BoardRobot
 from twin.hardware.calibration import (
     CalibrationError,
     calibration_path,
+    calibration_text,
     read_calibration,
     write_calibration,
 )
@@ -70,6 +71,8 @@ class Options:
             raise OptionError(f"--robot {self.robot}: needs analogue=PORT and wrench=HOST")
         if not 0.05 <= self.weight <= 5.0:
             raise OptionError(f"--weight: expected 0.05 to 5 kg, got {self.weight}")
+        if self.output is not None and not self.output.parent.is_dir():
+            raise OptionError(f"--output {self.output}: there is no folder {self.output.parent}")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -99,7 +102,12 @@ def main(arguments: Sequence[str]) -> int:
     except EOFError:
         raise ExperimentError("nobody answers; the calibration is as it was") from None
     target = options.output or path
-    write_calibration(target, result.calibration)
+    try:
+        write_calibration(target, result.calibration)
+    except OSError as error:
+        # An hour of a person's work must not be lost.
+        print(calibration_text(result.calibration))
+        raise ExperimentError(f"{target}: {error.strerror}; the file is printed above") from None
     print(f"written: {target}")
     return 0
 

@@ -16,6 +16,7 @@ from twin.hardware.connect_boards import (
     quantised_robots,
     watched,
     wired_robot,
+    without_pauses,
 )
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
@@ -151,4 +152,5 @@ def _connect_wires(wiring: Wiring) -> Connection:
     resources = contextlib.ExitStack()
     resources.callback(robot.close)
     resources.enter_context(watched(robot))
+    resources.enter_context(without_pauses())
     return Connection({robot.name: robot}, clock, None, None, resources)

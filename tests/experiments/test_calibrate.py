@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import datetime
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from models.compose import RobotPlacement
 from models.datasheets import ARM, DEGREE
 from twin.clock import TickClock
 from twin.hardware.board_robot import BoardRobot
+from twin.hardware.calibration import calibration_path, calibration_text, read_calibration
 from twin.hardware.calibration_procedure import ProcedureConfig, run_procedure, tilt_procedure
 from twin.hardware.emulator.direct import DirectBoards
 from twin.hardware.emulator.process import EmulatorProcess
@@ -122,6 +124,7 @@ def test_silent_sensor_is_told_by_name():
         (["--robot", "sim"], "no real boards"),
         (["--robot", "serial:/dev/null"], "needs analogue=PORT and wrench=HOST"),
         (["--robot", "serial:a,analogue=b,wrench=c", "--weight", "0"], "0.05 to 5 kg"),
+        (["--robot", "serial:a,analogue=b,wrench=c", "--output", "no/x.toml"], "no folder no"),
     ],
 )
 def test_bad_options_are_told_in_one_line(words, told, capsys):
@@ -169,3 +172,16 @@ def test_person_who_stops_changes_nothing(tmp_path, capsys, monkeypatch):
     told = capsys.readouterr()
     assert "take the weight off" in told.out and "stopped" in told.err
     assert not target.exists()
+
+
+def test_constants_that_cannot_be_written_are_printed(tmp_path, capsys, monkeypatch):
+    found = read_calibration(calibration_path("rover1"))
+    monkeypatch.setattr(calibrate, "open_boards", lambda *_: SimpleNamespace(close=lambda: None))
+    robot = SimpleNamespace(configure=lambda: None)
+    monkeypatch.setattr(calibrate, "BoardRobot", lambda *_: robot)
+    result = SimpleNamespace(calibration=found)
+    monkeypatch.setattr(calibrate, "run_procedure", lambda *_: result)
+    words = ["--robot", "serial:a,analogue=b,wrench=c", "--output", str(tmp_path)]
+    assert main(["calibrate", *words]) == 1
+    told = capsys.readouterr()
+    assert calibration_text(found) in told.out and "printed above" in told.err

@@ -197,9 +197,6 @@ def wired_robot(wiring: Wiring, clock: Callable[[], float]) -> BoardRobot:
     except BaseException:
         robot.close()
         raise
-    # To search all that is loaded by now for garbage takes two cycles.
-    gc.collect()
-    gc.freeze()
     return robot
 
 
@@ -242,6 +239,17 @@ def quantised_robots(scene: EmulatedScene) -> dict[str, BoardRobot]:
         robot.home(rover.angles()[4:])
         robots[name] = robot
     return robots
+
+
+@contextlib.contextmanager
+def without_pauses() -> Generator[None]:
+    """Keep the search for garbage off all that is loaded by now: it would take two cycles."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ import pytest
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
 from experiments.ch2_rover_trial import known_swinging_arm
+from models.compose import PayloadConfig, RobotPlacement
 from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.hardware.connect_boards import emulated_wiring, wired_robot
@@ -387,6 +388,17 @@ def test_quantised_rover_sees_what_the_simulated_one_sees():
             assert pair.usable and pair.value.dtype == np.uint8
             pairs.append(pair.value)
     np.testing.assert_array_equal(*pairs)
+
+
+def test_payload_is_carried_on_emulated_boards_as_on_quantised_ones():
+    box = PayloadConfig(0.3, (0.01, 0.02, 0.03))
+    wrenches = {}
+    for target, payload in (("quantised", box), ("emulated", box), ("quantised", None)):
+        with connect(target, robots=[RobotPlacement(ROBOT, payload=payload)], seed=3) as link:
+            link.clock.tick()
+            wrenches[target, payload] = link.robots[ROBOT].observe().arm_base_wrench.value
+    np.testing.assert_array_equal(wrenches["quantised", box], wrenches["emulated", box])
+    assert np.abs(wrenches["quantised", box] - wrenches["quantised", None]).max() > 0.5
 
 
 def test_wired_robot_sees_with_the_captures_that_are_named(emulator, tmp_path):
