@@ -28,6 +28,8 @@ IntArray = NDArray[np.int64]
 _STOPPING = Status(0xFFFF) | Status.MAIN_VOLTAGE_LOW_WARNING | Status.MAIN_VOLTAGE_HIGH_WARNING
 _STILL = 2
 """Counts by which an axis at rest may differ from one reading to the next."""
+_TRIES_AT_REST = 5
+"""Of a step that boards at rest did not answer: there a late answer harms nobody."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,9 +123,7 @@ class BoardRobot:
             self._homed = False
             self._lifecycle = Lifecycle.UNCONFIGURED
             try:
-                self.boards.configure()
-                self._zero()
-                self._begin()
+                _at_rest(self._set_up)
             except LinkError as error:
                 raise RobotError(f"robot {self.name!r}: {error}") from error
             self._warm()
@@ -144,18 +144,7 @@ class BoardRobot:
                     f"robot {self.name!r} is {self._lifecycle.value}; home it when it is inactive"
                 )
             try:
-                self._begin()
-                before = self._samples.arm_counts()
-                self._begin()
-                if np.any(np.abs(self._samples.arm_counts() - before) > _STILL):
-                    raise RobotError(f"robot {self.name!r}: the arm moves; hold it still to home")
-                counts = self.calibration.drive.counts(np.concatenate([np.zeros(4), angles]))
-                # Until all counters are set, none of them means an angle.
-                self._homed = False
-                for axis in range(4, 8):
-                    self.boards.set_encoder(axis, codec.signed_difference(int(counts[axis]), 0))
-                self._homed = True
-                self._begin()
+                _at_rest(lambda: self._set_counters(angles))
             except LinkError as error:
                 raise RobotError(f"robot {self.name!r}: {error}") from error
 
@@ -176,12 +165,7 @@ class BoardRobot:
                     "home it (home=YAW:SHOULDER:ELBOW:WRIST [rad] after serial:PORT)"
                 )
             try:
-                self.boards.reset_e_stop()
-                self._zero()
-                for address in self.boards.addresses:
-                    self._check_board(address)
-                self._begin()
-                self._check_sensors()
+                _at_rest(self._wake)
             except (LinkError, RobotError) as error:
                 raise self._fail(str(error)) from error
             self._servo.reset()
@@ -276,6 +260,33 @@ class BoardRobot:
             late = self._clock() - self._commanded
             if self._lifecycle is Lifecycle.ACTIVE and late > self._config.watchdog:
                 self._fail(f"no command for {late:.2f} s")
+
+    def _set_up(self) -> None:
+        self.boards.configure()
+        self._zero()
+        self._begin()
+
+    def _set_counters(self, angles: FloatArray) -> None:
+        self._begin()
+        before = self._samples.arm_counts()
+        self._begin()
+        if np.any(np.abs(self._samples.arm_counts() - before) > _STILL):
+            raise RobotError(f"robot {self.name!r}: the arm moves; hold it still to home")
+        counts = self.calibration.drive.counts(np.concatenate([np.zeros(4), angles]))
+        # Until all counters are set, none of them means an angle.
+        self._homed = False
+        for axis in range(4, 8):
+            self.boards.set_encoder(axis, codec.signed_difference(int(counts[axis]), 0))
+        self._homed = True
+        self._begin()
+
+    def _wake(self) -> None:
+        self.boards.reset_e_stop()
+        self._zero()
+        for address in self.boards.addresses:
+            self._check_board(address)
+        self._begin()
+        self._check_sensors()
 
     def _begin(self) -> None:
         self._samples.begin()
@@ -378,3 +389,13 @@ class BoardRobot:
         except LinkError:
             # What cannot be reached stops by its own timeout.
             self.statistics.lost_boards += 1
+
+
+def _at_rest(step: Callable[[], None]) -> None:
+    """Take a step, again if a board did not answer: a process that was held up looks like that."""
+    for _ in range(_TRIES_AT_REST - 1):
+        try:
+            return step()
+        except LinkError:
+            continue
+    step()
