@@ -38,7 +38,7 @@ SMALLEST_GAIN = 1e-4
 """Of half the squared residuals, at which a fit has converged: 0.014 standard deviations away."""
 
 SUBSTEPS = 2
-"""Integration steps a sample on line: one would leave 0.3 % in the angular accelerations, a bias."""
+"""Integration steps a sample, on line: one would leave 0.3 % in the angular accelerations."""
 
 FINAL_SUBSTEPS = 4
 """Those of the final fit: on a light, stiff body two bias it by more than its deviation."""
