@@ -16,7 +16,7 @@ from twin.hardware import roboclaw_codec as codec
 from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration import Calibration
-from twin.hardware.link import LinkError
+from twin.hardware.link import LinkError, at_rest
 from twin.hardware.roboclaw_codec import Status
 from twin.robot import NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
 from twin.servo import ROVER_SERVO, Servo, ServoConfig
@@ -28,8 +28,6 @@ IntArray = NDArray[np.int64]
 _STOPPING = Status(0xFFFF) | Status.MAIN_VOLTAGE_LOW_WARNING | Status.MAIN_VOLTAGE_HIGH_WARNING
 _STILL = 2
 """Counts by which an axis at rest may differ from one reading to the next."""
-_TRIES_AT_REST = 5
-"""Of a step that boards at rest did not answer: there a late answer harms nobody."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,7 +121,7 @@ class BoardRobot:
             self._homed = False
             self._lifecycle = Lifecycle.UNCONFIGURED
             try:
-                _at_rest(self._set_up)
+                at_rest(self._set_up)
             except LinkError as error:
                 raise RobotError(f"robot {self.name!r}: {error}") from error
             self._warm()
@@ -144,7 +142,7 @@ class BoardRobot:
                     f"robot {self.name!r} is {self._lifecycle.value}; home it when it is inactive"
                 )
             try:
-                _at_rest(lambda: self._set_counters(angles))
+                at_rest(lambda: self._set_counters(angles))
             except LinkError as error:
                 raise RobotError(f"robot {self.name!r}: {error}") from error
 
@@ -165,7 +163,7 @@ class BoardRobot:
                     "home it (home=YAW:SHOULDER:ELBOW:WRIST [rad] after serial:PORT)"
                 )
             try:
-                _at_rest(self._wake)
+                at_rest(self._wake)
             except (LinkError, RobotError) as error:
                 raise self._fail(str(error)) from error
             self._servo.reset()
@@ -389,13 +387,3 @@ class BoardRobot:
         except LinkError:
             # What cannot be reached stops by its own timeout.
             self.statistics.lost_boards += 1
-
-
-def _at_rest(step: Callable[[], None]) -> None:
-    """Take a step, again if a board did not answer: a process that was held up looks like that."""
-    for _ in range(_TRIES_AT_REST - 1):
-        try:
-            return step()
-        except LinkError:
-            continue
-    step()

@@ -5,12 +5,32 @@ from __future__ import annotations
 import os
 import select
 import time
+from collections.abc import Callable
 
 import serial
+
+_TRIES_AT_REST = 5
 
 
 class LinkError(RuntimeError):
     """A device did not answer as it must, after all retries."""
+
+
+def at_rest(step: Callable[[], None]) -> None:
+    """Take a step while nothing moves, where a late answer harms nobody, again if need be.
+
+    Args:
+        step: May be repeated. That a board did not answer may be because this process was held up.
+
+    Raises:
+        LinkError: If no try succeeds.
+    """
+    for _ in range(_TRIES_AT_REST - 1):
+        try:
+            return step()
+        except LinkError:
+            continue
+    step()
 
 
 class SerialLink:
