@@ -1,0 +1,1 @@
+"""Where to look next: planar robots, and stereo heads on arms."""
