@@ -14,8 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from models import datasheets, terrain
+from models import clutter, datasheets, terrain
 from models.configuration import FLAT, ROUGH, FieldConfig, PayloadConfig, RobotPlacement
+from models.materials import add_materials
 
 __all__ = [
     "ARM_JOINTS",
@@ -40,8 +41,9 @@ __all__ = [
 FOLDER = Path(__file__).parent
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
-TEXTURE_TILE = 0.25
-"""Edge of the ground's noise tile [m]."""
+TEXTURE_TILE = FieldConfig.texture_tile
+"""Edge of the ground's noise tile, unless the field says another [m]."""
+_START_RADIUS = 0.4  # Kept clear of rocks and blocks about a robot's start [m].
 
 
 def load_part(name: str) -> mujoco.MjSpec:
@@ -76,26 +78,40 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
 
     Args:
         field: The field.
-        robots: Robots whose starts are kept free of rocks.
+        robots: Robots whose starts are kept free of rocks and blocks.
 
     Returns:
-        Heights and rocks, in the world frame.
+        Heights, rocks and blocks, in the world frame; the panel is not among them.
     """
-    height_seed, rock_seed = np.random.SeedSequence(field.seed).spawn(3)[:2]
+    height_seed, rock_seed, _, block_seed = np.random.SeedSequence(field.seed).spawn(4)
     heights = terrain.make_heights(
         np.random.default_rng(height_seed), field.size, field.relief, field.cell
     )
     none = terrain.Rocks(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
     bare = terrain.Terrain(field.size, heights, none)
+    discs = [(*robot.position, _START_RADIUS) for robot in robots]
+    if field.panel is not None:
+        discs.append((*field.panel.position, field.panel.footprint))
+    clear = np.array(discs).reshape(-1, 3)
+    blocks = clutter.make_blocks(
+        np.random.default_rng(block_seed),
+        field.size,
+        bare.ground_at,
+        field.blocks,
+        field.block_edge,
+        clear[:, :2],
+        clear[:, 2],
+    )
+    clear = np.concatenate([clear, np.column_stack([blocks.centres[:, :2], blocks.radii])])
     rocks = terrain.make_rocks(
         np.random.default_rng(rock_seed),
         bare,
         field.rocks,
         field.rock_radius,
-        clear=np.array([robot.position for robot in robots]),
-        clear_radius=0.4,
+        clear=clear[:, :2],
+        clear_radius=clear[:, 2],
     )
-    return dataclasses.replace(bare, rocks=rocks)
+    return dataclasses.replace(bare, rocks=rocks, blocks=blocks)
 
 
 def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.MjSpec:
@@ -113,16 +129,22 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
         The scene.
 
     Raises:
-        ValueError: If two robots share a name, or one starts outside the field.
+        ValueError: If two robots share a name, or one starts outside the field or at the panel.
     """
     _check_robots(field, robots)
+    _check_panel(field, robots)
     ground = make_terrain(field, robots)
     scene = load_part("field")
     scene.modelname = "scene"
     scene.default.name = "main"
-    _add_materials(scene, field)
+    add_materials(scene, field)
     _add_ground(scene, ground)
     _add_rocks(scene, ground.rocks)
+    clutter.add_blocks(scene, ground.blocks)
+    if field.panel is not None:
+        clutter.add_panel(
+            scene, field.panel, float(ground.ground_at(np.array(field.panel.position)))
+        )
     for robot in robots:
         _add_robot(scene, robot, _start_height(ground, robot), field.friction)
     if robots:
@@ -236,37 +258,28 @@ def _check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
             )
 
 
+def _check_panel(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
+    panel = field.panel
+    if panel is None:
+        return
+    reach = np.abs(np.asarray(panel.position)) + panel.footprint
+    if np.any(reach > np.asarray(field.size) / 2.0):
+        raise ValueError(
+            f"the panel stands at {panel.position}, less than {panel.footprint:.2f} m from the "
+            f"edge of the field of {field.size[0]} x {field.size[1]} m"
+        )
+    least = panel.footprint + _START_RADIUS
+    for robot in robots:
+        distance = math.dist(robot.position, panel.position)
+        if distance < least:
+            raise ValueError(
+                f"robot {robot.name!r} starts {distance:.2f} m from the panel; "
+                f"needs {least:.2f} m or more"
+            )
+
+
 def _free_name(names: Sequence[str]) -> str:
     return next(name for name in (f"rover{i}" for i in range(1, 1000)) if name not in names)
-
-
-def _add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
-    seed = np.random.SeedSequence(field.seed).spawn(3)[2]
-    image = terrain.ground_texture(np.random.default_rng(seed), field.texture_pixels)
-    face = min(field.texture_pixels, 256)
-    flat, cube = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtTexture.mjTEXTURE_CUBE
-    _add_texture(scene, "ground", flat, image)
-    _add_texture(scene, "rock", cube, np.tile(image[:face, :face], (6, 1, 1)))
-    # MuJoCo counts uniform repeats over two metres.
-    for name, repeat in (("ground", 2.0 / TEXTURE_TILE), ("rock", 1.0)):
-        textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
-        textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
-        scene.add_material(
-            name=name,
-            textures=textures,
-            texrepeat=[repeat, repeat],
-            texuniform=name == "ground",
-            specular=0.0,
-            shininess=0.0,
-        )
-
-
-def _add_texture(
-    scene: mujoco.MjSpec, name: str, kind: mujoco.mjtTexture, image: NDArray[np.uint8]
-) -> None:
-    height, width, channels = image.shape
-    texture = scene.add_texture(name=name, type=kind, width=width, height=height, nchannel=channels)
-    texture.data = image.tobytes()
 
 
 def _add_ground(scene: mujoco.MjSpec, ground: terrain.Terrain) -> None:

@@ -7,6 +7,7 @@ import math
 import re
 
 from models import datasheets
+from models.clutter import PanelConfig
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -31,8 +32,13 @@ class FieldConfig:
         rocks: Number of rocks drawn; those within 0.4 m of a robot's start are left out.
         rock_radius: Smallest and largest horizontal semi-axis of a rock [m].
         friction: Coulomb coefficient between tyres and ground.
-        seed: Seed of texture, heights and rocks.
-        texture_pixels: Edge of the noise texture of 0.25 m; a power of two.
+        seed: Seed of texture, heights, rocks and blocks.
+        texture_pixels: Edge of the noise texture; a power of two.
+        texture_tile: Edge of what that texture covers before it repeats [m].
+        blocks: Number of textured blocks drawn; those within 0.4 m of a robot's start, before the
+            panel or in another block are left out.
+        block_edge: Smallest and largest edge of a block [m].
+        panel: The panel that is the robots' target, if any.
     """
 
     size: tuple[float, float] = (6.0, 6.0)
@@ -43,6 +49,10 @@ class FieldConfig:
     friction: float = datasheets.ROVER.tyre_friction
     seed: int = 0
     texture_pixels: int = 1024
+    texture_tile: float = 0.25
+    blocks: int = 0
+    block_edge: tuple[float, float] = (0.05, 0.16)
+    panel: PanelConfig | None = None
 
     def __post_init__(self) -> None:
         """Refuse impossible fields.
@@ -69,6 +79,15 @@ class FieldConfig:
             self.texture_pixels,
             "a power of two from 16 to 4096",
         )
+        _require(
+            0.01 <= self.texture_tile <= 10.0,
+            "field texture_tile",
+            self.texture_tile,
+            "a tile of 0.01 to 10 m",
+        )
+        _require(0 <= self.blocks <= 2000, "field blocks", self.blocks, "0 to 2000")
+        low, high = self.block_edge
+        _require(0.0 < low <= high <= 2.0, "field block_edge", self.block_edge, "0 < low <= high")
 
 
 FLAT = FieldConfig()

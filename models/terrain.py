@@ -1,4 +1,4 @@
-"""Ground of a scene: noise texture, height field and rocks, all from a seed.
+"""Ground of a scene: noise textures, height field, rocks and blocks, all from a seed.
 
 Points are in the world frame, z up, the field centred on the origin; lengths in metres.
 """
@@ -9,6 +9,8 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from models.clutter import NO_BLOCKS, Blocks
 
 FloatArray = NDArray[np.float64]
 
@@ -30,17 +32,19 @@ class Rocks:
 
 @dataclasses.dataclass(frozen=True)
 class Terrain:
-    """Heights on a regular grid and the rocks on it.
+    """Heights on a regular grid, and the rocks and blocks on it.
 
     Attributes:
         size: (2,) lengths along x and y [m].
         heights: (rows, columns) [m]; row 0 lies at the smallest y. Flat ground has (2, 2) zeros.
         rocks: The rocks.
+        blocks: The blocks.
     """
 
     size: tuple[float, float]
     heights: FloatArray
     rocks: Rocks
+    blocks: Blocks = NO_BLOCKS
 
     @property
     def is_flat(self) -> bool:
@@ -48,7 +52,7 @@ class Terrain:
         return not np.any(self.heights)
 
     def ground_at(self, points: ArrayLike) -> FloatArray:
-        """Return the height of the ground without rocks, bilinear between the grid's nodes.
+        """Return the height of the bare ground, bilinear between the grid's nodes.
 
         Args:
             points: (..., 2) [m], world; points outside the field get its border's height.
@@ -68,7 +72,7 @@ class Terrain:
         return low * (1 - t) + high * t
 
     def height_at(self, points: ArrayLike) -> FloatArray:
-        """Return the height of the surface, rocks included.
+        """Return the height of the surface, rocks and blocks included.
 
         Args:
             points: (..., 2) [m], world.
@@ -87,7 +91,7 @@ class Terrain:
             inside = 1.0 - (along / axes[0]) ** 2 - (across / axes[1]) ** 2
             top = centre[2] + axes[2] * np.sqrt(np.maximum(inside, 0.0))
             heights = np.where(inside > 0.0, np.maximum(heights, top), heights)
-        return heights
+        return self.blocks.raise_heights(points, heights)
 
 
 def noise_image(
@@ -114,20 +118,30 @@ def noise_image(
     return (image - image.mean()) / image.std()
 
 
-def ground_texture(rng: np.random.Generator, pixels: int) -> NDArray[np.uint8]:
-    """Return a sandy tile whose detail reaches down to two pixels, so that stereo can match it.
+SAND = (1.0, 0.94, 0.84)
+"""Colour of ground and rocks."""
+BLOCK = (1.0, 0.80, 0.62)
+"""Colour of blocks."""
+PANEL = (0.62, 0.72, 1.0)
+"""Colour of the panel's face."""
+
+
+def noise_texture(
+    rng: np.random.Generator, pixels: int, tint: tuple[float, float, float] = SAND
+) -> NDArray[np.uint8]:
+    """Return a tile whose detail reaches down to two pixels, so that stereo can match it.
 
     Args:
         rng: Source of randomness.
         pixels: Width and height; a power of two.
+        tint: Red, green and blue of its brightest spot.
 
     Returns:
         (pixels, pixels, 3) uint8 RGB.
     """
     grey = noise_image(rng, pixels, octaves=int(np.log2(pixels)) - 1)
     level = np.clip(0.52 + 0.17 * grey, 0.02, 0.98)
-    tint = np.array([1.0, 0.94, 0.84])
-    return np.round(255.0 * level[..., None] * tint).astype(np.uint8)
+    return np.round(255.0 * level[..., None] * np.array(tint)).astype(np.uint8)
 
 
 def make_heights(
@@ -160,7 +174,7 @@ def make_rocks(
     count: int,
     radius: tuple[float, float],
     clear: FloatArray,
-    clear_radius: float,
+    clear_radius: ArrayLike,
 ) -> Rocks:
     """Strew rocks over a terrain.
 
@@ -170,7 +184,7 @@ def make_rocks(
         count: Number of rocks drawn; those in a cleared disc are left out.
         radius: Smallest and largest horizontal semi-axis [m]; small ones are more frequent.
         clear: (N, 2) centres of discs without rocks [m].
-        clear_radius: Radius of those discs [m].
+        clear_radius: Radius of those discs, one or (N,) [m].
 
     Returns:
         The rocks, each standing out of the ground by 0.3 to 0.7 of its mean horizontal semi-axis.
@@ -187,6 +201,7 @@ def make_rocks(
     heights = terrain.ground_at(places) + np.minimum(out, upright) - upright
     centres = np.column_stack([places, heights])
     keep = np.ones(count, dtype=bool)
-    for disc in np.asarray(clear, dtype=float).reshape(-1, 2):
-        keep &= np.hypot(*(places - disc).T) > clear_radius + axes[:, :2].max(axis=1)
+    discs = np.asarray(clear, dtype=float).reshape(-1, 2)
+    for disc, gap in zip(discs, np.broadcast_to(np.asarray(clear_radius), len(discs))):
+        keep &= np.hypot(*(places - disc).T) > gap + axes[:, :2].max(axis=1)
     return Rocks(centres[keep], axes[keep], yaws[keep])

@@ -1,0 +1,252 @@
+"""What stands on a field besides rocks: textured blocks, and a panel with markers.
+
+The panel stands for the solar panel that the thesis' robots set up. Its frame, in which its CAD
+is given, lies in the middle of its face: x right and y up as one looks at the face, z out of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+FloatArray = NDArray[np.float64]
+
+STRUT_RADIUS = 0.006
+"""Of the two rods that hold the panel up [m]."""
+_DISC = 2e-4  # Each disc of a marker stands out of what it lies on by this [m].
+_SUNK = 0.005  # A block goes this deep into the ground, so that no gap shows on a slope [m].
+
+
+@dataclasses.dataclass(frozen=True)
+class PanelMarker:
+    """A white disc with a dark centre on the panel's face.
+
+    Attributes:
+        x: Of its centre, to the right in the face [m].
+        y: Of its centre, up in the face [m].
+        radius: Of the white disc [m].
+        dark: Radius of the dark centre over that of the disc.
+    """
+
+    x: float
+    y: float
+    radius: float = 0.018
+    dark: float = 0.4
+
+
+MARKERS = (
+    PanelMarker(-0.13, -0.10),
+    PanelMarker(0.08, -0.07),
+    PanelMarker(-0.15, 0.03),
+    PanelMarker(0.16, 0.09),
+)
+"""Four markers whose six distances differ by 3 cm and more: no turn maps them onto themselves."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PanelConfig:
+    """A textured plate on the ground, held up by two rods behind it.
+
+    Attributes:
+        position: Of the middle of its lower front edge, x and y [m], world.
+        yaw: About the vertical [rad]; at 0 its face looks along -y.
+        tilt: How far it leans back [rad]; 0 is upright.
+        size: Width and height of the face [m].
+        thickness: [m].
+        markers: Discs on the face.
+    """
+
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    tilt: float = 0.35
+    size: tuple[float, float] = (0.40, 0.30)
+    thickness: float = 0.012
+    markers: tuple[PanelMarker, ...] = MARKERS
+
+    def __post_init__(self) -> None:
+        """Refuse impossible panels.
+
+        Raises:
+            ValueError: If a number is out of its range or a marker hangs over the edge.
+        """
+        pose = (*self.position, self.yaw)
+        if not all(math.isfinite(number) for number in pose):
+            raise ValueError(f"panel pose: got {pose!r}, needs finite numbers [m, rad]")
+        if not 0.0 <= self.tilt <= 1.2:
+            raise ValueError(f"panel tilt: got {self.tilt!r}, needs 0 to 1.2 rad")
+        lengths = (*self.size, self.thickness)
+        if not all(0.0 < length < 5.0 for length in lengths):
+            raise ValueError(f"panel size: got {lengths!r}, needs positive lengths below 5 m")
+        for index, marker in enumerate(self.markers):
+            reach = np.abs([marker.x, marker.y]) + marker.radius
+            if not (marker.radius > 0.0 and 0.0 < marker.dark < 1.0):
+                raise ValueError(f"panel marker {index}: got {marker!r}, needs dark within 0 to 1")
+            if not np.all(reach <= np.asarray(self.size) / 2.0):
+                raise ValueError(f"panel marker {index}: got {marker!r}, needs to lie on the face")
+
+    @property
+    def marker_points(self) -> FloatArray:
+        """(N, 3) centres of the markers [m], panel frame."""
+        return np.array([[m.x, m.y, 0.0] for m in self.markers]).reshape(-1, 3)
+
+    @property
+    def footprint(self) -> float:
+        """Radius about `position` that is kept clear of rocks and blocks [m]."""
+        return 0.5 * math.hypot(*self.size) + 0.02
+
+    def transform_panel_to_world(self, ground: float) -> RigidTransform:
+        """Return the pose of the panel's frame.
+
+        Args:
+            ground: Height of the ground at `position` [m].
+        """
+        turn = Rotation.from_euler("z", self.yaw) * Rotation.from_euler("x", np.pi / 2 - self.tilt)
+        foot = np.array([*self.position, ground])
+        middle = foot + turn.apply([0.0, self.size[1] / 2.0, 0.0])
+        return RigidTransform.from_components(middle, turn)
+
+
+@dataclasses.dataclass(frozen=True)
+class Blocks:
+    """Boxes that stand upright on the ground.
+
+    Attributes:
+        centres: (N, 3) [m], world.
+        half_sizes: (N, 3) [m], in each block's own frame.
+        yaws: (N,) rotation of that frame about the vertical [rad].
+    """
+
+    centres: FloatArray
+    half_sizes: FloatArray
+    yaws: FloatArray
+
+    @property
+    def radii(self) -> FloatArray:
+        """(N,) radius of the upright cylinder about each block [m]."""
+        return np.hypot(self.half_sizes[:, 0], self.half_sizes[:, 1])
+
+    def raise_heights(self, points: FloatArray, heights: FloatArray) -> FloatArray:
+        """Return `heights` [m] at `points` (..., 2) [m], or a block's top where that is higher."""
+        for centre, half, yaw in zip(self.centres, self.half_sizes, self.yaws, strict=True):
+            offset = points - centre[:2]
+            along = offset[..., 0] * np.cos(yaw) + offset[..., 1] * np.sin(yaw)
+            across = offset[..., 1] * np.cos(yaw) - offset[..., 0] * np.sin(yaw)
+            inside = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
+            heights = np.where(inside, np.maximum(heights, centre[2] + half[2]), heights)
+        return heights
+
+
+NO_BLOCKS = Blocks(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+
+def make_blocks(
+    rng: np.random.Generator,
+    size: tuple[float, float],
+    ground_at: Callable[[FloatArray], FloatArray],
+    count: int,
+    edge: tuple[float, float],
+    clear: ArrayLike,
+    clear_radius: ArrayLike,
+) -> Blocks:
+    """Put blocks on a field, none in another.
+
+    Args:
+        rng: Source of randomness.
+        size: Lengths of the field along x and y [m], centred on the origin.
+        ground_at: Height [m] of the ground at (N, 2) points [m].
+        count: Number of blocks drawn; those that would stand in a cleared disc, in an earlier
+            block or over the border are left out.
+        edge: Smallest and largest edge [m]; small ones are more frequent.
+        clear: (N, 2) centres of discs without blocks [m].
+        clear_radius: Radius of the discs, one or (N,) [m].
+
+    Returns:
+        The blocks.
+    """
+    half = np.asarray(size) / 2.0
+    places = rng.uniform(-half, half, (count, 2))
+    half_sizes = edge[0] * (edge[1] / edge[0]) ** rng.uniform(0.0, 1.0, (count, 3)) / 2.0
+    yaws = rng.uniform(-np.pi, np.pi, count)
+    reach = np.hypot(half_sizes[:, 0], half_sizes[:, 1])
+    discs = np.asarray(clear, dtype=float).reshape(-1, 2)
+    radii = np.broadcast_to(np.asarray(clear_radius, dtype=float), len(discs))
+    kept: list[int] = []
+    for index, place in enumerate(places):
+        apart = np.linalg.norm(discs - place, axis=1) > radii + reach[index]
+        others = np.linalg.norm(places[kept] - place, axis=1) > reach[kept] + reach[index]
+        if np.all(apart) and np.all(others) and np.all(np.abs(place) + reach[index] <= half):
+            kept.append(index)
+    heights = ground_at(places[kept]) + half_sizes[kept, 2] - _SUNK
+    return Blocks(np.column_stack([places[kept], heights]), half_sizes[kept], yaws[kept])
+
+
+def add_blocks(scene: mujoco.MjSpec, blocks: Blocks) -> None:
+    """Add geoms ``block0``, ``block1``, ... of the material ``block`` to a scene."""
+    for index, (centre, half, yaw) in enumerate(
+        zip(blocks.centres, blocks.half_sizes, blocks.yaws, strict=True)
+    ):
+        scene.worldbody.add_geom(
+            name=f"block{index}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=centre,
+            size=half,
+            quat=[math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)],
+            material="block",
+        )
+
+
+def add_panel(scene: mujoco.MjSpec, panel: PanelConfig, ground: float) -> None:
+    """Add the fixed body ``panel``, whose frame is the panel's.
+
+    Its geoms are ``panel_plate``, ``panel_strut0`` and ``1``, and for each marker the discs
+    ``panel_marker0`` (white) and ``panel_marker0_centre`` (dark).
+
+    Args:
+        scene: Has a material ``panel``.
+        panel: What to add.
+        ground: Height of the ground at its position [m].
+    """
+    pose = panel.transform_panel_to_world(ground)
+    body = scene.worldbody.add_body(
+        name="panel", pos=pose.translation, quat=pose.rotation.as_quat(scalar_first=True)
+    )
+    width, height = panel.size
+    body.add_geom(
+        name="panel_plate",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[0.0, 0.0, -panel.thickness / 2.0],
+        size=[width / 2.0, height / 2.0, panel.thickness / 2.0],
+        material="panel",
+    )
+    for index, marker in enumerate(panel.markers):
+        discs = (("", marker.radius, 0.95, 1), ("_centre", marker.radius * marker.dark, 0.03, 2))
+        for ending, radius, grey, layer in discs:
+            body.add_geom(
+                name=f"panel_marker{index}{ending}",
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                pos=[marker.x, marker.y, 0.0],
+                size=[radius, _DISC * layer, 0.0],
+                rgba=[grey, grey, grey, 1.0],
+                contype=0,
+                conaffinity=0,
+            )
+    top = np.array([0.0, height / 3.0, -panel.thickness])
+    for index, side in enumerate((-1.0, 1.0)):
+        upper = top + [side * width / 3.0, 0.0, 0.0]
+        lower = pose.apply(upper)
+        behind = pose.rotation.apply([0.0, 0.0, -1.0]) * [1.0, 1.0, 0.0]
+        lower += 0.35 * height * behind / np.linalg.norm(behind)
+        lower[2] = ground
+        body.add_geom(
+            name=f"panel_strut{index}",
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[*upper, *pose.inv().apply(lower)],
+            size=[STRUT_RADIUS, 0.0, 0.0],
+            rgba=[0.6, 0.6, 0.62, 1.0],
+        )

@@ -1,0 +1,56 @@
+"""Noise textures of the field, as materials of a scene."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from models import terrain
+from models.configuration import FieldConfig
+
+
+def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
+    """Add the materials ``ground`` and ``rock`` and, where needed, ``block`` and ``panel``.
+
+    Args:
+        scene: To add to.
+        field: Gives the seed and the size of the textures.
+    """
+    seed = np.random.SeedSequence(field.seed).spawn(3)[2]
+    rng = np.random.default_rng(seed)
+    image = terrain.noise_texture(rng, field.texture_pixels)
+    face = min(field.texture_pixels, 256)
+    flat, cube = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtTexture.mjTEXTURE_CUBE
+    _add_texture(scene, "ground", flat, image)
+    _add_texture(scene, "rock", cube, np.tile(image[:face, :face], (6, 1, 1)))
+    # MuJoCo counts uniform repeats over two metres.
+    uniform = 2.0 / field.texture_tile
+    materials = {"ground": uniform, "rock": 1.0}
+    if field.blocks > 0:
+        faces = [terrain.noise_texture(rng, face, terrain.BLOCK) for _ in range(6)]
+        _add_texture(scene, "block", cube, np.concatenate(faces))
+        materials["block"] = 1.0
+    if field.panel is not None:
+        image = terrain.noise_texture(rng, field.texture_pixels, terrain.PANEL)
+        _add_texture(scene, "panel", flat, image)
+        materials["panel"] = uniform
+    for name, repeat in materials.items():
+        textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
+        textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
+        scene.add_material(
+            name=name,
+            textures=textures,
+            texrepeat=[repeat, repeat],
+            texuniform=repeat == uniform,
+            specular=0.0,
+            shininess=0.0,
+        )
+
+
+def _add_texture(
+    scene: mujoco.MjSpec, name: str, kind: mujoco.mjtTexture, image: NDArray[np.uint8]
+) -> None:
+    height, width, channels = image.shape
+    texture = scene.add_texture(name=name, type=kind, width=width, height=height, nchannel=channels)
+    texture.data = image.tobytes()
