@@ -1,0 +1,139 @@
+"""What a registration can be made from: finite, seen by both eyes, and enough of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+FEWEST = 4
+"""Fiducials: three fix six degrees of freedom, the fourth says whether they agree."""
+
+LEAST_SPREAD = 5.0
+"""R.m.s. distance from their best line, in standard deviations, below which points are in line."""
+
+
+class RegistrationError(ValueError):
+    """A motion cannot be told from these fiducials."""
+
+
+def checked_image_points(name: str, image_points: ArrayLike) -> FloatArray:
+    """Return (N, 3) columns, rows and disparities [px] as floats.
+
+    Args:
+        name: What an error calls them.
+        image_points: What is offered.
+
+    Raises:
+        RegistrationError: If the shape is another, a number is not finite, or a disparity is not
+            positive.
+    """
+    points = np.asarray(image_points, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise RegistrationError(
+            f"{name} of shape {points.shape}: expected (N, 3) columns, rows and disparities"
+        )
+    _check_finite(name, points)
+    behind = np.flatnonzero(points[:, 2] <= 0.0)
+    if behind.size:
+        raise RegistrationError(
+            f"{name}: fiducial {behind[0]} has disparity {points[behind[0], 2]:g} px: "
+            "expected more than 0"
+        )
+    return points
+
+
+def checked_sigma(sigma: ArrayLike, count: int) -> FloatArray:
+    """Return (count, 3) standard deviations of column, row and disparity [px].
+
+    Args:
+        sigma: One for all, (3,) or (count, 3).
+        count: Number of fiducials.
+
+    Raises:
+        RegistrationError: If the shape is another or one is not positive.
+    """
+    given = np.asarray(sigma, dtype=float)
+    if given.shape not in ((), (3,), (count, 3)):
+        raise RegistrationError(f"sigma of shape {given.shape}: expected (3,) or ({count}, 3)")
+    if not np.all((given > 0.0) & np.isfinite(given)):
+        raise RegistrationError(f"sigma {given}: every deviation must be positive and finite")
+    return np.broadcast_to(given, (count, 3)).copy()
+
+
+def checked_map(
+    points: ArrayLike, covariances: ArrayLike, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return map points (count, 3) and their covariance as it was given, or (3N, 3N) if joint.
+
+    Args:
+        points: (N, 3) [m].
+        covariances: (N, 3, 3) of independent points, or (3N, 3N) of all together [m^2].
+        count: Number of fiducials seen.
+
+    Raises:
+        RegistrationError: If a shape is another, or a number is not finite, or a variance is
+            negative.
+    """
+    places = np.asarray(points, dtype=float)
+    spread = np.asarray(covariances, dtype=float)
+    if places.shape != (count, 3):
+        raise RegistrationError(f"map points of shape {places.shape}: expected ({count}, 3)")
+    if spread.shape not in ((count, 3, 3), (3 * count, 3 * count)):
+        raise RegistrationError(
+            f"map covariances of shape {spread.shape}: expected ({count}, 3, 3) or "
+            f"({3 * count}, {3 * count})"
+        )
+    _check_finite("map points", places)
+    _check_finite("map covariances", spread)
+    variances = np.diagonal(spread, axis1=-2, axis2=-1)
+    if np.any(variances < 0.0):
+        raise RegistrationError("map covariances: a variance is negative")
+    return places, spread
+
+
+def weakness(image_points: ArrayLike, sigma: ArrayLike) -> str | None:
+    """Say why a set of fiducials cannot fix a motion; None if it can.
+
+    A projection keeps lines straight, so points in line in space are so in column, row and
+    disparity, where the noise is known.
+
+    Args:
+        image_points: (N, 3) columns, rows, disparities [px].
+        sigma: Standard deviations [px], as `checked_sigma` takes them.
+    """
+    points = checked_image_points("image points", image_points)
+    count = len(points)
+    if count < FEWEST:
+        return f"{count} fiducials: at least {FEWEST} are needed"
+    white = (points - points.mean(axis=0)) / checked_sigma(sigma, count).mean(axis=0)
+    spread = np.linalg.svd(white, compute_uv=False) / np.sqrt(count)
+    if spread[0] < LEAST_SPREAD:
+        return (
+            f"the fiducials coincide: they spread over {spread[0]:.1f} standard deviations, "
+            f"at least {LEAST_SPREAD:g} are needed"
+        )
+    if spread[1] < LEAST_SPREAD:
+        return (
+            f"the fiducials are in line to within {spread[1]:.1f} standard deviations, "
+            f"at least {LEAST_SPREAD:g} are needed"
+        )
+    return None
+
+
+def check_strength(image_points: ArrayLike, sigma: ArrayLike) -> None:
+    """Refuse fiducials that cannot fix a motion.
+
+    Raises:
+        RegistrationError: Saying why, as `weakness`.
+    """
+    trouble = weakness(image_points, sigma)
+    if trouble is not None:
+        raise RegistrationError(trouble)
+
+
+def _check_finite(name: str, values: FloatArray) -> None:
+    wrong = np.argwhere(~np.isfinite(values))
+    if wrong.size:
+        raise RegistrationError(f"{name}: the value at {wrong[0].tolist()} is not finite")
