@@ -30,6 +30,18 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch2_friction",
     ),
     Experiment(
+        name="ch3-planar",
+        summary="planar worlds are mapped, each next view chosen by any of seven methods",
+        thesis="figures 3-6, 3-8, 3-12 to 3-21",
+        module="experiments.ch3_planar",
+    ),
+    Experiment(
+        name="ch3-swarm",
+        summary="one to fifty robots map an indoor world together",
+        thesis="section 6.2 (d), suggested only",
+        module="experiments.ch3_swarm",
+    ),
+    Experiment(
         name="appd-calibration",
         summary="the inclinometers are calibrated by weighing on a tilting table",
         thesis="Table D-1",

@@ -1,0 +1,341 @@
+"""The next pose of a planar vision system, by any of the methods of Thesis 3.3.1 and two peers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Literal, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.mapping.planar_ratings import (
+    fixed_price_rating,
+    isolation_weights,
+    rate_rating,
+)
+from controllers.mapping.planar_situation import (
+    Situation,
+    believe,
+    draw_candidates,
+    frontier_cells,
+)
+from perception.information import READINGS, Reading, new_information, undecided_entropy
+from perception.planar_map import PlanarMap
+from perception.planar_raycast import RangeSensor, ray_sums, sector_sums
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+Method: TypeAlias = Literal[
+    "random", "raster", "max_new", "min_old", "information", "frontier", "rate"
+]
+Utility: TypeAlias = Literal["going_rate", "fixed"]
+METHODS: tuple[Method, ...] = get_args(Method)
+UTILITIES: tuple[Utility, ...] = get_args(Utility)
+
+NEAR = 2.0
+"""Half of the candidates lie within this path length, in depths of field."""
+LEAST = 1e-6
+"""A view of less new information or area, over that of the whole sector, brings nothing."""
+FRONTIERS = 64
+"""How many frontier cells are looked at together, the nearest first."""
+ENOUGH = 0.1
+"""New area in view, over that of the sector, that makes method frontier stop at a cell."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PlannerConfig:
+    """How views are chosen.
+
+    Attributes:
+        sensor: The vision system.
+        method: (i) random, (ii) raster, (iii) max_new, (iv) min_old, (v) information of Thesis
+            3.3.1, or frontier (the nearest) and rate.
+        reading: What new information means, see `perception.information`.
+        utility: What method information makes of it: "going_rate", or "fixed" for eq. 3-15.
+        candidates: Positions that are rated.
+        headings: Headings at each of them.
+        rays: Rays of a full fan, a multiple of ``headings``.
+        price: K of eq. 3-15, utility "fixed" only.
+        exponent: n of eq. 3-15, utility "fixed" only.
+        scan_path: Path that takes as long as a scan, over the depth of field.
+        isolation: What an unknown cell amid known ones is worth more, utility "going_rate" only.
+    """
+
+    sensor: RangeSensor = RangeSensor()
+    method: Method = "information"
+    reading: Reading = "entropy"
+    utility: Utility = "going_rate"
+    candidates: int = 150
+    headings: int = 24
+    rays: int = 240
+    price: float = 0.1
+    exponent: float = 2.0
+    scan_path: float = 1.2
+    isolation: float = 2.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no planner could follow.
+
+        Raises:
+            ValueError: Naming the setting.
+        """
+        for name, valid in (("method", METHODS), ("reading", READINGS), ("utility", UTILITIES)):
+            if getattr(self, name) not in valid:
+                raise ValueError(f"{name} {getattr(self, name)}: expected {', '.join(valid)}")
+        if self.candidates < 1 or self.headings < 1 or self.rays % self.headings:
+            raise ValueError(
+                f"candidates {self.candidates}, headings {self.headings}, rays {self.rays}: "
+                "expected 1 or more, and rays a multiple of the headings"
+            )
+        if not (self.price >= 0.0 and self.exponent > 0.0 and self.isolation >= 0.0):
+            raise ValueError("price, exponent, isolation: expected 0 or more, exponent above 0")
+        if not self.scan_path > 0.0:
+            raise ValueError(f"scan_path: expected more than 0, got {self.scan_path}")
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """A pose to look from next.
+
+    Attributes:
+        cell: Row and column.
+        heading: Of the sector's middle, from the x axis [rad].
+        path: (n, 2) cells from the present one to ``cell``.
+        length: Of the path [m].
+        candidates: (m, 2) cells that were rated.
+        ratings: (m,) rating of each in its best heading.
+    """
+
+    cell: tuple[int, int]
+    heading: float
+    path: IntArray
+    length: float
+    candidates: IntArray
+    ratings: FloatArray
+
+
+class ViewPlanner:
+    """Chooses the next pose of one vision system on a map."""
+
+    def __init__(self, config: PlannerConfig, generator: np.random.Generator) -> None:
+        """Begin.
+
+        Args:
+            config: Method and constants.
+            generator: Of candidates.
+        """
+        self.config = config
+        self._generator = generator
+        self._stood: dict[tuple[int, int], int] = {}
+
+    def choose(
+        self, world: PlanarMap, cell: tuple[int, int], claimed: BoolArray | None = None
+    ) -> View | None:
+        """Choose the next pose.
+
+        All candidates are free (P < 0.05) and reached by a collision-free path on the map.
+
+        Args:
+            world: The map.
+            cell: Present row and column.
+            claimed: (rows, columns) cells that another robot is about to see; they count as seen.
+
+        Returns:
+            The view, or None if no pose would bring anything new.
+        """
+        config = self.config
+        situation = believe(world, cell, config.sensor, config.rays, claimed)
+        if config.method == "raster":
+            return self._next_in_raster(situation, cell)
+        if config.method == "random":
+            return self._anywhere(situation)
+        if config.method == "frontier":
+            return self._nearest_frontier(situation)
+        view = self._best_view(situation, self._candidates(situation))
+        if view is None:
+            # The few drawn see nothing new; some cell beside the unknown may.
+            cells = frontier_cells(situation)
+            if len(cells) > config.candidates:
+                cells = self._generator.choice(cells, config.candidates, replace=False)
+            view = self._best_view(situation, cells)
+        return view
+
+    def _candidates(self, situation: Situation) -> IntArray:
+        near = NEAR * self.config.sensor.depth
+        return draw_candidates(situation, self.config.candidates, near, self._generator)
+
+    def _best_view(self, situation: Situation, cells: IntArray) -> View | None:
+        if len(cells) == 0:
+            return None
+        ratings, worthwhile = RATINGS[self.config.method](self.config, situation, cells)
+        if not worthwhile.any():
+            return None
+        ratings = np.where(worthwhile, ratings, -np.inf)
+        index, heading = divmod(int(np.argmax(ratings)), ratings.shape[1])
+        return self._view(situation, cells, index, heading, ratings.max(axis=1))
+
+    def _anywhere(self, situation: Situation) -> View:
+        """Method (i): anywhere that can be reached, in any heading."""
+        cells = np.argwhere(np.isfinite(situation.paths.lengths))
+        index = int(self._generator.integers(len(cells)))
+        heading = int(self._generator.integers(self.config.headings))
+        return self._view(situation, cells[index : index + 1], 0, heading, np.zeros(1))
+
+    def _next_in_raster(self, situation: Situation, cell: tuple[int, int]) -> View | None:
+        """Method (ii): a full turn at each free lattice point, row by row, then a finer lattice."""
+        turn = math.ceil(2.0 * math.pi / self.config.sensor.fov - 1e-9)
+        count = self._stood.get(cell, 0)
+        if count >= turn:
+            target = self._next_lattice_point(situation, cell)
+            if target is None:
+                return None
+            cell, count = target, 0
+        self._stood[cell] = count + 1
+        heading = round(count * self.config.headings / turn)
+        return self._view(situation, np.array([cell]), 0, heading, np.zeros(1))
+
+    def _next_lattice_point(
+        self, situation: Situation, cell: tuple[int, int]
+    ) -> tuple[int, int] | None:
+        free = np.isfinite(situation.paths.lengths)
+        pitch = max(1, round(self.config.sensor.depth / situation.cell))
+        columns = free.shape[1]
+        while pitch >= 1:
+            first = pitch // 2
+            points = first + pitch * np.argwhere(free[first::pitch, first::pitch])
+            points = [(int(r), int(c)) for r, c in points if (int(r), int(c)) not in self._stood]
+            if points:
+                after = [p for p in points if p[0] * columns + p[1] > cell[0] * columns + cell[1]]
+                return (after or points)[0]
+            pitch //= 2
+        return None
+
+    def _nearest_frontier(self, situation: Situation) -> View | None:
+        """Look from the nearest free cell beside the unknown that shows enough of it.
+
+        Without "enough" it would clear up every sliver around it, a scan for each. Where no cell
+        shows enough, the one that shows most is taken.
+        """
+        cells = frontier_cells(situation)
+        cells = cells[np.argsort(situation.distance(cells), kind="stable")]
+        gains = np.zeros((len(cells), self.config.headings))
+        for first in range(0, len(cells), FRONTIERS):
+            batch = slice(first, first + FRONTIERS)
+            gains[batch], _ = new_and_old_area(self.config, situation, cells[batch])
+            if gains[batch].max() >= ENOUGH:
+                break
+        best = gains.max(axis=1, initial=0.0)
+        if not (best > LEAST).any():
+            return None
+        index = int(np.argmax(best >= ENOUGH if (best >= ENOUGH).any() else best))
+        return self._view(situation, cells, index, int(np.argmax(gains[index])), best)
+
+    def _view(
+        self, situation: Situation, cells: IntArray, index: int, heading: int, ratings: FloatArray
+    ) -> View:
+        cell = int(cells[index, 0]), int(cells[index, 1])
+        path = situation.paths.to(cell)
+        angle = 2.0 * math.pi * heading / self.config.headings
+        return View(cell, angle, path, float(situation.paths.lengths[cell]), cells, ratings)
+
+
+def new_and_old_area(
+    config: PlannerConfig, situation: Situation, cells: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the unknown and the known area in view, over that of the whole sector.
+
+    Args:
+        config: Sensor and headings.
+        situation: What is known.
+        cells: (n, 2) where to look from.
+
+    Returns:
+        Both (n, headings).
+    """
+    layers = np.stack([~situation.known, situation.known]).astype(float)
+    sums = ray_sums(layers, situation.opaque, cells, situation.table)
+    new, old = sector_sums(sums, config.sensor.fov, config.headings) / config.sensor.area
+    return new, old
+
+
+Rated: TypeAlias = tuple[FloatArray, BoolArray]
+"""(n, headings) ratings, and which views bring anything new."""
+
+
+def _rate_max_new(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
+    """Method (iii): the largest expected new region, whatever the way there."""
+    new, _ = new_and_old_area(config, situation, cells)
+    return new, new > LEAST
+
+
+def _rate_min_old(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
+    """Method (iv): the smallest known region, among views of anything new at all.
+
+    Without that condition it would face the nearest wall for ever.
+    """
+    new, old = new_and_old_area(config, situation, cells)
+    return -old, new > LEAST
+
+
+def _rate_information(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
+    """Method (v): expected information against the way there."""
+    distance = situation.distance(cells) / config.sensor.depth
+    occupied = situation.probability[cells[:, 0], cells[:, 1]]
+    information, undecided, weight = expected_information(config, situation, cells)
+    if config.utility == "fixed":
+        rating = fixed_price_rating(information, distance, occupied, config.price, config.exponent)
+    else:
+        rating = rate_rating(information * weight, distance, occupied, config.scan_path)
+    return rating, undecided > LEAST
+
+
+def _rate_rate(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
+    """Expected information by path and scanning time."""
+    distance = situation.distance(cells) / config.sensor.depth
+    occupied = situation.probability[cells[:, 0], cells[:, 1]]
+    information, undecided, _ = expected_information(config, situation, cells)
+    return rate_rating(information, distance, occupied, config.scan_path), undecided > LEAST
+
+
+def expected_information(
+    config: PlannerConfig, situation: Situation, cells: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Evaluate views.
+
+    Args:
+        config: Sensor, reading and headings.
+        situation: What is known.
+        cells: (n, 2) where to look from.
+
+    Returns:
+        All (n, headings): NI in the configured reading; NI in the reading "entropy", 0 where all is
+        decided; and the mean isolation weight of the undecided ground in view, the same for every
+        reading.
+    """
+    sensor = config.sensor
+    worth = undecided_entropy(situation.probability, situation.known)
+    width = round(sensor.depth / situation.cell)
+    weights = isolation_weights(situation.known, width, config.isolation)
+    layers = np.stack([worth, worth * weights])
+    sums = ray_sums(layers, situation.opaque, cells, situation.table)
+    undecided, weighted = sector_sums(sums, sensor.fov, config.headings) / sensor.area
+    weight = np.where(undecided > LEAST, weighted / np.maximum(undecided, LEAST), 1.0)
+    if config.reading == "entropy":
+        return undecided, undecided, weight
+    information = new_information(
+        config.reading, situation.probability, situation.known, situation.opaque, cells,
+        situation.table, sensor.fov, sensor.depth, config.headings,
+    )  # fmt: skip
+    return information, undecided, weight
+
+
+RATINGS: Mapping[str, Callable[[PlannerConfig, Situation, IntArray], Rated]] = {
+    "max_new": _rate_max_new,
+    "min_old": _rate_min_old,
+    "information": _rate_information,
+    "rate": _rate_rate,
+}

@@ -1,0 +1,102 @@
+"""What a planner may judge by: the map as believed, ways on it, and where to look from."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.mapping.planar_paths import Paths, shortest_paths
+from perception.planar_beams import Fan, fan
+from perception.planar_map import PlanarMap
+from perception.planar_raycast import RangeSensor
+
+BoolArray = NDArray[np.bool_]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclasses.dataclass(frozen=True)
+class Situation:
+    """What a method may judge by: the map as believed, and how to get about on it.
+
+    Attributes:
+        probability: (rows, columns) of occupancy; claimed cells count as free.
+        known: (rows, columns) measured or claimed cells.
+        opaque: (rows, columns) cells measured as occupied.
+        paths: Shortest paths from the present cell.
+        cell: Side of a cell [m].
+        table: Fan of the sensor.
+    """
+
+    probability: FloatArray
+    known: BoolArray
+    opaque: BoolArray
+    paths: Paths
+    cell: float
+    table: Fan
+
+    def distance(self, cells: IntArray) -> FloatArray:
+        """Return the path lengths (n,) to cells (n, 2) [m]."""
+        return self.paths.lengths[cells[:, 0], cells[:, 1]]
+
+
+def believe(
+    world: PlanarMap, cell: tuple[int, int], sensor: RangeSensor, rays: int,
+    claimed: BoolArray | None = None,
+) -> Situation:  # fmt: skip
+    """Return what is known, taking claimed cells for seen and empty.
+
+    Args:
+        world: The map.
+        cell: Present row and column.
+        sensor: The vision system.
+        rays: Of a full fan.
+        claimed: (rows, columns) cells that another robot is about to see.
+    """
+    probability = world.probability()
+    opaque = world.measured & (probability >= world.model.occupied_above)
+    known = world.measured
+    if claimed is not None:
+        known = known | claimed
+        probability = np.where(claimed & ~world.measured, 0.0, probability)
+    size = world.grid.cell
+    paths = shortest_paths(world.enterable(), cell, size)
+    return Situation(probability, known, opaque, paths, size, fan(sensor.depth, size, rays))
+
+
+def draw_candidates(
+    situation: Situation, count: int, near: float, generator: np.random.Generator
+) -> IntArray:
+    """Draw reachable free cells (n, 2): the present one, half nearby and half anywhere.
+
+    Few evenly drawn positions would leave none near enough to go on where one is.
+
+    Args:
+        situation: What is known.
+        count: How many, at most.
+        near: Path length within which half of them lie [m].
+        generator: Of the draw.
+    """
+    lengths = situation.paths.lengths
+    anywhere = np.flatnonzero(np.isfinite(lengths))
+    around = np.flatnonzero(lengths <= near)
+    row, column = situation.paths.start
+    drawn = [np.array([row * lengths.shape[1] + column])]
+    rest = count - 1
+    for pool, share in ((around, rest // 2), (anywhere, rest - rest // 2)):
+        drawn.append(generator.choice(pool, min(share, pool.size), replace=False))
+    flat = np.unique(np.concatenate(drawn))
+    return np.stack(np.unravel_index(flat, lengths.shape), axis=1).astype(np.int64)
+
+
+def frontier_cells(situation: Situation) -> IntArray:
+    """Return the reachable cells (n, 2) that share a side with an unknown one."""
+    unknown = ~situation.known
+    beside = np.zeros_like(unknown)
+    beside[1:] |= unknown[:-1]
+    beside[:-1] |= unknown[1:]
+    beside[:, 1:] |= unknown[:, :-1]
+    beside[:, :-1] |= unknown[:, 1:]
+    return np.argwhere(beside & np.isfinite(situation.paths.lengths)).astype(np.int64)
