@@ -36,6 +36,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch3_planar",
     ),
     Experiment(
+        name="ch3-stereo",
+        summary="two rovers map a cluttered field with stereo heads on their arms",
+        thesis="figures 3-22 to 3-27, section 6.2 (a)",
+        module="experiments.ch3_stereo",
+    ),
+    Experiment(
         name="ch3-swarm",
         summary="one to fifty robots map an indoor world together",
         thesis="section 6.2 (d), suggested only",

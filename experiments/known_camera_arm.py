@@ -17,6 +17,8 @@ SPACING = 0.03
 MARGIN = 0.03
 """Radius about them that covers the link, half the spacing and a reserve [m]."""
 
+_COLLISION_GROUP = 3
+
 
 def known_camera_arm(model: mujoco.MjModel, robot: str = "rover1") -> CameraArm:
     """Return the arm of a robot and what it carries; the robot frame is that of its chassis.
@@ -39,12 +41,32 @@ def known_camera_arm(model: mujoco.MjModel, robot: str = "rover1") -> CameraArm:
         place = body_pose(data, parent).inv() * body_pose(data, body)
         axis = (float(joint.axis[0]), float(joint.axis[1]), float(joint.axis[2]))
         hinges.append(Hinge(place, axis, (float(joint.range[0]), float(joint.range[1]))))
-        shapes.append(_points_on(model, data, body))
+        fixed = model.body_weldid[model.geom_bodyid] == model.body_weldid[body]
+        shapes.append(_points_on(model, data, np.flatnonzero(fixed), body))
         parent = body
     camera = camera_in_world(model, data, f"{robot}/stereo_left")
     return CameraArm(
         base, tuple(hinges), body_pose(data, parent).inv() * camera, tuple(shapes), MARGIN
     )
+
+
+def known_body(model: mujoco.MjModel, robot: str = "rover1") -> FloatArray:
+    """Return spheres (K, 4), centre and radius [m], that cover a rover without its arm.
+
+    Args:
+        model: A scene with the robot.
+        robot: Name of the robot.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    chassis = model.body(f"{robot}/chassis").id
+    # Bodies are numbered along the tree: the arm's follow its base without a gap.
+    first = model.body(f"{robot}/turret").id
+    last = model.body(f"{robot}/stereo_head").id
+    body = model.geom_bodyid
+    rover = (model.body_rootid[body] == chassis) & ~((first <= body) & (body <= last))
+    points = _points_on(model, data, np.flatnonzero(rover), chassis)
+    return np.column_stack([points, np.full(len(points), MARGIN)])
 
 
 def body_pose(data: mujoco.MjData, body: int) -> RigidTransform:
@@ -59,19 +81,18 @@ def camera_in_world(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> Ri
     return RigidTransform.from_components(translation, Rotation.from_matrix(rotation))
 
 
-def _points_on(model: mujoco.MjModel, data: mujoco.MjData, link: int) -> FloatArray:
-    """Return points (k, 3) [m] within the collision shapes fixed to a link, in its frame."""
-    to_link = body_pose(data, link).inv()
+def _points_on(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: NDArray[np.intp], body: int
+) -> FloatArray:
+    """Return points (k, 3) [m] within the collision shapes among geoms, in a body's frame."""
+    to_body = body_pose(data, body).inv()
     found = [np.zeros((0, 3))]
-    for geom in np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[link]):
-        if model.geom_group[geom] != 3:  # noqa: PLR2004
-            continue
-        half = model.geom_aabb[geom, 3:]
-        centre = model.geom_aabb[geom, :3]
+    for geom in geoms[model.geom_group[geoms] == _COLLISION_GROUP]:
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         counts = np.maximum(1, np.ceil(2.0 * half / SPACING).astype(int))
         sides = [(np.arange(n) + 0.5) / n * 2.0 * h - h for n, h in zip(counts, half, strict=True)]
         grid = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3) + centre
         rotation = Rotation.from_matrix(data.geom_xmat[geom].reshape(3, 3))
         place = RigidTransform.from_components(data.geom_xpos[geom], rotation)
-        found.append((to_link * place).apply(grid))
+        found.append((to_body * place).apply(grid))
     return np.concatenate(found)

@@ -2,7 +2,9 @@
 
 What is unknown is not equally worth a look: most of it is air. So an unknown cell's probability of
 occupancy is taken from its neighbours, the Markov chain that the thesis calls the better choice,
-and, far from all that is known, from how often a cell at its height was found occupied.
+and, far from all that is known, from how often a cell at its height was found occupied. And its
+entropy is multiplied by -p log2 p, as the thesis does to raise what is truly uncertain: else the
+sum over so much air, of which each cell is almost certainly empty, outweighs every surface.
 """
 
 from __future__ import annotations
@@ -17,6 +19,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from perception.occupancy import State
+from perception.voxel_bricks import SIDE
+from perception.voxel_map import VoxelMap
 
 FloatArray = NDArray[np.float64]
 StateArray = NDArray[np.int8]
@@ -53,6 +57,11 @@ class PlanningGrid:
             )
 
 
+def planning_grid(voxels: VoxelMap) -> PlanningGrid:
+    """Return the picture of a map that its bricks make; see `VoxelMap.brick_states`."""
+    return PlanningGrid(voxels.grid.corner, SIDE * voxels.grid.resolution, voxels.brick_states())
+
+
 @dataclasses.dataclass(frozen=True)
 class ExpectedOccupancy:
     """How an unknown cell's occupancy is guessed.
@@ -61,15 +70,15 @@ class ExpectedOccupancy:
         neighbours: Weight of the six neighbours' mean against the rate of the layer; 0.9 lets
             what is known reach about three cells far.
         sweeps: Of the relaxation.
-        count: Cells that each layer is taken to have had measured beforehand, half a cell's worth
-            of them occupied, so that an unseen layer has a rate as well.
-        rate: Of those.
+        count: Cells of each layer that count as measured beforehand, so that an unseen layer has a
+            rate as well.
+        rate: Share of them that is occupied.
     """
 
     neighbours: float = 0.9
     sweeps: int = 12
-    count: float = 20.0
-    rate: float = 0.1
+    count: float = 50.0
+    rate: float = 0.02
 
 
 def expected_occupancy(states: StateArray, config: ExpectedOccupancy | None = None) -> FloatArray:
@@ -93,10 +102,10 @@ def view_information(
     rays: FloatArray,
     reach: tuple[float, float],
 ) -> FloatArray:
-    """Return (N,) bits that each view is expected to tell.
+    """Return (N,) weighted bits that each view is expected to tell.
 
-    The entropy of each unknown cell that a ray meets, times the chance that the ray gets there, is
-    counted once a view.
+    The entropy of each unknown cell that a ray meets, times -p log2 p and the chance that the ray
+    gets there, is counted once a view.
 
     Args:
         grid: What is known.
@@ -199,10 +208,11 @@ def _relaxed(states: Any, rates: Any, neighbours: float, sweeps: int) -> Any:
 
 
 @numba.njit(cache=True)
-def _entropy(p: float) -> float:
+def _weighted_entropy(p: float) -> float:
     if p <= 0.0 or p >= 1.0:
         return 0.0
-    return -p * math.log2(p) - (1.0 - p) * math.log2(1.0 - p)
+    weight = -p * math.log2(p)
+    return weight * (weight - (1.0 - p) * math.log2(1.0 - p))
 
 
 @numba.njit(cache=True)
@@ -270,7 +280,7 @@ def _views(
                     p = occupancy[i, j, k]
                     if stamps[i, j, k] != view + 1:
                         stamps[i, j, k] = view + 1
-                        value[view] += passes * _entropy(p)
+                        value[view] += passes * _weighted_entropy(p)
                         if writes:
                             claims[i, j, k] = True
                     passes *= (1.0 - p) ** ((leave - at) / edge)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from twin.clock import Clock
@@ -51,6 +51,7 @@ def run(
     clock: Clock,
     recorder: LoopRecorder | None = None,
     duration: float = 10.0,
+    until: Callable[[], bool] | None = None,
 ) -> RunSummary:
     """Run controllers on robots for a while.
 
@@ -62,7 +63,8 @@ def run(
         controllers: Each sees all observations and commands robots that no other one commands.
         clock: Paces the loop.
         recorder: Takes every tick; None for none. It is flushed, not closed.
-        duration: Robot time to run for [s].
+        duration: Robot time to run for, at most [s].
+        until: Asked after each tick; the run ends when it says yes.
 
     Returns:
         What the run took.
@@ -72,7 +74,7 @@ def run(
         ValueError: If a controller commands an unknown robot, or two command the same.
     """
     begin, wall, missed = clock.time, time.perf_counter(), clock.misses
-    steps = max(0, round(duration / clock.period))
+    steps, done = max(0, round(duration / clock.period)), 0
     try:
         for robot in robots.values():
             robot.activate()
@@ -91,11 +93,14 @@ def run(
             if recorder is not None:
                 recorder.record(step, clock.time, observations, applied)
             clock.tick()
+            done = step + 1
+            if until is not None and until():
+                break
     finally:
         _stop(robots)
         if recorder is not None:
             recorder.flush()
-    return RunSummary(steps, clock.time - begin, time.perf_counter() - wall, clock.misses - missed)
+    return RunSummary(done, clock.time - begin, time.perf_counter() - wall, clock.misses - missed)
 
 
 def _wrong_target(name: str, robots: Mapping[str, Robot]) -> ValueError:

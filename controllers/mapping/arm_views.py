@@ -36,16 +36,21 @@ class ViewConfig:
         price: K of eq. 3-15, against the best candidate's information.
         exponent: n of eq. 3-15.
         step: Greatest turn of a joint between two checks of a path [rad].
-        raster_yaw: Turn between the columns of a raster [rad]: half of the field of view.
+        survey: (joints,) where the arm stands for a raster but for its yaw and wrist [rad]: the
+            head high, its view half a radian below the horizon.
+        raster_yaw: Turn between the columns of a raster [rad]: views overlap by a third.
         raster_tilt: Turn between its rows [rad].
+        raster_rows: How many there are.
     """
 
     candidates: int = 200
     price: float = 0.1
     exponent: float = 2.0
     step: float = 0.1
-    raster_yaw: float = 0.36
-    raster_tilt: float = 0.36
+    survey: tuple[float, float, float, float] = (0.0, 1.3, -0.9, -0.9)
+    raster_yaw: float = 0.5
+    raster_tilt: float = 0.4
+    raster_rows: int = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,25 +193,21 @@ class ArmViews:
         seen = claimed_by_view(grid, occupancy, camera, self.lens.rays, self.lens.reach)
         return seen if claims is None else np.logical_or(seen, claims)
 
-    def raster(self, collides: Collides) -> FloatArray:
+    def raster(self) -> FloatArray:
         """Return the views (N, joints) of a raster: columns from left to right, row after row.
 
-        The head stays at home but for yaw and wrist. Whether a view is free is asked when its turn
-        comes; here only what cannot be tried is left out.
-
-        Args:
-            collides: Tells what is not free.
+        The arm keeps its survey posture but for yaw and wrist. Whether a view can be reached is
+        asked when its turn comes.
         """
-        limits, home = self.arm.limits, self.home
-        yaws = _steps(limits[0, 0], limits[0, 1], self.config.raster_yaw)
-        tilts = _steps(-0.6, 0.6, self.config.raster_tilt)
+        c, limits = self.config, self.arm.limits
+        yaws = _steps(limits[0, 0], limits[0, 1], c.raster_yaw)
+        tilts = c.raster_tilt * (np.arange(c.raster_rows) - (c.raster_rows - 1) / 2.0)
         rows = [
-            np.array([yaw, home[1], home[2], np.clip(home[3] + tilt, *limits[3])])
+            [yaw, c.survey[1], c.survey[2], np.clip(c.survey[3] + tilt, *limits[3])]
             for tilt in tilts
             for yaw in yaws
         ]
-        views = np.array(rows)
-        return views[self.is_free(views, collides)]
+        return np.array(rows)
 
 
 def unclaimed(grid: PlanningGrid, claims: BoolArray | None) -> FloatArray:

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from experiments.known_camera_arm import body_pose, camera_in_world, known_camera_arm
+from experiments.known_camera_arm import body_pose, camera_in_world, known_body, known_camera_arm
 from models.compose import ARM_JOINTS, FieldConfig, RobotPlacement, make_model
 
 MODEL = make_model(FieldConfig(texture_pixels=64), [RobotPlacement("rover1", (0.3, -0.2), 0.7)])
@@ -51,6 +51,14 @@ def test_points_with_their_radius_cover_the_moving_collision_shapes():
         world = inside @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
         nearest = np.linalg.norm(world[:, None] - points, axis=2).min(axis=1)
         assert nearest.max() <= ARM.body_radius
+
+
+def test_spheres_cover_the_rover_and_not_its_arm():
+    spheres = known_body(MODEL)
+    low, high = spheres[:, :3].min(axis=0) - 0.03, spheres[:, :3].max(axis=0) + 0.03
+    # Table D-1: some 0.45 m long; wheels of 0.0487 m stand 0.14 m to each side of the middle.
+    assert 0.38 < high[1] - low[1] < 0.5 and 0.3 < high[0] - low[0] < 0.4
+    assert high[2] < 0.12
 
 
 @pytest.mark.parametrize("bad", [np.zeros(3), np.full(4, np.nan), np.zeros((2, 2, 4))])

@@ -49,7 +49,8 @@ def slow(grid, occupancy, camera, rays):
             if grid.states[cell] == State.UNKNOWN:
                 if cell not in seen:
                     seen.add(cell)
-                    value += passes * float(binary_entropy(occupancy[cell]))
+                    weight = -occupancy[cell] * np.log2(occupancy[cell])
+                    value += passes * weight * float(binary_entropy(occupancy[cell]))
                 passes *= (1 - occupancy[cell]) ** (step / EDGE)
     return value, seen
 

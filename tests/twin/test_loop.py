@@ -55,6 +55,15 @@ def test_loop_ticks_at_the_servo_rate_and_deactivates_at_the_end(simulation):
     assert log.flushed == 1 and all_inactive(simulation)
 
 
+def test_loop_ends_early_when_it_is_told_to(simulation):
+    push = Push("rover1")
+    summary = run(
+        simulation.robots, [push], SimClock(simulation), duration=0.5, until=lambda: push.calls == 7
+    )
+    assert summary.steps == 7 and summary.duration == pytest.approx(0.07)
+    assert all_inactive(simulation)
+
+
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), ValueError("bug")])
 def test_interrupted_run_stops_every_robot_and_flushes(simulation, error):
     log = Log()

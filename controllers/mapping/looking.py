@@ -1,0 +1,110 @@
+"""How robots map with stereo heads on their arms, and what each of their looks was."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.mapping.arm_views import RatedViews, ViewConfig
+from controllers.mapping.camera_arm import CameraArm
+from controllers.mapping.localiser import Correction, LocaliserConfig
+from controllers.mapping.standing import CameraPose, StandingConfig
+from perception.stereo import StereoConfig, StereoPoints
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+
+METHODS = ("information", "raster", "random")
+
+
+@dataclasses.dataclass(frozen=True)
+class MapperConfig:
+    """How the robots move, look and choose.
+
+    Attributes:
+        method: One of `METHODS`.
+        scans: Looks of each robot, those for the target included.
+        speed: Fastest joint on the way to a view [rad/s].
+        rest: Time at the goal before a look [s].
+        near: Greatest joint error at which the arm counts as there [rad].
+        patience: Longest time at a goal that is not reached [s].
+        reach: Nearest and farthest depth that enters the map [m].
+        rays: Columns and rows of rays by which a view is rated.
+        clear: Radius about the arm's base [m] and least height above it [m] of the space that is
+            free when the robot is set down: there the arm may move before it was seen.
+        aura: Kept out of the map about a robot, beside its own size [m]: robots move.
+        views: How views are drawn and rated.
+        standing: How well arm and inclinometer tell where the camera is.
+        stereo: How pairs are matched.
+        localiser: How fiducials of the scene correct the camera's pose.
+        marker_sigma: (3,) deviations of a marker's column, row and disparity [px].
+    """
+
+    method: str = "information"
+    scans: int = 12
+    speed: float = 0.8
+    rest: float = 0.6
+    near: float = 0.05
+    patience: float = 4.0
+    reach: tuple[float, float] = (0.25, 2.0)
+    rays: tuple[int, int] = (40, 40)
+    clear: tuple[float, float] = (0.55, -0.02)
+    aura: float = 0.03
+    views: ViewConfig = ViewConfig()
+    standing: StandingConfig = StandingConfig()
+    stereo: StereoConfig = StereoConfig()
+    localiser: LocaliserConfig = LocaliserConfig()
+    marker_sigma: tuple[float, float, float] = (0.1, 0.1, 0.1)
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown method.
+
+        Raises:
+            ValueError: Listing the known ones.
+        """
+        if self.method not in METHODS:
+            raise ValueError(f"method {self.method!r}: expected one of {', '.join(METHODS)}")
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotBrief:
+    """What is known of a robot beforehand.
+
+    Attributes:
+        arm: Its kinematics.
+        home: (joints,) where its arm starts [rad].
+        body: (K, 4) spheres that cover the rest of it, centre and radius [m], robot frame.
+    """
+
+    arm: CameraArm
+    home: FloatArray
+    body: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """One stereo pair and what became of it.
+
+    Attributes:
+        robot: Whose.
+        number: Counts this robot's looks from 0.
+        time: Robot time of the pair [s].
+        angles: (joints,) of the arm [rad].
+        pair: (2, H, W) uint8.
+        seen: Points in the left camera.
+        guess: Where arm and inclinometer put the camera; None before the robot knew its place.
+        correction: What the fiducials of the scene said of it.
+        rated: Candidates of the decision that led here; None if there was none.
+    """
+
+    robot: str
+    number: int
+    time: float
+    angles: FloatArray
+    pair: ImageArray
+    seen: StereoPoints
+    guess: CameraPose | None
+    correction: Correction | None
+    rated: RatedViews | None

@@ -1,0 +1,326 @@
+"""Robots with stereo heads on their arms build one map together, view by view.
+
+Each robot looks around until it sees the target, and so knows where it stands (Thesis section
+3.2.2). From then on what it sees goes into the common map (3.2.3), its camera's pose is corrected
+by the scene itself (3.2.5), and it chooses its next view (3.2.4) while the others do the same:
+cells that a chosen view is about to see are claimed, so that no other robot looks there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.mapping.arm_views import (
+    ArmViews,
+    Collides,
+    Lens,
+    RatedViews,
+    ViewError,
+)
+from controllers.mapping.localiser import Localiser
+from controllers.mapping.looking import Look, MapperConfig, RobotBrief
+from controllers.mapping.shared_map import SharedMap
+from controllers.mapping.standing import Standing
+from perception.stereo import StereoMatcher
+from perception.stereo_geometry import StereoGeometry
+from perception.target import TargetCad
+from perception.view_information import planning_grid
+from perception.voxel_map import VoxelMap
+from twin.robot import ArmMode, Command, Observation
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclasses.dataclass
+class _Head:
+    """One robot's state.
+
+    Attributes:
+        brief: What is known of it.
+        goal: (joints,) where its arm goes [rad].
+        start: (joints,) from where; None before the first observation.
+        begun: When it left [s].
+        there: Since when it is at the goal [s]; NaN on the way.
+        standing: Where it stands; None until it has seen the target.
+        looks: Looks taken.
+        waiting: Looks taken before it knew where it stands, with the tilt then.
+        rated: Candidates of the decision for the present goal.
+        claims: Cells that the present goal is about to see.
+        turn: Place of the search for the target.
+        raster: Next place of the raster.
+        done: Whether it has taken all its looks, or found no view to go to.
+    """
+
+    brief: RobotBrief
+    goal: FloatArray
+    start: FloatArray | None = None
+    begun: float = np.nan
+    there: float = np.nan
+    standing: Standing | None = None
+    looks: int = 0
+    waiting: list[tuple[Look, FloatArray]] = dataclasses.field(default_factory=list)
+    rated: RatedViews | None = None
+    claims: BoolArray | None = None
+    turn: int = 0
+    raster: int = 0
+    done: bool = False
+
+
+class StereoMapper:
+    """Drives all robots' arms; a `twin.robot.Controller`.
+
+    Attributes:
+        shared: The map that they build.
+        geometry: Of the stereo heads.
+        localiser: The scene's fiducials.
+        looks: All looks so far, in the order in which they were taken.
+    """
+
+    def __init__(
+        self,
+        robots: Mapping[str, RobotBrief],
+        geometry: StereoGeometry,
+        cad: TargetCad,
+        voxels: VoxelMap,
+        config: MapperConfig,
+        rng: np.random.Generator,
+        on_look: Callable[[Look], None] | None = None,
+    ) -> None:
+        """Prepare; nothing moves before the first `step`.
+
+        Args:
+            robots: By name.
+            geometry: Of their stereo heads.
+            cad: The target's markers.
+            voxels: An empty map; the target will be at its origin.
+            config: How they move, look and choose.
+            rng: Draws candidates.
+            on_look: Called after each look, for recording.
+        """
+        self.shared = SharedMap(voxels, geometry, cad, config.stereo.stride, config.reach)
+        self.looks: list[Look] = []
+        self._config, self._rng, self._on_look = config, rng, on_look
+        self.localiser = Localiser(geometry, config.localiser)
+        self.geometry = geometry
+        self._matcher = StereoMatcher(geometry, config.stereo)
+        self._lens = Lens(_rays(geometry, config.rays), config.reach)
+        self._search = _search_offsets()
+        self._briefs = dict(robots)
+        self._heads: dict[str, _Head] = {}
+        self.reset()
+
+    @property
+    def done(self) -> bool:
+        """True when no robot will look again."""
+        return all(head.done for head in self._heads.values())
+
+    @property
+    def standings(self) -> Mapping[str, Standing]:
+        """Where the robots stand, of those that know."""
+        heads = self._heads.items()
+        return {name: head.standing for name, head in heads if head.standing is not None}
+
+    def reset(self) -> None:
+        """Forget where the robots are and what they were about to do; the map stays."""
+        self._heads = {
+            name: _Head(brief, brief.home + self._search[0]) for name, brief in self._briefs.items()
+        }
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Return one command for each robot.
+
+        A decision takes tenths of a second, in which the robots stand still.
+        """
+        for name, head in self._heads.items():
+            seen = observations[name]
+            if head.start is None and seen.arm_angles.usable:
+                head.start, head.begun = np.asarray(seen.arm_angles.value, dtype=float), seen.time
+            if head.start is not None and not head.done and self._may_look(head, seen):
+                self._look(name, head, observations)
+        return {
+            name: self._drive(head, observations[name].time) for name, head in self._heads.items()
+        }
+
+    def _drive(self, head: _Head, time: float) -> Command:
+        """Follow the straight path in joint space."""
+        if head.start is None:
+            return Command()
+        way = head.goal - head.start
+        duration = max(float(np.abs(way).max()) / self._config.speed, 1e-9)
+        part = min(1.0, (time - head.begun) / duration)
+        rates = way / duration if part < 1.0 else np.zeros_like(way)
+        angles = head.start + part * way
+        return Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)
+
+    def _may_look(self, head: _Head, seen: Observation) -> bool:
+        """Tell whether the arm is at rest at its goal and a pair was taken there."""
+        assert head.start is not None
+        if not (seen.arm_angles.usable and seen.inclinometer.usable and seen.stereo.usable):
+            return False
+        duration = float(np.abs(head.goal - head.start).max()) / self._config.speed
+        arrived = head.begun + duration
+        near = (
+            float(np.abs(np.asarray(seen.arm_angles.value, dtype=float) - head.goal).max())
+            <= self._config.near
+        )
+        if seen.time < arrived or not (near or seen.time > arrived + self._config.patience):
+            head.there = np.nan
+            return False
+        if np.isnan(head.there):
+            head.there = seen.time
+        return seen.stereo.stamp >= head.there + self._config.rest
+
+    def _look(self, name: str, head: _Head, observations: Mapping[str, Observation]) -> None:
+        """Take the pair in, and choose where to look next."""
+        seen = observations[name]
+        angles = np.asarray(seen.arm_angles.value, dtype=float)
+        tilt = np.asarray(seen.inclinometer.value, dtype=float)
+        pair = np.asarray(seen.stereo.value, dtype=np.uint8)
+        look = Look(
+            name,
+            head.looks,
+            seen.time,
+            angles,
+            pair,
+            self._matcher.match(pair),
+            None,
+            None,
+            head.rated,
+        )
+        head.looks += 1
+        if head.standing is None:
+            head.standing = self.shared.locate(
+                head.brief.arm,
+                angles,
+                tilt,
+                pair,
+                self._config.marker_sigma,
+                self._config.standing,
+            )
+            head.waiting.append((look, tilt))
+        else:
+            self._take(look, tilt, head.standing, observations)
+        if head.standing is not None:
+            for earlier, lean in head.waiting:
+                self._take(earlier, lean, head.standing, observations)
+            head.waiting.clear()
+        else:
+            self._keep(look)
+        self._choose(name, head, angles, seen.time)
+
+    def _take(
+        self,
+        look: Look,
+        tilt: FloatArray,
+        standing: Standing,
+        observations: Mapping[str, Observation],
+    ) -> None:
+        """Fuse a look into the map."""
+        guess = standing.camera(look.angles, tilt)
+        correction = self.localiser.locate(look.pair, look.seen, guess)
+        self.shared.fuse(correction.camera, look.seen, self._bodies(observations))
+        self._keep(dataclasses.replace(look, guess=guess, correction=correction))
+
+    def _keep(self, look: Look) -> None:
+        self.looks.append(look)
+        if self._on_look is not None:
+            self._on_look(look)
+
+    def _bodies(self, observations: Mapping[str, Observation]) -> FloatArray:
+        """Return (M, 4) spheres about the robots that are known to stand somewhere."""
+        spheres = [np.zeros((0, 4))]
+        for name, standing in self.standings.items():
+            arm = observations[name].arm_angles
+            if not arm.usable:
+                continue
+            points = standing.arm.body_in_robot(np.asarray(arm.value, dtype=float)[None])[0]
+            radii = np.full((len(points), 1), standing.arm.body_radius)
+            local = np.vstack([np.hstack([points, radii]), self._briefs[name].body])
+            local[:, :3] = standing.transform_level_to_world.apply(local[:, :3])
+            spheres.append(local + [0.0, 0.0, 0.0, self._config.aura])
+        return np.concatenate(spheres)
+
+    def _choose(self, name: str, head: _Head, angles: FloatArray, time: float) -> None:
+        """Choose the next view of a robot, and set its arm off."""
+        head.claims, head.rated = None, None
+        if head.looks >= self._config.scans:
+            head.done = True
+            return
+        try:
+            goal = self._goal(name, head, angles)
+        except ViewError:
+            head.done = True
+            return
+        head.start, head.goal, head.begun, head.there = angles, goal, time, np.nan
+
+    def _goal(self, name: str, head: _Head, angles: FloatArray) -> FloatArray:
+        if head.standing is None:
+            head.turn += 1
+            if head.turn >= len(self._search):
+                raise ViewError("the target is nowhere around")
+            return head.brief.home + self._search[head.turn]
+        views = ArmViews(
+            head.brief.arm,
+            head.standing.transform_level_to_world,
+            head.brief.home,
+            self._lens,
+            self._config.views,
+        )
+        collides = self._collides(views)
+        if self._config.method == "raster":
+            return self._next_of_raster(head, views, angles, collides)
+        if self._config.method == "random":
+            return views.draw(angles, collides, 1, self._rng)[0]
+        drawn = views.draw(angles, collides, self._config.views.candidates, self._rng)
+        grid = planning_grid(self.shared.voxels)
+        head.rated = views.rate(grid, self._claims(name), angles, drawn)
+        head.claims = views.claims(grid, None, head.rated.angles[0])
+        return head.rated.angles[0]
+
+    def _next_of_raster(
+        self, head: _Head, views: ArmViews, angles: FloatArray, collides: Collides
+    ) -> FloatArray:
+        for view in views.raster()[head.raster :]:
+            head.raster += 1
+            if views.is_reachable(angles, view, collides):
+                return view
+        raise ViewError("the raster has ended")
+
+    def _claims(self, name: str) -> BoolArray | None:
+        """Return what the other robots are about to see."""
+        others = [h.claims for n, h in self._heads.items() if n != name and h.claims is not None]
+        return np.logical_or.reduce(others) if others else None
+
+    def _collides(self, views: ArmViews) -> Collides:
+        """Return which points may not be free for one robot's arm."""
+        base = views.arm.transform_base_to_robot.translation
+        to_robot = views.transform_robot_to_world.inv()
+        radius, height = self._config.clear
+
+        def collides(points: FloatArray) -> BoolArray:
+            local = to_robot.apply(points) - base
+            clear = (np.hypot(local[:, 0], local[:, 1]) <= radius) & (local[:, 2] >= height)
+            occupied, free = self.shared.occupied_and_free(points)
+            return occupied | ~(free | clear)
+
+        return collides
+
+
+def _rays(geometry: StereoGeometry, counts: tuple[int, int]) -> FloatArray:
+    """Return (R, 3) unit vectors over the field of view of the left camera."""
+    columns = (np.arange(counts[0]) + 0.5) / counts[0] * geometry.width - 0.5
+    rows = (np.arange(counts[1]) + 0.5) / counts[1] * geometry.height - 0.5
+    u, v = np.meshgrid((columns - geometry.cx) / geometry.fx, (rows - geometry.cy) / geometry.fy)
+    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def _search_offsets() -> FloatArray:
+    """Return (N, joints) turns from home in which the target is looked for: ahead first."""
+    yaws = [0.0, 0.55, -0.55, 1.1, -1.1, 1.65, -1.65, 2.2, -2.2]
+    return np.array([[yaw, 0.0, 0.0, tilt] for yaw in yaws for tilt in (0.2, -0.15)])

@@ -1,0 +1,192 @@
+"""One scene of ``ch3-stereo``, mapped by two rovers; the truth only scores."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from controllers.mapping.looking import Look, MapperConfig, RobotBrief
+from controllers.mapping.standing import level_target
+from controllers.mapping.stereo_mapper import StereoMapper
+from experiments.ch3_scene import SceneConfig, StereoScene
+from experiments.ch3_stereo_truth import mapped_share, pose_errors, surface_errors, true_surface
+from experiments.known_camera_arm import camera_in_world, known_body, known_camera_arm
+from models import datasheets
+from perception.target import TargetCad
+from perception.voxel_grid import VoxelGrid
+from perception.voxel_map import VoxelMap, VoxelMapConfig
+from twin.camera import StereoConfig
+from twin.connect import connect
+from twin.loop import run as run_loop
+from twin.robot import Command, Observation
+from twin.simulation import Simulation
+
+FloatArray = NDArray[np.float64]
+
+VOXEL = 0.005
+"""[m]"""
+BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
+"""Corners of the map [m], about the target."""
+MOUNT_ERROR = (0.004, 0.001)
+"""Deviations of the turn [rad] and place [m] by which a head sits differently from its drawing;
+assumed, and known to the robots as such (`StandingConfig`)."""
+IMAGE_RATE = 0.5  # [Hz]; in software a pair takes some 0.3 s to render
+LONGEST = 300.0  # [s]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """One run.
+
+    Attributes:
+        seed: Of the scene and of all noise.
+        method: How views are chosen.
+        scans: Looks of each robot.
+    """
+
+    seed: int
+    method: str
+    scans: int
+
+
+@dataclasses.dataclass
+class Scored:
+    """What a run leaves.
+
+    Attributes:
+        mapper: With map and looks.
+        scene: The same scene, for its truth.
+        curve: Looks so far, true surface mapped [fraction], occupied voxels.
+        transform_scene_to_map: True.
+        cameras: True, from camera to map when a pair was taken, by robot and time stamp.
+    """
+
+    mapper: StereoMapper
+    scene: StereoScene
+    curve: list[tuple[float, float, float]]
+    transform_scene_to_map: RigidTransform
+    cameras: dict[tuple[str, float], RigidTransform]
+
+
+def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Map a scene and score it; a job of the sweep."""
+    trial = Trial(**config)
+    scored = map_scene(trial)
+    guess, corrected = pose_errors(scored.mapper.looks, scored.cameras)
+    nees, lost = surface_errors(
+        scored.mapper.shared.voxels.surface(),
+        scored.scene,
+        scored.transform_scene_to_map,
+        np.random.default_rng((trial.seed, 6)),
+    )
+    corrections = [look.correction for look in scored.mapper.looks if look.correction]
+    return {
+        "curve": np.array(scored.curve),
+        "guess_error": guess,
+        "corrected_error": corrected,
+        "corrected_share": float(np.mean([c.corrected for c in corrections])),
+        "nees": nees,
+        "lost_share": lost,
+        "located": len(scored.mapper.standings),
+    }
+
+
+def map_scene(
+    trial: Trial, on_look: Callable[[StereoMapper, Look, float], None] | None = None
+) -> Scored:
+    """Let two rovers map a scene.
+
+    Args:
+        trial: Which.
+        on_look: Called after each look with the mapper, the look and the share of the true surface
+            that is mapped by now, for recording.
+    """
+    scene = StereoScene(SceneConfig(seed=trial.seed))
+    truth = true_surface(scene, MapperConfig().reach, np.random.default_rng((trial.seed, 3)))
+    to_map = level_target(scene.transform_panel_to_world) * scene.transform_panel_to_world.inv()
+    pieces = to_map.apply(truth)
+    mount, plan = (np.random.default_rng((trial.seed, k)) for k in (4, 5))
+    curve: list[tuple[float, float, float]] = []
+
+    def score(look: Look) -> None:
+        share, cells = mapped_share(mapper.shared.voxels, pieces)
+        curve.append((len(mapper.looks), share, float(cells)))
+        if on_look is not None:
+            on_look(mapper, look, share)
+
+    with connect(
+        "sim",
+        robots=scene.robots,
+        field=scene.field,
+        stereo=StereoConfig(rate=IMAGE_RATE),
+        seed=trial.seed,
+    ) as connection:
+        simulation = connection.simulation
+        assert simulation is not None
+        mapper = StereoMapper(
+            {name: _brief(simulation.model, name, mount) for name in scene.robot_names},
+            scene.geometry,
+            target_cad(scene),
+            VoxelMap(VoxelGrid(VOXEL, *BOX), VoxelMapConfig(correlated_points=9.0)),
+            MapperConfig(method=trial.method, scans=trial.scans),
+            plan,
+            score,
+        )
+        witness = Witness(simulation)
+        run_loop(
+            connection.robots,
+            [mapper],
+            connection.clock,
+            witness,
+            duration=LONGEST,
+            until=lambda: mapper.done,
+        )
+    cameras = {key: to_map * pose for key, pose in witness.cameras.items()}
+    return Scored(mapper, scene, curve, to_map, cameras)
+
+
+class Witness:
+    """Notes where the cameras truly are when they look; a recorder of the loop."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        """Watch a simulation."""
+        self.cameras: dict[tuple[str, float], RigidTransform] = {}
+        self._simulation = simulation
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one tick."""
+        model, data = self._simulation.model, self._simulation.data
+        for name, seen in observations.items():
+            if seen.stereo.stamp == time:
+                pose = camera_in_world(model, data, f"{name}/stereo_left")
+                self.cameras[name, time] = pose
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+def target_cad(scene: StereoScene) -> TargetCad:
+    """Return what robots know of the panel."""
+    marker = scene.panel.markers[0]
+    return TargetCad(scene.panel.marker_points, marker.radius, marker.dark)
+
+
+def _brief(model: mujoco.MjModel, name: str, rng: np.random.Generator) -> RobotBrief:
+    """Return what is known of a robot; its head does not sit quite as drawn."""
+    arm = known_camera_arm(model, name)
+    turn, place = (d * rng.standard_normal(3) for d in MOUNT_ERROR)
+    off = RigidTransform.from_exp_coords(np.concatenate([turn, place]))
+    arm = dataclasses.replace(arm, transform_camera_to_wrist=arm.transform_camera_to_wrist * off)
+    return RobotBrief(arm, np.array(datasheets.ARM.home), known_body(model, name))

@@ -1,0 +1,66 @@
+"""A camera's pose is corrected by what it has seen before, on rendered pairs."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from controllers.mapping.localiser import Localiser
+from controllers.mapping.standing import CameraPose
+from experiments.ch3_scene import RIG, SceneConfig, StereoScene, look_at
+from perception.stereo import StereoMatcher
+
+pytestmark = pytest.mark.slow
+GUESS = np.diag([0.005, 0.005, 0.005, 0.004, 0.004, 0.004]) ** 2
+
+
+@pytest.fixture(scope="module")
+def scene() -> StereoScene:
+    return StereoScene(SceneConfig(seed=3))
+
+
+@pytest.fixture(scope="module")
+def matcher(scene) -> StereoMatcher:
+    return StereoMatcher(scene.geometry)
+
+
+def look(scene, eye):
+    scene.set_rig(look_at(eye, [0.0, 0.2, 0.1]))
+    view = scene.capture(RIG)
+    return view.pair, view.transform_camera_to_world
+
+
+def test_second_look_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
+    rng = np.random.default_rng(0)
+    localiser = Localiser(scene.geometry)
+    pair, true = look(scene, [0.0, -0.7, 0.35])
+    first = localiser.locate(pair, matcher.match(pair), CameraPose(true, 1e-12 * np.eye(6)))
+    assert not first.corrected and len(first.added) >= 10
+    pair, true = look(scene, [0.06, -0.68, 0.38])
+    off = RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), GUESS))
+    told = localiser.locate(pair, matcher.match(pair), CameraPose(off * true, GUESS))
+    assert told.corrected
+    error = (true * told.camera.transform_camera_to_world.inv()).as_exp_coords()
+    guessed = np.linalg.norm(off.apply(true.translation) - true.translation)
+    found = np.linalg.norm(told.camera.transform_camera_to_world.translation - true.translation)
+    assert found < 1e-3 < guessed
+    # Seven times the expectation of six: one in a million, were all Gaussian.
+    assert error @ np.linalg.solve(told.camera.covariance, error) < 42
+
+
+def test_look_elsewhere_leaves_the_guess_as_it_was(scene, matcher):
+    localiser = Localiser(scene.geometry)
+    pair, true = look(scene, [0.0, -0.7, 0.35])
+    localiser.locate(pair, matcher.match(pair), CameraPose(true, 1e-12 * np.eye(6)))
+    scene.set_rig(look_at([0.0, -0.7, 0.35], [0.9, -0.6, 0.0]))
+    view = scene.capture(RIG)
+    guess = CameraPose(view.transform_camera_to_world, GUESS)
+    told = localiser.locate(view.pair, matcher.match(view.pair), guess)
+    assert not told.corrected and told.camera is guess
+
+
+def test_black_pair_adds_nothing_and_leaves_the_guess(scene, matcher):
+    localiser = Localiser(scene.geometry)
+    black = np.zeros((2, scene.geometry.height, scene.geometry.width), np.uint8)
+    guess = CameraPose(RigidTransform.identity(), GUESS)
+    told = localiser.locate(black, matcher.match(black), guess)
+    assert told.camera is guess and not len(told.added) and not len(localiser.fiducials)

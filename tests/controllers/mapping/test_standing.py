@@ -1,0 +1,74 @@
+"""A robot that has seen the target knows where its camera is, however it leans."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.mapping.standing import CameraPose, camera_in_level, lean, level_target, stand
+from experiments.known_camera_arm import known_camera_arm
+from models.compose import FieldConfig, RobotPlacement, make_model
+from models.datasheets import ARM
+from twin.sim_robot import tilt
+
+HOME = np.array(ARM.home)
+TARGET = RigidTransform.from_components([0.2, 1.1, 0.05], Rotation.from_euler("zx", [0.3, 1.2]))
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return known_camera_arm(make_model(FieldConfig(texture_pixels=64), [RobotPlacement("rover1")]))
+
+
+def test_lean_is_what_the_inclinometer_means():
+    pitch, roll, yaw = 0.04, -0.07, 0.9
+    turned = Rotation.from_euler("z", yaw) * lean(np.array([pitch, roll])).rotation
+    np.testing.assert_allclose(tilt(*turned.as_quat(scalar_first=True)), [pitch, roll, yaw])
+
+
+def test_world_of_a_target_is_level_and_holds_its_origin():
+    to_world = level_target(TARGET)
+    up = (to_world * TARGET.inv()).rotation.apply([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(up, [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(to_world.apply([0.0, 0.0, 0.0]), 0.0, atol=1e-12)
+    assert to_world.rotation.apply([1.0, 0.0, 0.0])[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_camera_is_found_where_it_truly_is_after_arm_and_base_have_moved(arm):
+    place = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
+    before, after = np.array([0.01, -0.02]), np.array([-0.015, 0.005])
+    seen = CameraPose(place * lean(before) * arm.camera_in_robot(HOME), np.zeros((6, 6)))
+    standing = stand(arm, HOME, before, seen)
+    angles = HOME + [0.8, 0.2, -0.3, 0.4]
+    found = standing.camera(angles, after)
+    true = place * lean(after) * arm.camera_in_robot(angles)
+    np.testing.assert_allclose(
+        found.transform_camera_to_world.as_matrix(), true.as_matrix(), atol=1e-12
+    )
+
+
+def test_covariance_is_that_of_drawn_leans(arm):
+    """Where the target was seen and where the camera is now, the base errs on its own; the head sits alike."""
+    rng = np.random.default_rng(0)
+    angles = HOME + [0.8, 0.2, -0.3, 0.4]
+    level = np.zeros(2)
+    seen = CameraPose(camera_in_level(arm, HOME, level), 1e-8 * np.eye(6))
+    nominal = stand(arm, HOME, level, seen)
+    base, mount = nominal.config.base_covariance(), nominal.config.mount_covariance()
+    first, second, head = (
+        RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), spread, 4000))
+        for spread in (base, base, mount)
+    )
+    shift = RigidTransform.from_exp_coords(1e-4 * rng.standard_normal((4000, 6)))
+    at_target = shift * seen.transform_camera_to_world
+    place = at_target * (camera_in_level(arm, HOME, level) * head).inv() * first
+    true = place * second * camera_in_level(arm, angles, level) * head
+    estimate = nominal.camera(angles, level).transform_camera_to_world
+    drawn = np.cov((true * estimate.inv()).as_exp_coords().T)
+    told = nominal.camera(angles, level).covariance
+    np.testing.assert_allclose(np.sqrt(np.diag(told)), np.sqrt(np.diag(drawn)), rtol=0.05)
+
+
+def test_target_that_stands_on_its_side_names_no_direction():
+    side = RigidTransform.from_rotation(Rotation.from_euler("y", np.pi / 2))
+    with pytest.raises(ValueError, match="upright"):
+        level_target(side)
