@@ -92,8 +92,8 @@ class PanelConfig:
 
     @property
     def marker_points(self) -> FloatArray:
-        """(N, 3) centres of the markers [m], panel frame."""
-        return np.array([[m.x, m.y, 0.0] for m in self.markers]).reshape(-1, 3)
+        """(N, 3) centres of the markers' dark discs, which stand out a little [m], panel frame."""
+        return np.array([[m.x, m.y, 2.0 * _DISC] for m in self.markers]).reshape(-1, 3)
 
     @property
     def footprint(self) -> float:

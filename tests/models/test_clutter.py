@@ -28,8 +28,10 @@ def test_markers_of_the_compiled_scene_stand_where_the_cad_says(scene):
     for index, (marker, point) in enumerate(zip(PANEL.markers, expected, strict=True)):
         for ending, radius in (("", marker.radius), ("_centre", marker.radius * marker.dark)):
             name = f"panel_marker{index}{ending}"
-            np.testing.assert_allclose(scene.rest.geom(name).xpos, point, atol=1e-9)
             assert scene.model.geom(name).size[0] == pytest.approx(radius)
+        disc, half = scene.rest.geom(name), scene.model.geom(name).size[1]
+        top = disc.xpos + half * disc.xmat.reshape(3, 3)[:, 2]
+        np.testing.assert_allclose(top, point, atol=1e-9)
 
 
 def test_panel_frame_of_the_compiled_scene_is_that_of_the_cad(scene):
