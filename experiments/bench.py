@@ -8,12 +8,14 @@ from collections.abc import Callable
 from experiments import contract
 from experiments.bench_identification import bench_identification
 from experiments.bench_loop import bench_loop
+from experiments.bench_mapping import bench_mapping
 from experiments.contract import OptionError
 from experiments.output import Output
 
 BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "loop": bench_loop,
     "identification": bench_identification,
+    "mapping": bench_mapping,
 }
 
 

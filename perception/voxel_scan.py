@@ -1,0 +1,317 @@
+"""A scan as a map wants it: an image of its points, their surface normals, and what is free."""
+
+# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from perception.pinhole import Frustum
+from perception.raycast import KERNEL, whole
+
+FloatArray = NDArray[np.float64]
+
+TILE = 8
+"""Pixels along a tile; each has one surface normal."""
+LEAST_COSINE = 0.15
+"""Of the angle between view and normal; more grazing ones are taken as this."""
+UNSURE_COSINE = 0.4
+"""Taken where there is no normal."""
+
+
+class Camera(NamedTuple):
+    """Where a view is taken from, and its pixels.
+
+    Attributes:
+        turn: (3, 3) world to camera.
+        origin: (3,) [m], from the grid's corner.
+        corner: (3,) of the grid [m], world.
+        width: Columns [px].
+        height: Rows [px].
+        fx: Focal length in columns [px].
+        fy: Focal length in rows [px].
+        cx: Column of the optical axis [px].
+        cy: Row of the optical axis [px].
+        near: Least depth [m].
+        far: Largest depth [m].
+    """
+
+    turn: FloatArray
+    origin: FloatArray
+    corner: FloatArray
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    near: float
+    far: float
+
+
+class Scan(NamedTuple):
+    """The images of a scan.
+
+    Attributes:
+        depth: (height, width) of the nearest points in each pixel [m], zero where there is none.
+        count: (height, width) how many those are.
+        limit: (height, width) depth up to which space is free [m], zero where there is no point.
+        sigma: (height, width) deviation of one point's depth [m].
+        kind: (height, width) GONE, or whether the points lie on their tile's plane: ROUGH or FLAT.
+        place: (height, width, 3) sum of the points [m], from the grid's corner.
+        spread: (height, width, 6) sum of their covariances [m^2]: xx, xy, xz, yy, yz, zz.
+        normal: (tiles down, tiles across, 3) world, towards the camera.
+        low: (tiles down, tiles across) least limit of a tile [m], zero if a pixel has no point.
+        high: (tiles down, tiles across) largest depth [m].
+        inverse: (tiles down, tiles across) mean inverse depth [1/m].
+    """
+
+    depth: NDArray[np.float32]
+    count: NDArray[np.int32]
+    limit: NDArray[np.float32]
+    sigma: NDArray[np.float32]
+    kind: NDArray[np.int8]
+    place: NDArray[np.float32]
+    spread: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    inverse: NDArray[np.float32]
+
+
+GONE, ROUGH, FLAT = range(3)
+
+
+def empty_scan(frustum: Frustum) -> Scan:
+    """Return room for a scan."""
+    size = (frustum.height, frustum.width)
+    tiles = (-(-frustum.height // TILE), -(-frustum.width // TILE))
+    return Scan(
+        depth=np.zeros(size, dtype=np.float32),
+        count=np.zeros(size, dtype=np.int32),
+        limit=np.zeros(size, dtype=np.float32),
+        sigma=np.zeros(size, dtype=np.float32),
+        kind=np.zeros(size, dtype=np.int8),
+        place=np.zeros((*size, 3), dtype=np.float32),
+        spread=np.zeros((*size, 6), dtype=np.float32),
+        normal=np.zeros((*tiles, 3), dtype=np.float32),
+        low=np.zeros(tiles, dtype=np.float32),
+        high=np.zeros(tiles, dtype=np.float32),
+        inverse=np.zeros(tiles, dtype=np.float32),
+    )
+
+
+def camera_of(
+    transform_camera_to_world: RigidTransform, frustum: Frustum, corner: FloatArray
+) -> Camera:
+    """Return a camera in the coordinates of a grid whose corner is given [m], world."""
+    pose = np.asarray(transform_camera_to_world.as_matrix(), dtype=np.float64)
+    turn = np.ascontiguousarray(pose[:3, :3].T)
+    origin = pose[:3, 3] - corner
+    f = frustum
+    return Camera(
+        turn,
+        origin,
+        corner,
+        f.width,
+        f.height,
+        float(f.fx),
+        float(f.fy),
+        float(f.cx),
+        float(f.cy),
+        float(f.near),
+        float(f.far),
+    )
+
+
+def fill_scan(
+    scan: Scan,
+    camera: Camera,
+    points: FloatArray,
+    covariances: FloatArray,
+    resolution: float,
+    margins: tuple[float, float],
+) -> int:
+    """Arrange a cloud in the camera's pixels.
+
+    Args:
+        scan: Room for it.
+        camera: Where it was taken from.
+        points: (N, 3) [m], world. Those outside of the view are left out.
+        covariances: (N, 3, 3) [m^2], world.
+        resolution: Side of a voxel [m].
+        margins: How far before a surface free space ends: in deviations, and in voxels.
+
+    Returns:
+        -1, or the first point that is not finite or whose covariance is not positive definite.
+    """
+    scan.depth.fill(0.0)
+    scan.count.fill(0)
+    bad = int(_organise(scan, camera, points, covariances, 2.0 * resolution))
+    if bad < 0:
+        _tile_means(scan)
+        _describe(scan, camera, resolution, margins[0], margins[1])
+    return bad
+
+
+@numba.njit(**KERNEL)
+def _organise(
+    scan: Scan, camera: Camera, points: FloatArray, covariances: FloatArray, thickness: float
+) -> int:
+    """Sum up the nearest points of each pixel; return the first bad point or -1.
+
+    Depth and sigma are sums too until `_tile_means`.
+    """
+    turn, corner = camera.turn, camera.corner
+    ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
+    height, width = scan.depth.shape
+    for i in range(points.shape[0]):
+        xx, xy, xz = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 0, 2]
+        yy, yz, zz = covariances[i, 1, 1], covariances[i, 1, 2], covariances[i, 2, 2]
+        x, y, z = points[i, 0] - corner[0], points[i, 1] - corner[1], points[i, 2] - corner[2]
+        minor = xx * yy - xy * xy
+        whole_ = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+        # Sylvester's criterion; a comparison with NaN is false.
+        good = xx > 0.0 and minor > 0.0 and whole_ > 0.0 and xx + yy + zz < np.inf
+        if not (good and abs(x + y + z) < np.inf):
+            return i
+        px, py, pz = x - ox, y - oy, z - oz
+        depth = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz
+        if depth < camera.near or depth > camera.far:
+            continue
+        inverse = 1.0 / depth
+        across = (turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz) * inverse
+        down = (turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz) * inverse
+        u = whole(camera.fx * across + camera.cx + 0.5)
+        v = whole(camera.fy * down + camera.cy + 0.5)
+        if not (0 <= u < width and 0 <= v < height):
+            continue
+        count = scan.count[v, u]
+        if count > 0:
+            beyond = depth - scan.depth[v, u] / count
+            if beyond > thickness:
+                continue
+            if beyond < -thickness:
+                count = 0
+        if count == 0:
+            scan.depth[v, u] = 0.0
+            scan.sigma[v, u] = 0.0
+            for k in range(3):
+                scan.place[v, u, k] = 0.0
+            for k in range(6):
+                scan.spread[v, u, k] = 0.0
+        variance = px * px * xx + py * py * yy + pz * pz * zz
+        variance += 2.0 * (px * py * xy + px * pz * xz + py * pz * yz)
+        scan.count[v, u] = count + 1
+        scan.depth[v, u] += depth
+        scan.sigma[v, u] += depth * math.sqrt(variance) / (px * px + py * py + pz * pz)
+        scan.place[v, u, 0] += x
+        scan.place[v, u, 1] += y
+        scan.place[v, u, 2] += z
+        scan.spread[v, u, 0] += xx
+        scan.spread[v, u, 1] += xy
+        scan.spread[v, u, 2] += xz
+        scan.spread[v, u, 3] += yy
+        scan.spread[v, u, 4] += yz
+        scan.spread[v, u, 5] += zz
+    return -1
+
+
+@numba.njit(**KERNEL)
+def _tile_means(scan: Scan) -> None:
+    """Take means, and fill each tile's mean inverse depth (zero: no point) and largest depth."""
+    height, width = scan.depth.shape
+    for down in range(scan.high.shape[0]):
+        for across in range(scan.high.shape[1]):
+            total, count, deepest = 0.0, 0, np.float32(0.0)
+            for v in range(down * TILE, min(down * TILE + TILE, height)):
+                for u in range(across * TILE, min(across * TILE + TILE, width)):
+                    here = scan.count[v, u]
+                    if here > 0:
+                        z = scan.depth[v, u] / np.float32(here)
+                        scan.depth[v, u] = z
+                        scan.sigma[v, u] /= np.float32(here)
+                        total += 1.0 / z
+                        count += 1
+                        deepest = max(deepest, z)
+            scan.inverse[down, across] = total / count if count > 0 else 0.0
+            scan.high[down, across] = deepest
+
+
+@numba.njit(**KERNEL)
+def _slope(before: float, here: float, after: float, tolerance: float) -> float:
+    """Return how inverse depth changes over a tile; across an edge, on the smoother side."""
+    if before > 0.0 and after > 0.0:
+        if abs(before + after - 2.0 * here) < tolerance:
+            return (after - before) / 2.0
+        return after - here if abs(after - here) < abs(here - before) else here - before
+    if after > 0.0:
+        return after - here
+    return here - before if before > 0.0 else 0.0
+
+
+@numba.njit(**KERNEL)
+def _clear_tile(scan: Scan, down: int, across: int) -> None:
+    """Say of a tile without a point that nothing in it is free."""
+    for v in range(down * TILE, min(down * TILE + TILE, scan.limit.shape[0])):
+        for u in range(across * TILE, min(across * TILE + TILE, scan.limit.shape[1])):
+            scan.limit[v, u] = 0.0
+            scan.kind[v, u] = GONE
+
+
+@numba.njit(**KERNEL)
+def _describe(
+    scan: Scan, camera: Camera, resolution: float, deviations: float, voxels: float
+) -> None:
+    """Fill normals, limits and kinds; on a plane inverse depth is linear in the image."""
+    height, width = scan.depth.shape
+    downs, acrosses = scan.inverse.shape
+    turn, inverse = camera.turn, scan.inverse
+    for down in range(downs):
+        for across in range(acrosses):
+            here = float(inverse[down, across])
+            scan.low[down, across] = 0.0
+            if here == 0.0:
+                _clear_tile(scan, down, across)
+                continue
+            left = float(inverse[down, across - 1]) if across > 0 else 0.0
+            right = float(inverse[down, across + 1]) if across + 1 < acrosses else 0.0
+            above = float(inverse[down - 1, across]) if down > 0 else 0.0
+            below = float(inverse[down + 1, across]) if down + 1 < downs else 0.0
+            tolerance = 2.0 * resolution * here * here
+            a = _slope(left, here, right, tolerance) / TILE
+            b = _slope(above, here, below, tolerance) / TILE
+            u0, v0 = across * TILE + (TILE - 1) / 2, down * TILE + (TILE - 1) / 2
+            nx, ny = a * camera.fx, b * camera.fy
+            nz = here - a * (u0 - camera.cx) - b * (v0 - camera.cy)
+            norm = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz)
+            for axis in range(3):
+                along = turn[0, axis] * nx + turn[1, axis] * ny + turn[2, axis] * nz
+                scan.normal[down, across, axis] = -norm * along
+            lowest = np.float32(np.inf)
+            for v in range(down * TILE, min(down * TILE + TILE, height)):
+                for u in range(across * TILE, min(across * TILE + TILE, width)):
+                    z = float(scan.depth[v, u])
+                    if z == 0.0:
+                        scan.kind[v, u] = GONE
+                        scan.limit[v, u] = 0.0
+                        lowest = np.float32(0.0)
+                        continue
+                    sigma = scan.sigma[v, u]
+                    plane = here + a * (u - u0) + b * (v - v0)
+                    flat = abs(1.0 - plane * z) * z < 4.0 * sigma + 0.5 * resolution
+                    # What a step across the surface is along the view's axis.
+                    cosine = max(norm * plane, LEAST_COSINE) if flat else UNSURE_COSINE
+                    limit = max(z - deviations * sigma - resolution * voxels / cosine, 0.0)
+                    scan.kind[v, u] = FLAT if flat else ROUGH
+                    scan.limit[v, u] = limit
+                    lowest = min(lowest, scan.limit[v, u])
+            scan.low[down, across] = lowest

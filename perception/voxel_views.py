@@ -1,0 +1,247 @@
+"""What a view of a sparse map would show: how much that was never measured, and where it ends."""
+
+# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from perception.pinhole import Frustum
+from perception.raycast import KERNEL, whole
+from perception.voxel_bricks import NEVER, SIDE
+from perception.voxel_map import ALL_OCCUPIED, ALL_UNMEASURED, VoxelMap
+from perception.voxel_scan import Camera, camera_of
+
+FloatArray = NDArray[np.float64]
+
+RAYS = (64, 48)
+"""Columns and rows of rays that stand for a view."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ViewCounts:
+    """What a view would show of a map.
+
+    Attributes:
+        unmeasured: Volume never measured that no occupied voxel hides [m^3].
+        free: Volume known to be free that none hides [m^3].
+        information: Expected number of unmeasured voxels that the view would settle, a bit each:
+            those farther along a ray count less, as something may stand before them. Known voxels
+            count nothing, as their clamped probability is no ignorance.
+        depths: (rows, columns) depth at which each ray meets an occupied voxel [m], else infinite.
+    """
+
+    unmeasured: float
+    free: float
+    information: float
+    depths: FloatArray
+
+    @property
+    def blocked(self) -> float:
+        """Fraction of the rays that meet an occupied voxel."""
+        return float(np.isfinite(self.depths).mean())
+
+
+def view_counts(
+    voxels: VoxelMap,
+    transform_camera_to_world: RigidTransform,
+    frustum: Frustum,
+    mean_free_path: float = 0.5,
+    rays: tuple[int, int] = RAYS,
+) -> ViewCounts:
+    """Return what a view from a pose would show; outside of the map's box there is nothing.
+
+    Args:
+        voxels: The map.
+        transform_camera_to_world: The pose.
+        frustum: The camera; only its field of view counts.
+        mean_free_path: How far one sees into unknown space on average [m]. It is a length, so that
+            what a view is worth does not depend on the size of voxels.
+        rays: Columns and rows of rays that are cast.
+
+    Raises:
+        ValueError: If the mean free path is not positive.
+    """
+    if not mean_free_path > 0.0:
+        raise ValueError(f"mean_free_path: {mean_free_path}, expected a positive length [m]")
+    coarse = frustum.resized(*rays)
+    camera = camera_of(transform_camera_to_world, coarse, voxels.grid.corner)
+    depths = np.full((coarse.height, coarse.width), np.inf)
+    sums = np.zeros(3)
+    settings = (voxels.grid.resolution, voxels.threshold(), 1.0 / mean_free_path)
+    _look(voxels.kinds(), voxels.bricks.values, camera, settings, depths, sums)
+    # A ray stands for a pixel, which is z^2 / (fx fy) large at depth z.
+    unmeasured, free, seen = (sums / (3.0 * coarse.fx * coarse.fy)).tolist()
+    return ViewCounts(unmeasured, free, seen / voxels.grid.resolution**3, depths)
+
+
+@numba.njit(**KERNEL)
+def _look(
+    kinds: NDArray[np.int32],
+    values: NDArray[np.int8],
+    camera: Camera,
+    settings: tuple[float, int, float],
+    depths: FloatArray,
+    sums: FloatArray,
+) -> None:
+    """Follow each ray brick by brick, and through those that are not alike voxel by voxel.
+
+    Args:
+        kinds: Of `VoxelMap.kinds`.
+        values: Of `Bricks`.
+        camera: Where the rays start, and one pixel for each.
+        settings: Side of a voxel [m], log-odds from which one is occupied, attenuation [1/m].
+        depths: (rows, columns) written where a ray is stopped.
+        sums: (3,) added to: z1^3 - z0^3 of unmeasured, of free, and of what is seen of unmeasured.
+    """
+    resolution, threshold, attenuation = settings
+    side = resolution * SIDE
+    bx, by, bz = kinds.shape
+    ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
+    turn = camera.turn
+    for ray in range(depths.size):
+        u = (ray % camera.width - camera.cx) / camera.fx
+        v = (ray // camera.width - camera.cy) / camera.fy
+        dx = turn[0, 0] * u + turn[1, 0] * v + turn[2, 0]
+        dy = turn[0, 1] * u + turn[1, 1] * v + turn[2, 1]
+        dz = turn[0, 2] * u + turn[1, 2] * v + turn[2, 2]
+        per_depth = attenuation * math.sqrt(dx * dx + dy * dy + dz * dz)
+        # A direction without a component: as good as never across such faces, and no 0 times inf.
+        dx, dy, dz = _not_zero(dx), _not_zero(dy), _not_zero(dz)
+        ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
+        hx, hy, hz = dx > 0.0, dy > 0.0, dz > 0.0
+        enter, leave = camera.near, camera.far
+        enter = max(enter, ((bx * side if not hx else 0.0) - ox) * ix)
+        enter = max(enter, ((by * side if not hy else 0.0) - oy) * iy)
+        enter = max(enter, ((bz * side if not hz else 0.0) - oz) * iz)
+        leave = min(leave, ((bx * side if hx else 0.0) - ox) * ix)
+        leave = min(leave, ((by * side if hy else 0.0) - oy) * iy)
+        leave = min(leave, ((bz * side if hz else 0.0) - oz) * iz)
+        if enter >= leave:
+            continue
+        x = min(max(whole((ox + enter * dx) / side), 0), bx - 1)
+        y = min(max(whole((oy + enter * dy) / side), 0), by - 1)
+        z = min(max(whole((oz + enter * dz) / side), 0), bz - 1)
+        tx, ty, tz = ((x + hx) * side - ox) * ix, ((y + hy) * side - oy) * iy, 0.0
+        tz = ((z + hz) * side - oz) * iz
+        t, clear, stopped = enter, 1.0, False
+        while not stopped:
+            end = max(min(leave, tx, ty, tz), t)
+            brick = kinds[x, y, z]
+            if brick >= 0:
+                start = (ox - x * side, oy - y * side, oz - z * side)
+                t, clear, stopped = _cross(
+                    values, brick, start, (dx, dy, dz), (ix, iy, iz), t, end, clear, per_depth,
+                    resolution, threshold, sums,
+                )  # fmt: skip
+            elif brick == ALL_UNMEASURED:
+                clear = _through_unmeasured(t, end, clear, per_depth, sums)
+            elif brick == ALL_OCCUPIED:
+                stopped = True
+            else:
+                sums[1] += end * end * end - t * t * t
+            if stopped:
+                depths[ray // camera.width, ray % camera.width] = t
+                break
+            t = end
+            if end >= leave:
+                break
+            if tx <= ty and tx <= tz:
+                x += 1 if hx else -1
+                tx += side * abs(ix)
+            elif ty <= tz:
+                y += 1 if hy else -1
+                ty += side * abs(iy)
+            else:
+                z += 1 if hz else -1
+                tz += side * abs(iz)
+            if not (0 <= x < bx and 0 <= y < by and 0 <= z < bz):
+                break
+
+
+@numba.njit(**KERNEL)
+def _not_zero(component: float) -> float:
+    return component if abs(component) > 1e-12 else 1e-12
+
+
+@numba.njit(**KERNEL)
+def _through_unmeasured(
+    start: float, end: float, clear: float, per_depth: float, sums: FloatArray
+) -> float:
+    """Count a stretch of unmeasured space; return what then is still seen of what lies behind."""
+    depth = per_depth * (end - start)
+    # exp(-depth) by its inverse's series to the 4th power's term; stretches are short.
+    fourth = 1.0 + 0.25 * depth * (1.0 + 0.125 * depth * (1.0 + depth / 12.0))
+    ahead = 1.0 / (fourth * fourth * fourth * fourth)
+    cubes = end * end * end - start * start * start
+    sums[0] += cubes
+    sums[2] += cubes * clear * 0.5 * (1.0 + ahead)
+    return clear * ahead
+
+
+@numba.njit(**KERNEL)
+def _cross(
+    values: NDArray[np.int8],
+    brick: int,
+    origin: tuple[float, float, float],
+    direction: tuple[float, float, float],
+    inverse: tuple[float, float, float],
+    t: float,
+    end: float,
+    clear: float,
+    per_depth: float,
+    resolution: float,
+    threshold: int,
+    sums: FloatArray,
+) -> tuple[float, float, bool]:
+    """Follow a ray through one brick, from depth t to the end, voxel by voxel.
+
+    Returns:
+        Where it stopped, what is still seen there, and whether something occupied stopped it.
+    """
+    (ox, oy, oz), (dx, dy, dz), (ix, iy, iz) = origin, direction, inverse
+    x = min(max(whole((ox + t * dx) / resolution), 0), SIDE - 1)
+    y = min(max(whole((oy + t * dy) / resolution), 0), SIDE - 1)
+    z = min(max(whole((oz + t * dz) / resolution), 0), SIDE - 1)
+    tx = ((x + (dx > 0.0)) * resolution - ox) * ix
+    ty = ((y + (dy > 0.0)) * resolution - oy) * iy
+    tz = ((z + (dz > 0.0)) * resolution - oz) * iz
+    wx, wy, wz = resolution * abs(ix), resolution * abs(iy), resolution * abs(iz)
+    sx, sy, sz = 64 if dx > 0.0 else -64, 8 if dy > 0.0 else -8, 1 if dz > 0.0 else -1
+    # Steps until the ray leaves the brick, on each axis.
+    nx, ny, nz = SIDE - x if dx > 0.0 else x + 1, SIDE - y if dy > 0.0 else y + 1, 0
+    nz = SIDE - z if dz > 0.0 else z + 1
+    cell = (x << 6) | (y << 3) | z
+    value = int(values[brick, cell])
+    begin, unmeasured = t, value == NEVER
+    while True:
+        if value >= threshold or (value == NEVER) != unmeasured or t >= end:
+            # Stretches of one kind are counted as a whole.
+            if unmeasured:
+                clear = _through_unmeasured(begin, t, clear, per_depth, sums)
+            else:
+                sums[1] += t * t * t - begin * begin * begin
+            if value >= threshold or t >= end:
+                return t, clear, t < end
+            begin, unmeasured = t, value == NEVER
+        t = max(min(end, tx, ty, tz), t)
+        x_first = tx <= ty and tx <= tz
+        y_first = not x_first and ty <= tz
+        z_first = not (x_first or y_first)
+        cell += sx if x_first else (sy if y_first else sz)
+        tx = tx + wx if x_first else tx
+        ty = ty + wy if y_first else ty
+        tz = tz + wz if z_first else tz
+        nx, ny, nz = nx - x_first, ny - y_first, nz - z_first
+        if nx == 0 or ny == 0 or nz == 0:
+            t = end
+        else:
+            value = int(values[brick, cell])
