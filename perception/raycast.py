@@ -10,12 +10,13 @@ steps), so that both visit the same cells: "A Fast Voxel Traversal Algorithm for
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-KERNEL = {"cache": True, "error_model": "numpy", "_nrt": False}
+KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
 """Options of kernels that make no arrays. Without numba's runtime they count no references: handing
 a tuple of arrays from one to another would else cost a third of their time."""
 PASSED, HIT = 1, 2

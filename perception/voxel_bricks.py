@@ -213,3 +213,42 @@ def collect_surface(
                 values[count] = store.values[brick, cell]
                 count += 1
     return count
+
+
+@numba.njit(**KERNEL)
+def pack_states(
+    store: Bricks, threshold: int, kinds: NDArray[np.int32], packed: NDArray[np.uint16]
+) -> int:
+    """Pack the states of the bricks that have their own voxels, two bits each.
+
+    Args:
+        store: The map.
+        threshold: Log-odds from which on a voxel is occupied.
+        kinds: (bx, by, bz), where such a brick's row is written, or -1 - s if all are in state s.
+        packed: (n, 64) rows.
+
+    Returns:
+        How many rows were written.
+    """
+    row = 0
+    for x in range(kinds.shape[0]):
+        for y in range(kinds.shape[1]):
+            for z in range(kinds.shape[2]):
+                brick = store.index[x, y, z]
+                if brick < 0:
+                    continue
+                every, some = 3, 0
+                for column in range(CELLS // SIDE):
+                    word = 0
+                    for level in range(SIDE):
+                        value = store.values[brick, column * SIDE + level]
+                        state = 0 if value == NEVER else (2 if value >= threshold else 1)
+                        every, some = every & state, some | state
+                        word |= state << (2 * level)
+                    packed[row, column] = word
+                if every == some:
+                    kinds[x, y, z] = -1 - some
+                else:
+                    kinds[x, y, z] = row
+                    row += 1
+    return row

@@ -67,17 +67,19 @@ def samples_of(camera: Camera, resolution: float, coarse: bool) -> Samples:
     """Return the middles of a part's voxels, level by level, or of its cubes of 2 x 2 x 2."""
     step = 2 if coarse else 1
     k, i, j = (grid.ravel() for grid in np.meshgrid(*3 * [range(0, HALF, step)], indexing="ij"))
-    x, y, z = camera.turn @ (np.stack([i, j, k]) + 0.5 * step) * resolution
-    cell = (i << 6) | (j << 3) | k
-    count = len(cell)
+    middles = camera.turn @ (np.stack([i, j, k]) + 0.5 * step) * resolution
+    x, y, z = np.ascontiguousarray(middles, dtype=np.float32)
+    cell = ((i << 6) | (j << 3) | k).astype(np.int32)
     return Samples(
-        *(np.ascontiguousarray(axis, dtype=np.float32) for axis in (x, y, z)),
-        cell.astype(np.int32),
-        np.empty(count, dtype=np.int32),
-        np.empty(count, dtype=np.int32),
-        np.empty(count, dtype=np.float32),
-        np.empty(count, dtype=np.int32),
-        np.empty(count, dtype=np.bool_),
+        x=x,
+        y=y,
+        z=z,
+        cell=cell,
+        column=np.empty_like(cell),
+        row=np.empty_like(cell),
+        depth=np.empty_like(x),
+        told=np.empty_like(cell),
+        kept=np.empty(cell.shape, dtype=np.bool_),
     )
 
 

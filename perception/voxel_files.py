@@ -25,7 +25,6 @@ from perception.voxel_bricks import (
     BRICKS,
     FREE_BRICKS,
     FREE_RECORDS,
-    NOWHERE,
     POINTS,
     RECORDS,
     Bricks,
@@ -153,28 +152,23 @@ def _check_references(bricks: Bricks) -> None:
     Raises:
         ValueError: Naming the array.
     """
-    numbers = {
-        "index": (bricks.index[bricks.index >= 0], bricks.free_bricks, len(bricks.values)),
-        "block": (bricks.block[bricks.index[bricks.index >= 0]], None, len(bricks.slots)),
-        "slots": (bricks.slots, bricks.free_records, len(bricks.records)),
-    }
-    for name, (array, given_back, count) in numbers.items():
-        taken = array[array >= 0].ravel()
-        every = taken if given_back is None else np.concatenate([taken, given_back])
-        if np.any(every >= count) or np.any(every < NOWHERE) or len(np.unique(every)) < len(every):
-            raise ValueError(f"{name}: points at nothing, or twice at the same")
-    if (
-        np.any(bricks.index < -256)
-        or not np.isfinite(bricks.records[_live(bricks), : POINTS + 1]).all()
-    ):
+    _check_numbers("index", bricks.index, bricks.free_bricks, len(bricks.values))
+    blocks = bricks.block[bricks.index[bricks.index >= 0]]
+    _check_numbers("block", blocks, blocks[:0], len(bricks.slots))
+    slots = bricks.slots[blocks[blocks >= 0]]
+    _check_numbers("slots", slots, bricks.free_records, len(bricks.records))
+    live = bricks.records[slots[slots >= 0], : POINTS + 1]
+    if np.any(bricks.index < -256) or not np.isfinite(live).all():
         raise ValueError("index or records: out of range")
 
 
-def _live(bricks: Bricks) -> NDArray[np.int32]:
-    """Return the numbers of the surface estimates in use."""
-    blocks = bricks.block[bricks.index[bricks.index >= 0]]
-    slots = bricks.slots[blocks[blocks >= 0]]
-    return slots[slots >= 0]
+def _check_numbers(
+    name: str, numbers: NDArray[np.int32], given_back: NDArray[np.int32], count: int
+) -> None:
+    every = np.concatenate([numbers[numbers >= 0].ravel(), given_back])
+    outside = np.any(every >= count) or np.any(every < 0)
+    if outside or len(np.unique(every)) < len(every):
+        raise ValueError(f"{name}: points at nothing, or twice at the same")
 
 
 def export_points(voxels: VoxelMap, path: Path | str) -> int:

@@ -18,6 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.gaussians import copy, merge, variance_along
 from perception.raycast import KERNEL, whole
 from perception.voxel_bricks import (
     DROPPED,
@@ -60,59 +61,6 @@ def workspace() -> Work:
 
 
 @numba.njit(**KERNEL)
-def merge(
-    mean: FloatArray, covariance: FloatArray, other_mean: FloatArray, other_covariance: FloatArray
-) -> None:
-    """Merge two Gaussians in place: C1 - C1 (C1 + C2)^-1 C1 (Thesis eq. 3-8 and 3-10, mended).
-
-    Args:
-        mean: (3,) changed.
-        covariance: (6,) xx, xy, xz, yy, yz, zz; changed.
-        other_mean: (3,).
-        other_covariance: (6,).
-    """
-    a, b, c = covariance[0], covariance[1], covariance[2]
-    d, e, f = covariance[3], covariance[4], covariance[5]
-    sa, sb, sc = a + other_covariance[0], b + other_covariance[1], c + other_covariance[2]
-    sd, se, sf = d + other_covariance[3], e + other_covariance[4], f + other_covariance[5]
-    ia, ib, ic = sd * sf - se * se, sc * se - sb * sf, sb * se - sc * sd
-    scale = 1.0 / (sa * ia + sb * ib + sc * ic)
-    ia, ib, ic = ia * scale, ib * scale, ic * scale
-    id_, ie = (sa * sf - sc * sc) * scale, (sb * sc - sa * se) * scale
-    if_ = (sa * sd - sb * sb) * scale
-    k00, k01, k02 = a * ia + b * ib + c * ic, a * ib + b * id_ + c * ie, a * ic + b * ie + c * if_
-    k10, k11, k12 = b * ia + d * ib + e * ic, b * ib + d * id_ + e * ie, b * ic + d * ie + e * if_
-    k20, k21, k22 = c * ia + e * ib + f * ic, c * ib + e * id_ + f * ie, c * ic + e * ie + f * if_
-    x, y, z = other_mean[0] - mean[0], other_mean[1] - mean[1], other_mean[2] - mean[2]
-    mean[0] += k00 * x + k01 * y + k02 * z
-    mean[1] += k10 * x + k11 * y + k12 * z
-    mean[2] += k20 * x + k21 * y + k22 * z
-    covariance[0] = a - (k00 * a + k01 * b + k02 * c)
-    covariance[1] = b - (k00 * b + k01 * d + k02 * e)
-    covariance[2] = c - (k00 * c + k01 * e + k02 * f)
-    covariance[3] = d - (k10 * b + k11 * d + k12 * e)
-    covariance[4] = e - (k10 * c + k11 * e + k12 * f)
-    covariance[5] = f - (k20 * c + k21 * e + k22 * f)
-
-
-@numba.njit(**KERNEL)
-def _copy(
-    mean: FloatArray, covariance: FloatArray, from_mean: FloatArray, from_covariance: FloatArray
-) -> None:
-    for axis in range(3):
-        mean[axis] = from_mean[axis]
-    for k in range(6):
-        covariance[k] = from_covariance[k]
-
-
-@numba.njit(**KERNEL)
-def _along(covariance: FloatArray, x: float, y: float, z: float) -> float:
-    """Return the variance in a direction."""
-    diagonal = x * x * covariance[0] + y * y * covariance[3] + z * z * covariance[5]
-    return diagonal + 2.0 * (x * y * covariance[1] + x * z * covariance[2] + y * z * covariance[4])
-
-
-@numba.njit(**KERNEL)
 def _effective(points: float, correlated: float) -> float:
     """Return how many independent points so many are worth."""
     return 0.0 if points <= 0.0 else max(1.0, points / correlated)
@@ -146,7 +94,7 @@ def fuse_scan(
         high = scan.high[down, across]
         if high == 0.0:
             continue
-        if not room_left(store, 2 * most, most, most) and not settings[6]:
+        if not room_left(store, most, most, most) and not settings[6]:
             return tile
         # Groups of about half a voxel's width (0.35 to 0.7), so that a slanted surface has no gaps.
         side = 1
@@ -159,7 +107,7 @@ def fuse_scan(
                 for turn in range(1 + side * side):
                     # First what lies on the tile's plane, then the rest, the nearest first.
                     flat = turn == 0
-                    count = _gather(store, scan, corner, flat, settings, mean, covariance)
+                    count = _gather(scan, corner, flat, resolution, mean, covariance)
                     if count > 0:
                         for axis in range(3):
                             normal[axis] = scan.normal[down, across, axis] if flat else 0.0
@@ -173,22 +121,20 @@ def fuse_scan(
 
 @numba.njit(**KERNEL)
 def _gather(
-    store: Bricks,
     scan: Scan,
     corner: tuple[int, int, int, int],
     flat: bool,
-    settings: Fusing,
+    thickness: float,
     mean: FloatArray,
     covariance: FloatArray,
 ) -> int:
     """Take some pixels' points out of a scan: their number, mean and mean covariance.
 
     Args:
-        store: The map, where voxels are touched.
         scan: The images; points taken are crossed out.
         corner: First and end row, first and end column.
         flat: Whether to take those on the tile's plane, or the nearest of the others.
-        settings: Those of `fuse_scan`.
+        thickness: What depth counts as nearest [m].
         mean: (3,) written.
         covariance: (6,) written.
     """
@@ -199,23 +145,14 @@ def _gather(
             for u in range(corner[2], corner[3]):
                 if kind[v, u] != GONE:
                     nearest = min(nearest, depth[v, u])
-        nearest += np.float32(settings[0])
+        nearest += np.float32(thickness)
     x, y, z, count = 0.0, 0.0, 0.0, 0
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(corner[0], corner[1]):
         for u in range(corner[2], corner[3]):
             if kind[v, u] == FLAT if flat else kind[v, u] != GONE and depth[v, u] <= nearest:
                 kind[v, u] = GONE
-                here = scan.count[v, u]
-                if scan.sigma[v, u] < TOUCH * settings[0]:
-                    _touch(
-                        store,
-                        settings,
-                        place[v, u, 0] / here,
-                        place[v, u, 1] / here,
-                        place[v, u, 2] / here,
-                    )
-                count += here
+                count += scan.count[v, u]
                 x += place[v, u, 0]
                 y += place[v, u, 1]
                 z += place[v, u, 2]
@@ -252,7 +189,7 @@ def _fuse_group(
     rx, ry, rz = mean[0] - origin[0], mean[1] - origin[1], mean[2] - origin[2]
     length = math.sqrt(rx * rx + ry * ry + rz * rz)
     rx, ry, rz = rx / length, ry / length, rz / length
-    sigma = math.sqrt(_along(covariance, rx, ry, rz) / _effective(count, correlated))
+    sigma = math.sqrt(variance_along(covariance, rx, ry, rz) / _effective(count, correlated))
     sure = normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0
     ax, ay, az = (normal[0], normal[1], normal[2]) if sure else (rx, ry, rz)
     reach = REACH * sigma
@@ -263,7 +200,7 @@ def _fuse_group(
     fused_mean, fused, other_mean, other = work[2], work[3], work[4], work[5]
     floor = (FLOOR * resolution) ** 2
     spread = resolution * resolution / 12.0
-    gate_group = _along(covariance, ax, ay, az) / _effective(count, correlated)
+    gate_group = variance_along(covariance, ax, ay, az) / _effective(count, correlated)
     gate_group += floor + (0.0 if sure else spread)
     lx, ly, lz = -1, -1, -1
     scale = 1.0 / resolution
@@ -289,7 +226,7 @@ def _fuse_group(
         # Another voxel's estimate is of the same patch only if it lies before or behind it.
         if j > 0 and beside > 0.25 * resolution * resolution:
             continue
-        if off * off > GATE * (gate_group + _along(other, ax, ay, az)):
+        if off * off > GATE * (gate_group + variance_along(other, ax, ay, az)):
             continue
         if store.records[record, SCAN] == now:
             before = max(before, int(store.records[record, POINTS]))
@@ -301,7 +238,7 @@ def _fuse_group(
         if merged:
             merge(fused_mean, fused, other_mean, other)
         else:
-            _copy(fused_mean, fused, other_mean, other)
+            copy(fused_mean, fused, other_mean, other)
             merged = True
     # What points of one scan have in common is counted once.
     worth = _effective(before + count, correlated) - _effective(before, correlated)
@@ -319,33 +256,50 @@ def _fuse_group(
         if merged:
             merge(fused_mean, fused, own, own_covariance)
         else:
-            _copy(fused_mean, fused, own, own_covariance)
+            copy(fused_mean, fused, own, own_covariance)
     _put_down(store, fused_mean, fused, carried, before, count, settings)
 
 
 @numba.njit(**KERNEL)
-def _touch(store: Bricks, settings: Fusing, px: float, py: float, pz: float) -> None:
-    """Take a voxel as occupied where a point is in it, unless it is known to be free.
+def touch_scan(store: Bricks, scan: Scan, settings: Fusing, first: int) -> int:
+    """Take voxels as occupied where points are in them, unless they are known to be free.
 
     Estimates stand where a patch has its middle. Voxels of which a slanted surface cuts a corner
-    only would stay open, and views would leak through.
+    only would stay open, and views would leak through. Points that are less certain than a voxel
+    is large are left out. To be called after `fuse_scan`, with the same arguments.
+
+    Returns:
+        The row of the image before which room is needed, or the number of rows.
     """
-    resolution, hit, _, _, _, _, _, nx, ny, nz = settings
-    x, y, z = whole(px / resolution), whole(py / resolution), whole(pz / resolution)
-    if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz):
-        return
-    brick = store.index[x >> 3, y >> 3, z >> 3]
-    if brick < 0:
-        if not room_left(store, 1, 0, 0):
-            store.used[DROPPED] += 1
-            return
-        if brick != NOWHERE:
-            return
-        brick = dense_brick(store, x >> 3, y >> 3, z >> 3)
-    cell = ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)
-    value = store.values[brick, cell]
-    if value == NEVER or WEAK <= value < hit:
-        store.values[brick, cell] = hit
+    resolution, hit, _, _, _, _, go_on, nx, ny, nz = settings
+    height, width = scan.depth.shape
+    lx, ly, lz = -1, -1, -1
+    for v in range(first, height):
+        if not go_on and not room_left(store, width, 0, 0):
+            return v
+        for u in range(width):
+            if scan.count[v, u] == 0 or scan.sigma[v, u] > TOUCH * resolution:
+                continue
+            scale = 1.0 / (resolution * scan.count[v, u])
+            x, y = whole(scan.place[v, u, 0] * scale), whole(scan.place[v, u, 1] * scale)
+            z = whole(scan.place[v, u, 2] * scale)
+            if x == lx and y == ly and z == lz:
+                continue
+            lx, ly, lz = x, y, z
+            if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz):
+                continue
+            brick = store.index[x >> 3, y >> 3, z >> 3]
+            if brick < NOWHERE:
+                continue
+            if brick < 0 and not room_left(store, 1, 0, 0):
+                store.used[DROPPED] += 1
+                continue
+            brick = dense_brick(store, x >> 3, y >> 3, z >> 3)
+            cell = ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)
+            value = store.values[brick, cell]
+            if value == NEVER or WEAK <= value < hit:
+                store.values[brick, cell] = hit
+    return height
 
 
 @numba.njit(**KERNEL)
@@ -360,9 +314,8 @@ def _put_down(
 ) -> None:
     """Store an estimate in the voxel where it lies, and let the voxel be hit once a scan."""
     resolution, hit, lowest, highest, _, now, _, nx, ny, nz = settings
-    x = whole(mean[0] / resolution)
-    y = whole(mean[1] / resolution)
-    z = whole(mean[2] / resolution)
+    scale = 1.0 / resolution
+    x, y, z = whole(mean[0] * scale), whole(mean[1] * scale), whole(mean[2] * scale)
     if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz):
         return
     if not room_left(store, 1, 1, 1):

@@ -26,19 +26,19 @@ from perception.voxel_bricks import (
     collect_surface,
     count_values,
     empty_bricks,
+    pack_states,
     read_cells,
     with_room,
 )
 from perception.voxel_carving import bricks_in, carve_scan, samples_of
-from perception.voxel_fusion import FLOOR, fuse_scan, workspace
+from perception.voxel_fusion import FLOOR, fuse_scan, touch_scan, workspace
 from perception.voxel_grid import MapError, VoxelGrid, checked_points
-from perception.voxel_scan import TILE, Camera, Scan, camera_of, empty_scan, fill_scan
+from perception.voxel_scan import TILE, Scan, binned, camera_of, empty_scan, fill_scan, window_of
 
 FloatArray = NDArray[np.float64]
 
 VOXEL_MODEL = UpdateModel(hit=0.85, miss=0.18, lowest=0.01, highest=0.99)
 """Free space ends well before a surface, so that one look says much: two make a voxel P < 0.05."""
-ALL_UNMEASURED, ALL_FREE, ALL_OCCUPIED = -1, -2, -3
 LARGEST_STEP = 126
 """Log-odds are kept in 8 bits; the larger clamp is this."""
 
@@ -128,7 +128,7 @@ class VoxelMap:
         self.bricks: Bricks = empty_bricks((i, j, k))
         self.scans = 0
         self._scan: Scan | None = None
-        self._kinds: tuple[int, NDArray[np.int32]] | None = None
+        self._outline: tuple[int, NDArray[np.int32], NDArray[np.uint16]] | None = None
         low, high = self.config.model.clamps
         self._scale = LARGEST_STEP / max(-low, high)
 
@@ -173,7 +173,7 @@ class VoxelMap:
         if len(where) == 0:
             return 0
         resolution, corner = self.grid.resolution, self.grid.corner
-        pixels = _binned(frustum, resolution)
+        pixels = binned(frustum, resolution)
         camera = camera_of(transform_camera_to_world, pixels, corner)
         margins = (self.config.margin_deviations, self.config.margin_voxels)
         size = (pixels.height, pixels.width)
@@ -194,18 +194,26 @@ class VoxelMap:
         fused = (hit, low, high, float(self.config.correlated_points), self.scans)
         size = self.grid.shape
         self.bricks.used[DROPPED] = 0
-        begin, end, full, work = 0, scan.high.size, False, workspace()
-        while begin < end:
+        full, work = False, workspace()
+        begin = 0
+        while begin < scan.high.size:
             settings = (resolution, *fused, full, *size)
             begin = fuse_scan(self.bricks, scan, camera, settings, work, begin)
-            full = full or (begin < end and not self._grow())
-        window = _window(camera, float(scan.high.max()), resolution * SIDE, self.bricks.index.shape)
+            full = full or (begin < scan.high.size and not self._grow(TILE * TILE))
+        begin = 0
+        while begin < pixels.height:
+            settings = (resolution, *fused, full, *size)
+            begin = touch_scan(self.bricks, scan, settings, begin)
+            full = full or (begin < pixels.height and not self._grow(pixels.width))
+        window = window_of(
+            camera, float(scan.high.max()), resolution * SIDE, self.bricks.index.shape
+        )
         samples = samples_of(camera, resolution, self.config.coarse)
         begin, end = 0, bricks_in(window) if np.all(window[3:] >= window[:3]) else 0
         while begin < end:
             settings = (resolution, miss, low, self.scans, full, self.config.coarse)
             begin = carve_scan(self.bricks, scan, camera, samples, window, settings, begin)
-            full = full or (begin < end and not self._grow())
+            full = full or (begin < end and not self._grow(1))
         if self.bricks.used[DROPPED]:
             raise MapFull(
                 f"map: {self.bricks.used[DROPPED]} changes of this scan had no room in "
@@ -221,10 +229,9 @@ class VoxelMap:
         hit, miss, low, high = values.tolist()
         return max(hit, 1), min(miss, -2), low, high
 
-    def _grow(self) -> bool:
-        """Make room for more; return whether there was memory."""
+    def _grow(self, need: int) -> bool:
+        """Make room for so many more; return whether there was memory."""
         used, store = self.bricks.used, self.bricks
-        need = 2 * TILE * TILE
         taken = (
             (used[BRICKS] - used[FREE_BRICKS], len(store.values)),
             (used[BLOCKS], len(store.slots)),
@@ -309,26 +316,24 @@ class VoxelMap:
         states[dense] = np.where(occupied, State.OCCUPIED, parts)
         return states
 
-    def kinds(self) -> NDArray[np.int32]:
-        """Return (bx, by, bz) what is in each brick, kept until the next scan.
+    def outline(self) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
+        """Return the states of all voxels as `view_counts` reads them, kept until the next scan.
 
-        That is -1 where all voxels are unmeasured, -2 where all are free, -3 where all are
-        occupied, and the brick's number where they differ.
+        Returns:
+            (bx, by, bz) what is in each brick: -1 - s where all voxels are in the state s, and
+            elsewhere a number n; and (count, 64) for those the states of voxels 8 along z, two
+            bits each.
         """
-        if self._kinds is None or self._kinds[0] != self.scans:
-            threshold, used = self.threshold(), int(self.bricks.used[BRICKS])
-            number = np.arange(used, dtype=np.int32)
-            values = self.bricks.values[:used]
-            least, most = values.min(axis=1, initial=127), values.max(axis=1, initial=NEVER)
-            number[(least > NEVER) & (most < threshold)] = ALL_FREE
-            number[most == NEVER] = ALL_UNMEASURED
+        if self._outline is None or self._outline[0] != self.scans:
             index = self.bricks.index
             alike = -129 - index
-            kinds = np.where(alike >= threshold, ALL_OCCUPIED, ALL_FREE).astype(np.int32)
-            kinds[index == NOWHERE] = ALL_UNMEASURED
-            kinds[index >= 0] = number[index[index >= 0]]
-            self._kinds = (self.scans, kinds)
-        return self._kinds[1]
+            states = np.where(alike >= self.threshold(), State.OCCUPIED, State.FREE)
+            states[index == NOWHERE] = State.UNKNOWN
+            kinds = (-1 - states).astype(np.int32)
+            mixed = np.empty((int(np.count_nonzero(index >= 0)), CELLS // SIDE), dtype=np.uint16)
+            count = pack_states(self.bricks, self.threshold(), kinds, mixed)
+            self._outline = (self.scans, kinds, mixed[:count])
+        return self._outline[1:]
 
     def occupied_cells(self) -> tuple[NDArray[np.int64], FloatArray]:
         """Return indices (M, 3) of the occupied voxels and their probabilities (M,)."""
@@ -351,25 +356,3 @@ class VoxelMap:
         values = np.empty(len(cells), dtype=np.int8)
         read_cells(self.bricks, cells, values)
         return np.where(inside, values, np.int8(NEVER))
-
-
-def _binned(frustum: Frustum, resolution: float) -> Frustum:
-    """Return the view with pixels of at most a voxel at the far end, by halves of what they are."""
-    size = 1
-    while 2 * size * frustum.far <= min(frustum.fx, frustum.fy) * resolution:
-        size *= 2
-    if size == 1:
-        return frustum
-    return frustum.resized(-(-frustum.width // size), -(-frustum.height // size))
-
-
-def _window(camera: Camera, far: float, side: float, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return the first and last brick on each axis (6,) that a view can reach up to a depth."""
-    u = (np.array([-0.5, camera.width - 0.5]) - camera.cx) / camera.fx
-    v = (np.array([-0.5, camera.height - 0.5]) - camera.cy) / camera.fy
-    corners = np.array([[x, y, 1.0] for x in u for y in v]) * far
-    ends = np.vstack([corners @ camera.turn, np.zeros(3)]) + camera.origin
-    low = np.floor(ends.min(axis=0) / side)
-    high = np.floor(ends.max(axis=0) / side)
-    last = np.array(shape) - 1
-    return np.concatenate([np.maximum(low, 0), np.minimum(high, last)]).astype(np.int64)

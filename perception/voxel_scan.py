@@ -2,7 +2,7 @@
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false
+# pyright: reportUnknownParameterType=false, reportIncompatibleMethodOverride=false
 
 from __future__ import annotations
 
@@ -132,6 +132,28 @@ def camera_of(
     )
 
 
+def binned(frustum: Frustum, resolution: float) -> Frustum:
+    """Return the view with pixels of at most a voxel at the far end, by halves of what they are."""
+    size = 1
+    while 2 * size * frustum.far <= min(frustum.fx, frustum.fy) * resolution:
+        size *= 2
+    if size == 1:
+        return frustum
+    return frustum.resized(-(-frustum.width // size), -(-frustum.height // size))
+
+
+def window_of(camera: Camera, far: float, side: float, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return the first and last brick on each axis (6,) that a view can reach up to a depth."""
+    u = (np.array([-0.5, camera.width - 0.5]) - camera.cx) / camera.fx
+    v = (np.array([-0.5, camera.height - 0.5]) - camera.cy) / camera.fy
+    corners = np.array([[x, y, 1.0] for x in u for y in v]) * far
+    ends = np.vstack([corners @ camera.turn, np.zeros(3)]) + camera.origin
+    low = np.floor(ends.min(axis=0) / side)
+    high = np.floor(ends.max(axis=0) / side)
+    last = np.array(shape) - 1
+    return np.concatenate([np.maximum(low, 0), np.minimum(high, last)]).astype(np.int64)
+
+
 def fill_scan(
     scan: Scan,
     camera: Camera,
@@ -168,7 +190,7 @@ def _organise(
 ) -> int:
     """Sum up the nearest points of each pixel; return the first bad point or -1.
 
-    Depth and sigma are sums too until `_tile_means`.
+    Until `_tile_means` depth is a sum too, and sigma the sum of variances.
     """
     turn, corner = camera.turn, camera.corner
     ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
@@ -212,7 +234,8 @@ def _organise(
         variance += 2.0 * (px * py * xy + px * pz * xz + py * pz * yz)
         scan.count[v, u] = count + 1
         scan.depth[v, u] += depth
-        scan.sigma[v, u] += depth * math.sqrt(variance) / (px * px + py * py + pz * pz)
+        part = depth / (px * px + py * py + pz * pz)
+        scan.sigma[v, u] += part * part * variance
         scan.place[v, u, 0] += x
         scan.place[v, u, 1] += y
         scan.place[v, u, 2] += z
@@ -238,7 +261,7 @@ def _tile_means(scan: Scan) -> None:
                     if here > 0:
                         z = scan.depth[v, u] / np.float32(here)
                         scan.depth[v, u] = z
-                        scan.sigma[v, u] /= np.float32(here)
+                        scan.sigma[v, u] = math.sqrt(scan.sigma[v, u] / here)
                         total += 1.0 / z
                         count += 1
                         deepest = max(deepest, z)

@@ -14,14 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.occupancy import State
 from perception.pinhole import Frustum
 from perception.raycast import KERNEL, whole
-from perception.voxel_bricks import NEVER, SIDE
-from perception.voxel_map import ALL_OCCUPIED, ALL_UNMEASURED, VoxelMap
+from perception.voxel_bricks import SIDE
+from perception.voxel_map import VoxelMap
 from perception.voxel_scan import Camera, camera_of
 
 FloatArray = NDArray[np.float64]
 
+UNKNOWN, OCCUPIED = int(State.UNKNOWN), int(State.OCCUPIED)
+TICKS = 2.0**40
+"""Of depth, in a metre."""
 RAYS = (64, 48)
 """Columns and rows of rays that stand for a view."""
 
@@ -76,8 +80,9 @@ def view_counts(
     camera = camera_of(transform_camera_to_world, coarse, voxels.grid.corner)
     depths = np.full((coarse.height, coarse.width), np.inf)
     sums = np.zeros(3)
-    settings = (voxels.grid.resolution, voxels.threshold(), 1.0 / mean_free_path)
-    _look(voxels.kinds(), voxels.bricks.values, camera, settings, depths, sums)
+    settings = (voxels.grid.resolution, 1.0 / mean_free_path)
+    kinds, states = voxels.outline()
+    _look(kinds, states, camera, settings, depths, sums)
     # A ray stands for a pixel, which is z^2 / (fx fy) large at depth z.
     unmeasured, free, seen = (sums / (3.0 * coarse.fx * coarse.fy)).tolist()
     return ViewCounts(unmeasured, free, seen / voxels.grid.resolution**3, depths)
@@ -86,23 +91,23 @@ def view_counts(
 @numba.njit(**KERNEL)
 def _look(
     kinds: NDArray[np.int32],
-    values: NDArray[np.int8],
+    states: NDArray[np.uint16],
     camera: Camera,
-    settings: tuple[float, int, float],
+    settings: tuple[float, float],
     depths: FloatArray,
     sums: FloatArray,
 ) -> None:
     """Follow each ray brick by brick, and through those that are not alike voxel by voxel.
 
     Args:
-        kinds: Of `VoxelMap.kinds`.
-        values: Of `Bricks`.
+        kinds: Of `VoxelMap.outline`.
+        states: Likewise.
         camera: Where the rays start, and one pixel for each.
-        settings: Side of a voxel [m], log-odds from which one is occupied, attenuation [1/m].
+        settings: Side of a voxel [m], attenuation [1/m].
         depths: (rows, columns) written where a ray is stopped.
         sums: (3,) added to: z1^3 - z0^3 of unmeasured, of free, and of what is seen of unmeasured.
     """
-    resolution, threshold, attenuation = settings
+    resolution, attenuation = settings
     side = resolution * SIDE
     bx, by, bz = kinds.shape
     ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
@@ -139,12 +144,12 @@ def _look(
             if brick >= 0:
                 start = (ox - x * side, oy - y * side, oz - z * side)
                 t, clear, stopped = _cross(
-                    values, brick, start, (dx, dy, dz), (ix, iy, iz), t, end, clear, per_depth,
-                    resolution, threshold, sums,
+                    states, brick, start, (dx, dy, dz), (ix, iy, iz), t, end, clear, per_depth,
+                    resolution, sums,
                 )  # fmt: skip
-            elif brick == ALL_UNMEASURED:
+            elif brick == -1 - UNKNOWN:
                 clear = _through_unmeasured(t, end, clear, per_depth, sums)
-            elif brick == ALL_OCCUPIED:
+            elif brick == -1 - OCCUPIED:
                 stopped = True
             else:
                 sums[1] += end * end * end - t * t * t
@@ -169,7 +174,7 @@ def _look(
 
 @numba.njit(**KERNEL)
 def _not_zero(component: float) -> float:
-    return component if abs(component) > 1e-12 else 1e-12
+    return component if abs(component) > 1e-6 else 1e-6
 
 
 @numba.njit(**KERNEL)
@@ -178,18 +183,21 @@ def _through_unmeasured(
 ) -> float:
     """Count a stretch of unmeasured space; return what then is still seen of what lies behind."""
     depth = per_depth * (end - start)
-    # exp(-depth) by its inverse's series to the 4th power's term; stretches are short.
+    # exp(-depth) by a series of exp(depth / 4); stretches are short.
     fourth = 1.0 + 0.25 * depth * (1.0 + 0.125 * depth * (1.0 + depth / 12.0))
     ahead = 1.0 / (fourth * fourth * fourth * fourth)
-    cubes = end * end * end - start * start * start
-    sums[0] += cubes
-    sums[2] += cubes * clear * 0.5 * (1.0 + ahead)
+    # Integral of z^2 exp(-per_depth (z - start)).
+    path = 1.0 / per_depth
+    first = path * (start * start + 2.0 * path * (start + path))
+    last = path * (end * end + 2.0 * path * (end + path))
+    sums[0] += end * end * end - start * start * start
+    sums[2] += 3.0 * clear * (first - last * ahead)
     return clear * ahead
 
 
 @numba.njit(**KERNEL)
 def _cross(
-    values: NDArray[np.int8],
+    states: NDArray[np.uint16],
     brick: int,
     origin: tuple[float, float, float],
     direction: tuple[float, float, float],
@@ -199,7 +207,6 @@ def _cross(
     clear: float,
     per_depth: float,
     resolution: float,
-    threshold: int,
     sums: FloatArray,
 ) -> tuple[float, float, bool]:
     """Follow a ray through one brick, from depth t to the end, voxel by voxel.
@@ -211,37 +218,41 @@ def _cross(
     x = min(max(whole((ox + t * dx) / resolution), 0), SIDE - 1)
     y = min(max(whole((oy + t * dy) / resolution), 0), SIDE - 1)
     z = min(max(whole((oz + t * dz) / resolution), 0), SIDE - 1)
-    tx = ((x + (dx > 0.0)) * resolution - ox) * ix
-    ty = ((y + (dy > 0.0)) * resolution - oy) * iy
-    tz = ((z + (dz > 0.0)) * resolution - oz) * iz
-    wx, wy, wz = resolution * abs(ix), resolution * abs(iy), resolution * abs(iz)
-    sx, sy, sz = 64 if dx > 0.0 else -64, 8 if dy > 0.0 else -8, 1 if dz > 0.0 else -1
+    # Depth as whole ticks, so that the nearest face is stepped over without a branch: which of
+    # three it is cannot be foretold, and a wrong guess costs more than all the arithmetic.
+    tx = int(((x + (dx > 0.0)) * resolution - ox) * ix * TICKS)
+    ty = int(((y + (dy > 0.0)) * resolution - oy) * iy * TICKS)
+    tz = int(((z + (dz > 0.0)) * resolution - oz) * iz * TICKS)
+    side = resolution * TICKS
+    wx, wy, wz = int(side * abs(ix)), int(side * abs(iy)), int(side * abs(iz))
+    sx, sy, sz = 8 if dx > 0.0 else -8, 1 if dy > 0.0 else -1, 2 if dz > 0.0 else -2
     # Steps until the ray leaves the brick, on each axis.
     nx, ny, nz = SIDE - x if dx > 0.0 else x + 1, SIDE - y if dy > 0.0 else y + 1, 0
     nz = SIDE - z if dz > 0.0 else z + 1
-    cell = (x << 6) | (y << 3) | z
-    value = int(values[brick, cell])
-    begin, unmeasured = t, value == NEVER
+    column, shift = (x << 3) | y, 2 * z
+    state = (int(states[brick, column]) >> shift) & 3
+    now, last = int(t * TICKS), int(end * TICKS)
+    begin, kind = t, state
     while True:
-        if value >= threshold or (value == NEVER) != unmeasured or t >= end:
+        if state != kind or state == OCCUPIED or now >= last:
             # Stretches of one kind are counted as a whole.
-            if unmeasured:
-                clear = _through_unmeasured(begin, t, clear, per_depth, sums)
+            here = min(max(now / TICKS, begin), end)
+            if kind == UNKNOWN:
+                clear = _through_unmeasured(begin, here, clear, per_depth, sums)
             else:
-                sums[1] += t * t * t - begin * begin * begin
-            if value >= threshold or t >= end:
-                return t, clear, t < end
-            begin, unmeasured = t, value == NEVER
-        t = max(min(end, tx, ty, tz), t)
-        x_first = tx <= ty and tx <= tz
-        y_first = not x_first and ty <= tz
-        z_first = not (x_first or y_first)
-        cell += sx if x_first else (sy if y_first else sz)
-        tx = tx + wx if x_first else tx
-        ty = ty + wy if y_first else ty
-        tz = tz + wz if z_first else tz
-        nx, ny, nz = nx - x_first, ny - y_first, nz - z_first
+                sums[1] += here * here * here - begin * begin * begin
+            if state == OCCUPIED or now >= last:
+                return float(here), clear, bool(now < last)
+            begin, kind = here, state
+        nearest = min(tx, ty, tz)
+        x_step, y_step = -np.int64(tx == nearest), -np.int64(ty == nearest)
+        z_step = -np.int64(tz == nearest)
+        now = min(nearest, last)
+        column += (sx & x_step) + (sy & y_step)
+        shift += sz & z_step
+        tx, ty, tz = tx + (wx & x_step), ty + (wy & y_step), tz + (wz & z_step)
+        nx, ny, nz = nx + x_step, ny + y_step, nz + z_step
         if nx == 0 or ny == 0 or nz == 0:
-            t = end
+            now = last
         else:
-            value = int(values[brick, cell])
+            state = (int(states[brick, column]) >> shift) & 3

@@ -25,7 +25,7 @@ def test_window_after_window_gives_what_all_at_once_gives():
 
 def test_unknown_benchmark_is_named(capsys):
     assert main(["bench", "--only", "speed"]) == 2
-    assert "speed: unknown; there are loop, identification" in capsys.readouterr().err
+    assert "speed: unknown; there are loop, identification, mapping" in capsys.readouterr().err
 
 
 @pytest.mark.slow

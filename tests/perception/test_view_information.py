@@ -10,8 +10,10 @@ from perception.view_information import (
     PlanningGrid,
     claimed_by_view,
     expected_occupancy,
+    planning_grid,
     view_information,
 )
+from tests.perception.wall_views import scanned
 
 LOW = np.array([-0.2, 0.1, 0.0])
 EDGE = 0.05
@@ -120,3 +122,17 @@ def test_relaxation_meets_the_equations_that_it_solves():
 def test_what_is_no_grid_is_refused(shape, edge):
     with pytest.raises(ValueError, match="planning grid"):
         PlanningGrid(LOW, edge, np.zeros(shape, np.int8))
+
+
+def test_planning_grid_is_the_map_by_its_bricks():
+    voxels = scanned()
+    grid = planning_grid(voxels)
+    assert grid.resolution == pytest.approx(0.08)
+    inner = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    for brick in np.ndindex(grid.states.shape):
+        states = voxels.states(voxels.grid.centres(np.array(brick) * 8 + inner))
+        measured = np.count_nonzero(states != State.UNKNOWN)
+        expected = State.FREE if measured >= 256 else State.UNKNOWN
+        if np.any(states == State.OCCUPIED):
+            expected = State.OCCUPIED
+        assert grid.states[brick] == expected

@@ -1,82 +1,144 @@
-"""What a view would show, against every ray walked in small steps."""
-
-import dataclasses
+"""What a view would show, against a brute force that asks for each voxel whether it is seen."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.occupancy import State
+from perception.pinhole import Frustum
+from perception.voxel_bricks import NEVER, NOWHERE, SIDE
 from perception.voxel_grid import VoxelGrid
 from perception.voxel_map import VoxelMap
 from perception.voxel_views import view_counts
-from tests.perception.test_voxel_fast import FRUSTUM, GRID, WALL, scanned
 
-RAYS = (12, 10)
-
-
-def walked(voxels, pose, mean_free_path=np.inf):
-    """Volumes of unmeasured and free space in view, and depths, by steps of a tenth of a voxel."""
-    lens = FRUSTUM.resized(*RAYS)
-    u, v = np.meshgrid((np.arange(RAYS[0]) - lens.cx) / lens.fx,
-                       (np.arange(RAYS[1]) - lens.cy) / lens.fy)  # fmt: skip
-    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
-    step = voxels.grid.resolution / 10
-    depths = np.arange(lens.near + step / 2, lens.far, step)
-    size = depths**2 * step / (lens.fx * lens.fy)
-    volumes, ends = np.zeros(2), []
-    for ray in rays:
-        states = voxels.states(pose.apply(depths[:, None] * ray))
-        inside = voxels.grid.cells(pose.apply(depths[:, None] * ray))[1]
-        stops = np.flatnonzero(states == State.OCCUPIED)
-        last = stops[0] if len(stops) else len(depths)
-        seen = np.arange(len(depths)) < last
-        for k, state in enumerate((State.UNKNOWN, State.FREE)):
-            volumes[k] += size[seen & inside & (states == state)].sum()
-        ends.append(depths[last] if len(stops) else np.inf)
-    return volumes, np.array(ends).reshape(RAYS[1], RAYS[0])
+VIEW = Frustum(64, 48, 60.0, 60.0, 31.5, 23.5, near=0.15, far=0.7)
+GRID = VoxelGrid(0.02, (-0.48, -0.48, -0.48), (0.48, 0.48, 0.48))
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.15, -0.1, 0.05), (-0.3, 0.2, -0.15)])
-def test_volumes_and_depths_are_those_of_a_slow_walk(place):
-    voxels = scanned()
-    turn = Rotation.from_rotvec([0.3 * place[1], -0.5 * place[0], 0.2])
-    pose = RigidTransform.from_components(place, turn)
-    found = view_counts(voxels, pose, FRUSTUM, rays=RAYS)
-    (unknown, free), depths = walked(voxels, pose)
-    assert found.unmeasured == pytest.approx(unknown, rel=0.01, abs=1e-6)
-    assert found.free == pytest.approx(free, rel=0.01)
-    same = np.isfinite(found.depths) == np.isfinite(depths)
-    assert same.mean() > 0.98
-    both = np.isfinite(found.depths) & np.isfinite(depths)
-    assert np.quantile(np.abs(found.depths[both] - depths[both]), 0.95) < 0.002
+def known_map(states):
+    """Return a map whose voxels are in given states, with one brick for each that is mixed."""
+    voxels = VoxelMap(GRID)
+    level = {State.UNKNOWN: NEVER, State.FREE: -20, State.OCCUPIED: 20}
+    values = np.vectorize(level.get)(states).astype(np.int8)
+    shape = voxels.bricks.index.shape
+    bricks, rows = voxels.bricks.index.copy(), []
+    for x, y, z in np.ndindex(shape):
+        part = values[
+            x * SIDE : (x + 1) * SIDE, y * SIDE : (y + 1) * SIDE, z * SIDE : (z + 1) * SIDE
+        ].ravel()
+        if np.all(part == part[0]):
+            bricks[x, y, z] = -129 - int(part[0])
+        else:
+            bricks[x, y, z] = len(rows)
+            rows.append(part)
+    rows = np.array(rows, dtype=np.int8).reshape(-1, SIDE**3)
+    voxels.bricks = voxels.bricks._replace(
+        index=bricks, values=rows, block=np.full(len(rows), NOWHERE, dtype=np.int32)
+    )
+    voxels.bricks.used[0] = len(rows)
+    return voxels
 
 
-def test_wall_hides_what_is_behind_it():
-    pose = RigidTransform.identity()
-    seen = view_counts(scanned(4), pose, FRUSTUM)
-    assert seen.blocked > 0.95
-    assert np.abs(seen.depths[np.isfinite(seen.depths)] - WALL).max() < 0.015
-    assert seen.information < 0.05 * view_counts(VoxelMap(GRID), pose, FRUSTUM).information
+def scattered_states(seed):
+    """Return a free middle, unknown surroundings and some occupied balls."""
+    generator = np.random.default_rng(seed)
+    cells = np.stack(np.indices(GRID.shape), axis=-1)
+    where = GRID.centres(cells)
+    states = np.where(where[..., 0] < 0.05, State.FREE, State.UNKNOWN)
+    for _ in range(5):
+        centre, radius = generator.uniform(-0.2, 0.4, 3), generator.uniform(0.04, 0.12)
+        states[np.linalg.norm(where - centre, axis=-1) < radius] = State.OCCUPIED
+    return states
 
 
-def test_known_space_tells_nothing_however_often_it_is_looked_at():
-    voxels = scanned(8)
-    pose = RigidTransform.identity()
-    near = dataclasses.replace(FRUSTUM, far=0.5)
-    whole = view_counts(VoxelMap(GRID), pose, near).information
-    # But for the voxels that are only partly in view.
-    assert view_counts(voxels, pose, near).information < 0.03 * whole
+def pose_looking_along_x(turn=0.2):
+    forward = Rotation.from_matrix([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    turned = Rotation.from_euler("z", turn) * forward
+    return RigidTransform.from_components([-0.41, 0.03, 0.02], turned)
 
 
-def test_information_counts_voxels_so_a_finer_map_has_eight_times_as_many():
-    pose = RigidTransform.identity()
-    box = (-0.48, -0.48, -0.16), (0.48, 0.48, 0.8)  # Whole bricks of either.
-    counts = [view_counts(VoxelMap(VoxelGrid(size, *box)), pose, FRUSTUM) for size in (0.02, 0.01)]
-    assert counts[0].unmeasured == pytest.approx(counts[1].unmeasured, rel=1e-6)
-    assert counts[1].information == pytest.approx(8 * counts[0].information, rel=0.03)
+def seen_by_brute_force(states, pose):
+    """Return which voxels are in the frustum and not behind an occupied one: dense samples."""
+    where = GRID.centres(np.stack(np.indices(GRID.shape), axis=-1)).reshape(-1, 3)
+    local = pose.inv().apply(where)
+    depth = local[:, 2]
+    u = local[:, 0] / depth * VIEW.fx + VIEW.cx
+    v = local[:, 1] / depth * VIEW.fy + VIEW.cy
+    inside = (depth > VIEW.near) & (depth < VIEW.far)
+    inside &= (np.abs(u - 31.5) < 32.0) & (np.abs(v - 23.5) < 24.0)
+    seen = inside.copy()
+    steps = np.linspace(0.0, 1.0, 200)[:, None]
+    for part in np.array_split(np.flatnonzero(inside), 20):
+        path = pose.translation + steps[..., None] * (where[part] - pose.translation)
+        cells, within = GRID.cells(path)
+        met = within & (states[tuple(np.moveaxis(cells, -1, 0))] == State.OCCUPIED)
+        met &= np.any(cells != GRID.cells(where[part])[0], axis=-1)
+        met &= steps * depth[part] > VIEW.near
+        seen[part] = ~np.any(met, axis=0)
+    return seen.reshape(states.shape)
 
 
-def test_free_path_must_be_positive():
+@pytest.mark.parametrize("seed", [1, 2])
+def test_visible_volumes_are_those_of_a_brute_force_over_voxels(seed):
+    states, pose = scattered_states(seed), pose_looking_along_x()
+    seen = seen_by_brute_force(states, pose)
+    found = view_counts(known_map(states), pose, VIEW)
+    volume = GRID.resolution**3
+    for state, value in ((State.UNKNOWN, found.unmeasured), (State.FREE, found.free)):
+        expected = volume * np.count_nonzero(seen & (states == state))
+        assert value == pytest.approx(expected, rel=0.05)
+
+
+def test_an_empty_view_shows_the_frustum_s_volume():
+    pose = RigidTransform.from_components([0.0, 0.0, -0.45], Rotation.identity())
+    found = view_counts(VoxelMap(GRID), pose, VIEW)
+    # Where the frustum is inside of the box: its half-width stays below 0.48 m up to 0.7 m.
+    expected = VIEW.width * VIEW.height / (3 * VIEW.fx * VIEW.fy) * (0.7**3 - 0.15**3)
+    assert found.unmeasured == pytest.approx(expected, rel=1e-6)
+    assert found.free == 0.0 and found.blocked == 0.0
+
+
+def test_information_falls_with_the_free_path_whatever_the_voxels():
+    pose = RigidTransform.from_components([0.0, 0.0, -0.45], Rotation.identity())
+    rays = VIEW.rays()
+    length = np.linalg.norm(rays, axis=-1)
+    z = np.linspace(VIEW.near, VIEW.far, 2001)
+    for side, path in ((0.02, 0.3), (0.01, 0.3), (0.02, 1.5)):
+        grid = VoxelGrid(side, GRID.lower, GRID.upper)
+        found = view_counts(VoxelMap(grid), pose, VIEW, mean_free_path=path)
+        weight = np.exp(-(z[:, None, None] - VIEW.near) * length / path)
+        inner = np.trapezoid(z[:, None, None] ** 2 * weight, z, axis=0)
+        expected = inner.sum() / (VIEW.fx * VIEW.fy) / side**3
+        assert found.information == pytest.approx(expected, rel=1e-3)
+
+
+def test_known_space_tells_nothing_and_a_wall_hides_what_is_behind():
+    states = np.full(GRID.shape, State.FREE)
+    pose = pose_looking_along_x(0.0)
+    found = view_counts(known_map(states), pose, VIEW)
+    assert found.information == 0.0 and found.unmeasured == 0.0
+    states[24:] = State.UNKNOWN
+    open_view = view_counts(known_map(states), pose, VIEW)
+    states[23] = State.OCCUPIED
+    closed = view_counts(known_map(states), pose, VIEW)
+    assert open_view.unmeasured > 0.02
+    assert closed.unmeasured == 0.0
+    # The wall's near face is at x = -0.02, 0.39 m ahead.
+    np.testing.assert_allclose(closed.depths, 0.39, atol=1e-6)
+    assert closed.blocked == 1.0
+
+
+def test_a_camera_outside_that_looks_away_sees_nothing():
+    away = RigidTransform.from_components([0.0, 0.0, 2.0], Rotation.identity())
+    found = view_counts(VoxelMap(GRID), away, VIEW)
+    assert (found.unmeasured, found.free, found.information) == (0.0, 0.0, 0.0)
+
+
+def test_a_free_path_must_have_a_length():
     with pytest.raises(ValueError, match="mean_free_path"):
-        view_counts(VoxelMap(GRID), RigidTransform.identity(), FRUSTUM, mean_free_path=0.0)
+        view_counts(VoxelMap(GRID), RigidTransform.identity(), VIEW, mean_free_path=0.0)
+
+
+def test_a_view_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="near < far"):
+        Frustum(64, 48, 60.0, 60.0, 31.5, 23.5, near=1.0, far=0.5)

@@ -47,7 +47,7 @@ def test_camera_is_found_where_it_truly_is_after_arm_and_base_have_moved(arm):
 
 
 def test_covariance_is_that_of_drawn_leans(arm):
-    """Where the target was seen and where the camera is now, the base errs on its own; the head sits alike."""
+    """At the target and now the base errs on its own, and the head sits alike."""
     rng = np.random.default_rng(0)
     angles = HOME + [0.8, 0.2, -0.3, 0.4]
     level = np.zeros(2)
