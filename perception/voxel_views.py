@@ -135,41 +135,58 @@ def _look(
         x = min(max(whole((ox + enter * dx) / side), 0), bx - 1)
         y = min(max(whole((oy + enter * dy) / side), 0), by - 1)
         z = min(max(whole((oz + enter * dz) / side), 0), bz - 1)
-        tx, ty, tz = ((x + hx) * side - ox) * ix, ((y + hy) * side - oy) * iy, 0.0
-        tz = ((z + hz) * side - oz) * iz
-        t, clear, stopped = enter, 1.0, False
-        while not stopped:
-            end = max(min(leave, tx, ty, tz), t)
+        # Ticks, and steps without a branch: see `_cross`.
+        tx = int(((x + hx) * side - ox) * ix * TICKS)
+        ty = int(((y + hy) * side - oy) * iy * TICKS)
+        tz = int(((z + hz) * side - oz) * iz * TICKS)
+        ticks = side * TICKS
+        wx, wy, wz = int(ticks * abs(ix)), int(ticks * abs(iy)), int(ticks * abs(iz))
+        sx, sy, sz = 1 if hx else -1, 1 if hy else -1, 1 if hz else -1
+        now, last = int(enter * TICKS), int(leave * TICKS)
+        begin, clear, run, stopped = enter, 1.0, 0, False
+        while True:
             brick = kinds[x, y, z]
+            if brick != run:
+                here = now / TICKS
+                if run < 0:
+                    clear = _through_run(run, begin, here, clear, per_depth, sums)
+                begin, run = here, brick
+                if brick == -1 - OCCUPIED:
+                    stopped = True
+                    break
+            nearest = min(tx, ty, tz)
+            ahead = min(nearest, last)
             if brick >= 0:
                 start = (ox - x * side, oy - y * side, oz - z * side)
-                t, clear, stopped = _cross(
-                    states, brick, start, (dx, dy, dz), (ix, iy, iz), t, end, clear, per_depth,
-                    resolution, sums,
+                begin, clear, stopped = _cross(
+                    states, brick, start, (dx, dy, dz), (ix, iy, iz), now / TICKS, ahead / TICKS,
+                    clear, per_depth, resolution, sums,
                 )  # fmt: skip
-            elif brick == -1 - UNKNOWN:
-                clear = _through_unmeasured(t, end, clear, per_depth, sums)
-            elif brick == -1 - OCCUPIED:
-                stopped = True
-            else:
-                sums[1] += end * end * end - t * t * t
-            if stopped:
-                depths[ray // camera.width, ray % camera.width] = t
+                if stopped:
+                    break
+            now = ahead
+            x_step, y_step = -np.int64(tx == nearest), -np.int64(ty == nearest)
+            z_step = -np.int64(tz == nearest)
+            x, y, z = x + (sx & x_step), y + (sy & y_step), z + (sz & z_step)
+            tx, ty, tz = tx + (wx & x_step), ty + (wy & y_step), tz + (wz & z_step)
+            if now >= last or not (0 <= x < bx and 0 <= y < by and 0 <= z < bz):
+                if run < 0:
+                    _through_run(run, begin, now / TICKS, clear, per_depth, sums)
                 break
-            t = end
-            if end >= leave:
-                break
-            if tx <= ty and tx <= tz:
-                x += 1 if hx else -1
-                tx += side * abs(ix)
-            elif ty <= tz:
-                y += 1 if hy else -1
-                ty += side * abs(iy)
-            else:
-                z += 1 if hz else -1
-                tz += side * abs(iz)
-            if not (0 <= x < bx and 0 <= y < by and 0 <= z < bz):
-                break
+        if stopped:
+            depths[ray // camera.width, ray % camera.width] = begin
+
+
+@numba.njit(**KERNEL)
+def _through_run(
+    kind: int, start: float, end: float, clear: float, per_depth: float, sums: FloatArray
+) -> float:
+    """Count a stretch of bricks that are all unmeasured, or all free."""
+    if kind != -1 - UNKNOWN:
+        sums[1] += end * end * end - start * start * start
+        return clear
+    ahead = math.exp(-per_depth * (end - start))
+    return _count_unmeasured(start, end, ahead, clear, per_depth, sums)
 
 
 @numba.njit(**KERNEL)
@@ -186,6 +203,13 @@ def _through_unmeasured(
     # exp(-depth) by a series of exp(depth / 4); stretches are short.
     fourth = 1.0 + 0.25 * depth * (1.0 + 0.125 * depth * (1.0 + depth / 12.0))
     ahead = 1.0 / (fourth * fourth * fourth * fourth)
+    return _count_unmeasured(start, end, ahead, clear, per_depth, sums)
+
+
+@numba.njit(**KERNEL)
+def _count_unmeasured(
+    start: float, end: float, ahead: float, clear: float, per_depth: float, sums: FloatArray
+) -> float:
     # Integral of z^2 exp(-per_depth (z - start)).
     path = 1.0 / per_depth
     first = path * (start * start + 2.0 * path * (start + path))
@@ -195,7 +219,7 @@ def _through_unmeasured(
     return clear * ahead
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _cross(
     states: NDArray[np.uint16],
     brick: int,
