@@ -23,7 +23,7 @@ from experiments.ch3_stereo_figures import growth_figure, points_figure, scene_f
 from experiments.ch3_stereo_noise import measure_noise
 from experiments.ch3_stereo_record import MapRecorder
 from experiments.ch3_stereo_trial import Scored, Trial, map_scene, run_trial
-from experiments.contract import OptionError
+from experiments.contract import ExperimentError, OptionError
 from experiments.intervals import distribution, fraction
 from experiments.output import Output
 from experiments.sweep import sweep
@@ -87,6 +87,9 @@ def measure_mapping(options: Options, output: Output) -> None:
         options: ``seeds`` scenes, 6 unless said; ``quick`` takes 1, and no random views.
         output: Receives ``surface_ratio/information_over_raster``, ``nees`` and what they are
             made of.
+
+    Raises:
+        ExperimentError: If no robot found the target in any scene.
     """
     scans = options.scans or (QUICK_SCANS if options.quick else SCANS)
     seeds = options.job_seeds(SCENES, QUICK_SCENES)
@@ -95,10 +98,12 @@ def measure_mapping(options: Options, output: Output) -> None:
         dataclasses.asdict(Trial(seed, method, scans)) for seed in seeds for method in methods
     ]
     results = sweep(run_trial, configs, options, output, label="scenes mapped")
-    runs = {
-        method: [r for r, c in zip(results, configs, strict=True) if c["method"] == method]
-        for method in methods
-    }
+    scenes = [results[i : i + len(methods)] for i in range(0, len(results), len(methods))]
+    mapped = [scene for scene in scenes if all(run["located"] for run in scene)]
+    output.measure("mapped_scenes_fraction", fraction(len(mapped), len(scenes)))
+    if not mapped:
+        raise ExperimentError("no robot found the target in any scene; try another --seed")
+    runs = dict(zip(methods, map(list, zip(*mapped)), strict=True))
     curves = {method: _aligned([r["curve"] for r in runs[method]], scans) for method in methods}
     for method in methods:
         output.measure(f"surface_share/{method}", distribution(curves[method][:, -1, 0]))

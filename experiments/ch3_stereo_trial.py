@@ -90,7 +90,7 @@ def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
         "curve": np.array(scored.curve),
         "guess_error": guess,
         "corrected_error": corrected,
-        "corrected_share": float(np.mean([c.corrected for c in corrections])),
+        "corrected_share": sum(c.corrected for c in corrections) / max(len(corrections), 1),
         "nees": nees,
         "lost_share": lost,
         "located": len(scored.mapper.standings),

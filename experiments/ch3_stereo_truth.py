@@ -122,6 +122,8 @@ def surface_errors(
         rng: Draws which estimates are compared.
     """
     count = len(surface.means)
+    if not count:
+        return np.zeros(0), 0.0  # No robot has found the target: there is no map.
     chosen = rng.choice(count, min(SAMPLES, count), replace=False)
     to_scene = transform_scene_to_map.inv()
     means = to_scene.apply(surface.means[chosen])
