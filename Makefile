@@ -24,7 +24,7 @@ demo: setup ## identify a rover by the motion of its arm, with figures and a rec
 	$(BIN)/python -m experiments ch2-rover --quick --record
 
 test: setup ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones
-	$(BIN)/python -m pytest $(PYTEST_ARGS)
+	@sh tools/run_tests.sh $(BIN)/python $(PYTEST_ARGS)
 
 lint: setup ## check style, format and types
 	$(BIN)/ruff check .

@@ -24,6 +24,8 @@ from twin.hardware.emulator.amplifier import AmplifierConfig
 from twin.hardware.emulator.faults import RobotFault
 from twin.hardware.roboclaw import RoboClawBus
 
+pytestmark = pytest.mark.real_time
+
 SEED = 11
 
 

@@ -23,6 +23,8 @@ from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 from twin.robot import ArmMode, Command, RobotError
 
+pytestmark = pytest.mark.real_time
+
 CONFIG = ProcedureConfig()
 
 

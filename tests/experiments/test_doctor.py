@@ -7,6 +7,8 @@ from experiments.doctor_robot import examine_robot
 from twin.hardware.link import LinkError
 from twin.hardware.roboclaw_codec import Status
 
+pytestmark = pytest.mark.real_time
+
 
 def test_doctor_is_content_here_and_names_renderer_and_checksum(capsys):
     assert main([]) == 0

@@ -8,6 +8,8 @@ from twin.robot import Command, Lifecycle, RobotError
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
 
+pytestmark = pytest.mark.real_time
+
 MODEL = compile_scene(("rover1", "rover2"))
 
 

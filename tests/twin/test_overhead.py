@@ -2,10 +2,13 @@ import time
 
 import mujoco
 import numpy as np
+import pytest
 
 from twin.connect import connect
 from twin.loop import run
 from twin.robot import ArmMode, Command, WheelMode
+
+pytestmark = pytest.mark.real_time
 
 TICKS = 60
 
