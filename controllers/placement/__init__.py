@@ -1,0 +1,1 @@
+"""Where to put a camera for a task (thesis chapter 4)."""

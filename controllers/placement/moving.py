@@ -1,0 +1,321 @@
+"""Moving objects of known shape, and a camera that follows without chatter (thesis 4.3.1).
+
+When an object of known CAD moves, the plane is not mapped anew: its cells leave the map, its pose
+is measured by fitting the CAD to the points seen of it, and the CAD at that pose, blurred by the
+pose's uncertainty, is put back. Then the camera is placed again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from controllers.placement.planar_hulls import Occluder
+from controllers.placement.planar_search import (
+    USUAL,
+    Candidates,
+    KnownSpace,
+    PlanarTask,
+    best_view,
+    view_from,
+)
+from controllers.placement.planar_sight import OCCUPIED_ABOVE
+from controllers.placement.task import FloatArray, PlacementError, View
+
+EMPTY = 0.04
+"""P of a cell measured empty once, as in the map's own updates."""
+ROUND_CORNERS = 8
+"""Corners of the polygon about a circle of uncertainty."""
+SAME = 1e-9
+"""Relative difference of ratings that is none."""
+
+# The compiler's decorator has no types.
+_njit: Any = numba.njit(cache=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanarPose:
+    """Where an object is believed to be.
+
+    Attributes:
+        x: Of its origin [m], world.
+        y: Of its origin [m], world.
+        heading: From the world's x axis [rad].
+        covariance: (3, 3) of the errors true - believed of x, y [m] and heading [rad].
+    """
+
+    x: float
+    y: float
+    heading: float
+    covariance: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
+
+    def __post_init__(self) -> None:
+        """Check the covariance.
+
+        Raises:
+            ValueError: If it is none.
+        """
+        covariance = np.array(self.covariance, dtype=float)
+        if covariance.shape != (3, 3) or not np.all(np.isfinite(covariance)):
+            raise ValueError(f"covariance: shape {covariance.shape}, expected finite (3, 3)")
+        if np.min(np.linalg.eigvalsh(covariance)) < -1e-12:  # noqa: PLR2004
+            raise ValueError("covariance: has a negative variance")
+        object.__setattr__(self, "covariance", covariance)
+
+    def to_world(self, points: FloatArray) -> FloatArray:
+        """Return points (..., 2) of the object's frame in the world [m]."""
+        cos, sin = math.cos(self.heading), math.sin(self.heading)
+        return points @ np.array([[cos, sin], [-sin, cos]]) + [self.x, self.y]
+
+
+@dataclasses.dataclass(frozen=True)
+class MovingObject:
+    """An object of known shape.
+
+    Attributes:
+        name: Used in answers.
+        outline: (K, 2) corners of its convex outline [m], in its own frame; kept anticlockwise.
+    """
+
+    name: str
+    outline: FloatArray
+
+    def __post_init__(self) -> None:
+        """Order the corners.
+
+        Raises:
+            ValueError: If it has no area.
+        """
+        outline = np.array(self.outline, dtype=float)
+        if outline.ndim != 2 or outline.shape[1] != 2 or np.linalg.matrix_rank(outline[1:] - outline[0]) < 2:  # fmt: skip  # noqa: E501, PLR2004
+            raise ValueError(f"object {self.name!r}: its outline {outline.shape} has no area")
+        object.__setattr__(self, "outline", outline[ConvexHull(outline).vertices])
+
+
+def fit_outline(
+    shape: MovingObject, points: FloatArray, deviation: float, prior: PlanarPose, rounds: int = 20
+) -> PlanarPose:
+    """Measure an object's pose by fitting its outline to points seen of it (steps 2 and 3).
+
+    Gauss-Newton on the distances of points to the outline; what the points leave open, for
+    instance along the only side that is seen, is kept from the prior with its uncertainty.
+
+    Args:
+        shape: The CAD.
+        points: (N, 2) measured on its outline [m], world.
+        deviation: Of a point across the outline [m].
+        prior: Where it was expected, with that uncertainty.
+        rounds: Steps at most.
+
+    Raises:
+        ValueError: If the deviation is not positive or the prior is certain.
+    """
+    if not deviation > 0.0:
+        raise ValueError(f"deviation {deviation} m: expected a positive length")
+    if np.linalg.matrix_rank(prior.covariance) < 3:  # noqa: PLR2004
+        raise ValueError("prior: its covariance must be of full rank")
+    weight = np.linalg.inv(prior.covariance)
+    start = np.array([prior.x, prior.y, prior.heading])
+    pose = start.copy()
+    information = weight
+    for _ in range(rounds):
+        distances, slopes = _distances(shape.outline, points, pose)
+        information = weight + slopes.T @ slopes / deviation**2
+        gradient = weight @ (start - pose) - slopes.T @ distances / deviation**2
+        step = np.linalg.solve(information, gradient)
+        pose += step
+        if np.abs(step).max() < 1e-10:  # noqa: PLR2004
+            break
+    x, y, heading = map(float, pose)
+    return PlanarPose(x, y, heading, np.asarray(np.linalg.inv(information), dtype=np.float64))
+
+
+def _distances(
+    outline: FloatArray, points: FloatArray, pose: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return points' signed distances (N,) to their nearest sides' lines, and slopes (N, 3)."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    turn = np.array([[cos, -sin], [sin, cos]])
+    local = (points - pose[:2]) @ turn
+    edges = np.roll(outline, -1, axis=0) - outline
+    lengths = np.linalg.norm(edges, axis=1)
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1) / lengths[:, None]
+    offset = local[:, None] - outline
+    along = np.clip(np.sum(offset * edges, axis=2) / lengths**2, 0.0, 1.0)
+    nearest = np.argmin(np.linalg.norm(offset - along[..., None] * edges, axis=2), axis=1)
+    normal = normals[nearest]
+    distances = np.sum((local - outline[nearest]) * normal, axis=1)
+    turned = np.stack([local[:, 1], -local[:, 0]], axis=1)
+    return distances, np.column_stack([-normal @ turn.T, np.sum(normal * turned, axis=1)])
+
+
+def take_out(
+    space: KnownSpace, shape: MovingObject, pose: PlanarPose, sigmas: float = 3.0
+) -> KnownSpace:
+    """Remove an object's cells from a map (step 1): they count as measured empty.
+
+    All cells under the object are empty once it has gone. About it, as far as its pose is
+    uncertain and a cell is wide, only occupied cells are its.
+
+    Args:
+        space: The map with the object in it.
+        shape: The CAD.
+        pose: Where it was when mapped.
+        sigmas: How many deviations of the pose its cells may be off.
+    """
+    centres = cell_centres(space)
+    body = covers(pose.to_world(shape.outline), centres)
+    margin = space.cell * math.sqrt(0.5)
+    wide = swollen(shape, pose, sigmas, margin).points
+    near = covers(wide[ConvexHull(wide).vertices], centres)
+    cells = body | (near & (space.probability > OCCUPIED_ABOVE))
+    return dataclasses.replace(space, probability=np.where(cells, EMPTY, space.probability))
+
+
+def put_back(
+    space: KnownSpace,
+    shape: MovingObject,
+    pose: PlanarPose,
+    generator: np.random.Generator,
+    draws: int = 400,
+) -> KnownSpace:
+    """Put an object into a map at its measured pose, blurred by the pose's uncertainty (step 4).
+
+    A cell is free if neither what was mapped nor the object is there:
+    1 - P = (1 - P_map) (1 - P_object), with P_object the share of drawn poses that cover it.
+
+    Args:
+        space: The map without the object.
+        shape: The CAD.
+        pose: Measured, with its covariance.
+        generator: Of the drawn poses.
+        draws: How many.
+    """
+    mean = np.array([pose.x, pose.y, pose.heading])
+    poses = generator.multivariate_normal(mean, pose.covariance, draws, method="eigh")
+    reach = np.abs(poses[:, :2] - mean[:2]).max() + np.linalg.norm(shape.outline, axis=1).max()
+    centres = cell_centres(space)
+    near = np.all(np.abs(centres - mean[:2]) <= reach, axis=-1)
+    share = _shares(poses, shape.outline, centres[near])
+    probability = space.probability.copy()
+    probability[near] = 1.0 - (1.0 - probability[near]) * (1.0 - np.minimum(share, 1.0))
+    return dataclasses.replace(space, probability=probability)
+
+
+def swollen(
+    shape: MovingObject, pose: PlanarPose, sigmas: float = 3.0, margin: float = 0.0
+) -> Occluder:
+    """Return an object as an occluder, expanded by the uncertainty of its pose.
+
+    Each corner is widened by a circle of so many of its greatest deviations, to first order.
+
+    Args:
+        shape: The CAD.
+        pose: Measured, with its covariance.
+        sigmas: How many deviations.
+        margin: In addition [m].
+
+    Raises:
+        ValueError: If sigmas or margin are negative.
+    """
+    if not (sigmas >= 0.0 and margin >= 0.0):
+        raise ValueError(f"sigmas {sigmas}, margin {margin} m: expected 0 or more")
+    corners = pose.to_world(shape.outline)
+    angles = 2.0 * np.pi * np.arange(ROUND_CORNERS) / ROUND_CORNERS
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) / math.cos(np.pi / ROUND_CORNERS)
+    points: list[FloatArray] = []
+    for corner in corners:
+        lever = corner - [pose.x, pose.y]
+        slope = np.array([[1.0, 0.0, -lever[1]], [0.0, 1.0, lever[0]]])
+        spread = np.linalg.eigvalsh(slope @ pose.covariance @ slope.T)[-1]
+        points.append(corner + (sigmas * math.sqrt(max(spread, 0.0)) + margin) * ring)
+    return Occluder(shape.name, np.concatenate(points))
+
+
+def replace_camera(
+    task: PlanarTask,
+    present: FloatArray | None,
+    factor: float,
+    candidates: Candidates = USUAL,
+    watch: Sequence[str] | None = None,
+) -> tuple[View, bool]:
+    """Place a camera again, staying where it is unless that is much worse.
+
+    It moves only if the best view rates more than ``factor`` times what the present place now
+    gives, or if that gives nothing. So its view is never worse than the best over the factor.
+    Turning to another target in place is no move.
+
+    Args:
+        task: Targets, lens, occluders, space as now believed.
+        present: (2,) where the camera is [m], world; None at first.
+        factor: At least 1; at 1 it moves for any gain.
+        candidates: Which poses.
+        watch: Names of the targets to consider; all unless given.
+
+    Returns:
+        The view, and whether the camera has to move for it.
+
+    Raises:
+        ValueError: If the factor is below 1 or a target is unknown.
+        PlacementError: If no pose sees a target, with the nearest reason.
+    """
+    if not factor >= 1.0:
+        raise ValueError(f"factor {factor}: expected 1 or more")
+    now: View | None = None
+    if present is not None:
+        try:
+            now = view_from(task, present, watch)
+        except PlacementError:
+            now = None
+    try:
+        best = best_view(task, candidates, watch)
+    except PlacementError:
+        if now is None:
+            raise
+        return now, False
+    if now is not None and best.rating <= factor * now.rating * (1.0 + SAME):
+        return now, False
+    return best, True
+
+
+def cell_centres(space: KnownSpace) -> FloatArray:
+    """Return the centres (rows, columns, 2) of a map's cells [m], world."""
+    rows, columns = space.probability.shape
+    y, x = np.mgrid[:rows, :columns]
+    return (np.stack([x, y], axis=-1) + 0.5) * space.cell + np.asarray(space.origin)
+
+
+@_njit
+def _shares(poses: FloatArray, outline: FloatArray, places: FloatArray) -> FloatArray:
+    """Return the share of poses (x, y, heading) at which an outline covers each place."""
+    shares = np.zeros(len(places))
+    for x, y, heading in poses:
+        cos, sin = math.cos(heading), math.sin(heading)
+        for i in range(len(places)):
+            dx, dy = places[i, 0] - x, places[i, 1] - y
+            u, v = cos * dx + sin * dy, cos * dy - sin * dx
+            inside = True
+            for k in range(len(outline)):
+                a, b = outline[k], outline[(k + 1) % len(outline)]
+                if (b[0] - a[0]) * (v - a[1]) < (b[1] - a[1]) * (u - a[0]):
+                    inside = False
+                    break
+            if inside:
+                shares[i] += 1.0 / len(poses)
+    return shares
+
+
+def covers(corners: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
+    """Tell which points (..., 2) lie in a convex polygon (K, 2) given anticlockwise."""
+    inside = np.ones(points.shape[:-1], dtype=bool)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0)):
+        edge = b - a
+        inside &= edge[0] * (points[..., 1] - a[1]) >= edge[1] * (points[..., 0] - a[0])
+    return inside

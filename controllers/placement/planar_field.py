@@ -1,0 +1,211 @@
+"""Target field visibility on the plane, compiled (thesis section 4.2.3.3, figures 4-4a and 4-5).
+
+All hulls are of expanded occluders, relative to the target's reference point, corners
+anticlockwise, packed into one array: hull h is ``points[starts[h] : starts[h + 1]]``. What a hull
+hides from distance r is the part of it within r, projected from the target: an interval of
+directions that only grows with r. So going outwards, intervals are only added.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+CONTACT = 1e-9
+"""A target as near to a hull's edge, relative to the hull's reach, lies on the edge, not inside."""
+NOTHING, SOMETHING, EVERYTHING = 0, 1, 2
+"""What a hull hides: no direction, an interval, or all as the target is inside."""
+
+
+@numba.njit(cache=True)
+def blocked_interval(points, first, last, radius):
+    """Return what one hull hides from cameras at a distance, exactly.
+
+    The hull and the disc are convex, so the part of the hull within the disc has its extreme
+    directions at corners inside the disc or where an edge crosses the circle. All of it lies within
+    a quarter turn of the inward normal of the edge that the target is farthest outside of.
+
+    Args:
+        points: (V, 2) corners of all hulls [m], from the target, anticlockwise.
+        first: The hull's first corner.
+        last: One past its last corner.
+        radius: Distance of the cameras [m].
+
+    Returns:
+        `NOTHING`, `SOMETHING` or `EVERYTHING`, and for an interval its ends [rad], the first within
+        (-3 pi / 2, pi], the second after it by at most pi.
+    """
+    outside, nx, ny, reach = -np.inf, 0.0, 0.0, 0.0
+    for i in range(first, last):
+        j = i + 1 if i + 1 < last else first
+        ex, ey = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        length = math.sqrt(ex * ex + ey * ey)
+        reach = max(reach, abs(points[i, 0]) + abs(points[i, 1]))
+        if length == 0.0:
+            continue
+        distance = (ex * points[i, 1] - ey * points[i, 0]) / length
+        if distance > outside:
+            outside, nx, ny = distance, -ey / length, ex / length
+    small = CONTACT * reach
+    if outside < -small:
+        return EVERYTHING, 0.0, 0.0
+    low, high = np.inf, -np.inf
+    r2 = radius * radius
+    for i in range(first, last):
+        j = i + 1 if i + 1 < last else first
+        ax, ay = points[i, 0], points[i, 1]
+        ex, ey = points[j, 0] - ax, points[j, 1] - ay
+        a2 = ax * ax + ay * ay
+        if small * small < a2 <= r2:
+            angle = math.atan2(nx * ay - ny * ax, nx * ax + ny * ay)
+            low, high = min(low, angle), max(high, angle)
+        square = ex * ex + ey * ey
+        if square == 0.0:
+            continue
+        along = ax * ex + ay * ey
+        root = along * along - square * (a2 - r2)
+        if root < 0.0:
+            continue
+        root = math.sqrt(root)
+        for sign in (-1.0, 1.0):
+            t = (-along + sign * root) / square
+            if 0.0 <= t <= 1.0:
+                x, y = ax + t * ex, ay + t * ey
+                angle = math.atan2(nx * y - ny * x, nx * x + ny * y)
+                low, high = min(low, angle), max(high, angle)
+    if low > high:
+        return NOTHING, 0.0, 0.0
+    middle = math.atan2(ny, nx)
+    return SOMETHING, middle + low, middle + high
+
+
+@numba.njit(cache=True)
+def nearest_and_farthest(points, starts):
+    """Return the least and the greatest distance (H, 2) of each hull from the target [m]."""
+    reach = np.empty((starts.size - 1, 2))
+    for hull in range(starts.size - 1):
+        near, far = np.inf, 0.0
+        first, last = starts[hull], starts[hull + 1]
+        for i in range(first, last):
+            j = i + 1 if i + 1 < last else first
+            ax, ay = points[i, 0], points[i, 1]
+            ex, ey = points[j, 0] - ax, points[j, 1] - ay
+            square = ex * ex + ey * ey
+            t = 0.0 if square == 0.0 else min(max(-(ax * ex + ay * ey) / square, 0.0), 1.0)
+            x, y = ax + t * ex, ay + t * ey
+            near = min(near, math.sqrt(x * x + y * y))
+            far = max(far, math.sqrt(ax * ax + ay * ay))
+        reach[hull, 0], reach[hull, 1] = near, far
+    return reach
+
+
+@numba.njit(cache=True)
+def hull_around(points, starts):
+    """Return the first hull that contains the target, or -1."""
+    for hull in range(starts.size - 1):
+        what, _, _ = blocked_interval(points, starts[hull], starts[hull + 1], 0.0)
+        if what == EVERYTHING:
+            return hull
+    return -1
+
+
+@numba.njit(cache=True)
+def free_cap(points, starts, axis, angle, radius):
+    """Return the target field visibility of one camera [rad]; 0 where hidden or averted.
+
+    The smallest angle that the camera can go about the target, either way, until a hull hides the
+    target or the camera passes the plane of the target's face.
+
+    Args:
+        points: (V, 2) corners of all hulls [m], from the target.
+        starts: (H + 1,) where each hull's corners begin.
+        axis: Direction of the target's normal [rad].
+        angle: Direction from the target to the camera, from the axis [rad].
+        radius: Distance of the camera [m].
+    """
+    turn = 2.0 * math.pi
+    cap = 0.5 * math.pi - abs(angle - turn * math.floor(angle / turn + 0.5))
+    if cap <= 0.0:
+        return 0.0
+    for hull in range(starts.size - 1):
+        what, low, high = blocked_interval(points, starts[hull], starts[hull + 1], radius)
+        if what == EVERYTHING:
+            return 0.0
+        if what == NOTHING:
+            continue
+        after = (angle + axis - low) % turn
+        if after <= high - low:
+            return 0.0
+        cap = min(cap, after - (high - low), turn - after)
+    return cap
+
+
+@numba.njit(cache=True)
+def add_blocked(lows, highs, count, low, high):
+    """Unite one more interval with sorted disjoint ones in place; return how many there are.
+
+    Args:
+        lows: Where each interval begins [rad]; room for one more.
+        highs: Where each ends [rad].
+        count: How many there are.
+        low: Where the new one begins [rad].
+        high: Where it ends [rad].
+    """
+    begin = 0
+    while begin < count and highs[begin] < low:
+        begin += 1
+    end = begin
+    while end < count and lows[end] <= high:
+        low, high = min(low, lows[end]), max(high, highs[end])
+        end += 1
+    shift = 1 - (end - begin)
+    if shift == 1:
+        for i in range(count - 1, begin - 1, -1):
+            lows[i + 1], highs[i + 1] = lows[i], highs[i]
+    elif shift < 0:
+        for i in range(end, count):
+            lows[i + shift], highs[i + shift] = lows[i], highs[i]
+    lows[begin], highs[begin] = low, high
+    return count + shift
+
+
+@numba.njit(cache=True)
+def grow_blocked(points, starts, reach, axis, inner, radius, lows, highs, count):
+    """Go outwards from one distance to the next and unite what is hidden in addition.
+
+    Only directions within a quarter turn of the target's normal are kept: beyond, the target is
+    averted, and the plane of its face is the edge.
+
+    Args:
+        points: (V, 2) corners of all hulls [m], from the target; none contains it.
+        starts: (H + 1,) where each hull's corners begin.
+        reach: (H, 2) of `nearest_and_farthest`.
+        axis: Direction of the target's normal [rad].
+        inner: Distance that the intervals hold for [m]; below 0 at first.
+        radius: Distance that they shall hold for [m].
+        lows: (2 H + 1,) where each interval begins, from the axis [rad].
+        highs: (2 H + 1,) where each ends [rad].
+        count: How many there are.
+
+    Returns:
+        How many there are now.
+    """
+    turn, quarter = 2.0 * math.pi, 0.5 * math.pi
+    for hull in range(starts.size - 1):
+        # A hull hides nothing more once all of it is within the circle.
+        if reach[hull, 0] > radius or reach[hull, 1] <= inner:
+            continue
+        what, low, high = blocked_interval(points, starts[hull], starts[hull + 1], radius)
+        if what != SOMETHING:
+            continue
+        begin = (low - axis + math.pi) % turn - math.pi
+        end = begin + (high - low)
+        if end >= -quarter and begin <= quarter:
+            low, high = max(begin, -quarter), min(end, quarter)
+            count = add_blocked(lows, highs, count, low, high)
+        if end - turn >= -quarter:
+            low, high = -quarter, min(end - turn, quarter)
+            count = add_blocked(lows, highs, count, low, high)
+    return count
