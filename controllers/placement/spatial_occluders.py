@@ -1,0 +1,325 @@
+"""What may hide a target in space: solids, clusters of voxels, and their expansion by the target.
+
+Thesis section 4.2.3.3, steps (i) and (ii). An occluder is added to the *mirrored* target (Minkowski
+sum) and replaced by its convex hull; then a camera sees the whole target if the segment from it to
+the target's reference point misses every hull.
+"""
+
+# trimesh types its shapes in part only.
+# pyright: reportUnknownMemberType=false
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.ndimage
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from controllers.placement.task import PlacementError, Target
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_FLAT = 1e-9
+"""A hull thinner than this part of its size is flat."""
+_COPLANAR = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Occluder:
+    """A convex solid: the hull of its points.
+
+    Attributes:
+        name: Used in answers and errors.
+        vertices: (N, 3) [m], world.
+    """
+
+    name: str
+    vertices: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check and freeze the points.
+
+        Raises:
+            ValueError: Naming the occluder.
+        """
+        vertices = np.array(self.vertices, dtype=float)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) == 0:  # noqa: PLR2004
+            raise ValueError(f"occluder {self.name!r}: vertices {vertices.shape}, expected (N, 3)")
+        if not np.all(np.isfinite(vertices)):
+            raise ValueError(f"occluder {self.name!r}: a coordinate is not finite")
+        vertices.setflags(write=False)
+        object.__setattr__(self, "vertices", vertices)
+
+
+class Hulls(NamedTuple):
+    """Expanded hulls of one target, as the compiled code reads them.
+
+    All in the target's frame: origin at its reference point, z along its normal. Those parts are
+    kept that can bound what a hull hides from the origin: the edges of its silhouette, and where it
+    is cut off by the ball within which the camera is, its front faces and the edges between them.
+
+    Attributes:
+        planes: (M, 4) outward unit normals n and b, inside is n x + b <= 0; each hull's front ones
+            (b > 0: the origin is before them) come first.
+        plane_start: (H + 1,) first plane of each hull.
+        front: (H,) how many of its planes are front ones.
+        rims: (E, 2, 3) ends of the silhouette's edges.
+        rim_start: (H + 1,).
+        ridges: (R, 2, 3) ends of the edges between two front faces.
+        ridge_start: (H + 1,).
+        axes: (H, 3) of a cone from the origin about each hull.
+        cones: (H,) half angle of that cone [rad].
+        nearest: (H,) no point of the hull is nearer to the origin [m].
+    """
+
+    planes: FloatArray
+    plane_start: IntArray
+    front: IntArray
+    rims: FloatArray
+    rim_start: IntArray
+    ridges: FloatArray
+    ridge_start: IntArray
+    axes: FloatArray
+    cones: FloatArray
+    nearest: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class TargetField:
+    """A target with everything that may hide it.
+
+    Attributes:
+        target: In three dimensions.
+        rotation: (3, 3) columns are the axes of the target's frame in the world; azimuth counts
+            from the first, elevation from the plane of the first two.
+        names: Of the occluders, one for each hull that stands out of the target's plane.
+        hulls: Expanded.
+        shapes: (N, 3) vertices [m] of each hull, world, for pictures.
+    """
+
+    target: Target
+    rotation: FloatArray
+    names: tuple[str, ...]
+    hulls: Hulls
+    shapes: tuple[FloatArray, ...]
+
+    def to_frame(self, points: ArrayLike) -> FloatArray:
+        """Return points (N, 3) [m], world, in the target's frame."""
+        return (np.asarray(points, dtype=float) - self.target.position) @ self.rotation
+
+    def to_world(self, points: ArrayLike) -> FloatArray:
+        """Return points (N, 3) [m] of the target's frame in the world."""
+        return np.asarray(points, dtype=float) @ self.rotation.T + self.target.position
+
+
+def frame_of(normal: FloatArray) -> FloatArray:
+    """Return (3, 3) axes of a target's frame as columns: z is `normal`, x as near the world's x.
+
+    Where the normal is nearly along x, the world's y takes its place.
+    """
+    towards = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]  # noqa: PLR2004
+    x = towards - float(towards @ normal) * normal
+    x /= float(np.linalg.norm(x))
+    return np.array([x, np.cross(normal, x), normal]).T.astype(np.float64)
+
+
+def occluders_of_meshes(parts: Iterable[tuple[str, trimesh.Trimesh]]) -> list[Occluder]:
+    """Return one occluder for each named part, which counts as convex (as its hull).
+
+    Args:
+        parts: Names and meshes in the world; cut what is not convex into convex parts before.
+    """
+    return [Occluder(name, np.asarray(mesh.vertices, dtype=float)) for name, mesh in parts]
+
+
+def occluders_of_voxels(
+    centres: ArrayLike, cell: float, tile: int = 8, name: str = "voxels"
+) -> list[Occluder]:
+    """Return occluders of the occupied voxels of a map.
+
+    The hull of a cluster that is not convex would swallow free space, even the target. So clusters
+    are cut along a regular grid: each part is what hangs together (over faces, edges or corners)
+    within one tile of it.
+
+    Args:
+        centres: (N, 3) middles of the occupied voxels [m], world.
+        cell: Edge of a voxel [m].
+        tile: Edge of a tile [voxels].
+        name: Of the occluders, with the number of the part behind it.
+
+    Raises:
+        ValueError: If the centres are not (N, 3) finite numbers, or cell or tile is not positive.
+    """
+    points = np.asarray(centres, dtype=float)
+    if points.size == 0:
+        return []
+    if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):  # noqa: PLR2004
+        raise ValueError(f"{name}: centres {points.shape}, expected (N, 3) finite numbers")
+    if not (cell > 0.0 and tile >= 1):
+        raise ValueError(f"{name}: cell {cell} m, tile {tile}: expected both above zero")
+    # The grid is the map's own, so a part keeps its shape when the map grows elsewhere.
+    keys = np.floor(points / cell + 1e-6).astype(np.int64)
+    tiles = keys // tile
+    _, group = np.unique(tiles, axis=0, return_inverse=True)
+    order = np.argsort(group.ravel(), kind="stable")
+    cuts = np.flatnonzero(np.diff(group.ravel()[order])) + 1
+    corners = cell * (np.array(list(itertools.product((-0.5, 0.5), repeat=3))))
+    found: list[Occluder] = []
+    for members in np.split(order, cuts):
+        local = keys[members] - tile * tiles[members[0]]
+        filled = np.zeros((tile,) * 3, dtype=bool)
+        filled[tuple(local.T)] = True
+        labels = np.zeros(filled.shape, dtype=np.int32)
+        scipy.ndimage.label(filled, structure=np.ones((3, 3, 3)), output=labels)
+        mine = labels[tuple(local.T)]
+        for label in range(1, int(labels.max()) + 1):
+            part = points[members[mine == label]]
+            around = (part[:, None] + corners).reshape(-1, 3)
+            outer = around[ConvexHull(around).vertices]
+            found.append(Occluder(f"{name} {len(found)}", outer))
+    return found
+
+
+def before_plane(target: Target, points: ArrayLike, height: float) -> FloatArray:
+    """Return those of points (N, 3) [m], world, that stand out of a target's plane.
+
+    In a map the target's own face is occupied as well; it is the plane of the target, not an
+    occluder, and its voxels are left out by this.
+
+    Args:
+        target: In three dimensions.
+        points: For instance the middles of occupied voxels.
+        height: Over the plane from which on they are kept [m]; about a voxel's diagonal.
+    """
+    places = np.asarray(points, dtype=float).reshape(-1, 3)
+    return places[(places - target.position) @ target.normal > height]
+
+
+def expand(
+    target: Target, occluders: Sequence[Occluder], margin: float | Sequence[float] = 0.0
+) -> TargetField:
+    """Expand occluders by a target (thesis figure 4-3).
+
+    An occluder that lies wholly behind the target's plane hides nothing and is left out.
+
+    Args:
+        target: In three dimensions.
+        occluders: All that may hide it.
+        margin: Uncertainty of their surfaces [m], one or one for each: they grow by at least this.
+
+    Raises:
+        PlacementError: If a hull holds the target's reference point: it is hidden from everywhere.
+        ValueError: If the target is not in space, a margin is negative or a hull is flat.
+    """
+    if len(target.position) != 3:  # noqa: PLR2004
+        raise ValueError(f"target {target.name!r}: lies on the plane, expected three dimensions")
+    rotation = frame_of(target.normal)
+    outline = target.outline @ rotation
+    margins = np.broadcast_to(np.asarray(margin, dtype=float), len(occluders))
+    names: list[str] = []
+    hulls: list[ConvexHull] = []
+    for occluder, width in zip(occluders, margins):
+        if not (np.isfinite(width) and width >= 0.0):
+            raise ValueError(f"occluder {occluder.name!r}: margin {width} m, expected 0 or more")
+        vertices = (occluder.vertices - target.position) @ rotation
+        hull = _sum_hull(occluder.name, vertices, -outline, width)
+        size = float(np.ptp(hull.points, axis=0).max())
+        if hull.points[:, 2].max() <= _FLAT * size:
+            continue
+        if np.all(hull.equations[:, 3] <= _FLAT * size):
+            raise PlacementError(
+                f"no pose sees the target {target.name!r}: it lies in or too near to occluder "
+                f"{occluder.name!r}, which hides it from everywhere"
+            )
+        names.append(occluder.name)
+        hulls.append(hull)
+    shapes = tuple(h.points[h.vertices] @ rotation.T + target.position for h in hulls)
+    return TargetField(target, rotation, tuple(names), _compile(hulls), shapes)
+
+
+def _ball_about(radius: float) -> FloatArray:
+    """Return (12, 3) corners of an icosahedron that holds a ball of this radius."""
+    golden = (1.0 + 5.0**0.5) / 2.0
+    first = np.array([[0.0, a, b * golden] for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
+    corners = np.concatenate([np.roll(first, shift, axis=1) for shift in range(3)])
+    inner = golden**2 / 3.0**0.5  # Radius of the ball within this one, of edge 2.
+    return np.asarray(corners * (radius / inner), dtype=np.float64)
+
+
+def _sum_hull(name: str, vertices: FloatArray, outline: FloatArray, margin: float) -> ConvexHull:
+    """Return the hull of the Minkowski sum of points and an outline, and of a ball about them."""
+    if margin > 0.0:
+        outline = (outline[:, None] + _ball_about(margin)).reshape(-1, 3)
+    points = (vertices[:, None] + outline).reshape(-1, 3)
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(points) < 4 or spread[2] <= _FLAT * spread[0]:  # noqa: PLR2004
+        shape = "a plane" if len(spread) > 1 and spread[1] > _FLAT * spread[0] else "a line"
+        raise ValueError(
+            f"occluder {name!r}: it and the target lie in {shape}, so their sum is flat; give it "
+            "a thickness, or a margin above 0"
+        )
+    try:
+        return ConvexHull(points)
+    except QhullError as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(f"occluder {name!r}: no hull can be made of it ({reason})") from error
+
+
+def _compile(hulls: Sequence[ConvexHull]) -> Hulls:
+    """Gather the parts of hulls, in the target's frame."""
+    planes: list[FloatArray] = []
+    rims: list[FloatArray] = []
+    ridges: list[FloatArray] = []
+    front, cones, nearest = np.zeros((3, len(hulls)))
+    axes = np.zeros((len(hulls), 3))
+    for index, hull in enumerate(hulls):
+        unique = np.unique(np.round(hull.equations / _COPLANAR) * _COPLANAR, axis=0)
+        unique = unique[np.argsort(unique[:, 3] <= 0.0, kind="stable")]
+        planes.append(unique)
+        front[index] = np.count_nonzero(unique[:, 3] > 0.0)
+        silhouette, between = _edges(hull)
+        rims.append(silhouette)
+        ridges.append(between)
+        corners = hull.points[hull.vertices]
+        directions = corners / np.linalg.norm(corners, axis=1, keepdims=True)
+        axis = directions.mean(axis=0)
+        axes[index] = axis / np.linalg.norm(axis)
+        cosine = float(np.min(directions @ axes[index]))
+        # A cone wider than the half space is not convex: it may hold the corners and not the rest.
+        cones[index] = np.arccos(min(cosine, 1.0)) + _COPLANAR if cosine > 0.0 else np.pi
+        nearest[index] = unique[:, 3].max()
+    return Hulls(
+        _joined(planes, (4,)), _starts(planes), front.astype(np.int64),
+        _joined(rims, (2, 3)), _starts(rims), _joined(ridges, (2, 3)), _starts(ridges),
+        axes, cones, nearest,
+    )  # fmt: skip
+
+
+def _edges(hull: ConvexHull) -> tuple[FloatArray, FloatArray]:
+    """Return (E, 2, 3) edges between front and back faces, and between two front faces."""
+    offsets = np.round(hull.equations / _COPLANAR) * _COPLANAR
+    ahead = offsets[:, 3] > 0.0
+    face, corner = np.nonzero(hull.neighbors > np.arange(len(hull.neighbors))[:, None])
+    other = hull.neighbors[face, corner]
+    ends = np.stack(
+        [hull.simplices[face, (corner + 1) % 3], hull.simplices[face, (corner + 2) % 3]], axis=1
+    )
+    edges = hull.points[ends]
+    bent = np.any(np.abs(offsets[face] - offsets[other]) > 2.0 * _COPLANAR, axis=1)
+    rim = ahead[face] != ahead[other]
+    return edges[rim], edges[ahead[face] & ahead[other] & bent]
+
+
+def _joined(parts: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    return np.ascontiguousarray(np.concatenate([*parts, np.empty((0, *shape))]))
+
+
+def _starts(parts: Sequence[FloatArray]) -> IntArray:
+    return np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int64)
