@@ -48,6 +48,24 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch3_swarm",
     ),
     Experiment(
+        name="ch4-planar",
+        summary="cameras are placed on the plane, and watch a panel on its way to the target",
+        thesis="figures 4-6, 4-8, 4-10, 4-11",
+        module="experiments.ch4_planar",
+    ),
+    Experiment(
+        name="ch4-montecarlo",
+        summary="a camera guides an object to its goal among obstacles, placed by three methods",
+        thesis="Table 4-1",
+        module="experiments.ch4_montecarlo",
+    ),
+    Experiment(
+        name="ch4-stereo",
+        summary="a camera is placed among blocks in space, and what it sees is rendered",
+        thesis="figures 4-12, 4-13",
+        module="experiments.ch4_stereo",
+    ),
+    Experiment(
         name="appd-calibration",
         summary="the inclinometers are calibrated by weighing on a tilting table",
         thesis="Table D-1",
