@@ -19,10 +19,11 @@ from experiments import contract
 from experiments.ch3_cooperative import measure_cooperation
 from experiments.ch3_motion import measure_motion
 from experiments.ch3_motion_rendered import measure_rendered_motion
+from experiments.ch3_scene import SceneConfig, StereoScene
 from experiments.ch3_stereo_figures import growth_figure, points_figure, scene_figure, views_figure
 from experiments.ch3_stereo_noise import measure_noise
 from experiments.ch3_stereo_record import MapRecorder
-from experiments.ch3_stereo_trial import Scored, Trial, map_scene, run_trial
+from experiments.ch3_stereo_trial import Trial, map_scene, run_trial
 from experiments.contract import ExperimentError, OptionError
 from experiments.intervals import distribution, fraction
 from experiments.output import Output
@@ -41,7 +42,7 @@ class Options(contract.Options):
 
     Attributes:
         parts: Which parts to run: noise, motion, mapping, cooperation (unless said, all).
-        scans: Looks of each robot (unless said, 12; with --quick, 4).
+        scans: Looks of each robot (unless said, 12; with --quick, 3).
     """
 
     parts: tuple[str, ...] = ()
@@ -95,7 +96,9 @@ def measure_mapping(options: Options, output: Output) -> None:
     seeds = options.job_seeds(SCENES, QUICK_SCENES)
     methods = METHODS[:2] if options.quick else METHODS
     configs = [
-        dataclasses.asdict(Trial(seed, method, scans)) for seed in seeds for method in methods
+        dataclasses.asdict(Trial(seed, method, scans, seed == seeds[0] and method in FIGURE))
+        for seed in seeds
+        for method in methods
     ]
     results = sweep(run_trial, configs, options, output, label="scenes mapped")
     scenes = [results[i : i + len(methods)] for i in range(0, len(results), len(methods))]
@@ -119,11 +122,16 @@ def measure_mapping(options: Options, output: Output) -> None:
         output.measure(f"corrected_share/{method}", distribution(shares))
     located = sum(int(r["located"]) for r in results)
     output.measure("located_fraction", fraction(located, 2 * len(results)))
+    turns = [1e3 * float(r["frame_turn"]) for r in results if r["located"]]
+    output.measure("frame_turn_mrad", distribution(turns))
     lost = max(float(r["lost_share"]) for r in results)
     output.measure("surface_nowhere_near_share/worst", lost)
     _compare(curves, runs["information"], output)
     output.figure("figure_3-25", growth_figure(curves))
-    _show(options, seeds[0], scans, output)
+    _show(dict(zip(methods, results, strict=False)), seeds[0], output)
+    if options.record:
+        with MapRecorder(output.file("run.rrd")) as recorder:
+            map_scene(Trial(seeds[0], "information", scans), recorder.take)
 
 
 def _compare(
@@ -155,21 +163,13 @@ def _aligned(curves: Sequence[np.ndarray], scans: int) -> np.ndarray:
     return whole
 
 
-def _show(options: Options, seed: int, scans: int, output: Output) -> None:
-    """Map one scene again for the figures and the recording: images are too large to keep."""
+def _show(runs: dict[str, dict[str, Any]], seed: int, output: Output) -> None:
+    """Draw one scene as it is, and as it was seen and mapped by each method."""
+    output.figure("figure_3-22", scene_figure(StereoScene(SceneConfig(seed=seed))))
     for method, name in FIGURE.items():
-        if options.quick and method != "information":
-            continue
-        scored: Scored
-        if options.record and method == "information":
-            with MapRecorder(output.file("run.rrd")) as recorder:
-                scored = map_scene(Trial(seed, method, scans), recorder.take)
-        else:
-            scored = map_scene(Trial(seed, method, scans))
-        output.figure(f"{name}a", views_figure(scored.mapper.looks, scored.scene.geometry))
-        output.figure(f"{name}b", points_figure(scored.mapper.shared.voxels.surface()))
-        if method == "information":
-            output.figure("figure_3-22", scene_figure(scored.scene))
+        run = runs[method]
+        output.figure(f"{name}a", views_figure(run["panoramas"], run["images"]))
+        output.figure(f"{name}b", points_figure(run["surface"]))
 
 
 PARTS: dict[str, Callable[[Options, Output], None]] = {

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from controllers.mapping.looking import Look
 from experiments.ch3_scene import StereoScene, left_name, look_at
 from perception.stereo_geometry import StereoGeometry
-from perception.voxel_map import Surface
 from twin.camera import renderer
 
 FloatArray = NDArray[np.float64]
@@ -54,25 +53,32 @@ def growth_figure(curves: Mapping[str, FloatArray]) -> Figure:
     return figure
 
 
-def views_figure(looks: Sequence[Look], geometry: StereoGeometry) -> Figure:
-    """Draw all left images of each robot where they were taken (figures 3-26 a, 3-27 a)."""
-    names = sorted({look.robot for look in looks})
-    figure = Figure(figsize=(11, 4.6 * len(names)), layout="constrained")
-    for axes, name in zip(np.atleast_1d(figure.subplots(len(names), 1)), names, strict=True):
-        taken = [look for look in looks if look.robot == name and look.correction is not None]
-        axes.imshow(
-            _panorama(taken, geometry), cmap="gray", vmin=0, vmax=255, extent=(-180, 180, -75, 75)
-        )
+def views_figure(panoramas: FloatArray, counts: Sequence[int]) -> Figure:
+    """Draw all left images of each robot where they were taken (figures 3-26 a, 3-27 a).
+
+    Args:
+        panoramas: (robots, rows, columns) as `panorama`.
+        counts: (robots,) how many images are in it.
+    """
+    figure = Figure(figsize=(11, 4.6 * len(counts)), layout="constrained")
+    rows = np.atleast_1d(figure.subplots(len(counts), 1))
+    for number, (axes, shown, count) in enumerate(zip(rows, panoramas, counts, strict=True)):
+        axes.imshow(shown, cmap="gray", vmin=0, vmax=255, extent=(-180, 180, -75, 75))
         axes.set(
-            title=f"{name}: {len(taken)} left images",
+            title=f"rover{number + 1}: {count} left images",
             xlabel="azimuth in the map [deg]",
             ylabel="elevation [deg]",
         )
     return figure
 
 
-def _panorama(looks: Sequence[Look], geometry: StereoGeometry) -> FloatArray:
-    """Return what was seen by direction, NaN where nobody looked; later looks on top."""
+def panorama(looks: Sequence[Look], geometry: StereoGeometry) -> FloatArray:
+    """Return what was seen by direction, NaN where nobody looked; later looks on top.
+
+    Args:
+        looks: Those whose camera's place is known.
+        geometry: Of the cameras.
+    """
     width, height = _PANORAMA
     canvas = np.full((height, width), np.nan)
     for look in looks:
@@ -98,10 +104,9 @@ def _panorama(looks: Sequence[Look], geometry: StereoGeometry) -> FloatArray:
     return canvas
 
 
-def points_figure(surface: Surface) -> Figure:
-    """Draw the map's surface from above and from the side (figures 3-26 b, 3-27 b)."""
-    order = np.argsort(surface.means[:, 2])
-    points = surface.means[order]
+def points_figure(surface: FloatArray) -> Figure:
+    """Draw the map's surface (N, 3) [m] from above and from the side (figures 3-26 b, 3-27 b)."""
+    points = surface[np.argsort(surface[:, 2])]
     figure = Figure(figsize=(11, 5.5), layout="constrained")
     above, side = figure.subplots(1, 2, width_ratios=[1, 1])
     for axes, (first, second) in ((above, (0, 1)), (side, (0, 2))):

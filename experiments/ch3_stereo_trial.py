@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.looking import Look, MapperConfig, RobotBrief
+from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import level_target
 from controllers.mapping.stereo_mapper import StereoMapper
 from experiments.ch3_scene import SceneConfig, StereoScene
+from experiments.ch3_stereo_figures import panorama
 from experiments.ch3_stereo_truth import mapped_share, pose_errors, surface_errors, true_surface
 from experiments.known_camera_arm import camera_in_world, known_body, known_camera_arm
 from models import datasheets
@@ -48,11 +50,13 @@ class Trial:
         seed: Of the scene and of all noise.
         method: How views are chosen.
         scans: Looks of each robot.
+        shown: Whether the result has what its figures need.
     """
 
     seed: int
     method: str
     scans: int
+    shown: bool = False
 
 
 @dataclasses.dataclass
@@ -63,8 +67,9 @@ class Scored:
         mapper: With map and looks.
         scene: The same scene, for its truth.
         curve: Looks so far, true surface mapped [fraction], occupied voxels.
-        transform_scene_to_map: True.
+        transform_scene_to_map: True; of the frame that the robots named, see `named_frame`.
         cameras: True, from camera to map when a pair was taken, by robot and time stamp.
+        frame_turn: How far that frame is turned from one that is truly level [rad].
     """
 
     mapper: StereoMapper
@@ -72,6 +77,7 @@ class Scored:
     curve: list[tuple[float, float, float]]
     transform_scene_to_map: RigidTransform
     cameras: dict[tuple[str, float], RigidTransform]
+    frame_turn: float
 
 
 def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -86,7 +92,7 @@ def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
         np.random.default_rng((trial.seed, 6)),
     )
     corrections = [look.correction for look in scored.mapper.looks if look.correction]
-    return {
+    result = {
         "curve": np.array(scored.curve),
         "guess_error": guess,
         "corrected_error": corrected,
@@ -94,6 +100,22 @@ def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
         "nees": nees,
         "lost_share": lost,
         "located": len(scored.mapper.standings),
+        "frame_turn": scored.frame_turn,
+    }
+    return result | (_pictures(scored) if trial.shown else {})
+
+
+def _pictures(scored: Scored) -> dict[str, Any]:
+    """Return what was seen and mapped; whole images would be too large to keep."""
+    mapper = scored.mapper
+    placed = [
+        [look for look in mapper.looks if look.robot == name and look.correction is not None]
+        for name in scored.scene.robot_names
+    ]
+    return {
+        "panoramas": np.array([panorama(looks, mapper.geometry) for looks in placed], np.float32),
+        "images": [len(looks) for looks in placed],
+        "surface": mapper.shared.voxels.surface().means,
     }
 
 
@@ -108,13 +130,13 @@ def map_scene(
             that is mapped by now, for recording.
     """
     scene = StereoScene(SceneConfig(seed=trial.seed))
-    truth = true_surface(scene, MapperConfig().reach, np.random.default_rng((trial.seed, 3)))
-    to_map = level_target(scene.transform_panel_to_world) * scene.transform_panel_to_world.inv()
-    pieces = to_map.apply(truth)
+    how = MapperConfig(method=trial.method, scans=trial.scans)
+    truth = true_surface(scene, how.reach, np.random.default_rng((trial.seed, 3)))
     mount, plan = (np.random.default_rng((trial.seed, k)) for k in (4, 5))
     curve: list[tuple[float, float, float]] = []
 
     def score(look: Look) -> None:
+        pieces = named_frame(mapper.shared, scene).apply(truth)
         share, cells = mapped_share(mapper.shared.voxels, pieces)
         curve.append((len(mapper.looks), share, float(cells)))
         if on_look is not None:
@@ -133,8 +155,8 @@ def map_scene(
             {name: _brief(simulation.model, name, mount) for name in scene.robot_names},
             scene.geometry,
             target_cad(scene),
-            VoxelMap(VoxelGrid(VOXEL, *BOX), VoxelMapConfig(correlated_points=9.0)),
-            MapperConfig(method=trial.method, scans=trial.scans),
+            VoxelMap(VoxelGrid(VOXEL, *BOX), VoxelMapConfig(correlated_points=shared_errors(how))),
+            how,
             plan,
             score,
         )
@@ -147,8 +169,26 @@ def map_scene(
             duration=LONGEST,
             until=lambda: mapper.done,
         )
+    to_map = named_frame(mapper.shared, scene)
     cameras = {key: to_map * pose for key, pose in witness.cameras.items()}
-    return Scored(mapper, scene, curve, to_map, cameras)
+    level = level_target(scene.transform_panel_to_world) * scene.transform_panel_to_world.inv()
+    turn = float((to_map * level.inv()).rotation.magnitude())
+    return Scored(mapper, scene, curve, to_map, cameras, turn)
+
+
+def named_frame(shared: SharedMap, scene: StereoScene) -> RigidTransform:
+    """Return the true transform from the scene to the frame in which the robots map.
+
+    The robot that finds the target first says how it leans, and so names the frame. Its head's
+    error turns the frame by some milliradians from the level; that is no error of the map.
+
+    Args:
+        shared: The robots' map; as long as nobody has seen the target, a level frame stands in.
+        scene: The truth.
+    """
+    panel = scene.transform_panel_to_world
+    named = shared.transform_target_to_world
+    return (level_target(panel) if named is None else named) * panel.inv()
 
 
 class Witness:
@@ -175,6 +215,15 @@ class Witness:
 
     def flush(self) -> None:
         """Nothing is held back."""
+
+
+def shared_errors(config: MapperConfig) -> float:
+    """Return how many points of a pair share one error: those whose matching windows overlap.
+
+    The errors of points a stride apart are correlated by 0.7, and by 0.04 when their windows touch:
+    over all neighbours the correlations add up to 14 (9 views), the ratio of areas is 13.4.
+    """
+    return (config.stereo.window / config.stereo.stride) ** 2
 
 
 def target_cad(scene: StereoScene) -> TargetCad:

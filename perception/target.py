@@ -36,6 +36,11 @@ class TargetCad:
     radius: float
     dark: float
 
+    @property
+    def extent(self) -> float:
+        """Greatest distance between two markers [m]."""
+        return float(np.linalg.norm(self.points[:, None] - self.points, axis=2).max())
+
 
 @dataclasses.dataclass(frozen=True)
 class MarkerSearch:
@@ -73,6 +78,19 @@ class SeenTarget:
 
     indices: NDArray[np.int64]
     image_points: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class PossibleMarkers:
+    """Places where markers may be, though they do not make a target.
+
+    Attributes:
+        paired: (P, 3) that both images show [m], left camera frame.
+        alone: (A, 3) that one image shows, as far away as their size says [m], left camera frame.
+    """
+
+    paired: FloatArray
+    alone: FloatArray
 
 
 def find_spots(image: ImageArray, cad: TargetCad, search: MarkerSearch) -> FloatArray:
@@ -118,15 +136,59 @@ def find_target(
     """
     how = search or MarkerSearch()
     left, right = (find_spots(image, cad, how) for image in pair)
-    one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
+    one, two = _paired(left, right, geometry, cad, how)
     seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
     points = geometry.points(seen)
+    return _matched(seen, points, geometry, cad, np.asarray(sigma, dtype=float), how)
+
+
+def possible_markers(
+    pair: ImageArray,
+    geometry: StereoGeometry,
+    cad: TargetCad,
+    search: MarkerSearch | None = None,
+) -> PossibleMarkers:
+    """Return where markers may be: hints of a target of which too little is in view.
+
+    Args:
+        pair: (2, height, width) uint8, left and right.
+        geometry: Of the pair.
+        cad: Its markers.
+        search: When a spot counts.
+
+    Raises:
+        ValueError: If an image is empty or not grey of 8 bits.
+    """
+    how = search or MarkerSearch()
+    left, right = (find_spots(image, cad, how) for image in pair)
+    one, two = _paired(left, right, geometry, cad, how)
+    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
+    alone: list[FloatArray] = []
+    for spots, taken, eye in ((left, one, 0.0), (right, two, geometry.baseline)):
+        single = np.delete(spots, taken, axis=0)
+        depths = 2.0 * cad.radius * cad.dark * geometry.fx / single[:, 2]
+        disparities = geometry.fx * geometry.baseline / depths
+        points = geometry.points(np.column_stack([single[:, :2], disparities]))
+        alone.append(points + [eye, 0.0, 0.0])
+    return PossibleMarkers(geometry.points(seen), np.concatenate(alone))
+
+
+def _paired(
+    left: FloatArray,
+    right: FloatArray,
+    geometry: StereoGeometry,
+    cad: TargetCad,
+    search: MarkerSearch,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return (P,) which spots of the left and of the right image may be one marker."""
+    one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
+    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
     # A spot's size tells its distance as well, which settles most wrong pairings.
-    expected = 2.0 * cad.radius * cad.dark * geometry.fx / points[:, 2]
-    fits = np.abs(left[one, 1] - right[two, 1]) < how.row
+    expected = 2.0 * cad.radius * cad.dark * geometry.fx / geometry.points(seen)[:, 2]
+    fits = np.abs(left[one, 1] - right[two, 1]) < search.row
     for sizes in (left[one, 2], right[two, 2]):
-        fits &= (sizes < how.size * expected) & (expected < how.size * sizes)
-    return _matched(seen[fits], points[fits], geometry, cad, np.asarray(sigma, dtype=float), how)
+        fits &= (sizes < search.size * expected) & (expected < search.size * sizes)
+    return one[fits], two[fits]
 
 
 def _round_contours(dark: NDArray[np.bool_], search: MarkerSearch) -> Iterator[NDArray[Any]]:

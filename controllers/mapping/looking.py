@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from controllers.mapping.arm_views import RatedViews, ViewConfig
 from controllers.mapping.camera_arm import CameraArm
 from controllers.mapping.localiser import Correction, LocaliserConfig
+from controllers.mapping.searching import SearchConfig
 from controllers.mapping.standing import CameraPose, StandingConfig
 from perception.stereo import StereoConfig, StereoPoints
 
@@ -35,11 +36,14 @@ class MapperConfig:
         clear: Radius about the arm's base [m] and least height above it [m] of the space that is
             free when the robot is set down: there the arm may move before it was seen.
         aura: Kept out of the map about a robot, beside its own size [m]: robots move.
+        search: How the target is looked for.
         views: How views are drawn and rated.
         standing: How well arm and inclinometer tell where the camera is.
         stereo: How pairs are matched.
         localiser: How fiducials of the scene correct the camera's pose.
-        marker_sigma: (3,) deviations of a marker's column, row and disparity [px].
+        marker_sigma: (3,) deviations of a marker's column, row and disparity [px]: as measured on
+            217 markers in 56 rendered views from 0.5 to 1.2 m. The place errs alike in both images,
+            for the middle of a disc's picture is not the picture of its middle.
     """
 
     method: str = "information"
@@ -52,11 +56,12 @@ class MapperConfig:
     rays: tuple[int, int] = (40, 40)
     clear: tuple[float, float] = (0.55, -0.02)
     aura: float = 0.03
+    search: SearchConfig = SearchConfig()
     views: ViewConfig = ViewConfig()
     standing: StandingConfig = StandingConfig()
     stereo: StereoConfig = StereoConfig()
     localiser: LocaliserConfig = LocaliserConfig()
-    marker_sigma: tuple[float, float, float] = (0.1, 0.1, 0.1)
+    marker_sigma: tuple[float, float, float] = (0.07, 0.07, 0.03)
 
     def __post_init__(self) -> None:
         """Refuse an unknown method.

@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.camera_arm import CameraArm
+from perception.registration_prior import PosePrior
 from perception.registration_uncertainty import adjoint
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+
+SHARED = 12
+"""Parameters of what a robot's looks err by alike: its place, and how its head sits."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,11 +92,33 @@ class Standing:
             angles: (joints,) of the arm [rad].
             tilt: (2,) pitch and roll of the robot [rad].
         """
+        prior = self.prior(angles, tilt, np.arange(SHARED))
+        shared = prior.by_offsets @ self.shared_covariance() @ prior.by_offsets.T
+        return CameraPose(prior.transform_camera_to_world, shared + prior.covariance)
+
+    def shared_covariance(self) -> FloatArray:
+        """Return (12, 12) of what all looks err by alike.
+
+        These are xi of the robot's place, in the world, and xi of the head's seat, in the camera
+        frame.
+        """
+        spread = np.zeros((SHARED, SHARED))
+        spread[:6, :6], spread[6:, 6:] = self.covariance, self.config.mount_covariance()
+        return spread
+
+    def prior(self, angles: FloatArray, tilt: FloatArray, offsets: IndexArray) -> PosePrior:
+        """Return where the camera is, with its error's shared part kept apart.
+
+        Args:
+            angles: (joints,) of the arm [rad].
+            tilt: (2,) pitch and roll of the robot [rad].
+            offsets: (12,) numbers of the offsets whose covariance is `shared_covariance`.
+        """
         pose = self.transform_level_to_world * camera_in_level(self.arm, angles, tilt)
         base = adjoint(self.transform_level_to_world)
-        mount = adjoint(self.transform_sighting_to_world) - adjoint(pose)
-        spread = self.covariance + base @ self.config.base_covariance() @ base.T
-        return CameraPose(pose, spread + mount @ self.config.mount_covariance() @ mount.T)
+        mount = adjoint(pose) - adjoint(self.transform_sighting_to_world)
+        own = base @ self.config.base_covariance() @ base.T
+        return PosePrior(pose, own, offsets, np.hstack([np.eye(6), mount]))
 
 
 def lean(tilt: FloatArray) -> RigidTransform:

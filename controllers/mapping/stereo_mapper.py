@@ -23,17 +23,34 @@ from controllers.mapping.arm_views import (
 )
 from controllers.mapping.localiser import Localiser
 from controllers.mapping.looking import Look, MapperConfig, RobotBrief
+from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing
 from perception.stereo import StereoMatcher
 from perception.stereo_geometry import StereoGeometry
-from perception.target import TargetCad
+from perception.target import TargetCad, possible_markers
 from perception.view_information import planning_grid
 from perception.voxel_map import VoxelMap
 from twin.robot import ArmMode, Command, Observation
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IndexArray = NDArray[np.intp]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Waiting:
+    """A look that waits until its robot knows its place.
+
+    Attributes:
+        place: In the list of all looks.
+        tilt: (2,) pitch and roll then [rad].
+        arms: (joints,) angles of all arms then, as far as they were known [rad].
+    """
+
+    place: int
+    tilt: FloatArray
+    arms: dict[str, FloatArray]
 
 
 @dataclasses.dataclass
@@ -42,31 +59,33 @@ class _Head:
 
     Attributes:
         brief: What is known of it.
+        search: For the target.
         goal: (joints,) where its arm goes [rad].
         start: (joints,) from where; None before the first observation.
         begun: When it left [s].
         there: Since when it is at the goal [s]; NaN on the way.
         standing: Where it stands; None until it has seen the target.
+        offsets: (12,) numbers of what its looks err by alike, in the map of fiducials.
         looks: Looks taken.
-        waiting: Looks taken before it knew where it stands, with the tilt then.
+        waiting: Looks taken before it knew where it stands.
         rated: Candidates of the decision for the present goal.
         claims: Cells that the present goal is about to see.
-        turn: Place of the search for the target.
         raster: Next place of the raster.
         done: Whether it has taken all its looks, or found no view to go to.
     """
 
     brief: RobotBrief
+    search: TargetSearch
     goal: FloatArray
     start: FloatArray | None = None
     begun: float = np.nan
     there: float = np.nan
     standing: Standing | None = None
+    offsets: IndexArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.intp))
     looks: int = 0
-    waiting: list[tuple[Look, FloatArray]] = dataclasses.field(default_factory=list)
+    waiting: list[_Waiting] = dataclasses.field(default_factory=list)
     rated: RatedViews | None = None
     claims: BoolArray | None = None
-    turn: int = 0
     raster: int = 0
     done: bool = False
 
@@ -78,7 +97,8 @@ class StereoMapper:
         shared: The map that they build.
         geometry: Of the stereo heads.
         localiser: The scene's fiducials.
-        looks: All looks so far, in the order in which they were taken.
+        looks: All looks so far, in the order in which they were taken. One that was taken before
+            its robot knew its place is completed when the robot does.
     """
 
     def __init__(
@@ -100,7 +120,7 @@ class StereoMapper:
             voxels: An empty map; the target will be at its origin.
             config: How they move, look and choose.
             rng: Draws candidates.
-            on_look: Called after each look, for recording.
+            on_look: Called after each look, once, for recording.
         """
         self.shared = SharedMap(voxels, geometry, cad, config.stereo.stride, config.reach)
         self.looks: list[Look] = []
@@ -109,7 +129,7 @@ class StereoMapper:
         self.geometry = geometry
         self._matcher = StereoMatcher(geometry, config.stereo)
         self._lens = Lens(_rays(geometry, config.rays), config.reach)
-        self._search = _search_offsets()
+        self._cad = cad
         self._briefs = dict(robots)
         self._heads: dict[str, _Head] = {}
         self.reset()
@@ -127,9 +147,16 @@ class StereoMapper:
 
     def reset(self) -> None:
         """Forget where the robots are and what they were about to do; the map stays."""
-        self._heads = {
-            name: _Head(brief, brief.home + self._search[0]) for name, brief in self._briefs.items()
-        }
+        self._heads = {}
+        for name, brief in self._briefs.items():
+            search = TargetSearch(
+                brief.arm,
+                brief.home,
+                self._config.views.survey,
+                self._cad.extent,
+                self._config.search,
+            )
+            self._heads[name] = _Head(brief, search, search.first())
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Return one command for each robot.
@@ -202,68 +229,62 @@ class StereoMapper:
                 self._config.marker_sigma,
                 self._config.standing,
             )
-            head.waiting.append((look, tilt))
-        else:
-            self._take(look, tilt, head.standing, observations)
-        if head.standing is not None:
-            for earlier, lean in head.waiting:
-                self._take(earlier, lean, head.standing, observations)
-            head.waiting.clear()
-        else:
-            self._keep(look)
-        self._choose(name, head, angles, seen.time)
-
-    def _take(
-        self,
-        look: Look,
-        tilt: FloatArray,
-        standing: Standing,
-        observations: Mapping[str, Observation],
-    ) -> None:
-        """Fuse a look into the map."""
-        guess = standing.camera(look.angles, tilt)
-        correction = self.localiser.locate(look.pair, look.seen, guess)
-        self.shared.fuse(correction.camera, look.seen, self._bodies(observations))
-        self._keep(dataclasses.replace(look, guess=guess, correction=correction))
-
-    def _keep(self, look: Look) -> None:
+            if head.standing is not None:
+                shared = head.standing.shared_covariance()
+                head.offsets = self.localiser.fiducials.share(shared)
+        head.waiting.append(_Waiting(len(self.looks), tilt, _arms(observations)))
         self.looks.append(look)
+        if head.standing is not None:
+            for taken in head.waiting:
+                self._take(taken, head.standing, head.offsets)
+            head.waiting.clear()
         if self._on_look is not None:
-            self._on_look(look)
+            self._on_look(self.looks[-1])
+        self._choose(name, head, look)
 
-    def _bodies(self, observations: Mapping[str, Observation]) -> FloatArray:
+    def _take(self, taken: _Waiting, standing: Standing, offsets: IndexArray) -> None:
+        """Fuse a look into the map."""
+        look = self.looks[taken.place]
+        guess = standing.camera(look.angles, taken.tilt)
+        prior = standing.prior(look.angles, taken.tilt, offsets)
+        correction = self.localiser.locate(look.pair, look.seen, prior)
+        self.shared.fuse(correction.camera, look.seen, self._bodies(taken.arms))
+        self.looks[taken.place] = dataclasses.replace(look, guess=guess, correction=correction)
+
+    def _bodies(self, arms: Mapping[str, FloatArray]) -> FloatArray:
         """Return (M, 4) spheres about the robots that are known to stand somewhere."""
         spheres = [np.zeros((0, 4))]
         for name, standing in self.standings.items():
-            arm = observations[name].arm_angles
-            if not arm.usable:
+            if name not in arms:
                 continue
-            points = standing.arm.body_in_robot(np.asarray(arm.value, dtype=float)[None])[0]
+            points = standing.arm.body_in_robot(arms[name][None])[0]
             radii = np.full((len(points), 1), standing.arm.body_radius)
             local = np.vstack([np.hstack([points, radii]), self._briefs[name].body])
             local[:, :3] = standing.transform_level_to_world.apply(local[:, :3])
             spheres.append(local + [0.0, 0.0, 0.0, self._config.aura])
         return np.concatenate(spheres)
 
-    def _choose(self, name: str, head: _Head, angles: FloatArray, time: float) -> None:
+    def _choose(self, name: str, head: _Head, look: Look) -> None:
         """Choose the next view of a robot, and set its arm off."""
         head.claims, head.rated = None, None
         if head.looks >= self._config.scans:
             head.done = True
             return
         try:
-            goal = self._goal(name, head, angles)
+            goal = self._goal(name, head, look)
         except ViewError:
             head.done = True
             return
-        head.start, head.goal, head.begun, head.there = angles, goal, time, np.nan
+        head.start, head.goal, head.begun, head.there = look.angles, goal, look.time, np.nan
 
-    def _goal(self, name: str, head: _Head, angles: FloatArray) -> FloatArray:
+    def _goal(self, name: str, head: _Head, look: Look) -> FloatArray:
+        angles = look.angles
         if head.standing is None:
-            head.turn += 1
-            if head.turn >= len(self._search):
+            hints = possible_markers(look.pair, self.geometry, self._cad)
+            goal = head.search.after(angles, hints)
+            if goal is None:
                 raise ViewError("the target is nowhere around")
-            return head.brief.home + self._search[head.turn]
+            return goal
         views = ArmViews(
             head.brief.arm,
             head.standing.transform_level_to_world,
@@ -320,7 +341,10 @@ def _rays(geometry: StereoGeometry, counts: tuple[int, int]) -> FloatArray:
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
-def _search_offsets() -> FloatArray:
-    """Return (N, joints) turns from home in which the target is looked for: ahead first."""
-    yaws = [0.0, 0.55, -0.55, 1.1, -1.1, 1.65, -1.65, 2.2, -2.2]
-    return np.array([[yaw, 0.0, 0.0, tilt] for yaw in yaws for tilt in (0.2, -0.15)])
+def _arms(observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
+    """Return (joints,) angles of the arms whose angles are known [rad]."""
+    return {
+        name: np.asarray(seen.arm_angles.value, dtype=float)
+        for name, seen in observations.items()
+        if seen.arm_angles.usable
+    }

@@ -9,9 +9,10 @@ from scipy.spatial.transform import RigidTransform
 from controllers.mapping.looking import MapperConfig
 from experiments.__main__ import main
 from experiments.ch3_scene import SceneConfig, StereoScene
-from experiments.ch3_stereo_trial import Trial, map_scene
+from experiments.ch3_stereo_trial import Trial, map_scene, target_cad
 from experiments.ch3_stereo_truth import mapped_share, surface_errors, true_surface
 from perception.occupancy import State
+from perception.target import find_target
 from perception.voxel_grid import VoxelGrid
 from perception.voxel_map import Surface, VoxelMap
 
@@ -23,10 +24,16 @@ def scene() -> StereoScene:
 
 @pytest.mark.slow
 def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
-    scored = map_scene(Trial(3, "information", 2))
+    """One of them sees but two markers at first: it turns to them, and then maps both looks."""
+    scored = map_scene(Trial(1, "information", 2))
     mapper = scored.mapper
     assert set(mapper.standings) == {"rover1", "rover2"} and mapper.done
-    assert len(mapper.looks) == 4
+    assert len(mapper.looks) == len(scored.curve) == 4
+    assert len({(look.robot, look.number) for look in mapper.looks}) == 4
+    cad, sigma = target_cad(scored.scene), np.full(3, 0.1)
+    first = [look.pair for look in mapper.looks if look.number == 0]
+    targets = [find_target(pair, mapper.geometry, cad, sigma) for pair in first]
+    assert sum(target is None for target in targets) == 1
     shares = [share for _, share, _ in scored.curve]
     assert np.all(np.diff(shares) >= 0.0) and shares[-1] > 0.1
     errors, lost = surface_errors(

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.stereo_geometry import StereoGeometry
-from perception.target import MarkerSearch, TargetCad, find_spots, find_target
+from perception.target import MarkerSearch, TargetCad, find_spots, find_target, possible_markers
 
 HEAD = StereoGeometry(510, 492, 677.34, 871.25, 254.5, 245.5, 0.038)
 CAD = TargetCad(
@@ -66,11 +66,31 @@ def test_three_markers_are_enough_and_two_are_not():
         assert (seen is not None and len(seen.indices) == 4 - count) == (count == 1)
 
 
+def test_markers_of_a_target_half_out_of_view_are_hints_where_it_is():
+    """Two are in both images; one is in the right alone, its size tells its distance roughly."""
+    target = RigidTransform.from_components([0.255, 0.0, 0.8], at(0.8, 0.2, 0.0).rotation)
+    images = pair(target)
+    assert find_target(images, HEAD, CAD, SIGMA) is None
+    hints = possible_markers(images, HEAD, CAD)
+    truth = target.apply(CAD.points)
+    away = np.linalg.norm(hints.paired[:, None] - truth, axis=2).min(axis=1)
+    assert len(hints.paired) == 2 and away.max() < 0.005
+    eye = np.array([HEAD.baseline, 0.0, 0.0])
+    seen, true = hints.alone[0] - eye, truth[3] - eye
+    assert len(hints.alone) == 1 and 0.7 < np.linalg.norm(seen) / np.linalg.norm(true) < 1.4
+    assert np.linalg.norm(np.cross(seen, true)) < 1e-3 * np.linalg.norm(seen) * np.linalg.norm(true)
+
+
 def test_black_image_shows_no_target():
-    assert find_target(np.zeros((2, 492, 510), np.uint8), HEAD, CAD, SIGMA) is None
+    black = np.zeros((2, 492, 510), np.uint8)
+    assert find_target(black, HEAD, CAD, SIGMA) is None
+    hints = possible_markers(black, HEAD, CAD)
+    assert not len(hints.paired) and not len(hints.alone)
 
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 0, 5), np.uint8), np.zeros((2, 9, 9))])
 def test_what_is_no_image_is_refused(bad):
     with pytest.raises(ValueError, match="expected grey of 8 bits"):
         find_target(bad, HEAD, CAD, SIGMA)
+    with pytest.raises(ValueError, match="expected grey of 8 bits"):
+        possible_markers(bad, HEAD, CAD)

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.localiser import Localiser
-from controllers.mapping.standing import CameraPose
 from experiments.ch3_scene import RIG, SceneConfig, StereoScene, look_at
+from perception.registration_prior import PosePrior
 from perception.stereo import StereoMatcher
 
 pytestmark = pytest.mark.slow
@@ -29,15 +29,24 @@ def look(scene, eye):
     return view.pair, view.transform_camera_to_world
 
 
+def assert_at(camera, prior):
+    np.testing.assert_allclose(
+        camera.transform_camera_to_world.as_matrix(),
+        prior.transform_camera_to_world.as_matrix(),
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(camera.covariance, prior.covariance)
+
+
 def test_second_look_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
     rng = np.random.default_rng(0)
     localiser = Localiser(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
-    first = localiser.locate(pair, matcher.match(pair), CameraPose(true, 1e-12 * np.eye(6)))
+    first = localiser.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
     assert not first.corrected and len(first.added) >= 10
     pair, true = look(scene, [0.06, -0.68, 0.38])
     off = RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), GUESS))
-    told = localiser.locate(pair, matcher.match(pair), CameraPose(off * true, GUESS))
+    told = localiser.locate(pair, matcher.match(pair), PosePrior(off * true, GUESS))
     assert told.corrected
     error = (true * told.camera.transform_camera_to_world.inv()).as_exp_coords()
     guessed = np.linalg.norm(off.apply(true.translation) - true.translation)
@@ -50,17 +59,45 @@ def test_second_look_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
 def test_look_elsewhere_leaves_the_guess_as_it_was(scene, matcher):
     localiser = Localiser(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
-    localiser.locate(pair, matcher.match(pair), CameraPose(true, 1e-12 * np.eye(6)))
+    localiser.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
     scene.set_rig(look_at([0.0, -0.7, 0.35], [0.9, -0.6, 0.0]))
     view = scene.capture(RIG)
-    guess = CameraPose(view.transform_camera_to_world, GUESS)
-    told = localiser.locate(view.pair, matcher.match(view.pair), guess)
-    assert not told.corrected and told.camera is guess
+    prior = PosePrior(view.transform_camera_to_world, GUESS)
+    told = localiser.locate(view.pair, matcher.match(view.pair), prior)
+    assert not told.corrected
+    assert_at(told.camera, prior)
 
 
 def test_black_pair_adds_nothing_and_leaves_the_guess(scene, matcher):
     localiser = Localiser(scene.geometry)
     black = np.zeros((2, scene.geometry.height, scene.geometry.width), np.uint8)
-    guess = CameraPose(RigidTransform.identity(), GUESS)
-    told = localiser.locate(black, matcher.match(black), guess)
-    assert told.camera is guess and not len(told.added) and not len(localiser.fiducials)
+    prior = PosePrior(RigidTransform.identity(), GUESS)
+    told = localiser.locate(black, matcher.match(black), prior)
+    assert_at(told.camera, prior)
+    assert not len(told.added) and not len(localiser.fiducials)
+
+
+def test_what_one_look_tells_of_a_shared_error_helps_the_next_that_sees_nothing_known(
+    scene, matcher
+):
+    """The robot stands 6 mm off; its third look has no fiducial, but knows that."""
+    localiser = Localiser(scene.geometry)
+    pair, true = look(scene, [0.0, -0.7, 0.35])
+    localiser.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
+    numbers = localiser.fiducials.share(GUESS)
+    off = RigidTransform.from_exp_coords([0.004, -0.003, 0.002, 0.006, 0.0, 0.0])
+    own = 1e-8 * np.eye(6)
+    pair, true = look(scene, [0.06, -0.68, 0.38])
+    prior = PosePrior(off.inv() * true, own, numbers, np.eye(6))
+    assert localiser.locate(pair, matcher.match(pair), prior).corrected
+    scene.set_rig(look_at([0.0, -0.7, 0.35], [0.9, -0.6, 0.0]))
+    view = scene.capture(RIG)
+    true = view.transform_camera_to_world
+    prior = PosePrior(off.inv() * true, own, numbers, np.eye(6))
+    told = localiser.locate(view.pair, matcher.match(view.pair), prior)
+    assert not told.corrected
+    before, after = (
+        np.linalg.norm(p.apply([0.0, 0.0, 0.8]) - true.apply([0.0, 0.0, 0.8]))
+        for p in (prior.transform_camera_to_world, told.camera.transform_camera_to_world)
+    )
+    assert after < 1.5e-3 < 4e-3 < before

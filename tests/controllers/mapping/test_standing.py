@@ -68,6 +68,22 @@ def test_covariance_is_that_of_drawn_leans(arm):
     np.testing.assert_allclose(np.sqrt(np.diag(told)), np.sqrt(np.diag(drawn)), rtol=0.05)
 
 
+def test_prior_moves_with_what_is_shared_as_the_camera_truly_does(arm):
+    """The place was told a little wrong, and the head sits a little differently."""
+    rng = np.random.default_rng(1)
+    place, seat = 1e-4 * rng.standard_normal((2, 6))
+    angles, level = HOME + [0.8, 0.2, -0.3, 0.4], np.zeros(2)
+    robot = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
+    head = RigidTransform.from_exp_coords(seat)
+    sighting = robot * camera_in_level(arm, HOME, level) * head
+    told = RigidTransform.from_exp_coords(-place) * sighting
+    standing = stand(arm, HOME, level, CameraPose(told, np.zeros((6, 6))))
+    prior = standing.prior(angles, level, np.arange(12))
+    moved = prior.at(np.append(place, seat))
+    true = robot * camera_in_level(arm, angles, level) * head
+    np.testing.assert_allclose(moved.as_matrix(), true.as_matrix(), atol=2e-7)
+
+
 def test_target_that_stands_on_its_side_names_no_direction():
     side = RigidTransform.from_rotation(Rotation.from_euler("y", np.pi / 2))
     with pytest.raises(ValueError, match="upright"):
