@@ -13,9 +13,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from models.card_and_slot.build import compile_bench
 from models.compliant_base.build import XML as PLANT
 from models.compose import FLAT, FOLDER, ROUGH, RobotPlacement, make_model, settle
-from models.datasheets import CAMERA
+from models.datasheets import CAMERA, CARD_AND_SLOT, DEGREE
 
 WIDTH, HEIGHT = 640, 420
 LARGEST = 200_000
@@ -104,7 +105,14 @@ def main() -> None:
     plant_raised.qpos[6] = np.pi / 4
     mujoco.mj_forward(plant, plant_raised)
     side = Shot((0.0, 0.15, 0.1), 1.7, 150.0, -18.0)
+    bench = compile_bench(CARD_AND_SLOT.slot_widths[1])
+    askew = mujoco.MjData(bench)
+    askew.mocap_pos[0] = (0.004, -0.02, 0.0)
+    askew.mocap_quat[0] = (np.cos(-3 * DEGREE), 0.0, 0.0, np.sin(-3 * DEGREE))
+    mujoco.mj_forward(bench, askew)
+    above = Shot((0.0, -0.03, 0.0), 0.26, 75.0, -50.0)
     pictures = {
+        "card_and_slot/card_and_slot.png": take(bench, askew, above, size),
         "compliant_base/compliant_base.png": take(plant, plant_raised, side, size),
         "rover/rover.png": take(flat, rest, rover, size),
         "arm/arm.png": take(flat, rest, arm, size),

@@ -40,7 +40,9 @@ def test_a_picture_that_stays_too_large_is_refused(tmp_path):
         write(noise, tmp_path / "noise.png")
 
 
-@pytest.mark.parametrize("part", ["rover", "arm", "stereo_head", "field", "compliant_base"])
+@pytest.mark.parametrize(
+    "part", ["rover", "arm", "stereo_head", "field", "compliant_base", "card_and_slot"]
+)
 def test_every_model_folder_has_a_readme_and_a_small_picture(part):
     assert (FOLDER / part / "README.md").stat().st_size > 500
     assert 10_000 < (FOLDER / part / f"{part}.png").stat().st_size < LARGEST

@@ -1,0 +1,1 @@
+"""Insertion of a card into a slot by what the hand feels."""

@@ -1,0 +1,218 @@
+"""Which of the six contact states a measured wrench tells of (Thesis section A.4, figure A-6).
+
+The wrench alone leaves it open: forces of two contacts often add up to what one could give. So the
+card's pose is believed as vision and arm report it, with its covariance. A state is rated by how
+far the pose must move for its features to meet, and by how far the wrench lies from what its
+frictional contacts can give there; the unknown part of the pose is integrated over to first order.
+
+Assumed: rigid shapes known from CAD, dry friction of a known coefficient, planar, at rest or slow,
+and that there is a contact at all.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from controllers.insertion.contact import (
+    STATES,
+    CardInSlot,
+    ContactPoint,
+    Touch,
+    contact_at,
+    contacts_of,
+    wrench_cone,
+)
+
+Floats = NDArray[np.float64]
+
+_STEPS = 4  # Newton steps onto a state's set of poses.
+_MET = 1e-4  # Gap that may be left then [m].
+_MOVE = 1e-5  # For differences by the pose [m, m, rad].
+_EXACT = 1e-5  # Standard deviation of the CAD's lengths [m].
+_HOPELESS = 300.0  # Cost of the pose alone beyond which the wrench is not asked.
+
+
+@dataclasses.dataclass(frozen=True)
+class WrenchNoise:
+    """Error of the wrench sensor, normal.
+
+    Attributes:
+        relative: Standard deviation by the force's size; of the moment, with `lever`.
+        force: Standard deviation at no load [N].
+        torque: The same of the moment [N m].
+        lever: Arm that turns a force into the moment of a full scale [m].
+    """
+
+    relative: float = 0.02
+    force: float = 0.0
+    torque: float = 0.0
+    lever: float = 0.05
+
+    def sigma(self, wrench: Floats) -> Floats:
+        """Return (3,) standard deviations at a load (3,)."""
+        size = self.relative * math.hypot(wrench[0], wrench[1])
+        force = math.hypot(size, self.force)
+        return np.array([force, force, math.hypot(size * self.lever, self.torque)])
+
+
+@dataclasses.dataclass(frozen=True)
+class StateEstimate:
+    """A classified contact.
+
+    Attributes:
+        state: 1 to 6.
+        side: 1 as in `contact.STATES`, -1 for the mirror image.
+        cost: Of the chosen hypothesis: squared distances, whitened.
+        margin: By how much the best other state costs more.
+        pose: (3,) believed pose, moved so that the features meet.
+    """
+
+    state: int
+    side: int
+    cost: float
+    margin: float
+    pose: Floats
+
+
+def classify(
+    shape: CardInSlot,
+    wrench: Floats,
+    noise: WrenchNoise,
+    pose: Floats,
+    covariance: Floats,
+) -> StateEstimate:
+    """Return the contact state that explains wrench and believed pose best.
+
+    Args:
+        shape: Of card and slot.
+        wrench: (3,) what the slot puts on the card, card's frame [N, N, N m].
+        noise: Of the wrench.
+        pose: (3,) believed pose of the card in the slot's frame [m, m, rad].
+        covariance: (3, 3) of the pose.
+
+    Returns:
+        The state.
+
+    Raises:
+        ValueError: If wrench or pose is not three finite numbers, or there is no load.
+    """
+    for name, value in (("wrench", wrench), ("pose", pose)):
+        if np.shape(value) != (3,) or not np.all(np.isfinite(value)):
+            raise ValueError(f"{name} {value}: expected three finite numbers")
+    if not math.hypot(wrench[0], wrench[1]) > 0.0:
+        raise ValueError("wrench without force: there is no contact to classify")
+    rated: list[tuple[float, int, int, Floats]] = []
+    for state in STATES:
+        for side in (-1, 1):
+            met = _meet(shape, pose, covariance, state, side)
+            if met.cost > _HOPELESS:
+                rated.append((met.cost, state, side, met.pose))
+                continue
+            cost = _rate(shape, wrench, noise, met, state, side)
+            rated.append((cost, state, side, met.pose))
+    rated.sort(key=lambda entry: entry[0])
+    cost, state, side, met = rated[0]
+    other = next(entry[0] for entry in rated if entry[1] != state)
+    return StateEstimate(state, side, cost, other - cost, met)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Meeting:
+    """The likeliest pose where a state's features meet, its covariance, and what it costs."""
+
+    pose: Floats
+    covariance: Floats
+    cost: float
+
+
+def _rate(
+    shape: CardInSlot, wrench: Floats, noise: WrenchNoise, met: _Meeting, state: int, side: int
+) -> float:
+    """Return -2 ln of a hypothesis' evidence, but for what all share.
+
+    One contact's wrenches fill a plane: the moment about the contact point must vanish, and its
+    variance counts. Those of two fill a volume: the moment may be any up to the leading edge's.
+    """
+    contacts = contacts_of(shape, met.pose, state, side)
+    sigma = noise.sigma(wrench)
+    cone = wrench_cone(contacts, shape.friction)
+    forces, _ = nnls(cone / sigma[:, None], wrench / sigma)
+    change = np.empty((3, 3))
+    for axis in range(3):
+        moved = met.pose.copy()
+        moved[axis] += _MOVE
+        other = wrench_cone(contacts_of(shape, moved, state, side), shape.friction)
+        change[:, axis] = (other - cone) @ forces / _MOVE
+    total = np.diag(sigma**2) + change @ met.covariance @ change.T
+    # Again with the pose's share: the cone is fitted where both agree best.
+    whiten = np.linalg.inv(np.linalg.cholesky(total))
+    _, residual = nnls(whiten @ cone, whiten @ wrench)
+    if len(contacts) == 1:
+        x, y = contacts[0].point
+        about = np.array([y, -x, 1.0])
+        volume = 2.0 * math.pi * float(about @ total @ about)
+    else:
+        largest = math.hypot(wrench[0], wrench[1]) * shape.card_width / 2.0
+        volume = max(largest, abs(wrench[2])) ** 2
+    return met.cost + residual**2 + math.log(volume)
+
+
+def _meet(shape: CardInSlot, pose: Floats, covariance: Floats, state: int, side: int) -> _Meeting:
+    """Move a believed pose to where a state's features meet."""
+    met = pose.copy()
+    for _ in range(_STEPS):
+        gaps, rows, gain = _pull(contacts_of(shape, met, state, side), covariance)
+        met = pose - gain @ (gaps + rows @ (pose - met))
+    contacts = contacts_of(shape, met, state, side)
+    gaps, rows, gain = _pull(contacts, covariance)
+    if np.abs(gaps).max() > _MET:
+        return _Meeting(met, covariance, math.inf)  # too far for these steps to get there
+    density = rows @ covariance @ rows.T
+    keep = np.eye(3) - gain @ rows
+    spread = keep @ covariance @ keep.T
+    moved = met - pose
+    cost = float(moved @ np.linalg.solve(covariance, moved))
+    # Gaps that are not closed may be anything up to the clearance.
+    clearance = shape.slot_width - shape.card_width
+    cost += math.log(np.linalg.det(density * (2.0 * math.pi / clearance**2)))
+    cost += _misplaced(shape, met, spread, contacts, state, side)
+    return _Meeting(met, spread, cost)
+
+
+def _pull(contacts: list[ContactPoint], covariance: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return gaps (n,), their gradients (n, 3), and the gain (3, n) that closes them likeliest."""
+    gaps = np.array([contact.gap for contact in contacts])
+    rows = np.array([contact.gradient for contact in contacts])
+    return gaps, rows, covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T)
+
+
+def _misplaced(
+    shape: CardInSlot,
+    met: Floats,
+    spread: Floats,
+    contacts: list[ContactPoint],
+    state: int,
+    side: int,
+) -> float:
+    """Return the cost of points beyond their features, and of other features that overlap."""
+    variance = spread[0, 0] + spread[1, 1] + _EXACT**2
+    cost = sum(contact.excess**2 for contact in contacts) / variance
+    own = {(touch, side * sign) for touch, sign in STATES[state]}
+    for other in (-1, 1):
+        for pair in ((Touch.EDGE, Touch.SIDE), (Touch.FACE, Touch.WALL)):
+            if any((touch, other) in own for touch in pair):
+                continue
+            least = max((contact_at(shape, met, touch, other) for touch in pair), key=_gap)
+            if least.gap < 0.0:
+                variance = float(least.gradient @ spread @ least.gradient)
+                cost += least.gap**2 / (variance + _EXACT**2)
+    return cost
+
+
+def _gap(contact: ContactPoint) -> float:
+    return contact.gap

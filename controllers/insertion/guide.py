@@ -1,0 +1,306 @@
+"""Force-guided insertion: motion in the direction of least resistance (Thesis section A.4).
+
+The guide knows the wrench at the hand, its own commands, and shape, friction and stiffness; never
+where the slot truly is. Poses (x, y, theta) are of the card in the frame of the slot as believed,
+y into the slot. It needs no vision once it has begun.
+
+- A force against the leading edge before the card is in: hold it at a small push, and slide away
+  from the side where the line of action meets the edge (states 1 and 3).
+- A force across the card: give way along it, and turn by the moment of the normal forces alone
+  about the middle of what is inserted (states 2, 5 and 6). The moment of friction is taken off
+  first: with it a card that touches a wall with one corner would turn into the wall.
+- Inside a deadband nothing gives way, so that noise does not make the card drift.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.insertion.contact import turn
+
+Floats = NDArray[np.float64]
+
+_MEDIAN = 3  # Samples of which the middle counts: one bad sample is no contact.
+
+
+class Phase(enum.Enum):
+    """What the guide is doing."""
+
+    APPROACH = "approach"
+    SLIDE = "slide"
+    INSERT = "insert"
+    RETREAT = "retreat"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclasses.dataclass(frozen=True)
+class GuideConfig:
+    """What the guide knows and how it moves.
+
+    Attributes:
+        card_width: [m].
+        friction: Between card and slot.
+        stiffness: Of hand, arm and base along an axis, as identified [N/m].
+        depth: Where the card is seated [m].
+        period: Between two wrenches [s].
+        speed: Of the insertion in free motion [m/s].
+        slide_speed: Along the face [m/s].
+        push: Force held against the face [N].
+        deadband: Force that nothing gives way to [N].
+        moment_deadband: The same of the moment [N m].
+        give: Speed across the card by force [m/s/N].
+        give_turn: Turning rate by moment [rad/s/(N m)].
+        turn_rate: Largest turning rate [rad/s].
+        slow_force: Force at which the insertion stands still [N].
+        force_limit: Force at which the card is drawn back [N].
+        filter_time: Time constant of the wrench's low pass [s].
+        steepest: Largest angle of the card that is expected [rad].
+        jam_time: Time without progress that makes a jam [s].
+        progress: Least advance that is progress [m].
+        retreat: Way back after a jam [m].
+        retries: How often the insertion is begun again.
+        reach: Largest way across from the start [m].
+        turn_reach: Largest turn from the start [rad].
+        lost_time: Time without a wrench after which the guide gives up [s].
+        timeout: Time after which the guide gives up [s].
+    """
+
+    card_width: float
+    friction: float
+    stiffness: float
+    depth: float = 0.035
+    period: float = 0.01
+    speed: float = 0.01
+    slide_speed: float = 0.005
+    push: float = 1.0
+    deadband: float = 0.3
+    moment_deadband: float = 0.02
+    give: float = 0.004
+    give_turn: float = 2.0
+    turn_rate: float = 0.1
+    slow_force: float = 2.5
+    force_limit: float = 4.0
+    filter_time: float = 0.03
+    steepest: float = math.radians(8.0)
+    jam_time: float = 2.0
+    progress: float = 5e-4
+    retreat: float = 0.008
+    retries: int = 3
+    reach: float = 0.012
+    turn_reach: float = math.radians(10.0)
+    lost_time: float = 0.5
+    timeout: float = 45.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that could not be meant.
+
+        Raises:
+            ValueError: Naming the field.
+        """
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"{field.name} = {value}: expected a finite number from 0 up")
+        for name in ("card_width", "stiffness", "period", "speed", "force_limit"):
+            if getattr(self, name) == 0.0:
+                raise ValueError(f"{name} = 0: expected a positive number")
+
+
+class InsertionGuide:
+    """Commands the card's pose from the measured wrench, one step each period."""
+
+    def __init__(self, config: GuideConfig, start: Floats) -> None:
+        """Begin in front of the slot.
+
+        Args:
+            config: What it knows.
+            start: (3,) commanded pose now [m, m, rad].
+
+        Raises:
+            ValueError: If the start is not three finite numbers.
+        """
+        if np.shape(start) != (3,) or not np.all(np.isfinite(start)):
+            raise ValueError(f"start {start}: expected three finite numbers")
+        self.config = config
+        self.phase = Phase.APPROACH
+        self.reason = ""
+        self.tries = 0
+        self._start = np.array(start, dtype=float)
+        self.command = self._start.copy()
+        self._recent: list[Floats] = []
+        self._wrench = np.zeros(3)
+        self._time = 0.0
+        self._load, self._lost = 0.0, 0.0
+        self._deepest, self._since = float(start[1]), 0.0
+        self._goal_back, self._slid = 0.0, 0.0
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended, in DONE or FAILED."""
+        return self.phase in (Phase.DONE, Phase.FAILED)
+
+    def step(self, wrench: Floats | None) -> Floats:
+        """Take a wrench and return the next command.
+
+        Args:
+            wrench: (3,) what the slot puts on the card, card's frame, about the middle of the
+                leading edge [N, N, N m]; None or not finite where the sensor gave none.
+
+        Returns:
+            (3,) commanded pose of the card; held where it was once the guide is over, and while
+            the wrench is missing.
+        """
+        config = self.config
+        self._time += config.period
+        if self.over:
+            return self.command.copy()
+        if wrench is None or not np.all(np.isfinite(wrench)):
+            self._lost += config.period
+            if self._lost >= config.lost_time:
+                self._fail("no wrench")
+            return self.command.copy()
+        self._lost = 0.0
+        self._sense(np.asarray(wrench, dtype=float))
+        if self._time > config.timeout:
+            self._fail("out of time")
+            return self.command.copy()
+        self._choose()
+        if not self.over:
+            self._move()
+        return self.command.copy()
+
+    def believed(self) -> Floats:
+        """Return the card's pose as command and deflection of the hand tell, (3,)."""
+        pose = self.command.copy()
+        pose[:2] += turn(pose[2]) @ self._wrench[:2] / self.config.stiffness
+        return pose
+
+    def _sense(self, wrench: Floats) -> None:
+        self._recent = [*self._recent[1 - _MEDIAN :], wrench]
+        middle = np.median(self._recent, axis=0)
+        share = self.config.period / (self.config.period + self.config.filter_time)
+        self._wrench += share * (middle - self._wrench)
+        self._load = math.hypot(middle[0], middle[1])
+
+    def _choose(self) -> None:
+        """Pick the phase of this step."""
+        config, depth = self.config, float(self.believed()[1])
+        if self.phase is Phase.RETREAT:
+            if self.command[1] <= self._goal_back:
+                self.phase = Phase.APPROACH
+                self._deepest, self._since = depth, self._time
+            return
+        if depth >= config.depth:
+            self.phase = Phase.DONE
+            return
+        if depth > self._deepest + config.progress:
+            self._deepest, self._since = depth, self._time
+        force_x, force_y = self._wrench[:2]
+        outside = depth < config.card_width / 2.0 * math.sin(config.steepest) + 1e-3
+        ahead = -force_y > max(config.deadband, abs(force_x))
+        if self._load > config.force_limit:
+            self._draw_back("force")
+        elif self.phase is not Phase.SLIDE and self._time - self._since > config.jam_time:
+            self._draw_back("jam")
+        elif outside and ahead:
+            self.phase = Phase.SLIDE
+            self._since = self._time
+        else:
+            self.phase = Phase.APPROACH if outside else Phase.INSERT
+
+    def _draw_back(self, reason: str) -> None:
+        """Begin again from behind, if that is still allowed."""
+        self.tries += 1
+        if self.tries > self.config.retries:
+            self._fail(reason)
+            return
+        self.phase, self.reason = Phase.RETREAT, reason
+        self._goal_back = min(float(self.command[1]), self._deepest) - self.config.retreat
+        # The next try begins a little further where the last one slid to.
+        self.command[0] += math.copysign(1e-3, self._slid) if self._slid else 0.0
+
+    def _fail(self, reason: str) -> None:
+        self.phase, self.reason = Phase.FAILED, reason
+
+    def _move(self) -> None:
+        """Add this step's motion to the command."""
+        config = self.config
+        across, ahead, rate = 0.0, 0.0, 0.0
+        if self.phase is Phase.RETREAT:
+            ahead = -config.speed
+        elif self.phase is Phase.SLIDE:
+            across, ahead = self._slide()
+        else:
+            across, rate = self._give_way()
+            load = math.hypot(self._wrench[0], self._wrench[1])
+            free = 1.0 - max(load - config.deadband, 0.0) / config.slow_force
+            ahead = config.speed * max(free, 0.0)
+        step = turn(self.command[2]) @ [across, ahead]
+        self.command += config.period * np.array([step[0], step[1], rate])
+        moved = self.command - self._start
+        if abs(moved[0]) > config.reach or abs(moved[2]) > config.turn_reach:
+            self.command[[0, 2]] -= config.period * np.array([step[0], rate])
+            self._fail("out of reach")
+
+    def _slide(self) -> tuple[float, float]:
+        """Return speeds across and ahead that keep the push and leave the face."""
+        config = self.config
+        _, force_y, moment = self._wrench
+        place = moment / force_y
+        self._slid = -math.copysign(1.0, place)
+        held = (config.push + force_y) * config.give
+        return self._slid * config.slide_speed, held
+
+    def _give_way(self) -> tuple[float, float]:
+        """Return speed across and turning rate away from what presses on the sides."""
+        config = self.config
+        force_x, _, moment = self._wrench
+        across = config.give * _beyond(force_x, config.deadband)
+        depth = max(float(self.believed()[1]), 0.0)
+        # Sliding in, each side's friction is mu N backward, half a width from the middle; both
+        # together turn by mu f_x times that. What is left is the normal forces' own moment.
+        normal = moment - config.friction * config.card_width / 2.0 * force_x
+        about = normal - depth / 2.0 * force_x
+        rate = config.give_turn * _beyond(about, config.moment_deadband)
+        return across, min(max(rate, -config.turn_rate), config.turn_rate)
+
+
+class StraightInsertion:
+    """Insertion without guidance: straight ahead, and stop at the same limit of force."""
+
+    def __init__(self, config: GuideConfig, start: Floats) -> None:
+        """Begin as `InsertionGuide`."""
+        self.config, self.phase = config, Phase.APPROACH
+        self.reason, self.tries = "", 0
+        self.command = np.array(start, dtype=float)
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended, in DONE or FAILED."""
+        return self.phase in (Phase.DONE, Phase.FAILED)
+
+    def step(self, wrench: Floats | None) -> Floats:
+        """Take a wrench and return the next command, as `InsertionGuide.step`."""
+        if self.over:
+            return self.command.copy()
+        if wrench is None or not np.all(np.isfinite(wrench)):
+            self.phase, self.reason = Phase.FAILED, "no wrench"
+        elif math.hypot(wrench[0], wrench[1]) > self.config.force_limit:
+            self.phase, self.reason = Phase.FAILED, "force"
+        elif self.command[1] >= self.config.depth + self.config.push / self.config.stiffness:
+            self.phase = Phase.DONE
+        else:
+            way = self.config.speed * self.config.period
+            self.command[:2] += turn(self.command[2]) @ [0.0, way]
+        return self.command.copy()
+
+
+def _beyond(value: float, deadband: float) -> float:
+    """Return what of a value lies beyond a deadband around zero."""
+    return math.copysign(max(abs(value) - deadband, 0.0), value)
