@@ -1,0 +1,1 @@
+"""The arm and its yielding base in motion (Thesis appendix A)."""

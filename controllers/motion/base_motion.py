@@ -1,0 +1,101 @@
+"""How the base moves, as its gyro, accelerometer and inclinometer have it.
+
+What is fed forward of it (thesis eq. A-4) shakes the base in turn, a servo tick later: as measured
+it is a delayed positive feedback, which grows on a base stiffer than soft. A first-order lag breaks
+that loop; the longer it is, the less of a soft base's swing it still follows.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.motion.chain import LEVEL, FrameState, at_rest
+from twin.robot import Observation
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class BaseFilterConfig:
+    """How measured base motion becomes what is fed forward.
+
+    Attributes:
+        lag: Time constant of the first-order lag [s]; 0 for none.
+        period: Servo tick [s].
+    """
+
+    lag: float = 0.015
+    period: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse times that are none.
+
+        Raises:
+            ValueError: Naming the time and what is valid.
+        """
+        if not (math.isfinite(self.lag) and self.lag >= 0.0):
+            raise ValueError(f"base filter lag: {self.lag}, needs 0 or a positive time [s]")
+        if not (math.isfinite(self.period) and self.period > 0.0):
+            raise ValueError(f"base filter period: {self.period}, needs a positive time [s]")
+
+
+class BaseMotionFilter:
+    """Turns observations into the base's motion, lagged."""
+
+    def __init__(self, config: BaseFilterConfig) -> None:
+        """Prepare.
+
+        Args:
+            config: Lag and tick.
+        """
+        self._config = config
+        self._keep = math.exp(-config.period / config.lag) if config.lag > 0.0 else 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all samples."""
+        self._gyro: FloatArray | None = None
+        self._shaped = np.zeros(6)
+
+    def update(self, observation: Observation) -> FrameState | None:
+        """Take a tick's samples.
+
+        Gravity comes from the inclinometer at once, and what the accelerometer reads beyond it
+        through the lag, so that a slow tilt is never counted twice nor late.
+
+        Args:
+            observation: With accelerometer and gyro usable; else all is forgotten.
+
+        Returns:
+            The base's motion at the accelerometer, in the body frame; None without sensors or
+            before two samples.
+        """
+        if not (observation.accelerometer.usable and observation.gyro.usable):
+            self.reset()
+            return None
+        gyro = np.asarray(observation.gyro.value, dtype=float)
+        before, self._gyro = self._gyro, gyro
+        if before is None:
+            return None
+        rest = level_of(observation).specific_force
+        force = np.asarray(observation.accelerometer.value, dtype=float)
+        measured = np.concatenate([force - rest, (gyro - before) / self._config.period])
+        self._shaped = self._keep * self._shaped + (1.0 - self._keep) * measured
+        return FrameState(rest + self._shaped[:3], gyro, self._shaped[3:])
+
+
+def level_of(observation: Observation) -> FrameState:
+    """Return the base at rest as the inclinometer has it; level without one.
+
+    Args:
+        observation: Of the robot.
+    """
+    if not observation.inclinometer.usable:
+        return LEVEL
+    pitch, roll = (float(angle) for angle in observation.inclinometer.value)
+    # World's up seen from the body, R = Rz(yaw) Rx(pitch) Ry(roll).
+    return at_rest([-np.sin(roll) * np.cos(pitch), np.sin(pitch), np.cos(roll) * np.cos(pitch)])

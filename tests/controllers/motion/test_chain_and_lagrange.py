@@ -1,0 +1,86 @@
+"""Dynamics of the chain and of the nine coordinates against independent models."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from controllers.identification.serial_arm import (
+    BaseMotion,
+    JointMotion,
+    RigidBody,
+    arm_wrench,
+    frame_motions,
+)
+from controllers.motion.chain import Chain, FrameState, Joint
+from controllers.motion.lagrange import controllability_rank, observability_rank
+from experiments.appa_control import ranks
+from experiments.appa_control_plant import PLAIN, model_errors, planar_plant
+from experiments.known_arm import known_arm
+from models.compose import RobotPlacement, make_model
+
+NOTHING = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return known_arm(make_model(PLAIN, [RobotPlacement("rover1")]))
+
+
+@pytest.fixture(scope="module")
+def plant():
+    return planar_plant()
+
+
+def test_mass_matrix_bias_and_efforts_are_mujocos_at_random_states(plant):
+    errors = model_errors(plant, 100, np.random.default_rng(1))
+    assert errors.shape == (100, 3)
+    assert errors.max() < 1e-12
+
+
+def test_wrench_at_the_base_is_that_of_the_vectorised_newton_euler(arm):
+    rng = np.random.default_rng(0)
+    q, rates, accelerations = rng.normal(size=(3, 4))
+    force, omega, alpha = rng.normal(size=(3, 3))
+    wrench = Chain.of_arm(arm).inverse_dynamics(
+        q, rates, accelerations, FrameState(force, omega, alpha)
+    )[1]
+    bare = dataclasses.replace(arm, base=NOTHING)
+    frames = frame_motions(
+        bare,
+        JointMotion(q[None], rates[None], accelerations[None]),
+        BaseMotion(force[None], omega[None], alpha[None]),
+    )
+    np.testing.assert_allclose(wrench, arm_wrench(bare, frames)[0], atol=1e-12)
+
+
+def test_tip_wrench_enters_by_the_jacobian_transposed(plant):
+    """A force along the base's slide is felt there in full, whatever the arm's pose."""
+    q, still = np.zeros(9), np.zeros(9)
+    push = np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0])
+    felt = plant.coordinates.efforts(q, still, still, push) - plant.coordinates.bias(q, still)
+    np.testing.assert_allclose(felt[[0, 1, 4]], [2.0, 0.0, 2.0], atol=1e-12)
+
+
+def test_twelve_states_are_controllable_and_observable_with_springs_by_the_arm_alone(plant):
+    found = ranks(plant)
+    assert found["controllability/printed"] == found["observability/printed"] == 12
+    assert found["controllability/arm_motors_only"] == 12
+    assert found["observability/arm_angles_only"] == 12
+    assert found["controllability/arm_motors_only_no_springs"] == 6
+
+
+def test_ranks_are_those_of_a_known_system():
+    a = np.array([[0.0, 1.0, 0.0], [-4.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    assert controllability_rank(a, np.array([[0.0], [1.0], [0.0]])) == 2
+    assert observability_rank(a, np.array([[1.0, 0.0, 1.0]])) == 3
+
+
+def test_bad_chains_and_states_are_refused(arm):
+    bent = Joint(NOTHING, np.zeros(3), np.eye(3), np.array([0.0, 0.0, 2.0]))
+    with pytest.raises(ValueError, match="axis of joint 0"):
+        Chain([bent])
+    with pytest.raises(ValueError, match="without joints"):
+        Chain([])
+    with pytest.raises(ValueError, match="joint positions"):
+        Chain.of_arm(arm).mass_matrix([0.0, np.nan, 0.0, 0.0])
