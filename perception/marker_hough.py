@@ -1,0 +1,302 @@
+"""The thesis' marker detector, step by step (section 5.3, eqs. 5-5 to 5-9).
+
+Equalise, threshold, Laplacian, low pass, threshold, tracking Hough transform, region growing. Where
+the printed steps fail they are mended: the first threshold comes from the area that the markers
+must have at their range; the Laplacian keeps its sign about mid-grey, so that the histogram has its
+peak there; the markers are made black first, so that the rim's points lie around a marker and even
+one of four pixels keeps a ring; the two bisectors of 5-7 are solved without the slopes of 5-8,
+which divide by zero; and the circle test takes place in square pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.marker_ellipses import (
+    ImageArray,
+    MarkerExpectation,
+    Markers,
+    check_image,
+    keep_plausible,
+    measure_region,
+)
+from perception.stereo_geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+
+MID_GREY = 128
+BELOW_PEAK = 5
+"""The second threshold, in grey levels below the histogram's peak (section 5.3)."""
+LEAST_TURN = math.pi / 6.0
+"""Between the bisectors of two chords, d-theta of section 5.3 [rad]."""
+LEAST_COVERAGE = 0.35
+"""Part of a circumference that must be found (section 5.3)."""
+RING = 1.5
+"""The rim's points lie so far outside a marker [px]: the low pass cancels those at the rim."""
+_SURPLUS = 1.5  # Bright pixels that are let through, over those of all markers at their nearest.
+_BINS = 16  # Of a circumference.
+_UNALIKE = 0.35  # Largest logarithm of a region's area over that of its ellipse.
+
+
+def equalise(image: ImageArray) -> FloatArray:
+    """Return (H, W) parts of all pixels that are no brighter: histogram equalisation to 0..1.
+
+    Eight bits would merge the brightest half per cent of an image, the markers, into one level.
+    """
+    return _levels(image)[image]
+
+
+def threshold_level(
+    image: ImageArray, geometry: StereoGeometry, expected: MarkerExpectation
+) -> int:
+    """Return the least grey level of what may be a marker.
+
+    The threshold on the equalised image is the part of it that is not marker: the markers' number,
+    size and range give their area, of which one and a half times is let through.
+    """
+    area = math.pi * expected.radii(geometry)[1] ** 2 * geometry.fx / geometry.fy
+    part = min(_SURPLUS * expected.count * area / image.size, 1.0)
+    below = _levels(image)
+    # The equalised value of a level is the part up to and with it; brighter ones are kept.
+    return int(np.searchsorted(below, 1.0 - part)) + 1
+
+
+def black_markers(image: ImageArray, level: int) -> ImageArray:
+    """Return (H, W) 0 where the image is at least as bright as a level, else 255."""
+    return np.asarray(cv2.threshold(image, level - 1, 255, cv2.THRESH_BINARY_INV)[1], np.uint8)
+
+
+def signed_laplacian(image: ImageArray) -> ImageArray:
+    """Return (H, W), a quarter of the Laplacian (eqs. 5-5 and 5-6) about mid-grey, 8 bits."""
+    second = cv2.Laplacian(image, cv2.CV_16S, ksize=1, borderType=cv2.BORDER_REPLICATE)
+    # An eighth would lose nothing, but leave gaps in a rim that is cut at five below the peak.
+    shown = cv2.addWeighted(second, 0.25, second, 0.0, MID_GREY, dtype=cv2.CV_8U)
+    return np.asarray(shown, dtype=np.uint8)
+
+
+def low_pass(image: ImageArray) -> ImageArray:
+    """Return (H, W), the mean over 3 x 3 pixels."""
+    return np.asarray(cv2.blur(image, (3, 3), borderType=cv2.BORDER_REPLICATE), np.uint8)
+
+
+def rim_points(image: ImageArray) -> NDArray[np.bool_]:
+    """Return (H, W), where the filtered image is darker than its histogram's peak less five."""
+    histogram = cv2.calcHist([image], [0], None, [256], [0, 256])
+    return image < int(np.argmax(histogram)) - BELOW_PEAK
+
+
+def reduce_image(
+    image: ImageArray, geometry: StereoGeometry, expected: MarkerExpectation
+) -> NDArray[np.bool_]:
+    """Return (H, W), the points that may lie about markers: the first five steps (figure 5-8)."""
+    level = threshold_level(image, geometry, expected)
+    return rim_points(low_pass(signed_laplacian(black_markers(image, level))))
+
+
+def hough_circles(
+    rims: NDArray[np.bool_],
+    geometry: StereoGeometry,
+    expected: MarkerExpectation,
+    rng: np.random.Generator | None = None,
+) -> FloatArray:
+    """Return circles by the tracking Hough transform (eqs. 5-7 to 5-9).
+
+    Args:
+        rims: (H, W), the points.
+        geometry: Of the camera: makes the pixels square.
+        expected: Sizes of the markers.
+        rng: Draws the points; if None the same ones each time.
+
+    Returns:
+        (N, 4) column, row [px], radius [px of the rows], part of the circumference found.
+    """
+    smallest, largest = expected.radii(geometry)
+    rows, columns = np.nonzero(rims)
+    draw = rng or np.random.default_rng(0)
+    order = draw.permutation(len(rows))
+    # A slanted marker's rim is flatter and sharper than its circle.
+    least = 0.45 * (smallest + RING)
+    return _track(
+        columns[order].astype(np.int32),
+        rows[order].astype(np.int32),
+        geometry.height,
+        geometry.width,
+        geometry.fy / geometry.fx,
+        least,
+        1.6 * (largest + RING),
+        2.2 * (largest + RING),
+        int(draw.integers(1, 2**31)),
+    )
+
+
+def detect_hough(
+    image: NDArray[Any],
+    geometry: StereoGeometry,
+    expected: MarkerExpectation,
+    rng: np.random.Generator | None = None,
+) -> Markers:
+    """Find bright markers by the thesis' method.
+
+    Args:
+        image: (H, W) uint8, rectified.
+        geometry: Of the camera.
+        expected: Size, range and number of markers, and the image's noise.
+        rng: Draws points; if None the same ones each time.
+
+    Raises:
+        ValueError: If the image is not grey of 8 bits or not of the geometry's size.
+    """
+    grey = check_image(image, geometry)
+    level = threshold_level(grey, geometry, expected)
+    rims = rim_points(low_pass(signed_laplacian(black_markers(grey, level))))
+    circles = hough_circles(rims, geometry, expected, rng)
+    smallest, largest = expected.radii(geometry)
+    half = math.ceil(1.15 * largest) + 6
+    square = math.pi * geometry.fx / geometry.fy
+    fewest = math.floor(0.5 * square * smallest**2 * math.cos(expected.slant))
+    most = math.ceil(1.3 * square * largest**2) + 4
+    rows: list[FloatArray] = []
+    for column, row, _, coverage in circles:
+        found = np.empty(32)
+        place = round(float(column)), round(float(row))
+        # Whatever is round and dark has a rim as well.
+        bright = grey[max(place[1] - 1, 0) : place[1] + 2, max(place[0] - 1, 0) : place[0] + 2]
+        if coverage <= LEAST_COVERAGE or not bright.size or bright.max() < level:
+            continue
+        if measure_region(
+            grey, *place, half, fewest, most, expected.noise, expected.sampling, found
+        ):
+            if found[31] < _UNALIKE:
+                rows.append(found)
+    return keep_plausible(rows, geometry, expected)
+
+
+def _levels(image: ImageArray) -> FloatArray:
+    """Return (256,) parts of the pixels up to each grey level."""
+    counts = np.asarray(cv2.calcHist([image], [0], None, [256], [0, 256]), dtype=float)
+    return np.cumsum(counts.ravel()) / image.size
+
+
+@numba.njit(cache=True)
+def circle_of_three(
+    u1: float, v1: float, u2: float, v2: float, u3: float, v3: float
+) -> tuple[float, float, float, float]:
+    """Return the circle through three points, and the angle between two chords' bisectors.
+
+    The bisectors' equations (eq. 5-7) are multiplied by the chords' differences, so that points of
+    one row need no special case.
+
+    Returns:
+        Centre x, y, radius (eq. 5-9), angle [rad]; NaN on a line.
+    """
+    ax, ay = u2 - u1, v2 - v1
+    bx, by = u3 - u2, v3 - v2
+    turn = ax * by - ay * bx
+    lengths = math.sqrt((ax * ax + ay * ay) * (bx * bx + by * by))
+    if abs(turn) <= 1e-12 * lengths or lengths == 0.0:
+        return np.nan, np.nan, np.nan, 0.0
+    p = 0.5 * (ax * (u1 + u2) + ay * (v1 + v2))
+    q = 0.5 * (bx * (u2 + u3) + by * (v2 + v3))
+    x, y = (p * by - q * ay) / turn, (q * ax - p * bx) / turn
+    radius = math.hypot(x - u1, y - v1) + math.hypot(x - u2, y - v2) + math.hypot(x - u3, y - v3)
+    angle = math.acos(min(max((ax * bx + ay * by) / lengths, -1.0), 1.0))
+    return x, y, radius / 3.0, angle
+
+
+@numba.njit(cache=True)
+def _chain(first: int, columns: Any, rows: Any, index: Any, free: Any, far: float, stretch: float,
+           mark: Any, members: Any) -> int:  # fmt: skip
+    """Gather the free points that hang together with one, within a distance of it."""
+    height, width = index.shape
+    members[0], used, done = first, 1, 0
+    mark[first] = first
+    while done < used and used < len(members) - 8:
+        c, r = columns[members[done]], rows[members[done]]
+        done += 1
+        # A rim of a few pixels has gaps of one.
+        for y in range(max(r - 2, 0), min(r + 3, height)):
+            for x in range(max(c - 2, 0), min(c + 3, width)):
+                other = index[y, x]
+                if other < 0 or mark[other] == first or not free[other]:
+                    continue
+                away = math.hypot((x - columns[first]) * stretch, y - rows[first])
+                if away < far:
+                    mark[other] = first
+                    members[used] = other
+                    used += 1
+    return used
+
+
+@numba.njit(cache=True)
+def _track(columns: Any, rows: Any, height: int, width: int, stretch: float, least: float,
+           most: float, far: float, seed: int) -> Any:  # fmt: skip
+    """Fit circles to three points of a chain at a time, and track those that agree."""
+    count = len(columns)
+    index = np.full((height, width), -1, np.int32)
+    for k in range(count):
+        index[rows[k], columns[k]] = k
+    free = np.ones(count, np.bool_)
+    mark, owner = np.full(count, -1, np.int32), np.full(count, -1, np.int32)
+    # Half a rim is enough to draw from.
+    members = np.empty(16 + int(1.2 * far), np.int32)
+    circles = np.zeros((512, 4))
+    found, state = 0, seed
+    for first in range(count):
+        if not free[first]:
+            continue
+        used = _chain(first, columns, rows, index, free, far, stretch, mark, members)
+        for _ in range(8 if used >= 5 else 0):
+            state = (state * 1103515245 + 12345) % 2147483648
+            second = members[(state >> 8) % used]
+            state = (state * 1103515245 + 12345) % 2147483648
+            third = members[(state >> 8) % used]
+            if second == first or third == first or third == second:
+                continue
+            x1, x2 = columns[first] * stretch, columns[second] * stretch
+            x3 = columns[third] * stretch
+            y1, y2, y3 = float(rows[first]), float(rows[second]), float(rows[third])
+            chords = math.hypot(x2 - x1, y2 - y1), math.hypot(x3 - x2, y3 - y2)
+            # Pixels side by side say nothing about a curve.
+            if max(chords) >= far or min(chords) < least:
+                continue
+            x, y, radius, angle = circle_of_three(x1, y1, x2, y2, x3, y3)
+            turned = LEAST_TURN < angle < math.pi - LEAST_TURN
+            if not turned or not least <= radius <= most:
+                continue
+            match = -1
+            for i in range(found):
+                if math.hypot(circles[i, 0] - x, circles[i, 1] - y) < 0.5 * min(
+                    radius, circles[i, 2]
+                ):
+                    match = i
+                    break
+            if match < 0:
+                if found == len(circles):
+                    break
+                match = found
+                found += 1
+            weight = circles[match, 3]
+            circles[match, 0] = (weight * circles[match, 0] + x) / (weight + 1.0)
+            circles[match, 1] = (weight * circles[match, 1] + y) / (weight + 1.0)
+            circles[match, 2] = (weight * circles[match, 2] + radius) / (weight + 1.0)
+            circles[match, 3] = weight + 1.0
+            free[first], free[second], free[third] = False, False, False
+            owner[first], owner[second], owner[third] = match, match, match
+            break
+        free[first] = False
+    covered = np.zeros((found, _BINS), np.bool_)
+    for k in range(count):
+        i = owner[k]
+        if i >= 0:
+            angle = math.atan2(rows[k] - circles[i, 1], columns[k] * stretch - circles[i, 0])
+            covered[i, int((angle / (2.0 * math.pi) + 0.5) * _BINS) % _BINS] = True
+    for i in range(found):
+        circles[i, 0] /= stretch
+        circles[i, 3] = np.sum(covered[i]) / _BINS
+    return circles[:found]

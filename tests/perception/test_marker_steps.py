@@ -1,0 +1,81 @@
+"""Each step of the thesis' detector does what its formula says."""
+
+import cv2
+import numpy as np
+import pytest
+
+from perception.marker_ellipses import MarkerExpectation, project_discs
+from perception.marker_hough import (
+    circle_of_three,
+    equalise,
+    hough_circles,
+    low_pass,
+    reduce_image,
+    signed_laplacian,
+    threshold_level,
+)
+from tests.perception.marker_pictures import HEAD, RADIUS, picture
+
+EXPECTED = MarkerExpectation(0.45, 0.55, count=2)
+DISCS = np.array([[-0.05, 0.03, 0.5], [0.06, -0.02, 0.5]])
+
+
+def two_markers():
+    ellipses = project_discs(DISCS, [0, 0, -1], RADIUS, HEAD)
+    return picture(ellipses, np.random.default_rng(0)), ellipses
+
+
+def test_equalised_image_is_evenly_distributed():
+    ramp = np.tile(np.arange(256, dtype=np.uint8) ** 2 // 255, (8, 1))
+    even = equalise(ramp)
+    assert even.max() == 1.0
+    assert all(np.mean(even <= part) == pytest.approx(part) for part in np.unique(even))
+
+
+def test_threshold_lets_the_markers_area_through():
+    image, ellipses = two_markers()
+    bright = (image >= threshold_level(image, HEAD, EXPECTED)).sum()
+    area = np.pi * np.sqrt(ellipses[:, 2] * ellipses[:, 4]).sum()
+    assert area < bright < 2.5 * area
+
+
+def test_laplacian_is_the_thesis_mask_about_mid_grey():
+    dot = np.zeros((5, 5), np.uint8)
+    dot[2, 2] = 100
+    mask = (signed_laplacian(dot).astype(int) - 128)[1:4, 1:4] / 25
+    assert mask.tolist() == [[0, 1, 0], [1, -4, 1], [0, 1, 0]]
+    assert low_pass(dot)[1:4, 1:4].tolist() == [[11] * 3] * 3
+
+
+def test_circle_of_three_points_is_theirs_in_every_position():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        x, y, r = rng.uniform(-9, 9), rng.uniform(-9, 9), rng.uniform(1, 9)
+        a = rng.uniform(0, 2 * np.pi, 3)
+        points = np.column_stack([x + r * np.cos(a), y + r * np.sin(a)])
+        assert circle_of_three(*points.ravel())[:3] == pytest.approx((x, y, r), rel=1e-5, abs=1e-4)
+    # Two points in a row, where the slopes of eq. 5-8 divide by zero.
+    assert circle_of_three(0, 0, 2, 0, 2, 2) == pytest.approx((1, 1, np.sqrt(2), np.pi / 2))
+    assert np.isnan(circle_of_three(0, 0, 1, 1, 2, 2)[0])
+
+
+def test_tracking_hough_transform_finds_the_rings_about_the_markers():
+    image, ellipses = two_markers()
+    circles = hough_circles(reduce_image(image, HEAD, EXPECTED), HEAD, EXPECTED)
+    for ellipse in ellipses:
+        near = circles[np.argmin(np.hypot(*(circles[:, :2] - ellipse[:2]).T))]
+        assert np.hypot(*(near[:2] - ellipse[:2])) < 1.5 and near[3] > 0.6
+        assert near[2] == pytest.approx(np.sqrt(ellipse[4]) + 1.5, abs=0.8)
+
+
+def test_rings_drawn_by_opencv_are_found_in_square_pixels():
+    square = type(HEAD)(200, 200, 800.0, 800.0, 99.5, 99.5, 0.038)
+    rims = np.zeros((200, 200), np.uint8)
+    truth = np.array([[50, 60], [140, 90], [90, 150]])
+    for centre in truth:
+        cv2.circle(rims, tuple(int(c) for c in centre), 7, 1)
+    circles = hough_circles(rims > 0, square, MarkerExpectation(0.4, 0.6))
+    full = circles[circles[:, 3] > 0.6]
+    assert len(full) == 3
+    for centre in truth:
+        assert np.hypot(*(full[:, :2] - centre).T).min() < 0.5
