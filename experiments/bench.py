@@ -9,6 +9,7 @@ from experiments import contract
 from experiments.bench_identification import bench_identification
 from experiments.bench_loop import bench_loop
 from experiments.bench_mapping import bench_mapping
+from experiments.bench_markers import bench_markers
 from experiments.bench_placement import bench_placement
 from experiments.contract import OptionError
 from experiments.output import Output
@@ -18,6 +19,7 @@ BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "identification": bench_identification,
     "mapping": bench_mapping,
     "placement": bench_placement,
+    "markers": bench_markers,
 }
 
 

@@ -66,6 +66,24 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch4_stereo",
     ),
     Experiment(
+        name="ch5-contact",
+        summary="a card is inserted by what the hand feels, and contact states are told apart",
+        thesis="figures A-5 to A-7, section 5.4 (forces)",
+        module="experiments.ch5_contact",
+    ),
+    Experiment(
+        name="appa-control",
+        summary="the arm's control laws on soft, middle and stiff bases that are pushed",
+        thesis="figure A-1, equations A-1 to A-4",
+        module="experiments.appa_control",
+    ),
+    Experiment(
+        name="appa-tipover",
+        summary="arm motions that would tip the rover are slowed or cut short",
+        thesis="figure A-4, equation A-5",
+        module="experiments.appa_tipover",
+    ),
+    Experiment(
         name="appd-calibration",
         summary="the inclinometers are calibrated by weighing on a tilting table",
         thesis="Table D-1",

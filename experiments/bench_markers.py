@@ -1,0 +1,351 @@
+"""Both marker detectors beside OpenCV's circles, and the poses that come out, on rendered pairs."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from experiments.contract import Options
+from experiments.intervals import distribution
+from experiments.mapping_scene import head_geometry
+from experiments.output import Output
+from experiments.timing import compare
+from models.card_and_slot.build import PAINT, add_card, add_slot
+from models.compose import FieldConfig, build_scene, compile_scene, load_part
+from models.datasheets import CARD_AND_SLOT
+from perception.marker_ellipses import MarkerExpectation, project_discs
+from perception.marker_poses import BodyCad, PosePrior
+from perception.markers import DETECTORS, MarkerPairs, match_bodies, triangulate
+from twin.camera import StereoConfig, StereoRig, camera_pose
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+
+RANGES = (0.35, 0.5, 0.7, 0.9, 1.1)
+"""From the cameras to the middle of the markers [m]."""
+QUICK_RANGES = (0.35, 0.5, 1.1)
+SLANTS = (0.0, 20.0, 40.0, 60.0)
+"""Between the markers' normal and the line of sight [deg]."""
+VIEWS, QUICK_VIEWS = 12, 2
+"""Pairs of each range and slant."""
+TABLE_HEIGHT = 0.4  # Of card and slot over the ground [m].
+HEAD_ON = (0.5, 0.0)
+RANGE_KNOWN = 0.2
+"""How well the range is known before, as a part of it: map and dead reckoning are better."""
+TILT_SIGMA = math.radians(2.0)
+"""Deviation of the faces' normal where a prior is used: tilt sensor and the planar task."""
+_FAR = 3.0  # Farther off, a detection is another thing [px].
+
+
+@dataclasses.dataclass(frozen=True)
+class MarkerView:
+    """A pair with its truth.
+
+    Attributes:
+        pair: (2, H, W) uint8.
+        bodies: Card and slot to the left camera.
+        ellipses: (2, 4, 5) of the card's, then the slot's markers, as they truly are.
+        distance: Of the view [m].
+        slant: Of the view [deg].
+    """
+
+    pair: ImageArray
+    bodies: tuple[RigidTransform, RigidTransform]
+    ellipses: FloatArray
+    distance: float
+    slant: float
+
+
+def marker_cads(width: float) -> tuple[BodyCad, BodyCad]:
+    """Return the CAD of the card and of a slot.
+
+    Args:
+        width: Of the slot [m].
+    """
+    sheet = CARD_AND_SLOT
+    card = [[x, y, sheet.card_thickness / 2.0 + PAINT] for x, y in sheet.card_markers]
+    outward, inward = sheet.slot_marker_inset
+    top = sheet.wall_height / 2.0 + PAINT
+    slot = [[side * (width / 2.0 + outward), inward, top] for side in (-1.0, 1.0)]
+    return BodyCad(np.array(card)), BodyCad(np.array(slot))
+
+
+def expectation(distance: float) -> MarkerExpectation:
+    """Return what is expected of a view whose range is known to a fifth."""
+    return MarkerExpectation(distance * (1.0 - RANGE_KNOWN), distance * (1.0 + RANGE_KNOWN))
+
+
+class MarkerScene:
+    """Card and slot over textured ground with rocks, before a free stereo head."""
+
+    def __init__(self, rng: np.random.Generator, noise_db: float | None = 46.0) -> None:
+        """Build.
+
+        Args:
+            rng: Of the views and of the noise.
+            noise_db: Of the images.
+        """
+        self.width = CARD_AND_SLOT.slot_widths[1]
+        self.geometry = head_geometry()
+        self.cads = marker_cads(self.width)
+        self._rng = rng
+        seed = int(rng.integers(2**31))
+        scene = build_scene(FieldConfig(size=(3.0, 3.0), rocks=150, blocks=10, seed=seed), ())
+        stands = [
+            scene.worldbody.add_body(name=f"{name}_stand", mocap=True) for name in ("card", "slot")
+        ]
+        add_card(stands[0])
+        add_slot(stands[1], self.width)
+        head = load_part("stereo_head")
+        for geom in list(head.geoms):
+            head.delete(geom)
+        rig = scene.worldbody.add_body(name="rig", mocap=True)
+        scene.attach(head, frame=rig.add_frame(), prefix="rig/")
+        self._model = compile_scene(scene)
+        self._model.vis.quality.numslices = 96
+        self._data = mujoco.MjData(self._model)
+        self._rig = StereoRig(self._model, "rig/", StereoConfig(noise_db=noise_db), rng)
+
+    def view(self, distance: float, slant: float) -> MarkerView:
+        """Draw a pair.
+
+        Args:
+            distance: From the cameras to the middle of card and slot [m].
+            slant: Of their faces [deg].
+        """
+        rng = self._rng
+        level = [0.0, 0.0, TABLE_HEIGHT]
+        turn = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3))
+        slot = RigidTransform.from_components(level, turn)
+        gap = [rng.uniform(-0.01, 0.01), rng.uniform(-0.03, -0.005), rng.uniform(-0.004, 0.004)]
+        bend = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3))
+        card = slot * RigidTransform.from_components(gap, bend)
+        around, lean = rng.uniform(-1.0, 1.0) - math.pi / 2.0, math.radians(slant) + 1e-3
+        away = [math.sin(lean) * math.cos(around), math.sin(lean) * math.sin(around)]
+        middle = slot.apply([0.0, 0.0, CARD_AND_SLOT.wall_height / 2.0])
+        eye = middle + distance * turn.apply([*away, math.cos(lean)])
+        ahead = middle + rng.uniform(-0.02, 0.02, 3) * distance - eye
+        roll = rng.uniform(-0.4, 0.4)
+        upward = turn.apply([math.sin(roll), math.cos(roll), 0.0])
+        right = np.cross(ahead, upward) / np.linalg.norm(np.cross(ahead, upward))
+        ahead /= np.linalg.norm(ahead)
+        axes = np.column_stack([right, np.cross(ahead, right), ahead])
+        camera = RigidTransform.from_components(eye, Rotation.from_matrix(axes))
+        for name, pose in (("slot_stand", slot), ("card_stand", card)):
+            self._put(name, pose)
+        mount = self._model.camera("rig/stereo_left")
+        self._put("rig", camera * RigidTransform.from_translation(mount.pos * [-1, 1, 1]))
+        mujoco.mj_forward(self._model, self._data)
+        return self._seen(distance, slant)
+
+    def _put(self, name: str, pose: RigidTransform) -> None:
+        if name == "rig":
+            # The camera looks along the head's y, its rows run along -z.
+            flip = Rotation.from_matrix([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+            pose = pose * RigidTransform.from_rotation(flip)
+        index = self._model.body(name).mocapid[0]
+        self._data.mocap_pos[index] = pose.translation
+        self._data.mocap_quat[index] = pose.rotation.as_quat(scalar_first=True)
+
+    def _seen(self, distance: float, slant: float) -> MarkerView:
+        rotation, place = camera_pose(self._data, self._model.camera("rig/stereo_left").id)
+        back = RigidTransform.from_components(place, Rotation.from_matrix(rotation)).inv()
+        bodies, discs, normals = [], [], []
+        for name, cad in zip(("card", "slot"), self.cads, strict=True):
+            body = self._data.body(name)
+            turn = Rotation.from_matrix(body.xmat.reshape(3, 3))
+            pose = back * RigidTransform.from_components(body.xpos, turn)
+            bodies.append(pose)
+            discs.append(pose.apply(cad.points))
+            normals.append(np.tile(pose.rotation.apply(cad.normal), (len(cad.points), 1)))
+        centres = np.concatenate(discs)
+        eyes = np.stack([centres, centres - [self.geometry.baseline, 0.0, 0.0]])
+        radius = CARD_AND_SLOT.marker_diameter / 2.0
+        ellipses = project_discs(eyes, np.concatenate(normals)[None], radius, self.geometry)
+        pair = self._rig.capture(self._data)
+        return MarkerView(pair, (bodies[0], bodies[1]), ellipses, distance, slant)
+
+
+def hough_peer(image: ImageArray, view: MarkerView) -> FloatArray:
+    """Return (N, 2) centres [px] by ``cv2.HoughCircles``, on square pixels and with known radii."""
+    geometry = head_geometry()
+    stretch = geometry.fy / geometry.fx
+    size = round(geometry.width * stretch), geometry.height
+    wide = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+    least, most = expectation(view.distance).radii(geometry)
+    circles = cv2.HoughCircles(
+        wide, cv2.HOUGH_GRADIENT, 1.0, 4.0 * least, param1=150.0, param2=8.0,
+        minRadius=max(1, int(0.5 * least)), maxRadius=math.ceil(most) + 1,
+    )  # fmt: skip
+    if circles is None:
+        return np.empty((0, 2))
+    found = np.asarray(circles, dtype=float).reshape(-1, 3)[:, :2]
+    return (found + 0.5) * [geometry.width / size[0], 1.0] - 0.5
+
+
+def centre_errors(centres: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return (M,) distances of the true centres to the nearest found [px], NaN where none is."""
+    if not len(centres):
+        return np.full(len(truth), np.nan)
+    away = np.linalg.norm(truth[:, None, :2] - centres, axis=2).min(axis=1)
+    return np.where(away < _FAR, away, np.nan)
+
+
+def bench_markers(options: Options, output: Output) -> None:
+    """Detect markers in rendered pairs by both detectors and by OpenCV, and find the bodies.
+
+    Args:
+        options: ``quick`` takes fewer views.
+        output: Receives ``marker_error_px/*``, ``marker_ms/*``, ``pose_error_mm/*`` and more.
+    """
+    rng = np.random.default_rng(options.job_seeds(1, 1)[0])
+    scene = MarkerScene(rng)
+    count = QUICK_VIEWS if options.quick else VIEWS
+    views = [
+        scene.view(distance, slant)
+        for distance in (QUICK_RANGES if options.quick else RANGES)
+        for slant in SLANTS
+        for _ in range(count)
+    ]
+    _centres(views, scene, output)
+    _times(views, scene, output)
+    _poses(views, scene, output)
+
+
+def _centres(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+    """Measure how far the centres are off, and how many are missed."""
+    errors: dict[str, list[FloatArray]] = {"tht": [], "blob": [], "cv2_hough": []}
+    extra, nees = {"tht": 0, "blob": 0}, {"tht": [], "blob": []}
+    rows = []
+    for view in views:
+        expected = expectation(view.distance)
+        for image, truth in zip(view.pair, view.ellipses, strict=True):
+            for name, detect in DETECTORS.items():
+                seen = detect(image, scene.geometry, expected, None)
+                away = centre_errors(seen.centres, truth)
+                errors[name].append(away)
+                extra[name] += len(seen) - int(np.isfinite(away).sum())
+                for ellipse in truth[np.isfinite(away)]:
+                    k = np.argmin(np.linalg.norm(seen.centres - ellipse[:2], axis=1))
+                    off = seen.centres[k] - ellipse[:2]
+                    nees[name].append(off @ np.linalg.solve(seen.centre_covariances[k], off) / 2)
+            errors["cv2_hough"].append(centre_errors(hough_peer(image, view), truth))
+        rows.append((view.distance, view.slant, *(np.nanmedian(np.concatenate(e[-2:])) if
+                     np.isfinite(np.concatenate(e[-2:])).any() else np.nan
+                     for e in errors.values())))  # fmt: skip
+    output.table("marker_errors", ("range_m", "slant_deg", "tht_px", "blob_px", "cv2_px"), rows)
+    for name, lists in errors.items():
+        values = np.concatenate(lists)
+        seen = values[np.isfinite(values)]
+        output.measure(f"marker_error_px/{name}", distribution(seen))
+        output.measure(f"marker_found_fraction/{name}", float(np.mean(np.isfinite(values))))
+    for name in DETECTORS:
+        output.measure(f"marker_false_per_image/{name}", extra[name] / (2 * len(views)))
+        output.measure(f"marker_nees/{name}", float(np.mean(nees[name])))
+        median = float(np.nanmedian(np.concatenate(errors[name])))
+        output.check(f"markers, centroid error, {name} [px]", median, "<= 0.1", median <= 0.1)
+    peer = float(np.nanmedian(np.concatenate(errors["cv2_hough"])))
+    ratio = peer / float(np.nanmedian(np.concatenate(errors["tht"])))
+    output.measure("marker_error_ratio/cv2_over_tht", ratio)
+    output.check("markers, cv2.HoughCircles' error over the THT's", ratio, ">= 5", ratio >= 5.0)
+
+
+def _times(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+    """Time both detectors and OpenCV's on the same pairs."""
+    spent: dict[str, list[float]] = {"tht": [], "blob": [], "cv2_hough": []}
+    for view in views:
+        expected = expectation(view.distance)
+
+        def peer(view: MarkerView = view) -> None:
+            for image in view.pair:
+                hough_peer(image, view)
+
+        for name, detect in DETECTORS.items():
+
+            def ours(
+                view: MarkerView = view,
+                detect=detect,
+                expected: MarkerExpectation = expected,
+            ) -> None:
+                for image in view.pair:
+                    detect(image, scene.geometry, expected, None)
+
+            times = compare(ours, peer, 1)
+            spent[name].append(1e3 * times["ours_s"]["median"])
+            spent["cv2_hough"].append(1e3 * times["peer_s"]["median"])
+    for name, values in spent.items():
+        output.measure(f"marker_ms/{name}", distribution(values))
+        median = float(np.median(values))
+        if name in DETECTORS:
+            output.check(f"markers, a pair, {name} [ms]", median, "<= 15", median <= 15.0)
+    ratio = float(np.median(spent["cv2_hough"]) / np.median(spent["tht"]))
+    output.measure("marker_time_ratio/cv2_over_tht", ratio)
+    output.check("markers, cv2.HoughCircles' time over the THT's", ratio, ">= 1", ratio >= 1.0)
+
+
+def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> PosePrior:
+    """Return what a tilt sensor tells: two turns of a body to `TILT_SIGMA`, nothing else."""
+    normal = pose.rotation.apply([0.0, 0.0, 1.0])
+    level = np.eye(3) - np.outer(normal, normal)
+    turned = Rotation.from_rotvec(level @ rng.normal(0.0, TILT_SIGMA, 3))
+    information = np.zeros((6, 6))
+    information[:3, :3] = level / TILT_SIGMA**2
+    # Roughly which way it heads: two markers look the same upside down.
+    information[:3, :3] += np.outer(normal, normal) / math.radians(30.0) ** 2
+    guess = RigidTransform.from_components(pose.translation, turned * pose.rotation)
+    return PosePrior(guess, information)
+
+
+def _poses(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+    """Measure the bodies' poses with and without a prior of the normal."""
+    for detector, detect in DETECTORS.items():
+        pairs = []
+        for view in views:
+            expected = expectation(view.distance)
+            left, right = (detect(image, scene.geometry, expected, None) for image in view.pair)
+            pairs.append(triangulate(left, right, scene.geometry, expected))
+        for known in ("alone", "tilt_known"):
+            _poses_of(views, pairs, scene, f"{detector}/{known}", output)
+
+
+def _poses_of(
+    views: list[MarkerView],
+    pairs: list[MarkerPairs],
+    scene: MarkerScene,
+    key: str,
+    output: Output,
+) -> None:
+    rng = np.random.default_rng(7)
+    places, turns, nees, head_on, found = [], [], [], [], 0
+    for view, seen in zip(views, pairs, strict=True):
+        priors = [
+            normal_prior(body, rng) if key.endswith("known") else None for body in view.bodies
+        ]
+        expected = expectation(view.distance)
+        fits = match_bodies(seen, scene.geometry, scene.cads, expected, priors)
+        for fit, truth, cad in zip(fits, view.bodies, scene.cads, strict=True):
+            if fit is None:
+                continue
+            found += 1
+            xi = (truth * fit.transform_body_to_camera.inv()).as_exp_coords()
+            nees.append(float(xi @ np.linalg.solve(fit.covariance, xi)) / 6.0)
+            middle = cad.points.mean(axis=0)
+            off = fit.transform_body_to_camera.apply(middle) - truth.apply(middle)
+            places.append(1e3 * float(np.linalg.norm(off)))
+            turns.append(math.degrees(float(np.linalg.norm(xi[:3]))))
+            if (view.distance, view.slant) == HEAD_ON:
+                head_on.append(places[-1])
+    output.measure(f"pose_found_fraction/{key}", found / (2 * len(views)))
+    output.measure(f"pose_error_mm/{key}", distribution(places))
+    output.measure(f"pose_turn_deg/{key}", distribution(turns))
+    output.measure(f"pose_nees/{key}", distribution(nees))
+    output.measure(f"pose_error_mm/head_on_0.5m/{key}", distribution(head_on))
+    median = float(np.median(head_on)) if head_on else math.nan
+    text = f"markers, head-on pose at 0.5 m, {key} [mm]"
+    output.check(text, median, "<= 0.2", median <= 0.2)
