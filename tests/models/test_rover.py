@@ -297,7 +297,7 @@ def test_skid_steering_turns_at_half_to_two_thirds_of_the_kinematic_rate(
     difference = mean[[1, 3]].mean() - mean[[0, 2]].mean()
     kinematic = difference * ROVER.wheel_radius / (2.0 * ROVER.half_track)
     ratio = float(np.mean(rates)) / kinematic
-    record_property("turn_rate_over_kinematic", ratio)
+    record_property("turn_rate_over_kinematic", float(ratio))
     assert kinematic > 0.0
     assert 0.5 < ratio < 0.67
 
