@@ -103,7 +103,8 @@ def run(options: Options, output: Output) -> None:
     _measure_stops(trials, output)
     _measure_calls(calls, trials, output)
     _measure_pace(pace, PACE[options.quick], output)
-    _measure_bare_pace(bare, pace, output)
+    if pace["exchanges"]:
+        _measure_bare_pace(bare, pace, output)
     for name, result in zip(LINES, compared):
         _measure_identity(name, result, CYCLES[options.quick], output)
     _measure_amplifier(output)
@@ -175,8 +176,6 @@ def _measure_pace(result: Mapping[str, Any], duration: float, output: Output) ->
     # A robot that stopped has missed all that it did not do.
     missed = min(wanted, result["misses"] + wanted - result["steps"]) / wanted
     output.measure("miss_fraction", missed)
-    output.measure("period_ms", distribution(1e3 * result["periods"]))
-    output.measure("adapter_ms", distribution(1e3 * result["adapter"]))
     if result["said"]:
         output.measure("stopped_after_s", result["steps"] * PERIOD)
     output.check(
@@ -185,7 +184,11 @@ def _measure_pace(result: Mapping[str, Any], duration: float, output: Output) ->
         f"<= {MISS_BOUND}",
         missed <= MISS_BOUND,
     )
-    output.figure("pace", draw_pace(result, PERIOD))
+    # A busy machine can stop the robot before a whole cycle was seen.
+    if result["periods"].size:
+        output.measure("period_ms", distribution(1e3 * result["periods"]))
+        output.measure("adapter_ms", distribution(1e3 * result["adapter"]))
+        output.figure("pace", draw_pace(result, PERIOD))
 
 
 def _measure_bare_pace(bare: Mapping[str, Any], pace: Mapping[str, Any], output: Output) -> None:

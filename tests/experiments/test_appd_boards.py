@@ -147,6 +147,17 @@ def test_robot_that_stopped_has_missed_what_it_did_not_do(tmp_path):
     assert not metrics["checks"][0]["ok"]
 
 
+def test_robot_that_stopped_before_its_first_period_has_missed_all(tmp_path):
+    output = Output("boards", appd_boards.Options(out=tmp_path))
+    result = {"steps": 1, "misses": 0, "said": "stopped"}
+    appd_boards._measure_pace(
+        {**result, "periods": np.empty(0), "adapter": np.full(1, 0.003)}, 5.0, output
+    )
+    measured = output.metrics()["measured"]
+    assert measured["miss_fraction"] == pytest.approx(499 / 500)
+    assert measured["stopped_after_s"] == pytest.approx(0.01) and "period_ms" not in measured
+
+
 def test_experiment_is_in_the_catalogue_and_breaks_no_real_boards():
     assert EXPERIMENTS["appd-boards"].module == "experiments.appd_boards"
     for target in ("sim", "serial:/dev/ttyACM0"):
@@ -178,8 +189,8 @@ def test_quick_run_writes_everything(tmp_path):
     assert measured["wrong_values"] == 0
     assert measured["identical_cycles/clean"] >= 100 <= measured["identical_cycles/faulted"]
     # How fast a busy machine is, is not tested here; that it is told, is.
-    timed = {"worst_call_ms", "miss_fraction", "adapter_ms"}
-    assert timed < set(measured)
+    assert {"worst_call_ms", "miss_fraction"} < set(measured)
+    assert {"adapter_ms", "stopped_after_s"} & set(measured)
     fast = [
         check
         for check in metrics["checks"]
@@ -187,7 +198,10 @@ def test_quick_run_writes_everything(tmp_path):
     ]
     assert len(fast) == 2
     assert all(check["ok"] for check in metrics["checks"] if check not in fast)
-    for name in ("fault_stops", "calls", "pace", "figure_d-3"):
+    drawn = {"fault_stops", "calls", "figure_d-3"} | (
+        {"pace"} if "adapter_ms" in measured else set()
+    )
+    for name in drawn:
         assert (folder / "figures" / f"{name}.png").is_file()
     faults = Path(folder / "tables" / "faults.csv").read_text().splitlines()
     assert len(faults) == 1 + len(KINDS)
