@@ -84,6 +84,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.appa_tipover",
     ),
     Experiment(
+        name="appa-truss",
+        summary="two rovers hold one segment and insert it in a truss stage, master and slave",
+        thesis="figures A-8 to A-12",
+        module="experiments.appa_truss",
+    ),
+    Experiment(
         name="appd-calibration",
         summary="the inclinometers are calibrated by weighing on a tilting table",
         thesis="Table D-1",

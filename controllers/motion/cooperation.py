@@ -1,0 +1,288 @@
+"""Two robots hold one segment: decentralised master-slave hybrid control (Thesis figure A-8).
+
+In the plane two rigid grips take six forces, and the segment moves in three ways: three forces are
+internal. So of the six directions of the two grips three are positions and three are forces. The
+master holds the place of its grip along s and z, the slave that of its own along z; both yield to
+moments, and the slave yields along the segment until it presses with the wanted squeeze. Each
+robot acts on its own sensors. Over the radio go where the segment shall be, to the slave, and what
+the slave's grip puts on it, to the master.
+
+A position is reached by the servo, a force by moving the servo's target in proportion to what is
+missing of it: the suspension, the arm and the grip are the spring (Thesis eq. A-1).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import struct
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controllers.motion.planar_grip import GripSensor, PlanarArm, Stance
+from twin.robot import ArmMode, Command, Observation, RobotError
+
+FloatArray = NDArray[np.float64]
+
+MASTER_FORCES = (False, False, True)
+SLAVE_FORCES = (True, False, True)
+NO_FORCES = (False, False, False)
+"""Which of s, z and angle a robot controls by force."""
+SET_POINT, REPORT = 1, 2
+"""First byte of the two messages."""
+_FORMAT = {SET_POINT: "<B6h", REPORT: "<B3h"}
+_UNITS = {
+    SET_POINT: np.array([2e-5, 2e-5, 5e-5, 1e-5, 1e-5, 5e-5]),  # m, m, rad and these a second
+    REPORT: np.array([2e-3, 2e-3, 5e-4]),  # N, N, N m
+}
+
+
+def encode(kind: int, values: ArrayLike) -> bytes:
+    """Return a message for the radio; what exceeds its range is cut off there.
+
+    Args:
+        kind: `SET_POINT`, (6,) pose and rate, or `REPORT`, (3,) wrench.
+        values: In SI units, plan frame.
+
+    Raises:
+        ValueError: If the kind is unknown or a number is missing or not finite.
+    """
+    units = _UNITS.get(kind)
+    numbers = np.asarray(values, dtype=float)
+    if units is None or numbers.shape != units.shape or not np.all(np.isfinite(numbers)):
+        raise ValueError(
+            f"message {kind} of {values}: valid are {SET_POINT} with 6 and {REPORT} with 3 finite "
+            "numbers"
+        )
+    counts = np.clip(np.rint(numbers / units), -32767, 32767).astype(int)
+    return struct.pack(_FORMAT[kind], kind, *counts.tolist())
+
+
+def decode(message: bytes) -> tuple[int, FloatArray]:
+    """Return kind and values of a message; undoes `encode` but for rounding.
+
+    Raises:
+        ValueError: If it is none.
+    """
+    kind = message[0] if message else 0
+    if kind not in _FORMAT or len(message) != struct.calcsize(_FORMAT[kind]):
+        raise ValueError(f"message {message.hex(' ')}: neither a set point nor a report")
+    return kind, np.array(struct.unpack(_FORMAT[kind], message)[1:]) * _UNITS[kind]
+
+
+@dataclasses.dataclass(frozen=True)
+class Grip:
+    """Where a robot holds the segment.
+
+    Attributes:
+        place: (2,) in the segment's frame [m].
+        angle: Of the gripper against the segment, plan frame [rad].
+    """
+
+    place: tuple[float, float]
+    angle: float
+
+    def on(self, segment: ArrayLike) -> FloatArray:
+        """Return the gripper's pose (3,) for a segment's.
+
+        Args:
+            segment: (3,).
+        """
+        s, z, angle = np.asarray(segment, dtype=float)
+        lever = self.lever(angle)
+        return np.array([s + lever[0], z + lever[1], angle + self.angle])
+
+    def rate_on(self, segment: ArrayLike, rate: ArrayLike) -> FloatArray:
+        """Return the gripper's rate (3,) for a segment's pose and rate, (3,) each."""
+        s, z, turning = np.asarray(rate, dtype=float)
+        lever = self.lever(float(np.asarray(segment)[2]))
+        return np.array([s - turning * lever[1], z + turning * lever[0], turning])
+
+    def segment_of(self, gripper: ArrayLike) -> FloatArray:
+        """Return the segment's pose (3,) for a gripper's; undoes `on`."""
+        s, z, angle = np.asarray(gripper, dtype=float)
+        lever = self.lever(angle - self.angle)
+        return np.array([s - lever[0], z - lever[1], angle - self.angle])
+
+    def lever(self, angle: float) -> FloatArray:
+        """Return (2,) from the segment's origin to the grip, plan frame [m]."""
+        c, n = math.cos(angle), math.sin(angle)
+        x, y = self.place
+        return np.array([c * x - n * y, n * x + c * y])
+
+    def about_segment(self, wrench: ArrayLike, angle: float) -> FloatArray:
+        """Return a wrench (3,) at the grip about the segment's origin, plan frame.
+
+        Args:
+            wrench: (3,).
+            angle: Of the segment [rad].
+        """
+        f_s, f_z, moment = np.asarray(wrench, dtype=float)
+        x, y = self.lever(angle)
+        return np.array([f_s, f_z, moment + x * f_z - y * f_s])
+
+
+@dataclasses.dataclass(frozen=True)
+class HybridConfig:
+    """How forces and positions are held.
+
+    Attributes:
+        forces: Which of s, z, angle are controlled by force.
+        wanted: (3,) wrench of the gripper on the segment, where by force [N, N, N m].
+        give: Speed by missing force [m/s/N].
+        give_turn: Turning rate by missing moment [rad/s/(N m)].
+        speed: Largest speed of a correction [m/s].
+        turn_rate: The same of turning [rad/s].
+        reach: Largest correction by force [m].
+        turn_reach: The same of the angle [rad].
+        take_up: Time constant in which a first difference from the target goes, where by
+            position [s].
+        filter_time: Time constant of the wrench's low pass [s].
+        joint_rate: Largest of a joint [rad/s].
+        period: Servo tick [s].
+    """
+
+    forces: tuple[bool, bool, bool]
+    wanted: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    give: float = 0.002
+    give_turn: float = 0.05
+    speed: float = 0.02
+    turn_rate: float = 0.1
+    reach: float = 0.02
+    turn_reach: float = math.radians(15.0)
+    take_up: float = 0.3
+    filter_time: float = 0.03
+    joint_rate: float = 0.5
+    period: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that could not be meant.
+
+        Raises:
+            ValueError: Naming the field.
+        """
+        for name in ("give", "give_turn", "speed", "turn_rate", "reach", "turn_reach", "take_up",
+                     "filter_time", "joint_rate", "period"):  # fmt: skip
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} = {value}: expected a positive number")
+        for name in ("forces", "wanted"):
+            if len(getattr(self, name)) != 3:
+                raise ValueError(f"{name} = {getattr(self, name)}: expected three")
+
+
+class HybridGrip:
+    """Brings one gripper to positions and forces, by its own sensors alone.
+
+    Attributes:
+        wrench: (3,) low-passed wrench of the gripper on the segment, plan frame; None while there
+            is none.
+        stance: Of its robot.
+    """
+
+    def __init__(
+        self, config: HybridConfig, arm: PlanarArm, sensor: GripSensor, stance: Stance
+    ) -> None:
+        """Prepare; `hold`, `start` and then `command` drive it.
+
+        Args:
+            config: What is held, and how.
+            arm: Of the robot.
+            sensor: Of the gripper's wrench.
+            stance: Of the robot; its tilt is measured later.
+        """
+        self.stance = stance
+        self.wrench: FloatArray | None = None
+        self._config, self._arm, self._sensor = config, arm, sensor
+        self._forces = np.array(config.forces)
+        self._gives = np.array([config.give, config.give, config.give_turn])
+        self._speeds = np.array([config.speed, config.speed, config.turn_rate])
+        self._reaches = np.array([config.reach, config.reach, config.turn_reach])
+        self._angles: FloatArray | None = None
+        self._begin: FloatArray | None = None
+        self._correction: FloatArray | None = None
+
+    def hold(self, seen: Observation) -> Command:
+        """Return the command that keeps the joints where the first call finds them.
+
+        Raises:
+            RobotError: If their angles are missing or stale then.
+        """
+        if self._angles is None:
+            if not seen.arm_angles.usable:
+                state = seen.arm_angles.validity.value
+                raise RobotError(f"grip needs arm_angles, which is {state}")
+            self._angles = np.array(seen.arm_angles.value, dtype=float)
+        return Command(arm=self._angles.copy(), arm_mode=ArmMode.POSITION)
+
+    def start(self, tilt: float) -> FloatArray:
+        """Go over from holding to `command`, and return the gripper's pose (3,).
+
+        Args:
+            tilt: Of the robot, from now on [rad].
+
+        Raises:
+            RobotError: If it did not hold before.
+        """
+        if self._angles is None:
+            raise RobotError("grip: started before it held")
+        self.stance = dataclasses.replace(self.stance, tilt=tilt)
+        self._begin = self.stance.to_plan(self._arm.task(self._angles[1:]))
+        return self._begin.copy()
+
+    def feel(self, seen: Observation) -> None:
+        """Take the wrench of this tick."""
+        felt = self._sensor.felt(seen, self.stance)
+        if felt is None or self.wrench is None:
+            self.wrench = felt
+            return
+        config = self._config
+        share = config.period / (config.period + config.filter_time)
+        self.wrench = self.wrench + share * (felt - self.wrench)
+
+    def command(self, target: FloatArray, rate: FloatArray) -> Command:
+        """Return the arm's command; without a wrench the forces' corrections stay as they are.
+
+        Args:
+            target: (3,) the gripper's pose by plan.
+            rate: (3,) the same's rate.
+
+        Raises:
+            RobotError: If `start` has not been called.
+        """
+        if self._angles is None or self._begin is None:
+            raise RobotError("grip: commanded before it was started")
+        config = self._config
+        if self._correction is None:
+            self._correction = self._begin - target
+        moved = np.where(self._forces, 0.0, -self._correction / config.take_up)
+        if self.wrench is not None:
+            missing = np.array(config.wanted) - self.wrench
+            moved = np.where(self._forces, self._gives * missing, moved)
+        moved = np.clip(moved, -self._speeds, self._speeds)
+        corrected = self._correction + config.period * moved
+        # A first difference may be beyond the reach: it is let be, but not let grow.
+        bound = np.maximum(self._reaches, np.abs(self._correction))
+        self._correction = np.clip(corrected, -bound, bound)
+        self._angles, rates = self._moved(self._angles, target + self._correction, rate + moved)
+        return Command(arm=self._angles.copy(), arm_mode=ArmMode.POSITION, arm_rates=rates)
+
+    def _moved(
+        self, angles: FloatArray, pose: FloatArray, rate: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return joints (4,) a step of Newton nearer to a gripper's pose, and their rates (4,)."""
+        bends, most = angles[1:], self._config.joint_rate
+        jacobian = self._arm.jacobian(bends)
+        away = self.stance.to_robot(pose) - self._arm.task(bends)
+        step = _solve(jacobian, away)
+        limit = most * self._config.period
+        moved = np.append(angles[0], bends + np.clip(step, -limit, limit))
+        rates = np.clip(_solve(jacobian, self.stance.rate_to_robot(rate)), -most, most)
+        return moved, np.append(0.0, rates)
+
+
+def _solve(jacobian: FloatArray, motion: FloatArray) -> FloatArray:
+    """Solve for the joints, damped so that a stretched arm does not jump."""
+    damped = jacobian.T @ jacobian + 1e-6 * np.eye(3)
+    return np.asarray(np.linalg.solve(damped, jacobian.T @ motion), dtype=float)

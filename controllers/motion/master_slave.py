@@ -1,0 +1,297 @@
+"""Master and slave who carry a segment together and insert it (Thesis section A.4).
+
+The master plans the segment's way, adds up what both grips feel (figure A-6) and lets the insertion
+guide move the plan in the direction of least resistance. The slave follows the set points that the
+radio brings. Neither sees the other's joints, nor where the stage truly is.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
+from controllers.motion.base_motion import level_of
+from controllers.motion.cooperation import REPORT, SET_POINT, Grip, HybridGrip, decode, encode
+from twin.robot import Command, Observation
+
+FloatArray = NDArray[np.float64]
+Guide = InsertionGuide | StraightInsertion
+
+
+class Stage(enum.Enum):
+    """What the pair is doing."""
+
+    HOLD = "hold"
+    CARRY = "carry"
+    REST = "rest"
+    INSERT = "insert"
+    OVER = "over"
+
+
+@dataclasses.dataclass(frozen=True)
+class PairConfig:
+    """What master and slave agree on.
+
+    Attributes:
+        master: The master's grip.
+        slave: The slave's grip.
+        mouth: (2,) s, z of the mouth's middle as the master believes [m]; it stands level.
+        guide: How the segment is inserted; `card_width` is its web's.
+        stand_off: Of the leading edge above the mouth before the insertion [m].
+        hold: Time in which the tilt is taken and the forces settle [s].
+        carry: Time of the way to the mouth [s].
+        rest: Time before the insertion in which the segment's weight is taken off the wrench [s].
+        every: Ticks between two messages.
+        latency: Of a message, as known of the radio [s].
+        lost_time: Age from which a message counts no more [s].
+        period: Servo tick [s].
+    """
+
+    master: Grip
+    slave: Grip
+    mouth: tuple[float, float]
+    guide: GuideConfig
+    stand_off: float = 0.012
+    hold: float = 1.0
+    carry: float = 3.0
+    rest: float = 1.0
+    every: int = 4
+    latency: float = 0.03
+    lost_time: float = 0.3
+    period: float = 0.01
+
+    def __post_init__(self) -> None:
+        """Refuse times that are none.
+
+        Raises:
+            ValueError: Naming the field.
+        """
+        for name in ("hold", "carry", "rest", "lost_time", "period"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} = {value}: expected a positive time [s]")
+        if self.every < 1:
+            raise ValueError(f"every = {self.every}: expected 1 tick or more between messages")
+
+
+class _Holding:
+    """Averages the tilt while the robot holds still."""
+
+    def __init__(self, config: PairConfig) -> None:
+        self.over = False
+        self._ticks = round(config.hold / config.period)
+        self._tilts: list[float] = []
+
+    def step(self, seen: Observation) -> None:
+        """Take a tick's sample."""
+        if seen.inclinometer.usable:
+            up = level_of(seen).specific_force
+            self._tilts.append(math.atan2(up[1], up[2]))
+        self._ticks -= 1
+        self.over = self._ticks <= 0
+
+    @property
+    def tilt(self) -> float:
+        """Mean pitch [rad]; 0 if none was measured."""
+        return float(np.mean(self._tilts)) if self._tilts else 0.0
+
+
+class Master:
+    """Plans, guides, and holds its end of the segment.
+
+    Without the slave's reports, or its own wrench, it waits in REST; in INSERT it stands still, and
+    gives up after the guide's `lost_time`.
+
+    Attributes:
+        stage: What the pair is doing.
+        target: (3,) planned pose of the segment, plan frame; NaN while it holds.
+        felt: (3,) what the stage puts on the segment as both grips have it, in the guide's frame;
+            None without it.
+    """
+
+    def __init__(
+        self,
+        grip: HybridGrip,
+        config: PairConfig,
+        guide: Callable[[GuideConfig, FloatArray], Guide] = InsertionGuide,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            grip: Its own.
+            config: As agreed.
+            guide: By force, or straight ahead.
+        """
+        self.stage = Stage.HOLD
+        self.target = np.full(3, np.nan)
+        self.felt: FloatArray | None = None
+        self._grip, self._config = grip, config
+        self._holding = _Holding(config)
+        self._guide = guide(config.guide, np.array([0.0, -config.stand_off, 0.0]))
+        self._rate = np.zeros(3)
+        self._report: FloatArray | None = None
+        self._age = math.inf
+        self._time, self._ticks = 0.0, 0
+        self._tare: list[FloatArray] = []
+        self._weight = np.zeros(3)
+        self._begin = np.zeros(3)
+
+    @property
+    def success(self) -> bool:
+        """Whether the guide believes the segment seated."""
+        return self._guide.phase is Phase.DONE
+
+    @property
+    def reason(self) -> str:
+        """Why the guide drew back or gave up last; empty if it did not."""
+        return self._guide.reason
+
+    @property
+    def tries(self) -> int:
+        """How often the insertion was begun again."""
+        return self._guide.tries
+
+    def step(self, seen: Observation, heard: list[bytes]) -> tuple[Command, bytes | None]:
+        """Return the arm's command and a message for the slave, None if there is none.
+
+        Args:
+            seen: Of the master.
+            heard: Messages of the slave since the last step.
+
+        Raises:
+            RobotError: If joint angles are missing when it starts.
+            ValueError: If a message is none of the two.
+        """
+        config = self._config
+        self._age += config.period
+        for message in heard:
+            kind, values = decode(message)
+            if kind == REPORT:
+                self._report, self._age = values, 0.0
+        self._grip.feel(seen)
+        if self.stage is Stage.HOLD:
+            self._holding.step(seen)
+            if not self._holding.over:
+                return self._grip.hold(seen), None
+            self._grip.hold(seen)
+            self._begin = config.master.segment_of(self._grip.start(self._holding.tilt))
+            self.target, self.stage, self._time = self._begin.copy(), Stage.CARRY, 0.0
+        self._plan()
+        command = self._grip.command(
+            config.master.on(self.target), config.master.rate_on(self.target, self._rate)
+        )
+        self._ticks += 1
+        if self._ticks % config.every:
+            return command, None
+        return command, encode(SET_POINT, [*self.target, *self._rate])
+
+    def _plan(self) -> None:
+        """Move the segment's planned pose on by a tick."""
+        config = self._config
+        self._time += config.period
+        self.felt = self._contact()
+        before = self.target.copy()
+        if self.stage is Stage.CARRY:
+            share = min(self._time / config.carry, 1.0)
+            smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+            goal = self._to_plan(np.array([0.0, -config.stand_off, 0.0]))
+            self.target = self._begin + smooth * (goal - self._begin)
+            if share == 1.0:
+                self.stage, self._time = Stage.REST, 0.0
+        elif self.stage is Stage.REST:
+            total = self._total()
+            if self._time > config.rest / 2.0 and total is not None:
+                self._tare.append(total)
+            if self._time >= config.rest and self._tare:
+                self._weight = np.mean(self._tare, axis=0)
+                self.stage = Stage.INSERT
+        elif self.stage is Stage.INSERT:
+            self.target = self._to_plan(self._guide.step(self.felt))
+            if self._guide.over:
+                self.stage = Stage.OVER
+        self._rate = (self.target - before) / config.period
+
+    def _to_plan(self, pose: FloatArray) -> FloatArray:
+        """Return a pose of the guide's frame, x along s and y down, in the plan frame."""
+        s, z = self._config.mouth
+        return np.array([s + pose[0], z - pose[1], -pose[2]])
+
+    def _total(self) -> FloatArray | None:
+        """Return (3,) what both grips put on the segment about its origin, plan frame."""
+        if self._grip.wrench is None or self._report is None:
+            return None
+        if self._age > self._config.lost_time:
+            return None
+        angle = float(self.target[2])
+        own = self._config.master.about_segment(self._grip.wrench, angle)
+        return own + self._config.slave.about_segment(self._report, angle)
+
+    def _contact(self) -> FloatArray | None:
+        """Return (3,) what the stage puts on the segment, in its frame as the guide has it."""
+        total = self._total()
+        if total is None or self.stage in (Stage.HOLD, Stage.CARRY, Stage.REST):
+            return None
+        f_s, f_z, moment = self._weight - total
+        c, n = math.cos(self.target[2]), math.sin(self.target[2])
+        return np.array([c * f_s + n * f_z, n * f_s - c * f_z, -moment])
+
+
+class Slave:
+    """Holds its end of the segment where the master's set points and its own forces have it."""
+
+    def __init__(self, grip: HybridGrip, config: PairConfig) -> None:
+        """Prepare; arguments as `Master`."""
+        self._grip, self._config = grip, config
+        self._holding = _Holding(config)
+        self._set_point: FloatArray | None = None
+        self._age = math.inf
+        self._ticks = 0
+
+    def step(self, seen: Observation, heard: list[bytes]) -> tuple[Command, bytes | None]:
+        """Return the arm's command and a message for the master, None if there is none.
+
+        While no set point comes it goes on with the last one's rate for as long as messages count,
+        and then holds; its forces it keeps.
+
+        Args:
+            seen: Of the slave.
+            heard: Messages of the master since the last step.
+
+        Raises:
+            RobotError: If joint angles are missing when it starts.
+            ValueError: If a message is none of the two.
+        """
+        config = self._config
+        self._age += config.period
+        for message in heard:
+            kind, values = decode(message)
+            if kind == SET_POINT:
+                self._set_point, self._age = values, config.latency
+        self._grip.feel(seen)
+        if not self._holding.over:
+            self._holding.step(seen)
+            if self._holding.over:
+                self._grip.hold(seen)
+                self._grip.start(self._holding.tilt)
+        if self._holding.over and self._set_point is not None:
+            command = self._follow(self._set_point)
+        else:
+            command = self._grip.hold(seen)
+        self._ticks += 1
+        if self._ticks % config.every or self._grip.wrench is None:
+            return command, None
+        return command, encode(REPORT, self._grip.wrench)
+
+    def _follow(self, point: ArrayLike) -> Command:
+        pose, rate = np.split(np.asarray(point, dtype=float), 2)
+        lost = self._age > self._config.lost_time
+        segment = pose + min(self._age, self._config.lost_time) * rate
+        moving = np.zeros(3) if lost else rate
+        grip = self._config.slave
+        return self._grip.command(grip.on(segment), grip.rate_on(segment, moving))
