@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from experiments.bench_markers_figures import draw_steps
 from experiments.contract import Options
 from experiments.intervals import distribution
 from experiments.mapping_scene import head_geometry
@@ -200,6 +201,8 @@ def centre_errors(centres: FloatArray, truth: FloatArray) -> FloatArray:
 def bench_markers(options: Options, output: Output) -> None:
     """Detect markers in rendered pairs by both detectors and by OpenCV, and find the bodies.
 
+    Figures 5-5 to 5-10 show the steps of the thesis' detector on the first head-on image.
+
     Args:
         options: ``quick`` takes fewer views.
         output: Receives ``marker_error_px/*``, ``marker_ms/*``, ``pose_error_mm/*`` and more.
@@ -213,9 +216,21 @@ def bench_markers(options: Options, output: Output) -> None:
         for slant in SLANTS
         for _ in range(count)
     ]
+    _draw(views, scene, output)
     _centres(views, scene, output)
     _times(views, scene, output)
     _poses(views, scene, output)
+
+
+def _draw(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+    """Draw the steps on the left image at half a metre, head on."""
+    view = next(view for view in views if (view.distance, view.slant) == HEAD_ON)
+    expected = expectation(view.distance)
+    found = DETECTORS["tht"](view.pair[0], scene.geometry, expected, None)
+    if not len(found):
+        return
+    for name, figure in draw_steps(view.pair[0], scene.geometry, expected, found).items():
+        output.figure(name, figure)
 
 
 def _centres(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
