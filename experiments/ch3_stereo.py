@@ -2,14 +2,15 @@
 
 Four parts, each of which can be run alone: how certain stereo is, how well the camera's motion is
 told by fiducials, how fast the map grows under three ways to choose views, and what two robots gain
-by triangulating together. The truth only scores.
+by triangulating together. The truth only scores. Mapping drives robots, simulated or behind
+emulated boards; the other three parts set cameras or draw points themselves, and need none.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 import tyro
@@ -37,14 +38,19 @@ FIGURE = {"raster": "figure_3-26", "information": "figure_3-27"}
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.SimulatedOptions):
     """Options of stereo mapping.
 
     Attributes:
+        targets: What the experiment runs on.
+        robot: What maps: sim, quantised or emulated. The parts noise, motion and cooperation need
+            no robot.
         parts: Which parts to run: noise, motion, mapping, cooperation (unless said, all).
         scans: Looks of each robot (unless said, 12; with --quick, 3).
     """
 
+    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
+    robot: str = "sim"
     parts: tuple[str, ...] = ()
     scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
 
@@ -60,6 +66,8 @@ class Options(contract.Options):
                 raise OptionError(f"--parts {part}: expected some of {', '.join(PARTS)}")
         if self.scans is not None and self.scans < 1:
             raise OptionError(f"--scans: expected at least 1, got {self.scans}")
+        if self.robot != "sim" and self.parts and "mapping" not in self.parts:
+            raise OptionError(f"--robot {self.robot}: add mapping to --parts; the others need none")
         if self.record and self.parts and "mapping" not in self.parts:
             raise OptionError("--record shows the map: add mapping to --parts")
 
@@ -96,7 +104,9 @@ def measure_mapping(options: Options, output: Output) -> None:
     seeds = options.job_seeds(SCENES, QUICK_SCENES)
     methods = METHODS[:2] if options.quick else METHODS
     configs = [
-        dataclasses.asdict(Trial(seed, method, scans, seed == seeds[0] and method in FIGURE))
+        dataclasses.asdict(
+            Trial(seed, method, scans, seed == seeds[0] and method in FIGURE, options.robot)
+        )
         for seed in seeds
         for method in methods
     ]
@@ -131,7 +141,7 @@ def measure_mapping(options: Options, output: Output) -> None:
     _show(dict(zip(methods, results, strict=False)), seeds[0], output)
     if options.record:
         with MapRecorder(output.file("run.rrd")) as recorder:
-            map_scene(Trial(seeds[0], "information", scans), recorder.take)
+            map_scene(Trial(seeds[0], "information", scans, robot=options.robot), recorder.take)
 
 
 def _compare(

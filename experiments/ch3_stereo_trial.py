@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.shared_map import SharedMap
@@ -24,10 +24,9 @@ from perception.target import TargetCad
 from perception.voxel_grid import VoxelGrid
 from perception.voxel_map import VoxelMap, VoxelMapConfig
 from twin.camera import StereoConfig
-from twin.connect import connect
+from twin.connect import Connection, connect
 from twin.loop import run as run_loop
 from twin.robot import Command, Observation
-from twin.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
 
@@ -51,12 +50,14 @@ class Trial:
         method: How views are chosen.
         scans: Looks of each robot.
         shown: Whether the result has what its figures need.
+        robot: What is driven: sim, quantised or emulated.
     """
 
     seed: int
     method: str
     scans: int
     shown: bool = False
+    robot: str = "sim"
 
 
 @dataclasses.dataclass
@@ -143,16 +144,14 @@ def map_scene(
             on_look(mapper, look, share)
 
     with connect(
-        "sim",
+        trial.robot,
         robots=scene.robots,
         field=scene.field,
         stereo=StereoConfig(rate=IMAGE_RATE),
         seed=trial.seed,
     ) as connection:
-        simulation = connection.simulation
-        assert simulation is not None
         mapper = StereoMapper(
-            {name: _brief(simulation.model, name, mount) for name in scene.robot_names},
+            {name: _brief(scene.model, name, mount) for name in scene.robot_names},
             scene.geometry,
             target_cad(scene),
             VoxelMap(VoxelGrid(VOXEL, *BOX), VoxelMapConfig(correlated_points=shared_errors(how))),
@@ -160,7 +159,7 @@ def map_scene(
             plan,
             score,
         )
-        witness = Witness(simulation)
+        witness = Witness(connection)
         run_loop(
             connection.robots,
             [mapper],
@@ -194,10 +193,10 @@ def named_frame(shared: SharedMap, scene: StereoScene) -> RigidTransform:
 class Witness:
     """Notes where the cameras truly are when they look; a recorder of the loop."""
 
-    def __init__(self, simulation: Simulation) -> None:
-        """Watch a simulation."""
+    def __init__(self, connection: Connection) -> None:
+        """Watch a simulation, or one in another process behind emulated boards."""
         self.cameras: dict[tuple[str, float], RigidTransform] = {}
-        self._simulation = simulation
+        self._connection = connection
 
     def record(
         self,
@@ -207,11 +206,18 @@ class Witness:
         applied: Mapping[str, Command],
     ) -> None:
         """Take one tick."""
-        model, data = self._simulation.model, self._simulation.data
         for name, seen in observations.items():
             if seen.stereo.stamp == time:
-                pose = camera_in_world(model, data, f"{name}/stereo_left")
-                self.cameras[name, time] = pose
+                self.cameras[name, time] = self._camera(name)
+
+    def _camera(self, name: str) -> RigidTransform:
+        simulation, emulator = self._connection.simulation, self._connection.emulator
+        if simulation is not None:
+            return camera_in_world(simulation.model, simulation.data, f"{name}/stereo_left")
+        assert emulator is not None
+        told = emulator.state()[name]["camera"]
+        turn = Rotation.from_matrix(told["rotation"])
+        return RigidTransform.from_components(told["translation"], turn)
 
     def flush(self) -> None:
         """Nothing is held back."""

@@ -257,6 +257,16 @@ class StereoState:
     random: Mapping[str, Any]
 
 
+def has_stereo(model: mujoco.MjModel, prefix: str) -> bool:
+    """Say whether a robot has cameras.
+
+    Args:
+        model: The scene.
+        prefix: Of the robot's names.
+    """
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{prefix}stereo_left") >= 0
+
+
 class StereoRig:
     """The two cameras of one robot."""
 

@@ -93,8 +93,8 @@ def connect(
         robots: Names and starting places; simulated and emulated robots only.
         field: Ground of a simulated scene.
         suite: Sensors of simulated robots; boards have their own.
-        stereo: Stereo heads of simulated and quantised robots; None leaves the channel missing,
-            as it is on emulated boards.
+        stereo: Stereo heads of simulated, quantised and emulated robots; None leaves the channel
+            missing.
         seed: Of all sensor noise.
         settling: Time for which simulated robots come to rest before time zero [s].
         line_faults: Share of damaged exchanges with emulated motor boards, 0 to 1.
@@ -107,11 +107,11 @@ def connect(
     word, colon, wiring = target.partition(":")
     if word == "serial" and colon:
         return _connect_wires(Wiring.parse(wiring))
-    scene = SceneConfig(tuple(robots), field, seed, settling)
+    scene = SceneConfig(tuple(robots), field, seed, settling, stereo=stereo)
     if target == "emulated":
         return _connect_emulated(scene, line_faults)
     if target == "quantised":
-        return _connect_quantised(scene, stereo)
+        return _connect_quantised(scene)
     if target != "sim":
         raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
     model = make_model(field, robots)
@@ -126,9 +126,9 @@ def connect(
     return Connection(simulation.robots, SimClock(simulation), simulation)
 
 
-def _connect_quantised(config: SceneConfig, stereo: StereoConfig | None) -> Connection:
-    scene = EmulatedScene(config, stereo)
-    robots = quantised_robots(scene)
+def _connect_quantised(config: SceneConfig) -> Connection:
+    scene = EmulatedScene(config)
+    robots = quantised_robots(scene, config)
     resources = contextlib.ExitStack()
     for robot in robots.values():
         resources.callback(robot.close)

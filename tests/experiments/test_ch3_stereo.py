@@ -56,6 +56,20 @@ def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
 
 
 @pytest.mark.slow
+def test_rovers_on_emulated_boards_map_as_well():
+    scored = map_scene(Trial(3, "information", 1, robot="emulated"))
+    assert set(scored.mapper.standings) == {"rover1", "rover2"} and scored.mapper.done
+    assert len(scored.curve) == 2 and scored.curve[-1][1] > 0.03
+    for look in scored.mapper.looks:
+        assert look.correction is not None
+        # The pair was taken while the arm was at rest, and the emulator said where the camera was.
+        stamps = [stamp for robot, stamp in scored.cameras if robot == look.robot]
+        true = scored.cameras[look.robot, max(s for s in stamps if s <= look.time)]
+        told = look.correction.camera.transform_camera_to_world
+        assert np.linalg.norm(told.translation - true.translation) < 0.02
+
+
+@pytest.mark.slow
 def test_quick_run_of_the_mapping_writes_everything(tmp_path):
     words = ["ch3-stereo", "--parts", "mapping", "--quick", "--scans", "2", "--record"]
     assert main([*words, "--out", str(tmp_path)]) == 0
@@ -74,6 +88,8 @@ def test_quick_run_of_the_mapping_writes_everything(tmp_path):
         (["--parts", "dreams"], "cooperation"),
         (["--scans", "0"], "--scans"),
         (["--parts", "noise", "--record"], "--record"),
+        (["--robot", "dreams"], "available: sim, quantised, emulated"),
+        (["--robot", "emulated", "--parts", "noise"], "add mapping to --parts"),
     ],
 )
 def test_bad_options_are_told_in_one_line(words, told, capsys):

@@ -332,11 +332,13 @@ class BoardRobot:
         needed = {
             "inclinometer": self.boards.has_analogue,
             "arm_base_wrench": self.boards.has_wrench,
+            "stereo": self.boards.has_stereo,
         }
         for name, present in needed.items():
             channel = getattr(self._observation, name)
             if present and not channel.usable:
-                raise RobotError(f"{name} is {channel.validity.value}")
+                why = self.boards.stereo_fault if name == "stereo" else ""
+                raise RobotError(f"{name} is {channel.validity.value}" + (why and f" ({why})"))
 
     def _check_in_turn(self) -> None:
         """Ask one board for its status; once a round, another one, for all it says of itself."""

@@ -65,6 +65,16 @@ class BoardSet(Protocol):
         """Whether there is a force/torque sensor."""
         ...
 
+    @property
+    def has_stereo(self) -> bool:
+        """Whether there is a stereo head."""
+        ...
+
+    @property
+    def stereo_fault(self) -> str:
+        """Why its cameras gave no pair the last time; empty if they just had no new one."""
+        ...
+
     def configure(self) -> None:
         """Set timeouts and current limits.
 
@@ -165,6 +175,8 @@ class WiredBoards:
         self.camera = camera
         self.has_analogue = analogue is not None
         self.has_wrench = force_torque is not None
+        self.has_stereo = camera is not None
+        self.stereo_fault = ""
         self._limits = calibration.limits
         self._axes = calibration.drive.axes
         self.addresses = tuple(sorted({axis.address for axis in self._axes}))
@@ -243,10 +255,15 @@ class WiredBoards:
 
     def stereo(self, now: float) -> StereoFrame | None:
         """Return the cameras' newest pair."""
-        try:
-            return None if self.camera is None else self.camera.read(now)
-        except LinkError:
+        if self.camera is None:
             return None
+        try:
+            pair = self.camera.read(now)
+        except LinkError as error:
+            self.stereo_fault = str(error)
+            return None
+        self.stereo_fault = ""
+        return pair
 
     def status(self, address: int) -> Status:
         """Return a board's status."""

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.hardware import frames
 from twin.hardware.link import LinkError
 
 Source: TypeAlias = int | str | Path
@@ -79,15 +80,18 @@ class StereoCapture:
         max_age: float = 0.5,
         max_skew: float = 0.02,
         rate: float | None = None,
+        scene_time: bool = False,
     ) -> None:
         """Open the captures and see that a pair can be made of them.
 
         Args:
             source: Device number, video file or image sequence ("left_%04d.png"): left and right,
-                or one with both views side by side, the left one first.
+                or one with both views side by side, the left one first. Or the file in which an
+                emulator puts the pairs of its own scene (`frames`), named "....frames".
             max_age: Age from which a pair is refused [s].
             max_skew: Most time between the images of two devices [s].
             rate: Pairs a second of files [Hz]; by default their own.
+            scene_time: Whether the caller's clock is that of an emulator's scene.
 
         Raises:
             LinkError: If a capture cannot be opened, gives no image, or the sizes do not fit.
@@ -101,9 +105,12 @@ class StereoCapture:
             raise ValueError(f"a device and a file make no pair: {sources}")
         self._max_age = max_age
         self.statistics = CameraStatistics()
+        if Path(str(source)).suffix == frames.SUFFIX:
+            self._feed: _Feed = _SceneFeed(Path(str(source)), scene_time, self.statistics)
+            return
         eyes = _Eyes(sources)
         try:
-            self._feed: _Feed = (
+            self._feed = (
                 _DeviceFeed(eyes, max_skew, self.statistics)
                 if devices == {True}
                 else _FileFeed(eyes, rate, self.statistics)
@@ -234,6 +241,26 @@ class _FileFeed:
     def _due(self) -> float:
         assert self._start is not None
         return self._start + self._count * self._period
+
+
+class _SceneFeed:
+    """Pairs of an emulator's own scene."""
+
+    def __init__(self, path: Path, scene_time: bool, statistics: CameraStatistics) -> None:
+        self._reader = frames.FrameReader(path)
+        self._scene_time, self._statistics = scene_time, statistics
+
+    def newest(self, now: float) -> _Taken | None:
+        """Return the newest pair, its time as the scene says or carried over to `now` [s]."""
+        found = self._reader.newest()
+        if found is None:
+            return None
+        self._statistics.skipped += found.skipped
+        carried = now - (time.monotonic() - found.moment)
+        return _Taken(found.images, found.stamp if self._scene_time else carried)
+
+    def close(self) -> None:
+        """Nothing is held but memory."""
 
 
 class _DeviceFeed:

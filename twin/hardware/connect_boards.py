@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.hardware.board_robot import BoardRobot
+from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
+from twin.hardware.board_samples import SamplingConfig
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.calibration import (
     MOST_DAYS,
@@ -44,7 +45,8 @@ class Wiring:
         bus: Serial port of the motor boards.
         analogue: Serial port of the analogue board; empty for none.
         wrench: Host, or host:port, of the force/torque sensor; empty for none.
-        stereo: One or two captures, as "0:1" or "left.avi:right.avi"; empty for none.
+        stereo: One or two captures, as "0:1" or "left.avi:right.avi", or the file of an emulator,
+            "rover1.frames"; empty for none.
         robot: Whose boards they are.
         calibration: Its file; the repository's own unless given.
         most_days: Largest age of the calibration [days].
@@ -150,17 +152,19 @@ def open_boards(wiring: Wiring, calibration: Calibration) -> WiredBoards:
             force_torque = _force_torque(wiring)
             opened.callback(force_torque.close)
         if wiring.stereo:
-            camera = _camera(wiring.stereo)
+            camera = _camera(wiring)
         opened.pop_all()
     return WiredBoards(bus, calibration, analogue, force_torque, camera)
 
 
-def _camera(words: str) -> StereoCapture:
+def _camera(wiring: Wiring) -> StereoCapture:
     """Return the captures that are named by device number or file, two or one."""
+    words = wiring.stereo
     named = [int(word) if word.isdecimal() else word for word in words.split(":")]
     if len(named) > 2:
         raise ValueError(f"serial: stereo={words} names {len(named)} captures, needs one or two")
-    return StereoCapture(named[0] if len(named) == 1 else (named[0], named[1]))
+    source = named[0] if len(named) == 1 else (named[0], named[1])
+    return StereoCapture(source, scene_time=wiring.patient)
 
 
 def _analogue_board(wiring: Wiring) -> AnalogueBoard:
@@ -179,8 +183,15 @@ def _force_torque(wiring: Wiring) -> NetForceTorque:
     return NetForceTorque(host, 1.0, 1.0, number)
 
 
-def wired_robot(wiring: Wiring, clock: Callable[[], float]) -> BoardRobot:
+def wired_robot(
+    wiring: Wiring, clock: Callable[[], float], config: BoardRobotConfig | None = None
+) -> BoardRobot:
     """Return a configured robot over its wires, homed if the wiring tells its pose.
+
+    Args:
+        wiring: Where its boards are.
+        clock: Robot time [s].
+        config: How patient it is.
 
     Raises:
         CalibrationError: If its calibration cannot be used.
@@ -189,7 +200,7 @@ def wired_robot(wiring: Wiring, clock: Callable[[], float]) -> BoardRobot:
     """
     calibration = wiring.load_calibration()
     boards = open_boards(wiring, calibration)
-    robot = BoardRobot(wiring.robot, boards, calibration, clock)
+    robot = BoardRobot(wiring.robot, boards, calibration, clock, config)
     try:
         robot.configure()
         if wiring.home:
@@ -205,9 +216,18 @@ def emulated_wiring(emulator: EmulatorProcess, scene: SceneConfig, robot: str) -
     ports = emulator.ports[robot]
     host = f"127.0.0.1:{ports['wrench']}"
     path = scene.calibrations.get(robot)
+    stereo = ports.get("stereo", "")
     return Wiring(
-        ports["bus"], ports["analogue"], host, robot=robot, calibration=path, emulated=True
+        ports["bus"], ports["analogue"], host, stereo, robot, calibration=path, emulated=True
     )
+
+
+def _patience(scene: SceneConfig) -> BoardRobotConfig:
+    """Return the usual patience, with two periods of slow cameras."""
+    if scene.stereo is None:
+        return BoardRobotConfig()
+    age = max(SamplingConfig.stereo_age, 2.0 / scene.stereo.rate)
+    return BoardRobotConfig(sampling=SamplingConfig(stereo_age=age))
 
 
 def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, BoardRobot]:
@@ -224,17 +244,18 @@ def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, 
     for placement in scene.robots:
         wiring = emulated_wiring(emulator, scene, placement.name)
         wiring = dataclasses.replace(wiring, patient=True)
-        robot = wired_robot(wiring, lambda: emulator.time)
+        robot = wired_robot(wiring, lambda: emulator.time, _patience(scene))
         robot.home(np.array(state[placement.name]["arm_angles"]))
         robots[placement.name] = robot
     return robots
 
 
-def quantised_robots(scene: EmulatedScene) -> dict[str, BoardRobot]:
+def quantised_robots(scene: EmulatedScene, config: SceneConfig) -> dict[str, BoardRobot]:
     """Return homed robots over the counts of a scene, without wires."""
     robots: dict[str, BoardRobot] = {}
     for name, rover in scene.rovers.items():
-        robot = BoardRobot(name, DirectBoards(rover), rover.calibration, lambda: scene.time)
+        boards, patience = DirectBoards(rover), _patience(config)
+        robot = BoardRobot(name, boards, rover.calibration, lambda: scene.time, patience)
         robot.configure()
         robot.home(rover.angles()[4:])
         robots[name] = robot

@@ -33,6 +33,7 @@ class Boards:
 
     addresses = (0x80, 0x81, 0x82, 0x83)
     has_analogue = has_wrench = True
+    has_stereo, stereo_fault = False, ""
 
     def __init__(self):
         self.counters = np.zeros(8, dtype=np.int64)

@@ -15,13 +15,14 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
-from models.compose import FieldConfig, PayloadConfig, RobotPlacement
-from twin.hardware.emulator.faults import LineFaultConfig, RobotFault, ScheduledFault
+from models.compose import RobotPlacement
+from twin.camera import StereoConfig, camera_pose
+from twin.hardware.emulator.faults import CameraFault, LineFaultConfig, RobotFault, ScheduledFault
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 
@@ -38,6 +39,8 @@ class Options:
         faults: File with scheduled faults: a JSON list of {"robot", "time" [s], "kind",
             "duration" [s], "address"}.
         scene: JSON of a `SceneConfig`, for programs; overrides robots and seed.
+        frames: Folder for the rovers' stereo pairs, which `serial:` reads as
+            stereo=FOLDER/ROBOT.frames. Not with --realtime: rendering would hold up the boards.
     """
 
     robots: tuple[str, ...] = ("rover1",)
@@ -46,13 +49,18 @@ class Options:
     line_faults: float = 0.0
     faults: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     scene: Annotated[str, tyro.conf.arg(metavar="JSON")] = ""
+    frames: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
 
 
 class Emulator:
     """Scene, rigs and the loop that serves them."""
 
     def __init__(
-        self, scene: SceneConfig, line_faults: float, faults: list[dict[str, Any]]
+        self,
+        scene: SceneConfig,
+        line_faults: float,
+        faults: list[dict[str, Any]],
+        frames: Path | None = None,
     ) -> None:
         """Build the scene and power the boards on.
 
@@ -60,12 +68,13 @@ class Emulator:
             scene: What is emulated.
             line_faults: Share of damaged exchanges.
             faults: Scheduled ones, as in the file.
+            frames: Folder for stereo pairs; None to keep them.
         """
         self.scene = EmulatedScene(scene)
         config = LineFaultConfig(line_faults)
         sources = np.random.default_rng([scene.seed, 5]).spawn(len(self.scene.rovers))
         self.rigs = {
-            name: EmulatedRig(rover, config, _faults_of(name, faults), source)
+            name: EmulatedRig(rover, config, _faults_of(name, faults), source, frames)
             for (name, rover), source in zip(self.scene.rovers.items(), sources, strict=True)
         }
         self._selector = selectors.DefaultSelector()
@@ -83,6 +92,8 @@ class Emulator:
         for rig in self.rigs.values():
             rig.before_tick(self.scene.time, self.scene.period)
         self.scene.tick()
+        for rig in self.rigs.values():
+            rig.show()
 
     def serve(self, wait: float) -> bool:
         """Serve what comes within `wait` [s]; return False when the control line was closed."""
@@ -130,7 +141,15 @@ class Emulator:
             "angles": rover.angles().tolist(),
             "codes": rover.codes.tolist(),
             "damage": damage,
+            "camera": self._camera(name) if rig.frames else None,
         }
+
+    def _camera(self, name: str) -> dict[str, Any]:
+        """Return the left camera's true pose in the world."""
+        physics = self.scene.simulation
+        index = int(physics.model.camera(f"{name}/stereo_left").id)
+        rotation, translation = camera_pose(physics.data, index)
+        return {"rotation": rotation.tolist(), "translation": translation.tolist()}
 
     def close(self) -> None:
         """Take ports and scene down."""
@@ -142,7 +161,9 @@ class Emulator:
 
 def _fault(entry: dict[str, Any]) -> ScheduledFault:
     fields = {key: entry[key] for key in ("time", "duration", "address") if key in entry}
-    return ScheduledFault(kind=RobotFault(entry["kind"]), **fields)
+    cameras = [kind.value for kind in CameraFault]
+    kinds = CameraFault if entry["kind"] in cameras else RobotFault
+    return ScheduledFault(kind=kinds(entry["kind"]), **fields)
 
 
 def _faults_of(name: str, faults: Sequence[dict[str, Any]]) -> list[ScheduledFault]:
@@ -153,27 +174,9 @@ def _scene(options: Options) -> SceneConfig:
     if not options.scene:
         # Two metres apart, side by side.
         places = [RobotPlacement(n, (2.0 * i, 0.0)) for i, n in enumerate(options.robots)]
-        return SceneConfig(tuple(places), seed=options.seed)
-    table = json.loads(options.scene)
-    robots = [_placement(_tuples(entry)) for entry in table["robots"]]
-    return SceneConfig(
-        tuple(robots),
-        FieldConfig(**_tuples(table["field"])),
-        table["seed"],
-        table["settling"],
-        {name: Path(path) for name, path in table["calibrations"].items()},
-    )
-
-
-def _placement(entry: dict[str, Any]) -> RobotPlacement:
-    payload = entry.pop("payload")
-    box = None if payload is None else PayloadConfig(**_tuples(payload))
-    return RobotPlacement(**entry, payload=box)
-
-
-def _tuples(table: dict[str, Any]) -> dict[str, Any]:
-    listed = cast("dict[str, list[Any]]", {k: v for k, v in table.items() if isinstance(v, list)})
-    return {**table, **{key: tuple(values) for key, values in listed.items()}}
+        stereo = StereoConfig() if options.frames else None
+        return SceneConfig(tuple(places), seed=options.seed, stereo=stereo)
+    return SceneConfig.from_json(options.scene)
 
 
 def main() -> int:
@@ -182,7 +185,10 @@ def main() -> int:
     faults: list[dict[str, Any]] = []
     if options.faults:
         faults = json.loads(options.faults.read_text())
-    emulator = Emulator(_scene(options), options.line_faults, faults)
+    if options.realtime and options.frames:
+        print("--frames: not with --realtime", file=sys.stderr)
+        return 2
+    emulator = Emulator(_scene(options), options.line_faults, faults, options.frames)
     ports = {name: rig.ports for name, rig in emulator.rigs.items()}
     period = emulator.scene.period
     print(json.dumps({"ports": ports, "period": period, "time": emulator.scene.time}), flush=True)

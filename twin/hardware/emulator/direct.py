@@ -21,10 +21,12 @@ class DirectBoards:
 
     has_analogue = True
     has_wrench = True
+    stereo_fault = ""
 
     def __init__(self, rover: EmulatedRover) -> None:
         """Power on: the encoders count from zero."""
         self._rover = rover
+        self.has_stereo = rover.stereo().usable
         self._axes = rover.calibration.drive.axes
         self.addresses = tuple(sorted({axis.address for axis in self._axes}))
         self._offset = -rover.counts()

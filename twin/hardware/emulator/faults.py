@@ -153,6 +153,13 @@ class RobotFault(enum.Enum):
     NO_ANALOGUE = "no_analogue"
 
 
+class CameraFault(enum.Enum):
+    """Faults of a stereo head at a given time; robots without one have none."""
+
+    FROZEN = "camera_frozen"
+    UNPLUGGED = "camera_unplugged"
+
+
 @dataclasses.dataclass(frozen=True)
 class ScheduledFault:
     """One fault.
@@ -165,6 +172,6 @@ class ScheduledFault:
     """
 
     time: float
-    kind: RobotFault
+    kind: RobotFault | CameraFault
     duration: float = 1e9
     address: int = 0x80

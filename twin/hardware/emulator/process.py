@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import subprocess
 import sys
+import tempfile
 from typing import IO, Any, cast
 
 from twin.hardware.emulator.scene import SceneConfig
@@ -17,7 +17,8 @@ class EmulatorProcess:
     """A running emulator; time passes by `tick`, or by itself if it runs in real time.
 
     Attributes:
-        ports: By robot: paths of "bus" and "analogue", UDP port of "wrench".
+        ports: By robot: paths of "bus" and "analogue", UDP port of "wrench", and the file of
+            "stereo" pairs if the scene has them.
         period: Servo tick [s].
         time: Of the last tick [s].
     """
@@ -37,17 +38,17 @@ class EmulatorProcess:
 
         Raises:
             LinkError: If it does not start.
+            ValueError: If it is to render in real time, which would hold up the boards.
         """
-        table = {
-            "robots": [dataclasses.asdict(robot) for robot in scene.robots],
-            "field": dataclasses.asdict(scene.field),
-            "seed": scene.seed,
-            "settling": scene.settling,
-            "calibrations": {name: str(path) for name, path in scene.calibrations.items()},
-        }
-        command = [sys.executable, "-m", "twin.hardware.emulator", "--scene", json.dumps(table)]
+        if realtime and scene.stereo is not None:
+            raise ValueError("an emulator that runs in real time renders no stereo pairs")
+        command = [sys.executable, "-m", "twin.hardware.emulator", "--scene", scene.to_json()]
         command += ["--line-faults", str(line_faults)]
         command += ["--realtime"] if realtime else []
+        self._frames = contextlib.ExitStack()
+        if scene.stereo is not None:
+            folder = self._frames.enter_context(tempfile.TemporaryDirectory(prefix="fieldtwin-"))
+            command += ["--frames", folder]
         self._process = subprocess.Popen(  # noqa: S603
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
@@ -69,7 +70,7 @@ class EmulatorProcess:
 
         Args:
             robot: It happens to.
-            kind: Value of `emulator.faults.RobotFault`.
+            kind: Value of `emulator.faults.RobotFault` or `CameraFault`.
             duration: [s].
             address: Of the motor board concerned.
         """
@@ -91,6 +92,7 @@ class EmulatorProcess:
             self._process.kill()
             self._process.wait()
         cast("IO[str]", self._process.stdout).close()
+        self._frames.close()
 
     def _ask(self, order: dict[str, Any]) -> dict[str, Any]:
         try:

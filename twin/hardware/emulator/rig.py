@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Hashable, Sequence
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 
 from twin.hardware.emulator.faults import (
+    CameraFault,
     FaultyLine,
     LineFaultConfig,
     RobotFault,
@@ -19,6 +21,7 @@ from twin.hardware.emulator.net_ft import NetFT
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.emulator.rover import EmulatedRover
+from twin.hardware.frames import SUFFIX, FrameWriter
 from twin.hardware.roboclaw_codec import Status
 
 LOOPBACK = "127.0.0.1"
@@ -69,12 +72,14 @@ class BoardMotors:
 class EmulatedRig:
     """One robot's ports: motor boards and analogue board on ptys, force/torque on loopback UDP.
 
+    Stereo pairs are put in a file.
+
     Attributes:
         bus: Pseudo-terminal of the motor boards.
         analogue: Pseudo-terminal of the analogue board.
         wrench: UDP socket of the force/torque sensor, bound to loopback only.
         bus_line: What the motor boards' line does to its bytes.
-        analogue_line: Likewise.
+        frames: File of its stereo pairs; None if it has none.
     """
 
     def __init__(
@@ -83,6 +88,7 @@ class EmulatedRig:
         line_faults: LineFaultConfig,
         schedule: Sequence[ScheduledFault],
         rng: np.random.Generator,
+        folder: Path | None = None,
     ) -> None:
         """Power everything on.
 
@@ -91,6 +97,7 @@ class EmulatedRig:
             line_faults: Damage on the motor boards' line.
             schedule: Faults of the robot.
             rng: Decides the damage.
+            folder: Where its stereo pairs are put, if it has a head; None to keep them.
         """
         addresses = sorted({axis.address for axis in rover.calibration.drive.axes})
         self.motors = [BoardMotors(rover, address) for address in addresses]
@@ -105,18 +112,22 @@ class EmulatedRig:
         self.wrench.setblocking(False)
         self._rover = rover
         self._schedule = sorted(schedule, key=lambda fault: fault.time)
-        self._ends: list[tuple[float, RobotFault]] = []
-        self._absent: set[RobotFault] = set()
+        self._ends: list[tuple[float, RobotFault | CameraFault]] = []
+        self._absent: set[RobotFault | CameraFault] = set()
+        self._shown = -np.inf
+        self.frames = self._open_frames(folder)
         self._pass(0.0)
+        self.show()
 
     @property
     def ports(self) -> dict[str, str | int]:
         """Where a host finds the boards."""
-        return {
+        ports: dict[str, str | int] = {
             "bus": self.bus.name,
             "analogue": self.analogue.name,
             "wrench": int(self.wrench.getsockname()[1]),
         }
+        return ports if self.frames is None else {**ports, "stereo": str(self.frames.path)}
 
     def before_tick(self, time: float, period: float) -> None:
         """Begin and end faults, run the boards to `time` [s], and let them drive the motors."""
@@ -126,6 +137,22 @@ class EmulatedRig:
             for axis, code in zip(motors.axes, board.duties(), strict=True):
                 if axis is not None:
                     self._rover.codes[axis] = code
+
+    def show(self) -> None:
+        """Put a new stereo pair in its file, if there is one."""
+        pair = self._rover.stereo()
+        if self.frames is None or not pair.usable or pair.stamp <= self._shown:
+            return
+        self._shown = pair.stamp
+        if not self._absent & set(CameraFault):
+            self.frames.write(np.asarray(pair.value, dtype=np.uint8), pair.stamp)
+
+    def _open_frames(self, folder: Path | None) -> FrameWriter | None:
+        pair = self._rover.stereo()
+        if folder is None or not pair.usable:
+            return None
+        _, height, width = pair.value.shape
+        return FrameWriter(folder / f"{self._rover.name}{SUFFIX}", height, width)
 
     def _pass(self, time: float) -> None:
         """Begin and end the faults that are due at `time` [s]."""
@@ -186,6 +213,9 @@ class EmulatedRig:
     def _begin(self, fault: ScheduledFault) -> None:
         board = self.boards.boards[fault.address]
         match fault.kind:
+            case CameraFault() as kind:
+                self._absent.add(kind)
+                self._plug()
             case RobotFault.BUS_SILENT:
                 self.bus_line.silent = True
             case RobotFault.BOARD_RESET:
@@ -200,15 +230,22 @@ class EmulatedRig:
                 board.status |= _LATCHED[kind]
         self._ends.append((fault.time + fault.duration, fault.kind))
 
-    def _end(self, kind: RobotFault) -> None:
+    def _plug(self) -> None:
+        if self.frames is not None:
+            self.frames.unplug(CameraFault.UNPLUGGED in self._absent)
+
+    def _end(self, kind: RobotFault | CameraFault) -> None:
         if kind is RobotFault.BUS_SILENT:
             self.bus_line.silent = False
         elif kind is RobotFault.BROWN_OUT:
             self._rover.battery = 12.0
         self._absent.discard(kind)
+        self._plug()
 
     def close(self) -> None:
         """Take all ports away."""
+        if self.frames is not None:
+            self.frames.unplug()
         self.bus.close()
         self.analogue.close()
         self.wrench.close()

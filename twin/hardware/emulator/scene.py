@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, cast
 
-from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
+from models.clutter import PanelConfig, PanelMarker
+from models.compose import (
+    FLAT,
+    FieldConfig,
+    PayloadConfig,
+    RobotPlacement,
+    make_model,
+    settle,
+)
 from twin.camera import StereoConfig
 from twin.hardware.calibration import Calibration, calibration_path, load_calibration
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
@@ -23,6 +33,7 @@ class SceneConfig:
         seed: Of all noise.
         settling: Time for which the robots come to rest before time zero [s].
         calibrations: Files by robot name; the repository's own unless given.
+        stereo: How the stereo heads see; None for without.
     """
 
     robots: tuple[RobotPlacement, ...] = (RobotPlacement(),)
@@ -30,6 +41,7 @@ class SceneConfig:
     seed: int = 0
     settling: float = 1.0
     calibrations: Mapping[str, Path] = dataclasses.field(default_factory=dict[str, Path])
+    stereo: StereoConfig | None = None
 
     def calibration(self, robot: str) -> Calibration:
         """Return a robot's calibration, however old.
@@ -40,16 +52,50 @@ class SceneConfig:
         path = self.calibrations.get(robot, calibration_path(robot))
         return load_calibration(path, robot, None)
 
+    def to_json(self) -> str:
+        """Return the scene in words, for an emulator in another process."""
+        table = dataclasses.asdict(self)
+        table["calibrations"] = {name: str(path) for name, path in self.calibrations.items()}
+        return json.dumps(table)
+
+    @classmethod
+    def from_json(cls, words: str) -> SceneConfig:
+        """Return the scene that `to_json` gave in words."""
+        table = json.loads(words)
+        field, stereo = _tuples(table["field"]), table["stereo"]
+        if field["panel"] is not None:
+            panel = _tuples(field["panel"])
+            panel["markers"] = tuple(PanelMarker(**marker) for marker in panel["markers"])
+            field["panel"] = PanelConfig(**panel)
+        return cls(
+            tuple(_placement(_tuples(entry)) for entry in table["robots"]),
+            FieldConfig(**field),
+            table["seed"],
+            table["settling"],
+            {name: Path(path) for name, path in table["calibrations"].items()},
+            None if stereo is None else StereoConfig(**_tuples(stereo)),
+        )
+
+
+def _placement(entry: dict[str, Any]) -> RobotPlacement:
+    payload = entry.pop("payload")
+    box = None if payload is None else PayloadConfig(**_tuples(payload))
+    return RobotPlacement(**entry, payload=box)
+
+
+def _tuples(table: dict[str, Any]) -> dict[str, Any]:
+    listed = cast("dict[str, list[Any]]", {k: v for k, v in table.items() if isinstance(v, list)})
+    return {**table, **{key: tuple(values) for key, values in listed.items()}}
+
 
 class EmulatedScene:
     """Physics that advance by a tick, never by a command: a repeated one must not count twice."""
 
-    def __init__(self, config: SceneConfig, stereo: StereoConfig | None = None) -> None:
+    def __init__(self, config: SceneConfig) -> None:
         """Build the scene and let it come to rest.
 
         Args:
             config: What is emulated.
-            stereo: How the stereo heads see; None for without.
 
         Raises:
             CalibrationError: If a robot's calibration cannot be used.
@@ -60,7 +106,7 @@ class EmulatedScene:
             model,
             [robot.name for robot in config.robots],
             suite=ANALOGUE_SENSORS,
-            stereo=stereo,
+            stereo=config.stereo,
             seed=config.seed,
             data=settle(model, config.settling),
         )
