@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.looking import RobotBrief
-from controllers.placement.ground import drives, ground_of
+from controllers.placement.footprint import Part, pose_drives
+from controllers.placement.ground import ground_of
 from controllers.placement.reach import Reach, RoverState
 from controllers.placement.replanner import Mover, Replan, Replanner
 from controllers.placement.spatial_occluders import (
@@ -36,10 +37,13 @@ FloatArray = NDArray[np.float64]
 PERIOD = 0.25
 """Of the vision system [s]."""
 VIEWS, QUICK_VIEWS = 40, 16
-CLIMB, TALL = 0.03, 0.30
-"""Heights above the ground of what wheels climb and of a rover with its arm folded [m]."""
-RADIUS = 0.28
-"""Of a circle about a rover's middle that holds it with its arm folded [m]."""
+MORE_VIEWS = 100
+"""Of a map on which rovers are asked again: with few views the ground about them is unknown."""
+CLIMB, DECK, TALL = 0.03, 0.11, 0.35
+"""Heights above the ground of a rover's motors, below which it passes over what its wheels climb,
+of its deck, and of its folded arm [m]."""
+BASE, FOLDED = (-0.165, 0.165, -0.221, 0.221), (-0.053, 0.053, -0.10, 0.242)
+"""Boxes that hold wheels and deck, and the folded arm with its margin [m], frame of the rover."""
 FARTHEST = 1.2
 """Longest drive [m]."""
 ROUNDS = 5
@@ -66,7 +70,11 @@ def bench_placement(options: Options, output: Output) -> None:
         return
     _replans(voxels, seen, scene, rng, output)
     _speedup(voxels, seen[0], output)
-    _reach(voxels, seen[0], scene, 20 if options.quick else 100, output)
+    _reach(voxels, seen[0], scene, 20 if options.quick else 100, "reach", output)
+    if not options.quick:
+        for _ in range(MORE_VIEWS - VIEWS - ROUNDS * (1 + len(seen))):
+            add_view(voxels, scene, rng)
+        _reach(voxels, seen[0], scene, 100, f"reach_{MORE_VIEWS}_views", output)
 
 
 def _sees(voxels: VoxelMap, target: Target) -> bool:
@@ -162,9 +170,11 @@ def _speedup(voxels: VoxelMap, target: Target, output: Output) -> None:
     output.check("placement, re-plan as exhaustive search", float(same), "== 1", same)
 
 
-def _reach(voxels: VoxelMap, target: Target, scene: StereoScene, most: int, output: Output) -> None:
-    """Find the best view that each rover can take, and how long one question costs."""
-    cut = window(voxels, [*BOX[0][:2], CLIMB], [*BOX[1][:2], TALL])
+def _reach(
+    voxels: VoxelMap, target: Target, scene: StereoScene, most: int, key: str, output: Output
+) -> None:
+    """Find the best view that each rover can take, and how long that costs with all questions."""
+    cell = voxels.grid.resolution**2
     for name in scene.robot_names:
         brief = RobotBrief(
             known_camera_arm(scene.model, name),
@@ -174,22 +184,43 @@ def _reach(voxels: VoxelMap, target: Target, scene: StereoScene, most: int, outp
         at = body_pose(scene.data, scene.model.body(f"{name}/chassis").id)
         level = leveled(at)
         state = RoverState(level, scene.joints(name))
+        heading = float(level.rotation.as_euler("ZYX")[0])
+        pose = np.append(level.translation[:2], heading)
         start = time.process_time()
-        drive = drives(ground_of(cut), level.translation[:2], RADIUS, FARTHEST)
-        output.measure(f"reach/{name}/ground_s", time.process_time() - start)
+        drive = pose_drives(outline(voxels), pose, FARTHEST)
+        ground = time.process_time() - start
+        output.measure(f"{key}/{name}/ground_ratio", ground / PERIOD)
+        stands = np.count_nonzero(drive.enterable.any(axis=0)) * cell
+        output.measure(f"{key}/{name}/standing_places_m2", stands)
+        reached = np.count_nonzero(np.isfinite(drive.costs).any(axis=0)) * cell
+        output.measure(f"{key}/{name}/reachable_m2", reached)
         places = {target.name: target.position}
         reach = Reach(brief, state, drive, not_free(voxels), places, most=most)
         best = None
+        planner = Replanner([target], head_lens())
         start = time.process_time()
         try:
-            best = Replanner([target], head_lens()).replan(voxels, accept=reach).view
+            best = planner.replan(voxels, accept=reach, possible=reach.possible).view
         except PlacementError as error:
-            output.measure(f"reach/{name}/refusal", str(error))
-        output.measure(f"reach/{name}/replan_ratio", (time.process_time() - start) / PERIOD)
-        output.measure(f"reach/{name}/refused", len(reach.refused))
+            output.measure(f"{key}/{name}/refusal", str(error))
+        ratio = (time.process_time() - start) / PERIOD
+        output.measure(f"{key}/{name}/replan_ratio", ratio)
+        text = f"placement, {key}, {name}: a re-plan and its ways over a vision period"
+        whole = ratio + ground / PERIOD
+        output.check(text, whole, "<= 1", whole <= 1.0)
+        output.measure(f"{key}/{name}/refused", len(reach.refused))
         if best is not None and reach.plan is not None:
-            output.measure(f"reach/{name}/drive_m", reach.plan.length)
-            output.measure(f"reach/{name}/rating", best.rating)
+            output.measure(f"{key}/{name}/drive_m", reach.plan.length)
+            output.measure(f"{key}/{name}/rating", best.rating)
+
+
+def outline(voxels: VoxelMap) -> tuple[Part, Part]:
+    """Return a rover's outline while it drives, over what a map says of its heights."""
+    parts: list[Part] = []
+    for box, low, high in ((BASE, CLIMB, DECK), (FOLDED, DECK, TALL)):
+        cut = window(voxels, [*BOX[0][:2], low], [*BOX[1][:2], high])
+        parts.append(Part(box, ground_of(cut)))
+    return parts[0], parts[1]
 
 
 def leveled(pose: RigidTransform) -> RigidTransform:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import scipy.ndimage
@@ -42,6 +43,14 @@ class Ground:
         """Return (N, 2) x, y of the middles of cells (N, 2) [m]."""
         return (np.asarray(cells, dtype=float)[..., ::-1] + 0.5) * self.cell + self.corner
 
+    def gaps(self, lengths: FloatArray) -> FloatArray:
+        """Return (rows, columns) how far cells are from where a length is finite, at most less [m].
+
+        Points may be anywhere in their cells.
+        """
+        apart = np.asarray(scipy.ndimage.distance_transform_edt(~np.isfinite(lengths)))
+        return np.maximum(apart - 2.0**0.5, 0.0) * self.cell
+
 
 def ground_of(window: Window) -> Ground:
     """Return the ground below a window of voxels.
@@ -75,11 +84,20 @@ class Drives:
     farthest: float
 
     def lengths(self, places: FloatArray) -> tuple[BoolArray, FloatArray]:
-        """Return whether places (N, 2) [m] are free to stand on, and (N,) how far away [m]."""
-        cells, inside = self.ground.cells(places)
+        """Return whether places (N, 2 or more) x, y are free, and (N,) how far away [m]."""
+        cells, inside = self.ground.cells(places[:, :2])
         row, column = cells.T
         free = inside & self.enterable[row, column]
         return free, np.where(free, self.paths.lengths[row, column], np.inf)
+
+    def gaps(self, points: FloatArray) -> FloatArray:
+        """Return (N,) how far points (N, 2) are from where the rover can be, at most less [m]."""
+        cells, inside = self.ground.cells(points)
+        return np.where(inside, self._gaps[*cells.T], 0.0)
+
+    @functools.cached_property
+    def _gaps(self) -> FloatArray:
+        return self.ground.gaps(self.paths.lengths)
 
     def way(self, place: ArrayLike) -> FloatArray:
         """Return (n, 2) points of the shortest path to a place [m], both ends included.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,10 +20,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.mapping.arm_views import Collides
 from controllers.mapping.looking import RobotBrief
 from controllers.placement.arm_inverse import STRAIGHT, ArmGeometry, arm_solutions
-from controllers.placement.ground import Drives
 from controllers.placement.task import PlacementError, View
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,6 +63,27 @@ class RoverState:
     angles: FloatArray
 
 
+class DriveMap(Protocol):
+    """Where a rover can get to from where it stands: `ground.Drives`, `footprint.PoseDrives`."""
+
+    @property
+    def farthest(self) -> float:
+        """Longer ways were not looked for [m]."""
+        ...
+
+    def lengths(self, places: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """Return whether poses (N, 3) x, y, heading are free, and (N,) the way there [m]."""
+        ...
+
+    def gaps(self, points: FloatArray) -> FloatArray:
+        """Return (N,) how far points (N, 2) are from where the rover can be, at most less [m]."""
+        ...
+
+    def way(self, place: ArrayLike) -> FloatArray:
+        """Return (n, 2) points of the way to a pose (3,), both ends included [m]."""
+        ...
+
+
 @dataclasses.dataclass(frozen=True)
 class ReachPlan:
     """How a camera pose is taken.
@@ -89,7 +111,7 @@ class ReachPlan:
 def plan_reach(
     brief: RobotBrief,
     state: RoverState,
-    drive: Drives | None,
+    drive: DriveMap | None,
     collides: Collides,
     camera: ArrayLike,
     target: ArrayLike,
@@ -127,13 +149,13 @@ def plan_reach(
         raise PlacementError(
             f"camera at {_text(eye)}: the arm cannot bring it there while the rover stays"
         )
+    standing = _standing_places(brief, here, eye, seen, how)
+    free, lengths = drive.lengths(standing.places)
+    _refuse_none(eye, standing, free, lengths, drive.farthest)
     folded = np.array(how.carry)
     fold = space.path(here, state.angles, folded)
     if fold is None:
         raise PlacementError("the arm cannot be folded for driving without touching something")
-    standing = _standing_places(brief, here, eye, seen, how)
-    free, lengths = drive.lengths(standing.places[:, :2])
-    _refuse_none(eye, standing, free, lengths, drive.farthest)
     order = np.argsort(lengths, kind="stable")[: int(np.isfinite(lengths).sum())]
     for index in order[: how.tries]:
         x, y, heading = standing.places[index]
@@ -172,7 +194,7 @@ class Reach:
 
     brief: RobotBrief
     state: RoverState
-    drive: Drives | None
+    drive: DriveMap | None
     collides: Collides
     targets: Mapping[str, FloatArray]
     config: ReachConfig = dataclasses.field(default_factory=ReachConfig)
@@ -207,6 +229,25 @@ class Reach:
             self.refused.append(view.position)
             return False
         return True
+
+    def possible(self, points: FloatArray) -> BoolArray:
+        """Return (N,) whether the camera may perhaps be brought to points (N, 3) [m].
+
+        Where it is False no standing place that the rover can get to is near enough; elsewhere only
+        asking tells. One look at the map of ways answers for all points.
+        """
+        here = self.state.transform_robot_to_world.translation
+        base, geometry = self.brief.arm.transform_base_to_robot, ArmGeometry.of(self.brief.arm)
+        foot = base.translation + base.rotation.apply(geometry.yaw_axis)
+        shoulder = np.hypot(*geometry.shoulder)
+        up = points[:, 2] - here[2] - foot[2]
+        reach = geometry.length + float(shoulder)
+        across = np.sqrt(np.maximum(reach**2 - up**2, 0.0) + geometry.beside**2)
+        most = np.where(np.abs(up) <= reach, across + np.hypot(foot[0], foot[1]), -np.inf)
+        gaps = np.hypot(*(points[:, :2] - here[:2]).T)
+        if self.drive is not None:
+            gaps = np.minimum(gaps, self.drive.gaps(points[:, :2]))
+        return gaps <= most
 
 
 @dataclasses.dataclass(frozen=True)

@@ -165,6 +165,7 @@ class Replanner:
         movers: Sequence[Mover] = (),
         watch: Sequence[str] | None = None,
         accept: Callable[[View], bool] | None = None,
+        possible: Callable[[FloatArray], BoolArray] | None = None,
     ) -> Replan:
         """Choose where the camera should be.
 
@@ -173,7 +174,9 @@ class Replanner:
             present: (3,) where the camera is [m], world; None if it is nowhere yet.
             movers: Moving objects where they are now.
             watch: Names of the targets that will do; None for all.
-            accept: Says whether a view can be taken, for instance by `reach.plan_reach`.
+            accept: Says whether a view can be taken, for instance by `reach.Reach`.
+            possible: Says of places (N, 3) at once where the camera cannot be brought, for instance
+                `reach.Reach.possible`; `accept` is not asked about views from there.
 
         Raises:
             PlacementError: If a target is unknown, or no view can be had; it names the reason.
@@ -194,6 +197,12 @@ class Replanner:
                 chance[_inside(planes, points, margin)] = 1.0
             return chance
 
+        def candidates(points: FloatArray) -> FloatArray:
+            chance = occupancy(points)
+            if possible is not None:
+                chance[~possible(points)] = 1.0
+            return chance
+
         search = self.config.search
         radius, made = START * self.lens.near, 0
         if present is not None:
@@ -203,10 +212,16 @@ class Replanner:
             fields, new = self._fields(kept, radius, movers)
             made += new
             try:
-                best = best_view(fields, self.lens, occupancy, _within(radius, accept), search)
+                best = best_view(fields, self.lens, candidates, _within(radius, accept), search)
             except _Beyond as beyond:
                 radius = min(self.lens.far, GROWTH * beyond.distance)
                 continue
+            except PlacementError as error:
+                if possible is None:
+                    raise
+                raise PlacementError(
+                    f"{error}; where the camera cannot be brought does not count as free"
+                ) from None
             break
         now = None
         if present is not None:

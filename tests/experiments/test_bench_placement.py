@@ -2,15 +2,17 @@
 
 import json
 
+import mujoco
 import numpy as np
 import pytest
 import scipy.ndimage
 
 from controllers.mapping.looking import RobotBrief
 from controllers.placement.arm_inverse import standing_views
-from controllers.placement.reach import RoverState, plan_reach
+from controllers.placement.reach import ReachConfig, RoverState, plan_reach
 from controllers.placement.task import PlacementError
 from experiments.__main__ import main
+from experiments.bench_placement import BASE, DECK, FOLDED, TALL, leveled
 from experiments.ch3_scene import SceneConfig, StereoScene
 from experiments.known_camera_arm import body_pose, camera_in_world, known_body, known_camera_arm
 from experiments.placement_scene import head_lens, map_scene, panel_targets
@@ -34,6 +36,33 @@ def test_map_of_the_scene_has_its_surfaces_and_no_rovers():
         near = np.linalg.norm(centres - middle, axis=1) < 0.1
         assert np.count_nonzero(near & (centres[:, 2] > 0.04)) < 3
     assert voxels.counts()[State.FREE] > 5 * len(cells)
+
+
+def test_outline_of_a_driving_rover_holds_its_shapes():
+    scene = StereoScene(SceneConfig(seed=0, rocks=0, blocks=0, texture_pixels=64))
+    model, data = scene.model, scene.data
+    for name, angle in zip(JOINTS, ReachConfig().carry, strict=True):
+        data.joint(f"rover1/{name}_joint").qpos = angle
+    mujoco.mj_kinematics(model, data)
+    chassis = model.body("rover1/chassis").id
+    level = leveled(body_pose(data, chassis))
+    held = 0
+    for geom in np.flatnonzero(model.geom_group == 3):
+        if model.body_rootid[model.geom_bodyid[geom]] != chassis:
+            continue
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        corners = model.geom_aabb[geom, :3] + signs * model.geom_aabb[geom, 3:]
+        world = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+        low, high = world[:, 2].min(), world[:, 2].max()
+        box = BASE if high < DECK else FOLDED
+        assert high < TALL and (high < DECK or low > DECK)
+        places = level.inv().apply(world)
+        for axis in (0, 1):
+            # At rest the rover leans by some milliradians.
+            assert box[2 * axis] - 0.002 < places[:, axis].min()
+            assert places[:, axis].max() < box[2 * axis + 1] + 0.002
+        held += 1
+    assert held >= 10
 
 
 def test_targets_are_the_panel_s_markers():

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.looking import RobotBrief
 from controllers.placement.arm_inverse import ArmGeometry, arm_solutions, standing_views
+from controllers.placement.footprint import Part, pose_drives
 from controllers.placement.ground import Ground, drives
 from controllers.placement.reach import Reach, RoverState, plan_reach
 from controllers.placement.task import PlacementError, View
@@ -214,6 +215,30 @@ def test_views_of_a_search_are_refused_until_one_can_be_taken():
     assert not reach(view(EYE + [0.0, 0.0, 2.0]))
     with pytest.raises(PlacementError, match="none of the 2 best views.*beyond what the arm"):
         reach(view(EYE))
+
+
+def test_places_that_are_not_possible_are_refused_and_those_that_are_taken_are_possible():
+    def here_and_there(x, y):
+        return y < 0.75
+
+    part = Part((-0.165, 0.165, -0.221, 0.221), ground(here_and_there))
+    drive = pose_drives([part], [0.0, 0.0, 0.0], 2.0)
+    reach = Reach(BRIEF, HERE, drive, nothing, {"hole": TARGET})
+    rng = np.random.default_rng(0)
+    eyes = rng.uniform([-0.6, 0.3, 0.05], [0.6, 1.4, 0.6], (60, 3))
+    possible = reach.possible(eyes)
+    taken = np.zeros(len(eyes), dtype=bool)
+    for index, eye in enumerate(eyes):
+        try:
+            plan = plan_reach(BRIEF, HERE, drive, nothing, eye, TARGET)
+        except PlacementError:
+            continue
+        check(plan, eye, TARGET, nothing)
+        taken[index] = True
+    assert taken.sum() > 10 and (~possible).sum() > 10
+    assert np.all(possible[taken])
+    stays = Reach(BRIEF, HERE, None, nothing, {"hole": TARGET}).possible(eyes)
+    assert np.all(possible[stays]) and stays.sum() < possible.sum()
 
 
 def test_plan_holds_for_a_rover_that_stands_turned():

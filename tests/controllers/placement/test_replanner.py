@@ -142,3 +142,25 @@ def test_why_there_is_no_view_is_said(voxels):
         Replanner([HOLE, HOLE], LENS)
     with pytest.raises(ValueError, match="factor"):
         ReplanConfig(factor=0.9)
+
+
+def test_views_from_where_the_camera_cannot_be_are_never_offered(voxels):
+    def left(points):
+        return points[:, 0] < 0.0
+
+    offered = []
+
+    def accept(view):
+        offered.append(view.position)
+        return True
+
+    every = Replanner([HOLE], LENS, CONFIG)
+    plan = every.replan(voxels, accept=accept, possible=left)
+    asked = Replanner([HOLE], LENS, CONFIG).replan(
+        voxels, accept=lambda view: bool(left(view.position[None])[0])
+    )
+    assert plan.view.rating == asked.view.rating and len(offered) == 1
+    assert plan.view.position[0] < 0.0
+    with pytest.raises(PlacementError, match="cannot be brought does not count as free"):
+        every.replan(voxels, possible=lambda points: np.zeros(len(points), dtype=bool))
+    assert every.replan(voxels).view.rating >= plan.view.rating
