@@ -25,13 +25,12 @@ from controllers.identification.excitation import (
     parameter_scale,
     random_excitation,
 )
+from controllers.identification.identifiability import Identifiability, identifiability
 from controllers.identification.linear_estimators import pseudo_inverse
 from controllers.identification.output_error import (
     Estimate,
-    Identifiability,
     OutputError,
     Window,
-    identifiability,
 )
 from controllers.identification.parameters import COUNT, NAMES
 from controllers.identification.regressor import regressor

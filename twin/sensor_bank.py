@@ -8,52 +8,67 @@ it never reads zero instead.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.robot import MISSING, Channel, FloatArray, Validity
 from twin.sensors import CHANNEL_OFFSETS, CHANNEL_WIDTHS, ChannelSpec, SensorSuite, check_channel
 
 _TIME_SLACK = 1e-9
+_BLOCK = 64  # ticks of noise drawn at a time
+_ALL_MEASURED = (Validity.MEASURED,) * len(CHANNEL_WIDTHS)
+# As `Channel._make`, without a Python frame for each channel of each tick.
+_channel = cast(
+    "Callable[[Any], Channel]",
+    functools.partial(tuple.__new__, Channel),  # pyright: ignore[reportUnknownMemberType]
+)
 
 
 # Rows of the coefficients of every component: noise, offset, range, the low pass's weights of its
-# state, the last input and the present one, the converter's step (zero for none) and last code.
-_SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST = range(9)
-# Rows of the timing of every channel; a period of zero means every tick.
-_LAG, _PERIOD, _DROPOUT = range(3)
+# state, the last input and the present one, the converter's step (zero for none) and last code,
+# and the channel's number.
+_SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST, _OWNER = range(10)
+# Rows of the timing of every channel: a period of zero means every tick, the delay is in ticks,
+# and luck is this tick's draw.
+_LAG, _PERIOD, _DROPOUT, _DELAY, _LUCK = range(5)
 
 
 class BankState(NamedTuple):
     """Complete state of a `SensorBank`, enough to go on bit for bit.
 
     Attributes:
-        filtered: (size,) low-pass states; NaN before the first sample.
-        unfiltered: (size,) last inputs of the low passes.
+        filters: (2, size) low-pass states, NaN before the first sample, and their last inputs.
         due: (channels,) when the next sample is due [s].
-        past: (depth, size) held samples of the last ticks, the latest last.
-        past_stamps: (depth, channels) when they were taken [s]; NaN before the first.
+        past: (depth, size + channels) held samples of the last ticks, the latest last, and when
+            they were taken [s], NaN before the first.
     """
 
-    filtered: FloatArray
-    unfiltered: FloatArray
+    filters: FloatArray
     due: FloatArray
     past: FloatArray
-    past_stamps: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
 class SavedBank:
-    """A `BankState` with what else a bank remembers: wires and the generator's state."""
+    """A `BankState` with what else a bank remembers.
+
+    Attributes:
+        state: Of the channels.
+        connected: Whether each channel's wire is whole.
+        random: State of the generator, before it drew the present block of noise if some of
+            that is left.
+        used: Rows of the block that were used.
+    """
 
     state: BankState
     connected: tuple[bool, ...]
     random: Mapping[str, Any]
+    used: int
 
 
 class SensorBank:
@@ -78,32 +93,29 @@ class SensorBank:
         self.size = sum(CHANNEL_WIDTHS.values())
         self._rng = rng
         specs = [suite.channels.get(name, ChannelSpec()) for name in self.names]
-        self._owner = np.repeat(np.arange(len(self.names)), list(CHANNEL_WIDTHS.values()))
         self._chain = _chain(specs, period)
         self._timing = _timing(specs, [(lags or {}).get(name, 0.0) for name in self.names], period)
-        self._delay_ticks = np.array([round(spec.delay / period) for spec in specs])
         self._parts = [
             slice(CHANNEL_OFFSETS[name], CHANNEL_OFFSETS[name] + width)
             for name, width in CHANNEL_WIDTHS.items()
         ]
         self._limits = [spec.age_limit + _TIME_SLACK for spec in specs]
+        self._least_limit = min(self._limits)
         self._connected = [spec.connected for spec in specs]
         self._noisy = bool(np.any(self._chain[_SIGMA] > 0.0))
         self._lossy = bool(np.any(self._timing[_DROPOUT] > 0.0))
-        self._noise = np.zeros(self.size)
-        self._luck = np.ones(len(self.names))
+        # Noise is drawn in blocks; drop-outs are drawn between its rows, so then row by row.
+        self._noise = np.zeros((1 if self._lossy else _BLOCK, self.size))
+        self._luck = self._timing[_LUCK]
+        self._used, self._before_block = len(self._noise), {}
         self.reset()
 
     def reset(self) -> None:
         """Forget every sample; all channels are missing until the next `sample`."""
-        depth, channels = 1 + int(self._delay_ticks.max()), len(self.names)
-        self._state = BankState(
-            np.full(self.size, math.nan),
-            np.zeros(self.size),
-            np.full(channels, -math.inf),
-            np.zeros((depth, self.size)),
-            np.full((depth, channels), math.nan),
-        )
+        depth, channels = 1 + int(self._timing[_DELAY].max()), len(self.names)
+        filters = np.array([np.full(self.size, math.nan), np.zeros(self.size)])
+        past = np.full((depth, self.size + channels), math.nan)
+        self._state = BankState(filters, np.full(channels, -math.inf), past)
         self._show()
 
     def sample(self, time: float, raw: FloatArray) -> None:
@@ -114,44 +126,52 @@ class SensorBank:
             raw: (size,) true values in the order of `CHANNEL_WIDTHS`.
         """
         if self._noisy:
-            self._rng.standard_normal(out=self._noise)
+            if self._used == len(self._noise):
+                self._draw()
+            self._used += 1
         if self._lossy:
             self._rng.random(out=self._luck)
-        self._values, self._stamps = np.empty(self.size), np.empty(len(self.names))
-        _advance(
+        filters, due, past = self._state
+        reading = self._reading = np.empty(past.shape[1])
+        self._oldest = _advance(
             time,
             raw,
             self._noise,
-            self._luck,
-            self._owner,
+            self._used - 1,
             self._chain,
             self._timing,
-            self._delay_ticks,
-            *self._state,
-            self._values,
-            self._stamps,
+            filters,
+            due,
+            past,
+            reading,
         )
+
+    def _draw(self) -> None:
+        """Draw the next block of noise."""
+        self._before_block = dict(self._rng.bit_generator.state)
+        self._rng.standard_normal(out=self._noise)
+        self._used = 0
 
     def _show(self) -> None:
         """Set what the channels read: the samples of as many ticks ago as each is late."""
-        self._values, self._stamps = np.empty(self.size), np.empty(len(self.names))
-        _, _, _, past, stamps = self._state
-        _read(self._owner, self._delay_ticks, past, stamps, self._values, self._stamps)
+        self._reading = np.empty(self._state.past.shape[1])
+        self._oldest = _read(self._chain, self._timing, self._state.past, self._reading)
 
     def channels(self, time: float) -> list[Channel]:
         """Return every channel as it reads at `time` [s], read-only, in the order of `names`."""
-        values = self._values
-        values.flags.writeable = False
+        reading = self._reading
+        reading.flags.writeable = False
+        views, stamps = map(reading.__getitem__, self._parts), reading[self.size :].tolist()
+        if time - self._oldest <= self._least_limit and all(self._connected):
+            return list(map(_channel, zip(views, stamps, _ALL_MEASURED)))
         measured, stale = Validity.MEASURED, Validity.STALE
         return [
             (
-                Channel(values[part], stamp, measured if time - stamp <= limit else stale)
+                Channel(view, stamp, measured if time - stamp <= limit else stale)
                 if connected and stamp == stamp
                 else MISSING
             )
-            for part, stamp, limit, connected in zip(
-                self._parts, self._stamps.tolist(), self._limits, self._connected
-            )
+            for view, stamp, limit, connected in zip(views, stamps, self._limits, self._connected)
         ]
 
     def disconnect(self, name: str) -> None:
@@ -167,18 +187,23 @@ class SensorBank:
     def save(self) -> SavedBank:
         """Return the complete state."""
         state = BankState(*(part.copy() for part in self._state))
-        return SavedBank(state, tuple(self._connected), dict(self._rng.bit_generator.state))
+        left = self._used < len(self._noise)
+        random = self._before_block if left else dict(self._rng.bit_generator.state)
+        return SavedBank(state, tuple(self._connected), random, self._used)
 
     def restore(self, saved: SavedBank) -> None:
         """Go back to a saved state of this bank, bit for bit."""
         self._state = BankState(*(part.copy() for part in saved.state))
         self._connected = list(saved.connected)
         self._rng.bit_generator.state = dict(saved.random)
+        if saved.used < len(self._noise):
+            self._draw()
+        self._used = saved.used
         self._show()
 
 
 def _chain(specs: list[ChannelSpec], period: float) -> FloatArray:
-    """Return the coefficients of filter, noise, range and converter, (9, size)."""
+    """Return the coefficients of filter, noise, range and converter, (10, size)."""
     widths = list(CHANNEL_WIDTHS.values())
 
     def spread(values: list[Any]) -> FloatArray:
@@ -193,14 +218,16 @@ def _chain(specs: list[ChannelSpec], period: float) -> FloatArray:
     weights = [_low_pass(spec.bandwidth, period) for spec in specs]
     noise, bias = spread([spec.noise for spec in specs]), spread([spec.bias for spec in specs])
     keep, before, now = (spread([weight[n] for weight in weights]) for n in range(3))
-    return np.array([noise, bias, low, high, keep, before, now, step, levels - 1.0])
+    owner = spread(list(range(len(specs))))
+    return np.array([noise, bias, low, high, keep, before, now, step, levels - 1.0, owner])
 
 
 def _timing(specs: list[ChannelSpec], lags: list[float], period: float) -> FloatArray:
-    """Return which channels are late, slow or lossy, (3, channels)."""
+    """Return which channels are late, slow or lossy, (5, channels)."""
     slow = [spec.rate if spec.rate and spec.rate * period < 1.0 else None for spec in specs]
     periods = [1.0 / rate if rate else 0.0 for rate in slow]
-    return np.array([lags, periods, [spec.dropout for spec in specs]])
+    delays = [round(spec.delay / period) for spec in specs]
+    return np.array([lags, periods, [spec.dropout for spec in specs], delays, [1.0] * len(specs)])
 
 
 def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, float]:
@@ -222,20 +249,17 @@ def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, flo
 
 
 @numba.njit(cache=True)
-def _read(
-    owner: NDArray[np.intp],
-    delay_ticks: NDArray[np.intp],
-    past: FloatArray,
-    past_stamps: FloatArray,
-    values: FloatArray,
-    stamps: FloatArray,
-) -> None:
-    """Write what each channel reads now into `values` and `stamps`."""
-    latest = past.shape[0] - 1
-    for channel in range(stamps.shape[0]):
-        stamps[channel] = past_stamps[latest - delay_ticks[channel], channel]
-    for i in range(values.shape[0]):
-        values[i] = past[latest - delay_ticks[owner[i]], i]
+def _read(chain: FloatArray, timing: FloatArray, past: FloatArray, reading: FloatArray) -> float:
+    """Write what each channel reads now, and return the oldest stamp; NaN if one is missing."""
+    latest, size, oldest = past.shape[0] - 1, chain.shape[1], math.inf
+    for channel in range(timing.shape[1]):
+        stamp = float(past[latest - int(timing[_DELAY, channel]), size + channel])
+        reading[size + channel] = stamp
+        if stamp < oldest or math.isnan(stamp):
+            oldest = stamp
+    for i in range(size):
+        reading[i] = past[latest - int(timing[_DELAY, int(chain[_OWNER, i])]), i]
+    return oldest
 
 
 @numba.njit(cache=True)
@@ -243,24 +267,18 @@ def _advance(
     time: float,
     raw: FloatArray,
     noise: FloatArray,
-    luck: FloatArray,
-    owner: NDArray[np.intp],
+    row: int,
     chain: FloatArray,
     timing: FloatArray,
-    delay_ticks: NDArray[np.intp],
-    filtered: FloatArray,
-    unfiltered: FloatArray,
+    filters: FloatArray,
     due: FloatArray,
     past: FloatArray,
-    past_stamps: FloatArray,
-    values: FloatArray,
-    stamps: FloatArray,
-) -> None:
-    """Filter, disturb, limit and quantise a sample, hold it where it arrives, and read."""
-    latest = past.shape[0] - 1
+    reading: FloatArray,
+) -> float:
+    """Filter, disturb, limit and quantise a sample, hold it where it arrives, and `_read`."""
+    latest, size = past.shape[0] - 1, raw.shape[0]
     for tick in range(latest):
         past[tick] = past[tick + 1]
-        past_stamps[tick] = past_stamps[tick + 1]
     arrived = np.zeros(due.shape[0], np.bool_)
     for channel in range(due.shape[0]):
         if time < due[channel] - _TIME_SLACK:
@@ -270,22 +288,22 @@ def _advance(
             # Counting from the due time keeps the mean rate when it does not divide the servo's.
             first = math.isinf(due[channel])
             due[channel] = time + period if first else max(due[channel] + period, time)
-        if luck[channel] >= timing[_DROPOUT, channel]:
+        if timing[_LUCK, channel] >= timing[_DROPOUT, channel]:
             arrived[channel] = True
-            past_stamps[latest, channel] = time - timing[_LAG, channel]
-    for i in range(raw.shape[0]):
-        if math.isnan(filtered[i]):
-            filtered[i] = unfiltered[i] = raw[i]
-        value = chain[_KEEP, i] * filtered[i]
-        value += chain[_BEFORE, i] * unfiltered[i]
+            past[latest, size + channel] = time - timing[_LAG, channel]
+    for i in range(size):
+        if math.isnan(filters[0, i]):
+            filters[0, i] = filters[1, i] = raw[i]
+        value = chain[_KEEP, i] * filters[0, i]
+        value += chain[_BEFORE, i] * filters[1, i]
         value += chain[_NOW, i] * raw[i]
-        filtered[i], unfiltered[i] = value, raw[i]
-        if not arrived[owner[i]]:
+        filters[0, i], filters[1, i] = value, raw[i]
+        if not arrived[int(chain[_OWNER, i])]:
             continue
         low, step = chain[_LOW, i], chain[_STEP, i]
-        value += chain[_BIAS, i] + chain[_SIGMA, i] * noise[i]
+        value += chain[_BIAS, i] + chain[_SIGMA, i] * noise[row, i]
         value = min(max(value, low), chain[_HIGH, i])
         if step > 0.0:
             value = low + step * min(np.rint((value - low) / step), chain[_LAST, i])
         past[latest, i] = value
-    _read(owner, delay_ticks, past, past_stamps, values, stamps)
+    return _read(chain, timing, past, reading)

@@ -22,6 +22,7 @@ from twin.robot import (
     FloatArray,
     Observation,
     RobotError,
+    Validity,
     WheelMode,
 )
 
@@ -80,13 +81,15 @@ ROVER_SERVO = ServoConfig(
 
 
 _PASS, _PUSH, _FOLLOW, _REACH = range(4)
-_WHEEL_LAWS = {WheelMode.DUTY: _PASS, WheelMode.EFFORT: _PUSH, WheelMode.SPEED: _FOLLOW}
+# By identity: members of an enumeration are hashed by Python code.
+_WHEEL_LAWS = {id(WheelMode.DUTY): _PASS, id(WheelMode.EFFORT): _PUSH, id(WheelMode.SPEED): _FOLLOW}
 _ARM_LAWS = {
-    ArmMode.DUTY: _PASS,
-    ArmMode.EFFORT: _PUSH,
-    ArmMode.RATE: _FOLLOW,
-    ArmMode.POSITION: _REACH,
+    id(ArmMode.DUTY): _PASS,
+    id(ArmMode.EFFORT): _PUSH,
+    id(ArmMode.RATE): _FOLLOW,
+    id(ArmMode.POSITION): _REACH,
 }
+_MEASURED = Validity.MEASURED
 
 
 class Servo:
@@ -99,14 +102,14 @@ class Servo:
             config: Motors and gains.
             period: Servo tick [s].
         """
-        self._gains = np.array(
-            [config.rate_gain, config.rate_integral * period, config.position_gain]
-        )
-        # Stall torques above, no-load speeds below, wheels then arm joints.
-        self._lines = np.array(
+        # Wheels then arm joints; the rows as `_act` reads them.
+        self._motors = np.array(
             [
                 [*config.wheel_stall_torque, *config.arm_stall_torque],
                 [*config.wheel_no_load_speed, *config.arm_no_load_speed],
+                [config.rate_gain] * 8,
+                [config.rate_integral * period] * 8,
+                [config.position_gain] * 8,
             ]
         )
         self.reset()
@@ -126,25 +129,25 @@ class Servo:
             RobotError: If a needed channel is missing or stale.
         """
         wheel_mode, arm_mode = command.wheel_mode, command.arm_mode
+        wheel_law, arm_law = _WHEEL_LAWS[id(wheel_mode)], _ARM_LAWS[id(arm_mode)]
         speeds = rates = angles = NOTHING
-        if wheel_mode is not WheelMode.DUTY:
-            speeds = _needed(observation.wheel_speeds, "wheel_speeds", wheel_mode.value)
-        if arm_mode is not ArmMode.DUTY:
-            rates = _needed(observation.arm_rates, "arm_rates", arm_mode.value)
-        if arm_mode is ArmMode.POSITION:
-            angles = _needed(observation.arm_angles, "arm_angles", arm_mode.value)
+        if wheel_law != _PASS:
+            speeds = _needed(observation.wheel_speeds, "wheel_speeds", wheel_mode)
+        if arm_law != _PASS:
+            rates = _needed(observation.arm_rates, "arm_rates", arm_mode)
+        if arm_law == _REACH:
+            angles = _needed(observation.arm_angles, "arm_angles", arm_mode)
         duties = np.empty(8)
         _act(
-            _WHEEL_LAWS[wheel_mode],
-            _ARM_LAWS[arm_mode],
+            wheel_law,
+            arm_law,
             command.wheels,
             command.arm,
             command.arm_rates,
             speeds,
             rates,
             angles,
-            self._lines,
-            self._gains,
+            self._motors,
             self._integrals,
             duties,
         )
@@ -169,8 +172,7 @@ def _act(
     speeds: FloatArray,
     rates: FloatArray,
     angles: FloatArray,
-    lines: FloatArray,
-    gains: FloatArray,
+    motors: FloatArray,
     integrals: FloatArray,
     duties: FloatArray,
 ) -> None:
@@ -181,17 +183,17 @@ def _act(
             law, target, speed = wheel_law, wheels[axis], speeds[axis]
         else:
             law, target, speed = arm_law, arm[joint], rates[joint]
-        stall, no_load = lines[0, axis], lines[1, axis]
+        stall, no_load, gain, integral, reach = motors[:, axis]
         duty = target
         if law == _PUSH:
             duty = target / stall + speed / no_load
         if law == _REACH:
-            target = forward[joint] + gains[2] * (target - angles[joint])
+            target = forward[joint] + reach * (target - angles[joint])
         if law == _FOLLOW or law == _REACH:
             wanted = min(max(target / no_load, -1.0), 1.0)
             error = wanted - speed / no_load
-            grown = integrals[axis] + gains[1] * error
-            duty = wanted + gains[0] * error + grown
+            grown = integrals[axis] + integral * error
+            duty = wanted + gain * error + grown
             # A saturated axis must not wind up: its integral stays where it was.
             if -1.0 < duty < 1.0:
                 integrals[axis] = grown
@@ -200,8 +202,8 @@ def _act(
         duties[axis] = min(max(duty, -1.0), 1.0)
 
 
-def _needed(channel: Channel, name: str, mode: str) -> FloatArray:
+def _needed(channel: Channel, name: str, mode: WheelMode | ArmMode) -> FloatArray:
     """Return a channel's values, or refuse to drive blind."""
-    if not channel.usable:
-        raise RobotError(f"{mode} mode needs {name}, which is {channel.validity.value}")
+    if channel.validity is not _MEASURED and not channel.usable:
+        raise RobotError(f"{mode.value} mode needs {name}, which is {channel.validity.value}")
     return cast("FloatArray", channel.value)

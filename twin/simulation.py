@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from twin.camera import StereoConfig, StereoRig, StereoState
+from twin.camera import StereoConfig, StereoRig, StereoState, has_stereo
 from twin.robot import FloatArray
 from twin.sensors import DATASHEET, SensorSuite
 from twin.servo import ROVER_SERVO, SERVO_PERIOD, ServoConfig
@@ -56,7 +56,8 @@ class Simulation:
             robots: Names; a robot's elements begin with "name/". Or prefixes by name.
             suite: How the robots' sensors measure.
             servo: Their motors and gains.
-            stereo: How their stereo heads see; None leaves the channel missing.
+            stereo: How their stereo heads see; None leaves the channel missing, as does a head
+                without cameras.
             seed: Of all noise; the same seed gives the same run, bit for bit.
             period: Servo tick [s], a multiple of the physics step.
             data: The scene's state, if another owner (dm_control) holds it.
@@ -90,6 +91,7 @@ class Simulation:
             self.rigs = {
                 name: StereoRig(model, prefix, stereo, source)
                 for (name, prefix), source in zip(prefixes.items(), eyes)
+                if has_stereo(model, prefix)
             }
         mujoco.mj_forward(model, self.data)
         self._time: float = self.data.time

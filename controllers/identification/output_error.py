@@ -1,18 +1,23 @@
-"""Our estimator: maximum a posteriori fit of the outputs, the noise where it is.
+"""Our estimator: fit of the outputs, the noise where it is.
 
 Both sides of A x = F are measured, so least squares on it is biased (errors in variables). Here
 the base's motion and the wrench are simulated from the arm's known motion and compared with all
-that was measured; Gauss-Newton with the model's sensitivities, a weak prior, and coordinates in
-which every point is a physical body.
+that was measured; Gauss-Newton with the model's sensitivities, in coordinates in which every point
+is a physical body.
+
+A weak prior gives the search a start and holds what the data do not determine. On line it counts in
+full (maximum a posteriori). In the final fit it counts only in those combinations of parameters
+along which it gives a noticeable share of the information; all others are as the data alone have
+them (maximum likelihood). There it could no longer sharpen the fit, only pull it towards the guess.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import Trajectory
@@ -21,7 +26,6 @@ from controllers.identification.parameters import (
     COUNT,
     DAMPING,
     INERTIA,
-    NAMES,
     Prior,
     coordinate_scale,
     from_coordinates,
@@ -37,11 +41,21 @@ CHI_SQUARE_TOLERANCE = 0.01
 SMALLEST_GAIN = 1e-4
 """Of half the squared residuals, at which a fit has converged: 0.014 standard deviations away."""
 
+LARGEST_LEFT = 0.5
+"""The same, at which the whole prior has brought the fit near: one standard deviation away."""
+
 SUBSTEPS = 2
 """Integration steps a sample, on line: one would leave 0.3 % in the angular accelerations."""
 
 FINAL_SUBSTEPS = 4
 """Those of the final fit: on a light, stiff body two bias it by more than its deviation."""
+
+PRIOR_SHARE = 0.01
+"""Of the information along a combination of parameters, below which the final fit leaves the prior
+out: with it the deviation would fall by half a percent, but the fit move by a tenth of a deviation
+for each of the prior's that the truth lies off the guess."""
+
+_PriorTerm = Callable[[FloatArray], tuple[float, FloatArray, FloatArray]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +95,7 @@ class Estimate:
         parameters: (22,) physical parameters.
         covariance: (22, 22) of the physical parameters.
         theta: (22,) search coordinates.
-        information: (22, 22) posterior information in search coordinates.
+        information: (22, 22) of data and prior, as far as it counts, in search coordinates.
         chi_square: Weighted squared residuals per measurement; 1 when the model holds.
         iterations: Gauss-Newton iterations.
         measurements: Number of scalar measurements.
@@ -123,6 +137,15 @@ class _Normal:
 _Linearised = tuple[_Normal, dict[str, BaseState]]
 
 
+@dataclasses.dataclass(frozen=True)
+class _Point:
+    """A point of the final fit, with the data linearised there and the states reached."""
+
+    theta: FloatArray
+    normal: _Normal
+    states: dict[str, BaseState]
+
+
 class OutputError:
     """Fits the 22 parameters to windows of all three modes, on line and at the end.
 
@@ -143,7 +166,7 @@ class OutputError:
         self._linearised_at = self._prior.mean()
         self._states = {mode: BaseState.at_rest() for mode in arms}
         self._data = _Normal(0.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))
-        self.estimate = self._summary(self._linearised_at, self._data, 0)
+        self.estimate = self._summary(self._linearised_at, self._data, 0, self._prior.term)
 
     @property
     def measurements(self) -> int:
@@ -176,13 +199,13 @@ class OutputError:
             self._accumulate(
                 mode, [window], self._linearised_at, self._data, self._states, SUBSTEPS
             )
-        theta = self._step_from(self._linearised_at, self._data)
+        theta = _step_from(self._linearised_at, self._data, self._prior.term)
         if np.abs(theta - self._linearised_at).max() > relinearise_above:
             self._linearised_at = self._held(self._linearised_at, theta)
             self._data, self._states = self._linearise(self._linearised_at, SUBSTEPS)
-            theta = self._step_from(self._linearised_at, self._data)
+            theta = _step_from(self._linearised_at, self._data, self._prior.term)
         theta = self._held(self._linearised_at, theta)
-        self.estimate = self._summary(theta, self._data, 1)
+        self.estimate = self._summary(theta, self._data, 1, self._prior.term)
         return self.estimate
 
     def fit(self, iterations: int = 40, restarts: int = 3) -> Estimate:
@@ -211,34 +234,40 @@ class OutputError:
         return best
 
     def _descend(self, theta: FloatArray, iterations: int) -> tuple[Estimate, _Linearised]:
-        normal, states = self._linearise(theta, FINAL_SUBSTEPS)
-        objective = self._objective(theta, normal)
-        damping, count = 1e-3, 0
-        while count < iterations and self._gain_left(theta, normal) > SMALLEST_GAIN:
+        """Descend under the whole prior until near, then let it count only where it must."""
+        point, gain = _Point(theta, *self._linearise(theta, FINAL_SUBSTEPS)), LARGEST_LEFT
+        term: _PriorTerm = self._prior.term
+        count, held = 0, -1
+        while True:
+            point, count = self._descend_under(term, point, gain, count, iterations)
+            information = point.normal.information
+            directions = self._prior.noticeable(point.theta, information, PRIOR_SHARE)
+            # What the data determine only while the prior holds it needs the prior: no way back.
+            if directions.shape[1] <= held:
+                break
+            held, gain = directions.shape[1], SMALLEST_GAIN
+            term = functools.partial(self._prior.term, directions=directions)
+        summary = self._summary(point.theta, point.normal, count, term)
+        return summary, (point.normal, point.states)
+
+    def _descend_under(
+        self, term: _PriorTerm, point: _Point, gain: float, count: int, iterations: int
+    ) -> tuple[_Point, int]:
+        """Descend until no more than `gain` is left, or `iterations` are done, `count` before."""
+        objective, damping = _objective(point, term), 1e-3
+        while count < iterations and _gain_left(point, term) > gain:
             count += 1
-            candidate = self._held(theta, self._step_from(theta, normal, damping))
-            step = candidate - theta
-            other, other_states = self._linearise(candidate, FINAL_SUBSTEPS)
-            improved = self._objective(candidate, other)
+            target = _step_from(point.theta, point.normal, term, damping)
+            candidate = self._held(point.theta, target)
+            other = _Point(candidate, *self._linearise(candidate, FINAL_SUBSTEPS))
+            improved = _objective(other, term)
             if np.isfinite(improved) and improved < objective:
-                objective = improved
-                theta, damping = candidate, damping / 10
-                normal, states = other, other_states
-            elif np.abs(step).max() < 1e-6 or damping > 1e8:
+                objective, point, damping = improved, other, damping / 10
+            elif np.abs(candidate - point.theta).max() < 1e-6 or damping > 1e8:
                 break
             else:
                 damping *= 10
-        return self._summary(theta, normal, count), (normal, states)
-
-    def _gain_left(self, theta: FloatArray, normal: _Normal) -> float:
-        """Return what a full Newton step promises to gain of half the squared residuals."""
-        _, pull, precision = self._prior.term(theta)
-        gradient = normal.gradient - pull
-        step = np.linalg.solve(normal.information + precision, gradient)
-        return 0.5 * float(gradient @ step)
-
-    def _objective(self, theta: FloatArray, normal: _Normal) -> float:
-        return 0.5 * normal.cost + self._prior.term(theta)[0]
+        return point, count
 
     def _linearise(self, theta: FloatArray, substeps: int) -> _Linearised:
         """Simulate all windows at `theta`; return normal equations and the states reached."""
@@ -271,12 +300,6 @@ class OutputError:
         normal.gradient += scale * gradient
         normal.information += information * np.outer(scale, scale)
 
-    def _step_from(self, theta: FloatArray, normal: _Normal, damping: float = 0.0) -> FloatArray:
-        _, pull, precision = self._prior.term(theta)
-        information, gradient = normal.information + precision, normal.gradient - pull
-        damped = information + damping * np.diag(np.diag(information))
-        return theta + np.linalg.solve(damped, gradient)
-
     def _held(self, theta: FloatArray, target: FloatArray) -> FloatArray:
         """Return `target`, or as far towards it as stays near, and the inertia physical."""
         step = target - theta
@@ -284,8 +307,10 @@ class OutputError:
         step[INERTIA] *= largest_physical_step(theta, step)
         return theta + step
 
-    def _summary(self, theta: FloatArray, normal: _Normal, iterations: int) -> Estimate:
-        information = normal.information + self._prior.term(theta)[2]
+    def _summary(
+        self, theta: FloatArray, normal: _Normal, iterations: int, term: _PriorTerm
+    ) -> Estimate:
+        information = normal.information + term(theta)[2]
         scale = coordinate_scale(theta)
         return Estimate(
             parameters=from_coordinates(theta),
@@ -298,47 +323,22 @@ class OutputError:
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class Identifiability:
-    """What the data say and what they do not.
-
-    Attributes:
-        unidentifiable: Names of the parameters of which the data say little.
-        directions: The combinations that stay unknown, as name -> weight in prior deviations,
-            largest weights first.
-    """
-
-    unidentifiable: tuple[str, ...]
-    directions: tuple[dict[str, float], ...]
+def _gain_left(point: _Point, term: _PriorTerm) -> float:
+    """Return what a full Newton step promises to gain of half the squared residuals."""
+    _, pull, precision = term(point.theta)
+    gradient = point.normal.gradient - pull
+    step = np.linalg.solve(point.normal.information + precision, gradient)
+    return 0.5 * float(gradient @ step)
 
 
-def identifiability(
-    estimate: Estimate, prior: Prior | None = None, shrinkage: float = 0.5
-) -> Identifiability:
-    """Say by name what a fit could not determine.
+def _objective(point: _Point, term: _PriorTerm) -> float:
+    return 0.5 * point.normal.cost + term(point.theta)[0]
 
-    A parameter counts as unidentifiable when its deviation stayed above `shrinkage` of the
-    prior's, and a direction likewise. The prior is taken where the estimate lies, and the
-    inertia's for a given mass: its deviation falls with the body's size and with what is known of
-    the mass, neither of which the data say of the inertia.
 
-    Args:
-        estimate: A fit.
-        prior: The prior that it was made with.
-        shrinkage: Ratio of posterior to prior deviation.
-    """
-    _, _, precision = (prior or Prior()).term(estimate.theta)
-    sigma = np.sqrt(np.diag(np.linalg.inv(precision)))
-    sigma[INERTIA] = np.sqrt(np.diag(np.linalg.inv(precision[INERTIA, INERTIA])))
-    posterior = np.sqrt(np.diag(np.linalg.inv(estimate.information)))
-    names = tuple(NAMES[i] for i in np.flatnonzero(posterior > shrinkage * sigma))
-    values, vectors = scipy.linalg.eigh(estimate.information, precision)
-    directions = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value * shrinkage**2 > 1:
-            break
-        weights = vector / sigma
-        weights /= np.linalg.norm(weights)
-        kept = [i for i in np.argsort(-np.abs(weights)) if abs(weights[i]) > 0.2]
-        directions.append({NAMES[i]: float(weights[i]) for i in kept})
-    return Identifiability(names, tuple(directions))
+def _step_from(
+    theta: FloatArray, normal: _Normal, term: _PriorTerm, damping: float = 0.0
+) -> FloatArray:
+    _, pull, precision = term(theta)
+    information, gradient = normal.information + precision, normal.gradient - pull
+    damped = information + damping * np.diag(np.diag(information))
+    return theta + np.linalg.solve(damped, gradient)

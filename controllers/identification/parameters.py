@@ -204,20 +204,55 @@ class Prior:
         _, _, information = self.term(self.mean())
         return np.sqrt(np.diag(np.linalg.inv(information)))
 
-    def term(self, coordinates: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return cost (half of the squares), gradient (22,) and information (22, 22)."""
-        cost, gradient, information = self.inertia_term(coordinates)
-        others = np.array([0, *range(LEVER.start, COUNT)])
-        precision = np.full(COUNT, self.log_sigma**-2)
-        precision[LEVER] = self.lever_sigma**-2
-        deviation = (coordinates - self.mean())[others]
-        pull = precision[others] * deviation
-        gradient[others] += pull
-        information[others, others] += precision[others]
-        return cost + float(0.5 * pull @ deviation), gradient, information
+    def term(
+        self, coordinates: FloatArray, directions: FloatArray | None = None
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """Return cost (half of the squares), gradient (22,) and information (22, 22).
 
-    def inertia_term(self, coordinates: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return the inertia's share of `term`, which also ties it to the mass."""
+        Args:
+            coordinates: (22,) search coordinates.
+            directions: (22, n) orthonormal columns, the combinations of `deviations` that count;
+                all unless given.
+        """
+        deviations, change = self.deviations(coordinates)
+        if directions is not None:
+            deviations, change = directions.T @ deviations, directions.T @ change
+        return float(0.5 * deviations @ deviations), change.T @ deviations, change.T @ change
+
+    def noticeable(self, coordinates: FloatArray, data: FloatArray, share: float) -> FloatArray:
+        """Return the combinations of `deviations` along which the prior matters beside the data.
+
+        Args:
+            coordinates: (22,) search coordinates.
+            data: (22, 22) information of the data about them.
+            share: Of the information of both, from which the prior's matters.
+
+        Returns:
+            (22, n) orthonormal columns; n is zero if the prior matters nowhere.
+        """
+        _, change = self.deviations(coordinates)
+        inverse = np.linalg.inv(change)
+        values, vectors = np.linalg.eigh(inverse.T @ data @ inverse)
+        return vectors[:, share * (values + 1.0) <= 1.0]
+
+    def deviations(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how many deviations the coordinates lie off the guess.
+
+        Returns:
+            (22,) independent deviations, those of the inertia being of its factor's elements, and
+            their derivatives (22, 22) by the coordinates.
+        """
+        others = np.array([0, *range(LEVER.start, COUNT)])
+        sigma = np.full(COUNT, self.log_sigma)
+        sigma[LEVER] = self.lever_sigma
+        deviations = (coordinates - self.mean()) / sigma
+        change = np.zeros((COUNT, COUNT))
+        change[others, others] = 1.0 / sigma[others]
+        deviations[INERTIA], change[INERTIA, :7] = self._factor_deviations(coordinates)
+        return deviations, change
+
+    def _factor_deviations(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the inertia's share of `deviations` (6,), and its derivatives (6, 7)."""
         factor = np.linalg.cholesky(second_moments(coordinates))
         inverse = np.linalg.inv(factor)
         guess = np.exp(0.5 * coordinates[0]) * self.size / np.sqrt(12)
@@ -231,10 +266,7 @@ class Prior:
         kept = np.tril(turned) - 0.5 * np.einsum("kii->ki", turned)[:, :, None] * np.eye(3)
         change[1:] = (factor @ kept)[:, _LOWER[0], _LOWER[1]] / guess
         change[1:, _DIAGONAL] *= guess / np.diag(factor)
-        gradient, information = np.zeros(COUNT), np.zeros((COUNT, COUNT))
-        gradient[:7] = change @ deviation / self.factor_sigma**2
-        information[:7, :7] = change @ change.T / self.factor_sigma**2
-        return float(0.5 * deviation @ deviation) / self.factor_sigma**2, gradient, information
+        return deviation / self.factor_sigma, change.T / self.factor_sigma
 
 
 @dataclasses.dataclass(frozen=True)

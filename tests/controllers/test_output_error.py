@@ -15,11 +15,11 @@ from controllers.identification.arm_motion import (
     swing,
 )
 from controllers.identification.compliant_base import ArmOnMount, BaseState, simulate
+from controllers.identification.identifiability import identifiability
 from controllers.identification.output_error import (
     Estimate,
     OutputError,
     Window,
-    identifiability,
 )
 from controllers.identification.parameters import (
     COUNT,
@@ -95,7 +95,8 @@ def test_result_hardly_depends_on_the_guess():
         search.add({mode: Window(PATHS[mode], outputs[mode], sigma) for mode in MODES})
         found.append(search.fit())
     spread = np.sqrt(np.diag(found[0].covariance))
-    assert np.all(np.abs(found[0].parameters - found[1].parameters) < 0.3 * spread)
+    difference = np.abs(found[0].parameters - found[1].parameters) / spread
+    assert np.all(difference < 0.05)
 
 
 def cut(mode: str, n: int, outputs: np.ndarray, sigma: np.ndarray) -> Window:

@@ -108,6 +108,27 @@ def test_information_of_the_prior_is_its_curvature_where_the_cost_is_least():
     np.testing.assert_allclose(prior.sigma(), sigma, rtol=1e-6)
 
 
+def test_prior_matters_only_along_what_the_data_know_less_well_than_asked():
+    generator = np.random.default_rng(2)
+    coordinates = to_coordinates(random_body(generator))
+    _, change = Prior().deviations(coordinates)
+    turn, _ = np.linalg.qr(generator.normal(size=(COUNT, COUNT)))
+    information = np.geomspace(1e-2, 1e6, COUNT)
+    data = change.T @ (turn * information) @ turn.T @ change
+    found = Prior().noticeable(coordinates, data, share=0.01)
+    weak = turn[:, information < 99.0]
+    np.testing.assert_allclose(found @ found.T, weak @ weak.T, atol=1e-6)
+
+
+def test_parts_of_the_prior_add_up_to_the_whole():
+    generator = np.random.default_rng(3)
+    coordinates = to_coordinates(random_body(generator))
+    turn, _ = np.linalg.qr(generator.normal(size=(COUNT, COUNT)))
+    parts = [Prior().term(coordinates, turn[:, rows]) for rows in (slice(0, 5), slice(5, COUNT))]
+    for whole, *pieces in zip(Prior().term(coordinates), *parts, strict=True):
+        np.testing.assert_allclose(sum(pieces), whole, rtol=1e-9, atol=1e-9)
+
+
 def test_prior_grows_without_bound_towards_a_flat_body():
     costs = []
     for thickness in (1e-1, 1e-3, 1e-6, 1e-9):

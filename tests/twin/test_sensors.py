@@ -193,6 +193,33 @@ def test_restored_bank_goes_on_bit_for_bit():
     assert first.tobytes() == again.tobytes()
 
 
+@pytest.mark.parametrize("ticks", [10, 64, 100])
+def test_bank_restored_within_a_block_of_noise_goes_on_bit_for_bit(ticks):
+    sensors, other = bank(5, noise=0.1), bank(77, noise=0.1)
+    feed(sensors, np.zeros(ticks))
+    other.restore(sensors.save())
+    for anew in (sensors, other):
+        first, _ = feed(anew, np.zeros(80))
+        again = bank(5, noise=0.1)
+        whole, _ = feed(again, np.zeros(ticks + 80))
+        np.testing.assert_array_equal(first, whole[ticks:])
+
+
+def test_noise_is_the_generators_own_row_after_row():
+    values, _ = feed(bank(9, noise=0.1), np.zeros(70))
+    rows = np.random.default_rng(9).standard_normal((70, bank().size))
+    np.testing.assert_allclose(values, 0.1 * rows[:, GYRO], rtol=1e-12)
+
+
+def test_one_missing_channel_leaves_the_others_measured():
+    sensors = bank(dropout=1.0)
+    for tick in range(20):
+        sensors.sample(tick * PERIOD, np.ones(sensors.size))
+    worth = {name: channel.validity for name, channel in read(sensors, 0.19).items()}
+    assert worth.pop("gyro") is Validity.MISSING
+    assert set(worth.values()) == {Validity.MEASURED}
+
+
 @pytest.mark.parametrize(
     "make", [lambda n: SensorSuite("x", {n: ChannelSpec()}), bank().disconnect]
 )
