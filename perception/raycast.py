@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
 """Options of kernels that make no arrays. Without numba's runtime they count no references: handing
-a tuple of arrays from one to another would else cost a third of their time."""
+a tuple of arrays from one to another would else cost a third of their time. Such a tuple is handed
+over word by word, some hundred of them: what is called for each brick, group or part is inlined."""
 PASSED, HIT = 1, 2
 """Marks of a cell in one scan: a ray went through it; a ray ended in it, which outweighs."""
 MARGIN = 2

@@ -95,7 +95,7 @@ def with_room(store: Bricks, bricks: int, blocks: int, records: int) -> Bricks:
     )
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def room_left(store: Bricks, bricks: int, blocks: int, records: int) -> bool:
     """Return whether so many can still be taken."""
     used = store.used
@@ -126,7 +126,7 @@ def dense_brick(store: Bricks, x: int, y: int, z: int) -> int:
     return number
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def slot_block(store: Bricks, brick: int) -> int:
     """Return the number of a dense brick's block of slots, made if there is none."""
     block = store.block[brick]
@@ -139,7 +139,7 @@ def slot_block(store: Bricks, brick: int) -> int:
     return block
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def new_record(store: Bricks) -> int:
     """Return the number of an unused surface estimate."""
     used = store.used
@@ -150,7 +150,7 @@ def new_record(store: Bricks) -> int:
     return np.int32(used[RECORDS] - 1)
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def release_record(store: Bricks, block: int, cell: int) -> None:
     """Forget the surface estimate of a voxel."""
     store.free_records[store.used[FREE_RECORDS]] = store.slots[block, cell]
@@ -158,7 +158,7 @@ def release_record(store: Bricks, block: int, cell: int) -> None:
     store.slots[block, cell] = NOWHERE
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def record_at(store: Bricks, x: int, y: int, z: int) -> int:
     """Return the number of the estimate in a voxel (which must be inside), or -1."""
     brick = store.index[x >> 3, y >> 3, z >> 3]

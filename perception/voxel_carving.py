@@ -45,9 +45,8 @@ class Samples(NamedTuple):
         y: Likewise.
         z: Likewise.
         cell: (n,) number of the voxel, from the part's first.
-        column: (n,) of the image, or -1 outside; for the part at hand.
-        row: (n,) likewise.
-        depth: (n,) likewise [m].
+        pixel: (n,) of the image, row by row; for the part at hand.
+        depth: (n,) likewise [m]; infinite outside of the image.
         told: (n,) FREE, just before a surface (MIXED) or NOTHING; likewise.
         kept: (n,) whether the voxel was hit in this scan; likewise.
     """
@@ -56,8 +55,7 @@ class Samples(NamedTuple):
     y: NDArray[np.float32]
     z: NDArray[np.float32]
     cell: NDArray[np.int32]
-    column: NDArray[np.int32]
-    row: NDArray[np.int32]
+    pixel: NDArray[np.int32]
     depth: NDArray[np.float32]
     told: NDArray[np.int32]
     kept: NDArray[np.bool_]
@@ -65,22 +63,27 @@ class Samples(NamedTuple):
 
 def samples_of(camera: Camera, resolution: float, coarse: bool) -> Samples:
     """Return the middles of a part's voxels, level by level, or of its cubes of 2 x 2 x 2."""
-    step = 2 if coarse else 1
-    k, i, j = (grid.ravel() for grid in np.meshgrid(*3 * [range(0, HALF, step)], indexing="ij"))
-    middles = camera.turn @ (np.stack([i, j, k]) + 0.5 * step) * resolution
-    x, y, z = np.ascontiguousarray(middles, dtype=np.float32)
-    cell = ((i << 6) | (j << 3) | k).astype(np.int32)
+    middles, cell = COARSE_PART if coarse else PART
+    x, y, z = (camera.turn @ middles * resolution).astype(np.float32)
     return Samples(
         x=x,
         y=y,
         z=z,
         cell=cell,
-        column=np.empty_like(cell),
-        row=np.empty_like(cell),
+        pixel=np.empty_like(cell),
         depth=np.empty_like(x),
         told=np.empty_like(cell),
         kept=np.empty(cell.shape, dtype=np.bool_),
     )
+
+
+def _part(step: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the middles (3, n) of a part's cubes of some voxels, in voxels, and their numbers."""
+    k, i, j = (grid.ravel() for grid in np.meshgrid(*3 * [range(0, HALF, step)], indexing="ij"))
+    return np.stack([i, j, k]) + 0.5 * step, ((i << 6) | (j << 3) | k).astype(np.int32)
+
+
+PART, COARSE_PART = _part(1), _part(2)
 
 
 @numba.njit(**KERNEL)
@@ -122,18 +125,23 @@ def carve_scan(
     ly, lz = window[4] // LOT - y0 + 1, window[5] // LOT - z0 + 1
     count = bricks_in(window)
     verdict_of_lot, judged = MIXED, -1
-    for number in range(first, count):
+    x1, y1, z1 = x0, y0, z0
+    number = first - 1
+    while number + 1 < count:
+        number += 1
         lot, inner = number // LOT**3, number % LOT**3
-        x, y, z = (x0 + lot // (ly * lz)) * LOT, (y0 + lot // lz % ly) * LOT, (z0 + lot % lz) * LOT
         if lot != judged:
             # Most of a fine map's bricks are told by a look at a few dozen of them at once.
             judged = lot
+            x1, y1 = (x0 + lot // (ly * lz)) * LOT, (y0 + lot // lz % ly) * LOT
+            z1 = (z0 + lot % lz) * LOT
             verdict_of_lot, _, _ = _judge(
-                scan, camera, settings[0], x * SIDE, y * SIDE, z * SIDE, LOT * SIDE
+                scan, camera, settings[0], x1 * SIDE, y1 * SIDE, z1 * SIDE, LOT * SIDE
             )
         if verdict_of_lot == NOTHING:
+            number += LOT**3 - 1 - inner
             continue
-        x, y, z = x + inner // LOT**2, y + inner // LOT % LOT, z + inner % LOT
+        x, y, z = x1 + inner // LOT**2, y1 + inner // LOT % LOT, z1 + inner % LOT
         if not (x <= window[3] and y <= window[4] and z <= window[5]):
             continue
         index = store.index[x, y, z]
@@ -162,7 +170,7 @@ def carve_scan(
     return count
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _judge(scan: Scan, camera: Camera, resolution: float, x: int, y: int, z: int, side: int):
     """Return what a look at the tiles tells of a cube of voxels.
 
@@ -183,23 +191,34 @@ def _judge(scan: Scan, camera: Camera, resolution: float, x: int, y: int, z: int
     px = (x + 0.5) * resolution - origin[0]
     py = (y + 0.5) * resolution - origin[1]
     pz = (z + 0.5) * resolution - origin[2]
-    least, most = math.inf, 0.0
-    left, right, top, bottom = math.inf, -math.inf, math.inf, -math.inf
-    for corner in range(8):
-        qx = px + length * (corner & 1)
-        qy = py + length * ((corner >> 1) & 1)
-        qz = pz + length * (corner >> 2)
-        depth = turn[2, 0] * qx + turn[2, 1] * qy + turn[2, 2] * qz
-        least, most = min(least, depth), max(most, depth)
-        if depth > 1e-6:
-            u = (turn[0, 0] * qx + turn[0, 1] * qy + turn[0, 2] * qz) / depth * camera.fx
-            v = (turn[1, 0] * qx + turn[1, 1] * qy + turn[1, 2] * qz) / depth * camera.fy
-            left, right = min(left, u), max(right, u)
-            top, bottom = min(top, v), max(bottom, v)
+    first = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz
+    ax, ay, az = length * turn[2, 0], length * turn[2, 1], length * turn[2, 2]
+    least = first + min(ax, 0.0) + min(ay, 0.0) + min(az, 0.0)
+    most = first + max(ax, 0.0) + max(ay, 0.0) + max(az, 0.0)
     if most < camera.near or least > camera.far:
         return NOTHING, False, 0.0
     if least < camera.near:
         return MIXED, False, math.inf
+    across = (turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz) * camera.fx
+    down = (turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz) * camera.fy
+    bx, by, bz = (
+        camera.fx * length * turn[0, 0],
+        camera.fx * length * turn[0, 1],
+        camera.fx * length * turn[0, 2],
+    )
+    cx, cy, cz = (
+        camera.fy * length * turn[1, 0],
+        camera.fy * length * turn[1, 1],
+        camera.fy * length * turn[1, 2],
+    )
+    left, right, top, bottom = math.inf, -math.inf, math.inf, -math.inf
+    for corner in range(8):
+        i, j, k = corner & 1, (corner >> 1) & 1, corner >> 2
+        inverse = 1.0 / (first + ax * i + ay * j + az * k)
+        u = (across + bx * i + by * j + bz * k) * inverse
+        v = (down + cx * i + cy * j + cz * k) * inverse
+        left, right = min(left, u), max(right, u)
+        top, bottom = min(top, v), max(bottom, v)
     u0, u1 = whole(left + camera.cx + 0.5), whole(right + camera.cx + 0.5)
     v0, v1 = whole(top + camera.cy + 0.5), whole(bottom + camera.cy + 0.5)
     if u1 < 0 or v1 < 0 or u0 >= camera.width or v0 >= camera.height:
@@ -233,7 +252,7 @@ def _lower_all(store: Bricks, x: int, y: int, z: int, miss: int, lowest: int) ->
         store.index[x, y, z] = -129 - least
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _carve_brick(
     store: Bricks,
     scan: Scan,
@@ -261,7 +280,7 @@ def _carve_brick(
             _settle(store, samples, settings, brick, (i << 6) | (j << 3) | k)
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _project(
     camera: Camera, samples: Samples, resolution: float, corner: tuple[int, int, int]
 ) -> None:
@@ -276,39 +295,34 @@ def _project(
     # One more than the pixel's number, so that cutting off decimals rounds all alike.
     cx, cy = np.float32(camera.cx + 1.5), np.float32(camera.cy + 1.5)
     right, bottom = np.float32(camera.width + 1), np.float32(camera.height + 1)
-    nothing, one = np.float32(0.0), np.float32(1.0)
+    one, width = np.float32(1.0), np.int32(camera.width)
+    before = width + np.int32(1)
     for n in range(samples.cell.size):
         depth = qz + samples.z[n]
         inverse = one / depth
         u = (qx + samples.x[n]) * inverse * fx + cx
         v = (qy + samples.y[n]) * inverse * fy + cy
-        u = u if u > nothing else nothing
-        v = v if v > nothing else nothing
-        u = u if u < right else nothing
-        v = v if v < bottom else nothing
-        samples.depth[n] = depth
-        samples.column[n] = np.int32(u if depth >= near else nothing) - np.int32(1)
-        samples.row[n] = np.int32(v) - np.int32(1)
+        inside = (depth >= near) & (u >= one) & (v >= one) & (u < right) & (v < bottom)
+        u, v = u if inside else one, v if inside else one
+        samples.depth[n] = depth if inside else np.float32(np.inf)
+        samples.pixel[n] = np.int32(v) * width + np.int32(u) - before
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _ask(scan: Scan, samples: Samples) -> bool:
     """Hold projected samples against the image; return whether it tells of any."""
-    some = 0
+    limits, depths = scan.limit.reshape(-1), scan.depth.reshape(-1)
+    some = np.int32(0)
     for n in range(samples.cell.size):
-        u, v = samples.column[n], samples.row[n]
-        inside = u >= 0 and v >= 0
-        u, v = (u, v) if inside else (np.int32(0), np.int32(0))
-        depth = samples.depth[n]
-        before = depth < scan.limit[v, u]
-        near = depth < scan.depth[v, u]
-        told = (FREE if before else (MIXED if near else NOTHING)) if inside else NOTHING
+        pixel, depth = np.uint32(samples.pixel[n]), samples.depth[n]
+        # A limit is no deeper than what it stands before: NOTHING, MIXED or FREE.
+        told = np.int32(depth < depths[pixel]) + np.int32(depth < limits[pixel])
         samples.told[n] = told
         some |= told
     return some != 0
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _settle(
     store: Bricks, samples: Samples, settings: Carving, brick: tuple[int, int, int], first: int
 ) -> None:

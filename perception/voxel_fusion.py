@@ -60,7 +60,7 @@ def workspace() -> Work:
     return a, d, b, e, c, f, np.empty(3)
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _effective(points: float, correlated: float) -> float:
     """Return how many independent points so many are worth."""
     return 0.0 if points <= 0.0 else max(1.0, points / correlated)
@@ -119,7 +119,7 @@ def fuse_scan(
     return downs * acrosses
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _gather(
     scan: Scan,
     corner: tuple[int, int, int, int],
@@ -173,7 +173,7 @@ def _gather(
     return count
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _fuse_group(
     store: Bricks,
     origin: FloatArray,
@@ -302,7 +302,7 @@ def touch_scan(store: Bricks, scan: Scan, settings: Fusing, first: int) -> int:
     return height
 
 
-@numba.njit(**KERNEL)
+@numba.njit(**KERNEL, inline="always")
 def _put_down(
     store: Bricks,
     mean: FloatArray,

@@ -2,7 +2,7 @@
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
-# pyright: reportUnknownParameterType=false, reportIncompatibleMethodOverride=false
+# pyright: reportUnknownParameterType=false, reportIncompatibleMethodOverride=false, reportReturnType=false
 
 from __future__ import annotations
 
@@ -144,14 +144,14 @@ def binned(frustum: Frustum, resolution: float) -> Frustum:
 
 def window_of(camera: Camera, far: float, side: float, shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Return the first and last brick on each axis (6,) that a view can reach up to a depth."""
-    u = (np.array([-0.5, camera.width - 0.5]) - camera.cx) / camera.fx
-    v = (np.array([-0.5, camera.height - 0.5]) - camera.cy) / camera.fy
-    corners = np.array([[x, y, 1.0] for x in u for y in v]) * far
-    ends = np.vstack([corners @ camera.turn, np.zeros(3)]) + camera.origin
-    low = np.floor(ends.min(axis=0) / side)
-    high = np.floor(ends.max(axis=0) / side)
-    last = np.array(shape) - 1
-    return np.concatenate([np.maximum(low, 0), np.minimum(high, last)]).astype(np.int64)
+    u = (-0.5 - camera.cx) / camera.fx, (camera.width - 0.5 - camera.cx) / camera.fx
+    v = (-0.5 - camera.cy) / camera.fy, (camera.height - 0.5 - camera.cy) / camera.fy
+    corners = np.array([[x * far, y * far, far] for x in u for y in v] + [[0.0, 0.0, 0.0]])
+    ends = corners @ camera.turn + camera.origin
+    low, high = np.floor(ends.min(axis=0) / side), np.floor(ends.max(axis=0) / side)
+    window = np.empty(6, dtype=np.int64)
+    window[:3], window[3:] = np.maximum(low, 0), np.minimum(high, np.array(shape) - 1)
+    return window
 
 
 def fill_scan(
@@ -192,60 +192,66 @@ def _organise(
 
     Until `_tile_means` depth is a sum too, and sigma the sum of variances.
     """
-    turn, corner = camera.turn, camera.corner
+    # Taken out of their arrays once: the compiler must think that what is stored changes them.
+    (ax, ay, az), (bx, by, bz), (dx, dy, dz) = _row(camera, 0), _row(camera, 1), _row(camera, 2)
+    left, top, low = camera.corner[0], camera.corner[1], camera.corner[2]
     ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
     height, width = scan.depth.shape
-    for i in range(points.shape[0]):
+    depths, counts, sigmas = scan.depth.reshape(-1), scan.count.reshape(-1), scan.sigma.reshape(-1)
+    places, spreads = scan.place.reshape(-1, 3), scan.spread.reshape(-1, 6)
+    for i in range(np.uint64(points.shape[0])):
         xx, xy, xz = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 0, 2]
         yy, yz, zz = covariances[i, 1, 1], covariances[i, 1, 2], covariances[i, 2, 2]
-        x, y, z = points[i, 0] - corner[0], points[i, 1] - corner[1], points[i, 2] - corner[2]
+        x, y, z = points[i, 0] - left, points[i, 1] - top, points[i, 2] - low
         minor = xx * yy - xy * xy
         whole_ = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
         # Sylvester's criterion; a comparison with NaN is false.
         good = xx > 0.0 and minor > 0.0 and whole_ > 0.0 and xx + yy + zz < np.inf
         if not (good and abs(x + y + z) < np.inf):
-            return i
+            return np.int64(i)
         px, py, pz = x - ox, y - oy, z - oz
-        depth = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz
+        depth = dx * px + dy * py + dz * pz
         if depth < camera.near or depth > camera.far:
             continue
         inverse = 1.0 / depth
-        across = (turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz) * inverse
-        down = (turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz) * inverse
+        across = (ax * px + ay * py + az * pz) * inverse
+        down = (bx * px + by * py + bz * pz) * inverse
         u = whole(camera.fx * across + camera.cx + 0.5)
         v = whole(camera.fy * down + camera.cy + 0.5)
         if not (0 <= u < width and 0 <= v < height):
             continue
-        count = scan.count[v, u]
+        pixel = np.uint64(v * width + u)
+        count = counts[pixel]
         if count > 0:
-            beyond = depth - scan.depth[v, u] / count
+            beyond = depth - depths[pixel] / count
             if beyond > thickness:
                 continue
             if beyond < -thickness:
                 count = 0
-        if count == 0:
-            scan.depth[v, u] = 0.0
-            scan.sigma[v, u] = 0.0
-            for k in range(3):
-                scan.place[v, u, k] = 0.0
-            for k in range(6):
-                scan.spread[v, u, k] = 0.0
         variance = px * px * xx + py * py * yy + pz * pz * zz
         variance += 2.0 * (px * py * xy + px * pz * xz + py * pz * yz)
-        scan.count[v, u] = count + 1
-        scan.depth[v, u] += depth
         part = depth / (px * px + py * py + pz * pz)
-        scan.sigma[v, u] += part * part * variance
-        scan.place[v, u, 0] += x
-        scan.place[v, u, 1] += y
-        scan.place[v, u, 2] += z
-        scan.spread[v, u, 0] += xx
-        scan.spread[v, u, 1] += xy
-        scan.spread[v, u, 2] += xz
-        scan.spread[v, u, 3] += yy
-        scan.spread[v, u, 4] += yz
-        scan.spread[v, u, 5] += zz
+        variance *= part * part
+        counts[pixel] = count + 1
+        if count == 0:
+            depths[pixel], sigmas[pixel] = depth, variance
+        else:
+            depths[pixel] += depth
+            sigmas[pixel] += variance
+            # All are read before any is written: so they are added up together.
+            x, y, z = x + places[pixel, 0], y + places[pixel, 1], z + places[pixel, 2]
+            xx, xy, xz = xx + spreads[pixel, 0], xy + spreads[pixel, 1], xz + spreads[pixel, 2]
+            yy, yz, zz = yy + spreads[pixel, 3], yz + spreads[pixel, 4], zz + spreads[pixel, 5]
+        places[pixel, 0], places[pixel, 1], places[pixel, 2] = x, y, z
+        spreads[pixel, 0], spreads[pixel, 1], spreads[pixel, 2] = xx, xy, xz
+        spreads[pixel, 3], spreads[pixel, 4], spreads[pixel, 5] = yy, yz, zz
     return -1
+
+
+@numba.njit(**KERNEL, inline="always")
+def _row(camera: Camera, number: int) -> tuple[float, float, float]:
+    """Return one axis of the camera in the world."""
+    return camera.turn[number, 0], camera.turn[number, 1], camera.turn[number, 2]
 
 
 @numba.njit(**KERNEL)

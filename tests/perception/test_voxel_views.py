@@ -89,6 +89,53 @@ def test_visible_volumes_are_those_of_a_brute_force_over_voxels(seed):
         assert value == pytest.approx(expected, rel=0.05)
 
 
+def sampled_along_rays(states, pose, path, step=2e-4):
+    """Return depths of the first occupied sample and (unmeasured, free, information) by sums."""
+    z = np.arange(VIEW.near + step / 2, VIEW.far, step)
+    rays = VIEW.rays()
+    lookup = np.vectorize(int)(states)
+    depths, sums = np.full((VIEW.height, VIEW.width), np.inf), np.zeros(3)
+    for row in range(VIEW.height):
+        points = pose.apply((rays[row, :, None] * z[:, None]).reshape(-1, 3))
+        cells, inside = GRID.cells(points)
+        found = np.where(inside, lookup[tuple(cells.T)], -1).reshape(VIEW.width, len(z))
+        met = found == State.OCCUPIED
+        hit = met.any(axis=1)
+        depths[row, hit] = z[met[hit].argmax(axis=1)]
+        found[np.cumsum(met, axis=1) > 0] = -1
+        unmeasured = found == State.UNKNOWN
+        length = np.linalg.norm(rays[row], axis=1)[:, None] * step
+        clear = np.exp(-length / path * (np.cumsum(unmeasured, axis=1) - 0.5))
+        area = z**2 * step / (VIEW.fx * VIEW.fy)
+        sums += [
+            np.sum(area * unmeasured),
+            np.sum(area * (found == State.FREE)),
+            np.sum(area * unmeasured * clear),
+        ]
+    return depths, sums
+
+
+@pytest.mark.parametrize("turn", [0.2, 1.3, -2.5])
+def test_rays_end_and_count_as_dense_samples_along_them_do(turn):
+    states = scattered_states(4)
+    # Single voxels too, so that what is known changes within bricks.
+    generator = np.random.default_rng(5)
+    scattered = generator.random(states.shape)
+    states[scattered < 0.1] = State.FREE
+    states[scattered > 0.95] = State.UNKNOWN
+    states[(scattered > 0.45) & (scattered < 0.452)] = State.OCCUPIED
+    pose = RigidTransform.from_components([-0.05, 0.03, 0.02], pose_looking_along_x(turn).rotation)
+    depths, (unmeasured, free, seen) = sampled_along_rays(states, pose, 0.4)
+    found = view_counts(known_map(states), pose, VIEW, mean_free_path=0.4)
+    # A corner that a ray cuts by less than a sample may be missed by the samples.
+    near = np.isclose(found.depths, depths, rtol=0.0, atol=2e-4)
+    assert np.mean(near | (np.isinf(found.depths) & np.isinf(depths))) > 0.98
+    assert np.all((found.depths < depths + 2e-4) | np.isinf(depths))
+    assert found.unmeasured == pytest.approx(unmeasured, rel=0.01)
+    assert found.free == pytest.approx(free, rel=0.01)
+    assert found.information * GRID.resolution**3 == pytest.approx(seen, rel=0.01)
+
+
 def test_an_empty_view_shows_the_frustum_s_volume():
     pose = RigidTransform.from_components([0.0, 0.0, -0.45], Rotation.identity())
     found = view_counts(VoxelMap(GRID), pose, VIEW)
