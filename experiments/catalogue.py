@@ -66,6 +66,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch4_stereo",
     ),
     Experiment(
+        name="ch5-insertion",
+        summary="two rovers insert a card: the master watches, the slave brings it",
+        thesis="chapter 5, Table 5-1, figures 5-11 to 5-14",
+        module="experiments.ch5_insertion",
+    ),
+    Experiment(
         name="ch5-contact",
         summary="a card is inserted by what the hand feels, and contact states are told apart",
         thesis="figures A-5 to A-7, section 5.4 (forces)",

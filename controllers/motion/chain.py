@@ -171,6 +171,17 @@ class Chain:
         _mass_matrix(*self._numbers(), state, matrix)
         return matrix + np.diag(self.rotors)
 
+    def last_frame(self, positions: ArrayLike) -> FloatArray:
+        """Return (4, 4) the transform from the last body's frame to the base frame.
+
+        Args:
+            positions: (n,) [rad or m].
+        """
+        state = self._state(positions)
+        frame = np.eye(4)
+        _last_frame(self._slides, self._axes, self._offsets, self._rotations, state[0], frame)
+        return frame
+
     def _numbers(self) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray,
                                 FloatArray, FloatArray, FloatArray]:  # fmt: skip
         return (
@@ -184,7 +195,7 @@ class Chain:
         )
 
     def _state(self, *rows: ArrayLike) -> FloatArray:
-        for name, row in zip(("positions", "rates", "accelerations"), rows, strict=True):
+        for name, row in zip(("positions", "rates", "accelerations"), rows, strict=False):
             if np.shape(row) != (len(self),) or not np.all(np.isfinite(row)):
                 raise ValueError(f"joint {name} {row}: expected {len(self)} finite numbers")
         return np.array(rows, dtype=float)
@@ -210,6 +221,21 @@ def _turn(axis, angle):
             [v * x * z - s * y, v * y * z + s * x, c + v * z * z],
         ]
     )
+
+
+@numba.njit(cache=True)
+def _last_frame(slides, axes, offsets, rotations, positions, frame):
+    """Write the last body's frame (4, 4) in that of the base."""
+    turn, place = np.eye(3), np.zeros(3)
+    for i in range(len(positions)):
+        place = place + turn @ offsets[i]
+        turn = turn @ rotations[i]
+        if slides[i]:
+            place = place + turn @ (axes[i] * positions[i])
+        else:
+            turn = turn @ _turn(axes[i], positions[i])
+    frame[:3, :3] = turn
+    frame[:3, 3] = place
 
 
 @numba.njit(cache=True)

@@ -1,0 +1,319 @@
+"""The slave: it brings the card to the slot by the master's looks, then inserts it by force.
+
+Vehicle and arm are one redundant chain: the arm keeps the card before the slot where the last looks
+and dead reckoning believe it to be, at every servo tick, and the wheels bring the robot to where
+the arm is at ease, while it is still far. Close to the slot the wheels stand, and the arm alone
+moves (thesis section 5.1: vision guides in classical visual servo control).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, to_plane
+from controllers.insertion.guidance import Guidance
+from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
+from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
+from controllers.motion.base_motion import level_of
+from controllers.motion.driving import Odometry, SkidSteer
+from twin.robot import ArmMode, Command, Observation, WheelMode
+
+FloatArray = NDArray[np.float64]
+
+
+class Stage(enum.Enum):
+    """What the slave is doing."""
+
+    WAIT = "wait"
+    APPROACH = "approach"
+    ALIGN = "align"
+    INSERT = "insert"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclasses.dataclass(frozen=True)
+class CarrierConfig:
+    """How the slave moves.
+
+    Attributes:
+        guide: Of the insertion by force.
+        belief: Of where the slot is.
+        reach: Of the card's edge before the robot's origin where the arm is at ease [m].
+        stand_off: Of the card before the mouth when vision hands over to force [m].
+        speed: Of the wheels, at most [m/s].
+        slowing: Of the wheels before their place, speed over distance [1/s].
+        turn: Turning rate of the robot, at most [rad/s].
+        card_speed: Of the card by the arm [m/s].
+        card_turn: Its turning rate [rad/s].
+        near: Of the robot to its place, where the wheels stop [m].
+        look_ahead: Over which the robot steers onto the slot's line [m].
+        aligned: Across and ahead [m] and turn [rad] within which the card stands before the slot.
+        looks: How many looks in a row have to say so.
+        patience: Time before the slot after which the card goes in as believed [s].
+        stale: Age of the last look from which on the slave goes on by dead reckoning [s]: as long
+            as it knows the slot's place well enough, else it stands still.
+        known: Deviation of the slot's place with which that is well enough [m].
+        lost: Age of the last look after which it gives up [s].
+        first: Time without a first look after which it gives up: the camera has to be placed [s].
+        settle: Time over which the wrench is tared [s].
+        force_limit: Of the contact force at which everything stops [N].
+        timeout: For the whole task [s].
+        period: Servo tick [s].
+    """
+
+    guide: GuideConfig
+    belief: BeliefConfig = dataclasses.field(default_factory=BeliefConfig)
+    reach: float = 0.47
+    stand_off: float = 0.015
+    speed: float = 0.06
+    slowing: float = 0.8
+    turn: float = 0.25
+    card_speed: float = 0.03
+    card_turn: float = 0.15
+    near: float = 0.006
+    look_ahead: float = 0.12
+    aligned: tuple[float, float] = (7e-4, math.radians(0.5))
+    looks: int = 3
+    patience: float = 12.0
+    stale: float = 1.0
+    known: float = 4e-3
+    lost: float = 6.0
+    first: float = 15.0
+    settle: float = 0.5
+    force_limit: float = 9.0
+    timeout: float = 120.0
+    period: float = 0.01
+
+
+class Carrier:
+    """Drives wheels and arm of the slave, one step each servo tick."""
+
+    def __init__(
+        self,
+        config: CarrierConfig,
+        arm: CardArm,
+        steer: SkidSteer,
+        slot_in_robot: FloatArray,
+        covariance: FloatArray,
+    ) -> None:
+        """Begin where the map says.
+
+        Args:
+            config: How it moves.
+            arm: With the card.
+            steer: Its wheels.
+            slot_in_robot: (4, 4) by the map.
+            covariance: (6, 6) of its xi.
+        """
+        self.config = config
+        self.stage, self.reason = Stage.WAIT, ""
+        self.guide: InsertionGuide | None = None
+        self.contact = np.zeros(6)
+        self.belief = SlotBelief(slot_in_robot, covariance, config.belief)
+        self.error = np.full(5, np.nan)
+        self._arm = arm
+        self._steer = steer
+        self._odometry = Odometry(steer)
+        self._levelled = False
+        self._time = 0.0
+        self._last_look = -math.inf
+        self._since = 0.0
+        self._good = 0
+        self._tare: list[FloatArray] = []
+        self._offset = np.zeros(6)
+        self._wanted: FloatArray | None = None  # joints
+        self._slot: FloatArray | None = None  # in the robot, while force guides
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended, in DONE or FAILED."""
+        return self.stage in (Stage.DONE, Stage.FAILED)
+
+    def step(self, seen: Observation, looks: Sequence[Guidance]) -> Command:
+        """Take what was measured and heard, and return the next command.
+
+        Args:
+            seen: Of the slave.
+            looks: Of the master, as they came over the radio since the last step.
+        """
+        config = self.config
+        self._time += config.period
+        if not (seen.arm_angles.usable and seen.arm_rates.usable):
+            return self._fail("no arm angles", np.zeros(4), arm=False)
+        angles = np.asarray(seen.arm_angles.value, dtype=float)
+        if self._wanted is None:
+            self._wanted = angles.copy()
+        self._reckon(seen, angles)
+        self._listen(looks)
+        self._feel(seen, angles)
+        if not self.over and self._time > config.timeout:
+            return self._fail("out of time", angles)
+        if not self.over and float(np.linalg.norm(self.contact[:3])) > config.force_limit:
+            return self._fail("force", angles)
+        if self.stage is Stage.WAIT:
+            if self._last_look > -math.inf:
+                self._enter(Stage.APPROACH)
+            elif self._time > config.first:
+                return self._fail("target not seen", angles)
+            return self._hold()
+        if self.stage in (Stage.APPROACH, Stage.ALIGN):
+            return self._go(angles)
+        if self.stage is Stage.INSERT:
+            return self._insert(seen, angles)
+        return self._hold()
+
+    def stop(self, reason: str) -> None:
+        """Stand still for good, for a reason from outside.
+
+        Args:
+            reason: Why.
+        """
+        if not self.over:
+            self.stage, self.reason = Stage.FAILED, reason
+
+    def _enter(self, stage: Stage) -> None:
+        self.stage, self._since, self._good = stage, self._time, 0
+
+    def _fail(self, reason: str, angles: FloatArray, arm: bool = True) -> Command:
+        self.stage, self.reason = Stage.FAILED, reason
+        if arm:
+            self._wanted = angles.copy()
+        return self._hold() if arm else Command(wheel_mode=WheelMode.DUTY, arm_mode=ArmMode.DUTY)
+
+    def _hold(self, wheels: FloatArray | None = None, rates: FloatArray | None = None) -> Command:
+        assert self._wanted is not None
+        still = np.zeros(4)
+        return Command(
+            still if wheels is None else wheels,
+            self._wanted,
+            WheelMode.SPEED,
+            ArmMode.POSITION,
+            still if rates is None else rates,
+        )
+
+    def _reckon(self, seen: Observation, angles: FloatArray) -> None:
+        """Bring dead reckoning on; the tilt counts from where it was at the start."""
+        before, turned = self._odometry.way, self._odometry.turned
+        self._odometry.update(seen, self.config.period)
+        if not self._levelled and seen.inclinometer.usable:
+            # The map's prior was given in the robot's own frame.
+            self.belief.slot_in_start = self._odometry.pose() @ self.belief.slot_in_start
+            self._levelled = True
+        if self.stage in (Stage.INSERT, Stage.DONE, Stage.FAILED):
+            return
+        way, turn = self._odometry.way - before, self._odometry.turned - turned
+        card = self._odometry.pose() @ self._arm.card_in_robot(angles)
+        self.belief.note(seen.time, card, way, turn, self.config.period)
+
+    def _listen(self, looks: Sequence[Guidance]) -> None:
+        for look in looks:
+            if look.card_seen or look.slot_seen:
+                self._last_look = self._time
+            if self.stage is Stage.INSERT or not self.belief.take(look):
+                continue
+            assert look.transform_slot_to_card is not None
+            self.error = to_plane(look.transform_slot_to_card.inv().as_matrix())
+            self.error[1] += self.config.stand_off
+            across, turn = self.config.aligned
+            fits = np.all(np.abs(self.error[:2]) < across) and abs(self.error[2]) < turn
+            self._good = self._good + 1 if fits else 0
+
+    def _feel(self, seen: Observation, angles: FloatArray) -> None:
+        """Work out what touches the card, less what it was when nothing did."""
+        if not seen.arm_base_wrench.usable:
+            self.contact = np.full(6, np.nan) if self.stage is Stage.INSERT else np.zeros(6)
+            return
+        up = level_of(seen).specific_force / 9.81
+        felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
+        if self.stage is Stage.ALIGN:
+            self._tare = [*self._tare, felt][-round(self.config.settle / self.config.period) :]
+            self._offset = np.mean(self._tare, axis=0)
+        self.contact = felt - self._offset if self._tare else np.zeros(6)
+
+    def _go(self, angles: FloatArray) -> Command:
+        """Bring the card before the slot, with wheels and arm."""
+        config = self.config
+        age = self._time - self._last_look
+        if age > config.lost:
+            return self._fail("target not seen", angles)
+        if age > config.stale and self.belief.deviation() > config.known:
+            return self._hold()
+        slot = inverse(self._odometry.pose()) @ self.belief.slot_in_start
+        gap = float(slot[1, 3]) - config.reach - config.stand_off
+        wheels = np.zeros(4)
+        if self.stage is Stage.APPROACH:
+            wheels = self._steer_to(slot, gap)
+            if abs(gap) < config.near:
+                self._enter(Stage.ALIGN)
+        # While the robot is away, the card stays where the arm is at ease.
+        away = max(gap, 0.0) if self.stage is Stage.APPROACH else 0.0
+        ahead = -config.stand_off - away
+        rates = self._bring(slot @ planar([0.0, ahead, 0.0]), angles)
+        if self.stage is Stage.ALIGN:
+            waited = self._time - self._since
+            tared = len(self._tare) * config.period >= config.settle - 1e-9
+            if tared and (self._good >= config.looks or waited > config.patience):
+                self._hand_over(slot)
+        return self._hold(wheels, rates)
+
+    def _steer_to(self, slot: FloatArray, gap: float) -> FloatArray:
+        """Return wheel speeds onto the slot's line, slower when near."""
+        config = self.config
+        heading = math.atan2(-slot[0, 1], slot[1, 1])  # of the slot's line, to the left
+        # How far the line lies to the left of the robot's origin.
+        beside = -slot[0, 3] * math.cos(heading) - slot[1, 3] * math.sin(heading)
+        speed = min(max(config.slowing * gap, -config.speed), config.speed)
+        curve = 2.0 * heading / config.look_ahead + beside / config.look_ahead**2
+        turn = min(max(curve * abs(speed), -config.turn), config.turn)
+        return self._steer.wheel_speeds(speed, turn)
+
+    def _bring(self, card: FloatArray, angles: FloatArray) -> FloatArray:
+        """Move the wanted joints a step towards a pose of the card; return their rates."""
+        assert self._wanted is not None
+        config = self.config
+        now = self._arm.card_in_robot(self._wanted)
+        way = card[:3, 3] - now[:3, 3]
+        most = config.card_speed * config.period
+        place = now[:3, 3] + way * min(1.0, most / max(float(np.linalg.norm(way)), 1e-9))
+        step = config.card_turn * config.period
+        pitch = pitch_of(now)
+        pitch += min(max(pitch_of(card) - pitch, -step), step)
+        return self._command_card(place, pitch)
+
+    def _command_card(self, place: FloatArray, pitch: float) -> FloatArray:
+        assert self._wanted is not None
+        target = self._arm.angles_at(place, pitch, self._wanted)
+        if not np.all(np.isfinite(target)):
+            return np.zeros(4)
+        rates = (target - self._wanted) / self.config.period
+        if np.abs(rates).max() > 3.0:  # the other elbow
+            return np.zeros(4)
+        self._wanted = target
+        return rates
+
+    def _hand_over(self, slot: FloatArray) -> None:
+        """Let force guide from here; the slot stays where it is believed now."""
+        assert self._wanted is not None
+        self._slot = slot
+        start = to_plane(inverse(slot) @ self._arm.card_in_robot(self._wanted))
+        self.guide = InsertionGuide(self.config.guide, start[:3])
+        self._enter(Stage.INSERT)
+
+    def _insert(self, seen: Observation, angles: FloatArray) -> Command:
+        assert self.guide is not None and self._slot is not None
+        wrench = self.contact[[0, 1, 5]]
+        pose = self.guide.step(wrench if np.all(np.isfinite(wrench)) else None)
+        card = self._slot @ planar(pose)
+        rates = self._command_card(card[:3, 3], pitch_of(card))
+        if self.guide.phase is Phase.DONE:
+            self._enter(Stage.DONE)
+        elif self.guide.phase is Phase.FAILED:
+            return self._fail(self.guide.reason, angles)
+        return self._hold(rates=rates)

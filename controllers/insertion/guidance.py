@@ -1,0 +1,102 @@
+"""What the master tells the slave: where the slot is from the card, as its cameras saw it.
+
+A message of 60 bytes, so that one frame of the radio carries it: time, what was seen, the pose in
+steps of 20 um and 0.1 mrad, and its covariance's 21 numbers in half precision.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+FloatArray = NDArray[np.float64]
+
+KIND = 0x14
+"""First byte: format version 1, type 4."""
+_CARD, _SLOT, _POSE = 1, 2, 4
+_FORM = struct.Struct(">BBi6h21e")
+_LENGTH, _ANGLE, _TIME = 2e-5, 1e-4, 1e-3
+_UPPER = np.triu_indices(6)
+
+
+class GuidanceError(ValueError):
+    """A message that cannot be sent, or that is none."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Guidance:
+    """One look of the master.
+
+    Attributes:
+        time: Of the images [s].
+        card_seen: Whether the card was seen in them.
+        slot_seen: Whether the slot was.
+        transform_slot_to_card: The slot from the card; None if the card was not seen.
+        covariance: (6, 6) of xi in ``true = from_exp_coords(xi) * transform_slot_to_card``,
+            rotation [rad] then translation [m]; zeros without a pose.
+    """
+
+    time: float
+    card_seen: bool
+    slot_seen: bool
+    transform_slot_to_card: RigidTransform | None
+    covariance: FloatArray
+
+    def pack(self) -> bytes:
+        """Return the message's bytes.
+
+        Raises:
+            GuidanceError: If the pose is too far away or a number is not finite.
+        """
+        flags = _CARD * self.card_seen | _SLOT * self.slot_seen
+        steps, spread = np.zeros(6), np.zeros(21)
+        if self.transform_slot_to_card is not None:
+            flags |= _POSE
+            place = self.transform_slot_to_card.translation / _LENGTH
+            turn = self.transform_slot_to_card.rotation.as_rotvec() / _ANGLE
+            steps = np.rint(np.concatenate([turn, place]))
+            # Milliradians and millimetres, so that half precision has room on both sides.
+            spread = 1e6 * self.covariance[_UPPER]
+        numbers = np.concatenate([steps, spread, [self.time]])
+        if not np.all(np.isfinite(numbers)) or np.abs(steps).max() > 0x7FFF:
+            raise GuidanceError(f"guidance {self}: not finite, or farther than 0.65 m")
+        with np.errstate(over="ignore"):
+            halves = np.clip(spread, -6e4, 6e4)
+        return _FORM.pack(
+            KIND, flags, round(self.time / _TIME), *(int(n) for n in steps), *halves.tolist()
+        )
+
+
+def unpack(message: bytes) -> Guidance:
+    """Return what a message says.
+
+    Args:
+        message: From `Guidance.pack`.
+
+    Raises:
+        GuidanceError: If it is no such message.
+    """
+    if len(message) != _FORM.size or message[0] != KIND:
+        raise GuidanceError(f"no guidance message: {len(message)} bytes, begins {message[:1]!r}")
+    _, flags, time, *numbers = _FORM.unpack(message)
+    covariance = np.zeros((6, 6))
+    covariance[_UPPER] = np.array(numbers[6:]) * 1e-6
+    covariance = covariance + covariance.T - np.diag(np.diag(covariance))
+    if not np.all(np.isfinite(covariance)):
+        raise GuidanceError("guidance message: its covariance is not finite")
+    pose = None
+    if flags & _POSE:
+        turn = Rotation.from_rotvec(np.array(numbers[:3]) * _ANGLE)
+        pose = RigidTransform.from_components(np.array(numbers[3:6]) * _LENGTH, turn)
+        covariance = _positive(covariance)
+    return Guidance(time * _TIME, bool(flags & _CARD), bool(flags & _SLOT), pose, covariance)
+
+
+def _positive(covariance: FloatArray) -> FloatArray:
+    """Return a covariance whose rounded numbers leave no direction without variance."""
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.maximum(values, 1e-12)) @ vectors.T

@@ -1,0 +1,183 @@
+"""Where the master's camera sees card and slot best, of all places that its standing arm reaches.
+
+The target is the region between card and slot with the markers of both (thesis figures 5-2, 5-3):
+all of them must be in both images, and what carries the card must not hide them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from controllers.mapping.camera_arm import CameraArm
+from controllers.placement.arm_inverse import standing_views
+from controllers.placement.spatial_occluders import Occluder, TargetField, expand
+from controllers.placement.spatial_views import rate_positions
+from controllers.placement.task import Exponents, Lens, PlacementError, Target
+from perception.marker_poses import BodyCad
+from perception.stereo_geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+_AS_GOOD = 0.95  # Ratio of ratings that do not matter.
+
+
+@dataclasses.dataclass(frozen=True)
+class WatchPlan:
+    """How a place is chosen.
+
+    Attributes:
+        lens: The camera.
+        carrier: (K, 3) corners of what carries the card [m], card frame.
+        stand: (L, 3) corners of what holds the slot [m], slot frame.
+        distances: (R,) of the camera from the target that are tried [m].
+        pitches: (S,) of the view above the horizon that are tried [rad].
+        border: Pixels that markers keep from the images' edges.
+        exponents: Of eq. 4-1.
+    """
+
+    lens: Lens
+    carrier: FloatArray
+    stand: FloatArray
+    distances: FloatArray
+    pitches: FloatArray
+    border: float = 14.0
+    exponents: Exponents = dataclasses.field(default_factory=Exponents)
+
+
+@dataclasses.dataclass(frozen=True)
+class SeenParts:
+    """Card and slot, as believed in one frame.
+
+    Attributes:
+        card_pose: The transform from the card to the frame.
+        slot_pose: The same of the slot.
+        card: Its markers.
+        slot: Its markers.
+    """
+
+    card_pose: RigidTransform
+    slot_pose: RigidTransform
+    card: BodyCad
+    slot: BodyCad
+
+    def markers(self) -> FloatArray:
+        """Return (N, 3) all markers [m]."""
+        parts = (self.card_pose, self.card), (self.slot_pose, self.slot)
+        return np.concatenate([pose.apply(cad.points) for pose, cad in parts])
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmChoice:
+    """The best place for the camera.
+
+    Attributes:
+        angles: (4,) of the joints [rad].
+        rating: Of the view there; 0 if none shows everything.
+        rating_now: Of the view from the angles that were asked about.
+    """
+
+    angles: FloatArray
+    rating: float
+    rating_now: float
+
+
+def target_field(plan: WatchPlan, parts: SeenParts, whole: bool = True) -> TargetField:
+    """Return the target between card and slot with what may hide it.
+
+    Args:
+        plan: Shapes.
+        parts: Where they are, in any frame.
+        whole: Both card and slot; if not, the card alone.
+
+    Raises:
+        PlacementError: If the target lies in an occluder.
+    """
+    markers = parts.markers() if whole else parts.card_pose.apply(parts.card.points)
+    middle = 0.5 * (markers.max(axis=0) + markers.min(axis=0))
+    normals = [parts.card_pose.rotation.apply(parts.card.normal),
+               parts.slot_pose.rotation.apply(parts.slot.normal)]  # fmt: skip
+    normal = np.sum(normals, axis=0)
+    normal /= np.linalg.norm(normal)
+    target = Target("card and slot", middle, normal, markers - middle)
+    occluders = [
+        Occluder("carrier", parts.card_pose.apply(plan.carrier)),
+        Occluder("stand", parts.slot_pose.apply(plan.stand)),
+    ]
+    return expand(target, occluders)
+
+
+def best_angles(
+    plan: WatchPlan,
+    parts: SeenParts,
+    arm: CameraArm,
+    geometry: StereoGeometry,
+    now: FloatArray,
+) -> ArmChoice:
+    """Return the joint angles with the best view of card and slot, or if none shows both, the card.
+
+    Args:
+        plan: What is tried.
+        parts: Where card and slot are, robot frame.
+        arm: Of the robot that looks.
+        geometry: Of its pair.
+        now: (4,) angles to compare with [rad].
+    """
+    for whole in (True, False):
+        choice = _best_of(plan, parts, arm, geometry, now, whole)
+        if choice.rating > 0.0:
+            return choice
+    return choice
+
+
+def _best_of(
+    plan: WatchPlan,
+    parts: SeenParts,
+    arm: CameraArm,
+    geometry: StereoGeometry,
+    now: FloatArray,
+    whole: bool,
+) -> ArmChoice:
+    """Return the best view of everything, or of the card alone: it is what moves."""
+    try:
+        field = target_field(plan, parts, whole)
+    except PlacementError:
+        return ArmChoice(now, 0.0, 0.0)
+    views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
+    angles = np.vstack([now, views.angles])
+    cameras = arm.camera_in_robot(angles)
+    markers = parts.markers() if whole else parts.card_pose.apply(parts.card.points)
+    seen = in_both_images(cameras, markers, geometry, plan.border)
+    places = np.asarray(cameras.translation)
+    rated = rate_positions(field, plan.lens, places, None, plan.exponents)
+    ratings = np.where(seen, [view.rating for view in rated], 0.0)
+    # Of views that are as good, the one that the arm is nearest to.
+    good = np.flatnonzero(ratings >= _AS_GOOD * ratings.max())
+    best = int(good[np.argmin(np.abs(angles[good] - now).max(axis=1))])
+    return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]))
+
+
+def in_both_images(
+    cameras: RigidTransform, points: FloatArray, geometry: StereoGeometry, border: float
+) -> NDArray[np.bool_]:
+    """Say for each camera (N of them) whether all points (K, 3) are within both images.
+
+    Args:
+        cameras: From the left camera to the points' frame.
+        points: [m].
+        geometry: Of the pair.
+        border: Kept free [px].
+    """
+    rotations = cameras.rotation.as_matrix()
+    local = np.einsum("nji,nkj->nki", rotations, points - cameras.translation[:, None])
+    ahead = local[..., 2] > 0.05
+    depth = np.where(ahead, local[..., 2], 1.0)
+    column = geometry.fx * local[..., 0] / depth + geometry.cx
+    row = geometry.fy * local[..., 1] / depth + geometry.cy
+    shift = geometry.fx * geometry.baseline / depth
+    fits = ahead & (row > border) & (row < geometry.height - 1 - border)
+    for place in (column, column - shift):
+        fits &= (place > border) & (place < geometry.width - 1 - border)
+    return fits.all(axis=1)

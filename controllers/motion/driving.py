@@ -1,0 +1,177 @@
+"""Skid steering: wheel speeds for a motion, and the motion that wheel speeds tell of.
+
+Wheels that stand fast on the body scrub sideways when it turns, so it turns by a share of what
+rolling wheels would make of their speeds. The share depends on ground and load: it is identified by
+a drive (`identify_turn_share`), not known.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.robot import Observation
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class SkidSteer:
+    """How wheel speeds and motion belong together.
+
+    Attributes:
+        wheel_radius: [m].
+        half_track: Of a wheel from the middle plane [m].
+        turn_share: Turn rate over that of rolling wheels, (v_right - v_left) / track.
+        most: Largest speed of a wheel [rad/s].
+    """
+
+    wheel_radius: float
+    half_track: float
+    turn_share: float = 1.0
+    most: float = 5.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that drive nothing.
+
+        Raises:
+            ValueError: Naming the field.
+        """
+        for field in dataclasses.fields(self):
+            if not 0.0 < getattr(self, field.name) < math.inf:
+                value = getattr(self, field.name)
+                raise ValueError(f"{field.name} = {value}: expected a positive number")
+
+    def wheel_speeds(self, forward: float, turn: float) -> FloatArray:
+        """Return (4,) wheel speeds for a motion [rad/s], in the order of `WHEELS`.
+
+        Speeds beyond the largest are all reduced alike, so that the curve is kept.
+
+        Args:
+            forward: [m/s].
+            turn: To the left [rad/s].
+        """
+        half = turn * self.half_track / self.turn_share
+        left, right = (forward - half) / self.wheel_radius, (forward + half) / self.wheel_radius
+        speeds = np.array([left, right, left, right])
+        return speeds * min(1.0, self.most / max(float(np.abs(speeds).max()), 1e-9))
+
+    def motion(self, speeds: ArrayLike) -> tuple[float, float]:
+        """Return forward speed [m/s] and turn rate [rad/s] that wheel speeds tell of.
+
+        Args:
+            speeds: (4,) [rad/s], in the order of `WHEELS`.
+        """
+        front_left, front_right, rear_left, rear_right = np.asarray(speeds, dtype=float)
+        left = self.wheel_radius * (front_left + rear_left) / 2.0
+        right = self.wheel_radius * (front_right + rear_right) / 2.0
+        turn = self.turn_share * (right - left) / (2.0 * self.half_track)
+        return float(left + right) / 2.0, float(turn)
+
+
+class Odometry:
+    """Where a rover is by its tachometers, tilted as its inclinometer says.
+
+    Attributes:
+        place: (2,) x, y [m], in the frame of the start, or of the world if it began there.
+        yaw: [rad]; forward is y at zero.
+        way: Distance driven, forward and back [m].
+        turned: Angle turned, left and right [rad].
+    """
+
+    def __init__(
+        self,
+        steer: SkidSteer,
+        place: tuple[float, float] = (0.0, 0.0),
+        yaw: float = 0.0,
+        tilt_lag: float = 0.3,
+    ) -> None:
+        """Begin at a place.
+
+        Args:
+            steer: How wheel speeds are motion.
+            place: x, y [m].
+            yaw: [rad].
+            tilt_lag: Time constant that smooths the tilt [s].
+        """
+        self.place = np.array(place, dtype=float)
+        self.yaw = float(yaw)
+        self.way = self.turned = 0.0
+        self._steer = steer
+        self._lag = tilt_lag
+        self._tilt: FloatArray | None = None
+
+    def update(self, observation: Observation, period: float) -> None:
+        """Go on by a period [s]; what is missing or stale moves nothing."""
+        if observation.inclinometer.usable:
+            tilt = np.asarray(observation.inclinometer.value, dtype=float)
+            share = period / (period + self._lag)
+            self._tilt = tilt if self._tilt is None else self._tilt + share * (tilt - self._tilt)
+        if not observation.wheel_speeds.usable:
+            return
+        forward, turn = self._steer.motion(observation.wheel_speeds.value)
+        middle = self.yaw + 0.5 * turn * period
+        self.place += forward * period * np.array([-math.sin(middle), math.cos(middle)])
+        self.yaw += turn * period
+        self.way += abs(forward) * period
+        self.turned += abs(turn) * period
+
+    @property
+    def tilt(self) -> FloatArray:
+        """(2,) smoothed pitch and roll [rad]; zeros before the first sample."""
+        return np.zeros(2) if self._tilt is None else self._tilt
+
+    def pose(self) -> FloatArray:
+        """Return (4, 4) from the robot to the frame of the start; height is not known."""
+        pitch, roll = self.tilt
+        cy, sy, cp, sp = (
+            math.cos(self.yaw),
+            math.sin(self.yaw),
+            math.cos(pitch),
+            math.sin(pitch),
+        )
+        cr, sr = math.cos(roll), math.sin(roll)
+        # R = Rz(yaw) Rx(pitch) Ry(roll)
+        return np.array(
+            [
+                [cy * cr - sy * sp * sr, -sy * cp, cy * sr + sy * sp * cr, self.place[0]],
+                [sy * cr + cy * sp * sr, cy * cp, sy * sr - cy * sp * cr, self.place[1]],
+                [-cp * sr, sp, cp * cr, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+
+
+def identify_turn_share(
+    steer: SkidSteer, speeds: ArrayLike, headings: ArrayLike, period: float
+) -> tuple[float, float]:
+    """Return the share of rolling wheels' turn that a drive kept, and its deviation.
+
+    Args:
+        steer: The wheels; its own share plays no part.
+        speeds: (N, 4) wheel speeds [rad/s].
+        headings: (N,) measured yaw [rad].
+        period: Between samples [s].
+
+    Returns:
+        The share and its standard deviation, by least squares of heading against rolled turn.
+
+    Raises:
+        ValueError: If the lengths differ or the drive hardly turned.
+    """
+    rolling = dataclasses.replace(steer, turn_share=1.0)
+    rates = np.array([rolling.motion(row)[1] for row in np.asarray(speeds, dtype=float)])
+    yaw = np.unwrap(np.asarray(headings, dtype=float))
+    if yaw.shape != rates.shape:
+        raise ValueError(f"headings {yaw.shape} and speeds {rates.shape}: expected as many")
+    rolled = np.cumsum(rates) * period
+    basis = np.column_stack([rolled, np.ones(len(rolled))])
+    if np.ptp(rolled) < math.radians(5.0):
+        raise ValueError("the drive turned by less than 5 degrees: expected a turn to tell of")
+    solved, residual, *_ = np.linalg.lstsq(basis, yaw, rcond=None)
+    variance = float(residual[0]) / (len(yaw) - 2) if len(residual) else 0.0
+    spread = variance * np.linalg.inv(basis.T @ basis)[0, 0]
+    return float(solved[0]), math.sqrt(spread)
