@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 
 from experiments import contract
+from experiments.bench_compression import bench_compression
 from experiments.bench_identification import bench_identification
 from experiments.bench_loop import bench_loop
 from experiments.bench_mapping import bench_mapping
@@ -20,6 +21,7 @@ BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "mapping": bench_mapping,
     "placement": bench_placement,
     "markers": bench_markers,
+    "compression": bench_compression,
 }
 
 

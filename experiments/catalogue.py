@@ -96,6 +96,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.appa_truss",
     ),
     Experiment(
+        name="appc-compression",
+        summary="pictures are compressed in ten ways, and their information chooses views",
+        thesis="Table C-1, figure C-2",
+        module="experiments.appc_compression",
+    ),
+    Experiment(
         name="appd-calibration",
         summary="the inclinometers are calibrated by weighing on a tilting table",
         thesis="Table D-1",
