@@ -21,6 +21,8 @@ from twin.robot import Observation
 FloatArray = NDArray[np.float64]
 
 
+_AT_REST = 0.15  # Tachometers of wheels at rest read less [rad/s].
+_SETTLES = 0.5  # Time for which the base still swings when the wheels have stopped [s].
 _SAME_POSE = 0.02  # Joint angles within which slopes are taken as the same [rad].
 
 
@@ -51,6 +53,8 @@ class WrenchModelConfig:
         tilt: Standard deviation of the base's tilt about each axis [rad].
         base_acceleration: The same of the base's motion where no accelerometer tells it [m/s^2].
         base_turning: The same of its angular acceleration where no gyro tells it [rad/s^2].
+        driven: Both of these with turning wheels, as wheels shake the base [m/s^2, rad/s^2]; on
+            rough ground at 6 cm/s 0.6 m/s^2 were measured, with peaks of 4.
         accelerometer_noise: Standard deviation of its samples [m/s^2].
         gyro_noise: The same of the gyro's [rad/s].
         mass: Relative standard deviation of the arm's mass.
@@ -69,6 +73,7 @@ class WrenchModelConfig:
     tilt: float = 0.002
     base_acceleration: float = 0.05
     base_turning: float = 0.3
+    driven: tuple[float, float] = (1.0, 1.0)
     accelerometer_noise: float = 0.05
     gyro_noise: float = 0.005
     mass: float = 0.01
@@ -113,6 +118,7 @@ class WrenchModel:
         self._rates: FloatArray | None = None
         self._accelerations = np.zeros(len(self._chain) - 1)
         self._base: BaseMotionFilter | None = None
+        self._shaken = 0.0
         self._slopes: tuple[FloatArray, FloatArray] | None = None
 
     def predict(
@@ -208,6 +214,13 @@ class WrenchModel:
         self._rates = rates
         motion, known = self._motion(observation, dt)
         wrench, efforts = self._dynamics(angles, rates, self._accelerations, motion)
+        driving = observation.wheel_speeds.usable and bool(
+            np.max(np.abs(observation.wheel_speeds.value)) > _AT_REST
+        )
+        if driving:
+            self._shaken = _SETTLES
+        else:
+            self._shaken = max(self._shaken - dt, 0.0)
         sigma = self._uncertain(motion, dt, keep, known)
         both = np.concatenate([wrench, efforts])
         slopes = np.column_stack([self._by_motion(angles), both])
@@ -257,7 +270,10 @@ class WrenchModel:
         shaken = (1.0 - keep) / dt * math.sqrt(2.0 / (1.0 + keep))
         smoothed = math.sqrt((1.0 - keep) / (1.0 + keep))
         joint = math.hypot(config.rate_noise * shaken, config.lag * config.jerk)
-        moved = np.array([config.base_acceleration] * 3 + [config.base_turning] * 3)
+        linear, angular = config.base_acceleration, config.base_turning
+        if self._shaken > 0.0:
+            linear, angular = max(linear, config.driven[0]), max(angular, config.driven[1])
+        moved = np.array([linear] * 3 + [angular] * 3)
         if known:
             moved[:3] = math.hypot(config.accelerometer_noise * smoothed, 0.5 * moved[0])
             moved[3:] = math.hypot(config.gyro_noise * shaken, 0.5 * moved[3])

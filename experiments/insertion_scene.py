@@ -90,9 +90,9 @@ def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:
     )
     spec.worldbody.add_camera(
         name=OVERVIEW,
-        pos=[0.72, -0.95, ground + 0.62],
-        xyaxes=[0.83, 0.56, 0.0, -0.21, 0.31, 0.93],
-        fovy=44,
+        pos=[0.75, -1.25, ground + 0.68],
+        xyaxes=[0.92, 0.39, 0.0, -0.12, 0.28, 0.95],
+        fovy=46,
     )
     add_home(spec, robots)
     model = compile_scene(spec)

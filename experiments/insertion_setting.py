@@ -47,7 +47,7 @@ from perception.registration_uncertainty import cross_matrix
 from twin.camera import StereoConfig
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio import FramedLink
-from twin.robot import Command, Observation
+from twin.robot import MISSING, Command, Observation
 from twin.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
@@ -60,6 +60,7 @@ RATE = 4.0
 """Pairs of images a second (thesis: 3 to 4)."""
 NOISE_DB = datasheets.CAMERA.signal_to_noise_db
 _FIELD = {"size": (4.8, 4.8), "relief": 0.02, "cell": 0.1, "rocks": 120}
+_ABSENT = dict.fromkeys(("accelerometer", "gyro", "heading"), MISSING)
 _PREDICTED = 5.0
 """Longest time that a failed sensor is predicted [s]; the tilt's model lasts longer."""
 
@@ -128,7 +129,9 @@ class InsertionTeam:
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Let the master look and tell, and the slave hear and act."""
         stage, period = self.carrier.stage, self.carrier.config.period
-        seen = self._eyes.change(observations, stage)
+        # The thesis' rovers have no accelerometer, gyro or compass.
+        bare = {name: seen._replace(**_ABSENT) for name, seen in observations.items()}
+        seen = self._eyes.change(bare, stage)
         time = self.modems.time = max(each.time for each in seen.values())
         watch, guidance = self.watcher.step(seen[MASTER])
         looks = self._talk(guidance, self._eyes.outage(time, stage))
