@@ -41,7 +41,8 @@ from models.datasheets import (
 from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
-from twin.record import Recorder, default_blueprint
+from twin.layout import default_blueprint
+from twin.record import Recorder
 from twin.robot import Command, Observation
 
 Results = dict[str, list[dict[str, Any]]]

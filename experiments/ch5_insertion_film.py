@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -49,7 +50,7 @@ class Film:
 
     def save(self, path: Path) -> None:
         """Write the GIF."""
-        palette = Image.fromarray(self.frames[len(self.frames) // 2]).quantize(64)
+        palette = Image.fromarray(self.frames[len(self.frames) // 2]).quantize(112)
         images = [
             Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
             for frame in self.frames
@@ -99,6 +100,7 @@ class _Curves:
     def __init__(self, recorder: Recorder, setting: Setting) -> None:
         self._recorder, self._setting = recorder, setting
         self._told = ""
+        self._stamp = math.nan
 
     def record(
         self,
@@ -115,6 +117,11 @@ class _Curves:
             error = [1e3 * carrier.error[0], 1e3 * carrier.error[1], np.degrees(carrier.error[2])]
             names = ("across [mm]", "ahead [mm]", "turn [deg]")
             self._recorder.log_scalars("insertion/error", error, names)
+        stamp = observations[MASTER].stereo.stamp
+        if stamp != self._stamp:
+            self._stamp = stamp
+            for side, ellipses in zip(("left", "right"), seen_ellipses(team.watcher.fits)):
+                self._recorder.log_marks(f"{MASTER}/stereo/{side}/markers", ellipses[:, :2])
         names = ("across [N]", "ahead [N]", "moment [N m]")
         self._recorder.log_scalars("insertion/contact", carrier.contact[[0, 1, 5]], names)
         phase = carrier.guide.phase.value if carrier.guide is not None else ""

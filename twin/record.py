@@ -19,6 +19,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 import tyro
 
+from twin.layout import default_blueprint
 from twin.robot import ARM_JOINTS, WHEELS, Channel, Command, FloatArray, Observation, Validity
 from twin.scene_mesh import body_mesh
 from twin.screenshot import screenshot
@@ -38,6 +39,7 @@ _COMPONENTS: Mapping[str, Sequence[str]] = {
     "heading": ("yaw",),
 }
 _SLACK = 1e-9
+_MARK = (230, 60, 40)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,6 +202,22 @@ class Recorder:
         """Add a line to a log, at the latest tick's time."""
         self._stream.send_columns(path, self._now(), rr.TextLog.columns(text=[text]))
 
+    def log_marks(self, path: str, pixels: FloatArray, radius: float = 6.0) -> None:
+        """Mark pixels of an image, at the latest tick's time; none takes older marks away.
+
+        Args:
+            path: Entity below the image's, such as ``rover1/stereo/left/markers``.
+            pixels: (N, 2) column and row [px].
+            radius: Of the marks [px].
+        """
+        marks = np.asarray(pixels, dtype=float).reshape(-1, 2)
+        columns = rr.Points2D.columns(
+            positions=marks,
+            colors=[_MARK] * len(marks),
+            radii=[radius] * len(marks),
+        ).partition([len(marks)])
+        self._stream.send_columns(path, self._now(), columns)
+
     def flush(self) -> None:
         """Write everything taken so far to the file."""
         self._write_curves()
@@ -303,60 +321,6 @@ class Recorder:
 def body_name(model: mujoco.MjModel, body: int) -> str:
     """Return a body's entity path below ``world``."""
     return str(model.body(body).name) or f"body_{body}"
-
-
-def default_blueprint(
-    robots: Sequence[str], extra: Sequence[rrb.View | rrb.Container] = ()
-) -> rrb.Blueprint:
-    """Return the layout: the scene, each robot's eyes and curves, and what experiments add.
-
-    Args:
-        robots: Names of the robots.
-        extra: Views beside them, such as estimates; None given shows all of ``excitation`` and
-            ``estimates``.
-    """
-    tabs = [_robot_tab(name) for name in robots]
-    below = list(extra) or [
-        rrb.TimeSeriesView(origin="excitation", name="Excitation"),
-        rrb.TimeSeriesView(origin="estimates", name="Estimates"),
-    ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(
-                    origin="world",
-                    name="Scene",
-                    eye_controls=rrb.EyeControls3D(
-                        position=(1.3, -1.3, 0.9), look_target=(0.0, 0.1, 0.1)
-                    ),
-                ),
-                rrb.Horizontal(*below),
-                row_shares=[3, 2],
-            ),
-            rrb.Tabs(*tabs) if tabs else rrb.TimeSeriesView(origin="/", name="Curves"),
-            column_shares=[3, 2],
-        ),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-    )
-
-
-def _robot_tab(name: str) -> rrb.Container:
-    views = [
-        rrb.Horizontal(
-            *(
-                rrb.Spatial2DView(origin=f"{name}/stereo/{side}", name=f"{side} eye")
-                for side in ("left", "right")
-            )
-        ),
-        rrb.TimeSeriesView(origin=f"{name}/sensors/inclinometer", name="Inclinometer [rad]"),
-        rrb.TimeSeriesView(origin=f"{name}/sensors/arm_base_wrench", name="Wrench [N, N m]"),
-        rrb.TimeSeriesView(origin=f"{name}/sensors/arm_angles", name="Arm angles [rad]"),
-        rrb.TimeSeriesView(origin=f"{name}/sensors/wheel_speeds", name="Wheel speeds [rad/s]"),
-        rrb.TimeSeriesView(origin=f"{name}/duty", name="Duty"),
-    ]
-    return rrb.Vertical(*views, name=name)
 
 
 def main() -> None:
