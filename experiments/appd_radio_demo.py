@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from controllers.motion.driving import Odometry, SkidSteer
 from models.compose import FieldConfig, RobotPlacement
 from models.datasheets import ROVER
 from twin.connect import connect
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio import FramedLink
 from twin.hardware.radio_messages import PoseMessage, WrenchMessage, unpack
-from twin.loop import LoopRecorder
+from twin.loop import LoopRecorder, Recorders
 from twin.loop import run as run_loop
 from twin.record import Recorder
 from twin.robot import ArmMode, Command, Observation, WheelMode
@@ -33,40 +34,19 @@ FIELD = FieldConfig(texture_pixels=64)
 PLACEMENTS = (RobotPlacement("rover1"), RobotPlacement("rover2", (1.5, 0.0)))
 
 
-class DeadReckoning:
-    """Where a rover believes to be, from its tachometers and inclinometer alone.
+def pose_message(odometry: Odometry, robot: int, observation: Observation) -> bytes:
+    """Return the pose of a rover as it is sent.
 
-    Attributes:
-        place: x, y [m], world.
-        yaw: About z [rad]; forward is y at zero.
-        way: Distance driven [m].
+    Args:
+        odometry: Of the rover.
+        robot: Its number.
+        observation: Its latest.
     """
-
-    def __init__(self, placement: RobotPlacement) -> None:
-        """Begin at a known place."""
-        self.place = np.array(placement.position[:2], dtype=float)
-        self.yaw = float(placement.yaw)
-        self.way = 0.0
-
-    def update(self, observation: Observation, period: float) -> None:
-        """Go on by one period [s]; a stale or missing tachometer moves nothing."""
-        if not observation.wheel_speeds.usable:
-            return
-        front_left, front_right, rear_left, rear_right = observation.wheel_speeds.value
-        left = ROVER.wheel_radius * float(front_left + rear_left) / 2.0
-        right = ROVER.wheel_radius * float(front_right + rear_right) / 2.0
-        self.yaw += TURN_SHARE * (right - left) / (2.0 * ROVER.half_track) * period
-        step = (left + right) / 2.0 * period
-        self.place += step * np.array([-math.sin(self.yaw), math.cos(self.yaw)])
-        self.way += abs(step)
-
-    def message(self, robot: int, observation: Observation) -> bytes:
-        """Return the pose as it is sent."""
-        tilt = observation.inclinometer
-        pitch, roll = map(float, tilt.value) if tilt.usable else (0.0, 0.0)
-        position = float(self.place[0]), float(self.place[1]), 0.0
-        attitude = pitch, roll, self.yaw
-        return PoseMessage(robot, observation.time, position, attitude, DRIFT * self.way).pack()
+    tilt = observation.inclinometer
+    pitch, roll = map(float, tilt.value) if tilt.usable else (0.0, 0.0)
+    position = float(odometry.place[0]), float(odometry.place[1]), 0.0
+    attitude = pitch, roll, odometry.yaw
+    return PoseMessage(robot, observation.time, position, attitude, DRIFT * odometry.way).pack()
 
 
 @dataclasses.dataclass
@@ -90,7 +70,8 @@ class _Rover:
         self.link = link
         self.knowledge = _Knowledge()
         self._number = number
-        self._reckoning = DeadReckoning(placement)
+        steer = SkidSteer(ROVER.wheel_radius, ROVER.half_track, TURN_SHARE)
+        self._odometry = Odometry(steer, placement.position, placement.yaw)
         self._arm: np.ndarray | None = None
         self._next_send = 0.0
         self._before: float | None = None
@@ -98,7 +79,7 @@ class _Rover:
     def step(self, seen: Observation) -> Command:
         """Do one tick."""
         if self._before is not None:
-            self._reckoning.update(seen, seen.time - self._before)
+            self._odometry.update(seen, seen.time - self._before)
         self._before = seen.time
         if seen.time >= self._next_send - 1e-9:
             self._next_send += SEND_PERIOD
@@ -107,9 +88,9 @@ class _Rover:
         return self._drive(seen)
 
     def _send(self, seen: Observation) -> None:
-        place = self._reckoning.place
+        place = self._odometry.place
         self.knowledge.sent.append((seen.time, float(place[0]), float(place[1])))
-        self.link.send_latest(self._reckoning.message(self._number, seen))
+        self.link.send_latest(pose_message(self._odometry, self._number, seen))
         wrench = seen.arm_base_wrench
         if wrench.usable:  # A stale or missing wrench is not told as if it were one.
             fx, fy, fz, mx, my, mz = map(float, wrench.value)
@@ -177,29 +158,6 @@ class _Truth(LoopRecorder):
         self.rows.append([time, *(float(x) for body in self._bodies for x in body.xpos[:2])])
 
 
-class _Both:
-    """Two recorders as one."""
-
-    def __init__(self, *recorders: Any) -> None:
-        self._recorders = recorders
-
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
-        """Pass a tick on."""
-        for recorder in self._recorders:
-            recorder.record(step, time, observations, applied)
-
-    def flush(self) -> None:
-        """Pass it on."""
-        for recorder in self._recorders:
-            recorder.flush()
-
-
 def converse(
     config: ModemConfig, duration: float, seed: int, robot: str = "sim", record: str | None = None
 ) -> dict[str, Any]:
@@ -226,7 +184,9 @@ def converse(
         recorders: list[Any] = [truth]
         if record is not None:
             recorders.append(stack.enter_context(Recorder(record, connection.simulation)))
-        run_loop(connection.robots, [conversation], connection.clock, _Both(*recorders), duration)
+        run_loop(
+            connection.robots, [conversation], connection.clock, Recorders(recorders), duration
+        )
     result: dict[str, Any] = {"truth": np.array(truth.rows)}
     for rover in conversation.rovers:
         known = dataclasses.asdict(rover.knowledge)

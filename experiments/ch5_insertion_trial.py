@@ -14,7 +14,7 @@ from controllers.insertion.carrier import Stage
 from experiments.insertion_scene import MASTER, card_in_slot, contact_force
 from experiments.insertion_setting import InsertionTrial, Setting, prepare
 from twin.clock import SimClock
-from twin.loop import LoopRecorder, run
+from twin.loop import LoopRecorder, Recorders, run
 from twin.robot import Command, Observation
 
 FloatArray = NDArray[np.float64]
@@ -95,30 +95,6 @@ class Scorer:
 
     def flush(self) -> None:
         """Nothing is buffered."""
-
-
-class Recorders:
-    """Several recorders as one."""
-
-    def __init__(self, recorders: Sequence[LoopRecorder]) -> None:
-        """Pass on to these."""
-        self._recorders = recorders
-
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
-        """Take one tick."""
-        for recorder in self._recorders:
-            recorder.record(step, time, observations, applied)
-
-    def flush(self) -> None:
-        """Bring everything to its place."""
-        for recorder in self._recorders:
-            recorder.flush()
 
 
 @dataclasses.dataclass

@@ -28,6 +28,30 @@ class LoopRecorder(Protocol):
         """Bring everything taken so far to its place; nothing, unless it is buffered."""
 
 
+class Recorders:
+    """Several recorders as one."""
+
+    def __init__(self, recorders: Sequence[LoopRecorder]) -> None:
+        """Pass on to these."""
+        self._recorders = recorders
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one tick."""
+        for recorder in self._recorders:
+            recorder.record(step, time, observations, applied)
+
+    def flush(self) -> None:
+        """Bring everything to its place."""
+        for recorder in self._recorders:
+            recorder.flush()
+
+
 @dataclasses.dataclass(frozen=True)
 class RunSummary:
     """What a run took.

@@ -21,10 +21,14 @@ from controllers.insertion.guidance import Guidance
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
 from controllers.motion.base_motion import level_of
+from controllers.motion.chain import GRAVITY
 from controllers.motion.driving import Odometry, SkidSteer
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
+
+
+_ELBOW = 3.0  # Rates beyond are of the other elbow, not of a step [rad/s].
 
 
 class Stage(enum.Enum):
@@ -166,7 +170,7 @@ class Carrier:
         if self.stage in (Stage.APPROACH, Stage.ALIGN):
             return self._go(angles)
         if self.stage is Stage.INSERT:
-            return self._insert(seen, angles)
+            return self._insert(angles)
         return self._hold()
 
     def stop(self, reason: str) -> None:
@@ -230,7 +234,7 @@ class Carrier:
         if not seen.arm_base_wrench.usable:
             self.contact = np.full(6, np.nan) if self.stage is Stage.INSERT else np.zeros(6)
             return
-        up = level_of(seen).specific_force / 9.81
+        up = level_of(seen).specific_force / GRAVITY
         felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
         if self.stage is Stage.ALIGN:
             self._tare = [*self._tare, felt][-round(self.config.settle / self.config.period) :]
@@ -255,7 +259,7 @@ class Carrier:
         # While the robot is away, the card stays where the arm is at ease.
         away = max(gap, 0.0) if self.stage is Stage.APPROACH else 0.0
         ahead = -config.stand_off - away
-        rates = self._bring(slot @ planar([0.0, ahead, 0.0]), angles)
+        rates = self._bring(slot @ planar([0.0, ahead, 0.0]))
         if self.stage is Stage.ALIGN:
             waited = self._time - self._since
             tared = len(self._tare) * config.period >= config.settle - 1e-9
@@ -274,7 +278,7 @@ class Carrier:
         turn = min(max(curve * abs(speed), -config.turn), config.turn)
         return self._steer.wheel_speeds(speed, turn)
 
-    def _bring(self, card: FloatArray, angles: FloatArray) -> FloatArray:
+    def _bring(self, card: FloatArray) -> FloatArray:
         """Move the wanted joints a step towards a pose of the card; return their rates."""
         assert self._wanted is not None
         config = self.config
@@ -293,7 +297,7 @@ class Carrier:
         if not np.all(np.isfinite(target)):
             return np.zeros(4)
         rates = (target - self._wanted) / self.config.period
-        if np.abs(rates).max() > 3.0:  # the other elbow
+        if np.abs(rates).max() > _ELBOW:
             return np.zeros(4)
         self._wanted = target
         return rates
@@ -306,7 +310,7 @@ class Carrier:
         self.guide = InsertionGuide(self.config.guide, start[:3])
         self._enter(Stage.INSERT)
 
-    def _insert(self, seen: Observation, angles: FloatArray) -> Command:
+    def _insert(self, angles: FloatArray) -> Command:
         assert self.guide is not None and self._slot is not None
         wrench = self.contact[[0, 1, 5]]
         pose = self.guide.step(wrench if np.all(np.isfinite(wrench)) else None)
