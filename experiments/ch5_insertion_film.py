@@ -25,10 +25,11 @@ from twin.robot import Command, Observation
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
 
-SIZE = (480, 360)
-EVERY = 25
+SIZE = (640, 480)
+SMALL = (360, 270)
+"""Of a half of the GIF [px]."""
+EVERY = 40
 """Ticks from one picture to the next."""
-_EYE_WIDTH = 360
 _RED, _YELLOW = (230, 60, 40), (250, 220, 60)
 
 
@@ -50,7 +51,7 @@ class Film:
 
     def save(self, path: Path) -> None:
         """Write the GIF."""
-        palette = Image.fromarray(self.frames[len(self.frames) // 2]).quantize(112)
+        palette = Image.fromarray(self.frames[len(self.frames) // 2]).quantize(96)
         images = [
             Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
             for frame in self.frames
@@ -83,7 +84,7 @@ class _Camera:
         self.scenes.append((time, picture))
         pair = np.asarray(observations[MASTER].stereo.value, dtype=np.uint8)
         ellipses = seen_ellipses(self._setting.team.watcher.fits)
-        self.frames.append(np.hstack([picture, eye_picture(pair[0], ellipses[0])]))
+        self.frames.append(np.hstack([_small(picture), eye_picture(pair[0], ellipses[0])]))
         stage = self._setting.team.carrier.stage.value
         moment = {"approach": "approach", "align": "almost contact", "insert": "insertion"}
         if stage in moment and any(len(e) for e in ellipses):
@@ -167,13 +168,15 @@ def seen_ellipses(fits: tuple[BodyFit | None, BodyFit | None]) -> tuple[FloatArr
 
 
 def eye_picture(image: ImageArray, ellipses: FloatArray) -> ImageArray:
-    """Return what an eye saw, with the markers that were found, as high as the scene's picture."""
+    """Return what an eye saw, with the markers that were found."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2RGB)
     for u, v, suu, _, svv in ellipses:
         cv2.ellipse(picture, ((u, v), (2.0 * suu**0.5, 2.0 * svv**0.5), 0.0), _RED, 2)
-    height = SIZE[1]
-    small = cv2.resize(picture, (_EYE_WIDTH, height), interpolation=cv2.INTER_AREA)
-    return np.asarray(small, dtype=np.uint8)
+    return _small(np.asarray(picture, dtype=np.uint8))
+
+
+def _small(picture: ImageArray) -> ImageArray:
+    return np.asarray(cv2.resize(picture, SMALL, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _blueprint() -> rrb.Blueprint:
