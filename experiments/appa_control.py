@@ -35,6 +35,14 @@ LAWS: dict[str, tuple[Law, float]] = {
     "feed_forward_raw": ("feed_forward", 0.0),
 }
 """Law and lag of the feed-forward [s] by name."""
+NAMES = {
+    "pd": "PD",
+    "pd_gravity": "PD + gravity",
+    "feed_forward": f"base fed forward, {1e3 * BaseFilterConfig.lag:g} ms lag",
+    "feed_forward_50ms": "base fed forward, 50 ms lag",
+    "feed_forward_raw": "base fed forward as measured",
+}
+"""What figures call them."""
 COUPLE = 2.0
 """Of the pushes [N m]: held, they pitch the soft base by 2 degrees."""
 STATES = 100
@@ -147,17 +155,23 @@ def _responses(traces: Mapping[tuple[str, str], Mapping[str, Any]]) -> Figure:
         for law in ("pd_gravity", "feed_forward"):
             trace = traces[base, law]
             times = START + PERIOD * np.arange(1, len(trace["base_deg"]) + 1)
-            error.plot(times, trace["error_deg"][:, 1], linewidth=0.8, label=law.replace("_", " "))
+            error.plot(times, trace["error_deg"][:, 1], linewidth=0.8, label=NAMES[law])
             pitch.plot(times, trace["base_deg"], linewidth=0.8)
-        error.set(title=f"{base} base, {BASES[base]:g} N m/rad", ylim=(-1.5, 1.5))
-        pitch.set(xlabel="time [s]", ylim=(-3.5, 3.5))
+        error.set(title=f"{base} base, {BASES[base]:g} N m/rad")
+        pitch.set(xlabel="time [s]")
         for axes in (error, pitch):
             axes.grid(alpha=0.3)
         if column == 0:
             error.set(ylabel="shoulder error [deg]")
             pitch.set(ylabel="base pitch [deg]")
-            error.legend()
-    figure.subplots_adjust(wspace=0.25)
+    # One scale for all bases, so that they can be compared.
+    for row in (0, 1):
+        panels = figure.axes[row::2]
+        most = 1.1 * max(float(np.abs(axes.get_ylim()).max()) for axes in panels)
+        for axes in panels:
+            axes.set(ylim=(-most, most))
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="lower center", ncols=2)
+    figure.subplots_adjust(wspace=0.25, bottom=0.12)
     return figure
 
 
@@ -169,9 +183,9 @@ def _bars(medians: Mapping[tuple[str, str, float], float]) -> Figure:
     for index, law in enumerate(laws):
         places = np.arange(len(BASES)) + (index - (len(laws) - 1) / 2) * 0.16
         axes.bar(places, [medians[base, law, COUPLE] for base in BASES], 0.15,
-                 label=law.replace("_", " "))  # fmt: skip
+                 label=NAMES[law])  # fmt: skip
     axes.set(yscale="log", ylabel="joint error, r.m.s. [deg]")
     axes.set_xticks(range(len(BASES)), [f"{base}\n{BASES[base]:g} N m/rad" for base in BASES])
     axes.grid(axis="y", alpha=0.3)
-    axes.legend()
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=9)
     return figure

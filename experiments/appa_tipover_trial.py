@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.motion.arm_control import ArmController, Reference
 from controllers.motion.base_motion import level_of
-from controllers.motion.chain import Chain
-from controllers.motion.tip_over import Footing, Guarded, Sweep, ground_wrench, guard
-from controllers.motion.tip_over import zero_moment_point as balance
-from experiments.appa_control_plant import MOUNT, PLAIN
+from controllers.motion.online_guard import OnlineGuard
+from controllers.motion.tip_over import Guarded, Sweep, guard
 from experiments.appa_control_trial import PERIOD, ROBOT, arm_config
-from experiments.known_arm import known_arm, known_base, merge
-from models import datasheets
-from models.compose import ARM_JOINTS, PayloadConfig, RobotPlacement, make_model, settle
+from experiments.appa_tipover_scene import TipScene
+from twin.robot import Observation
 from twin.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
 FOLDED = np.array([0.0, 2.2, -2.4, 0.2])
 """Joint angles in which the load is nearest to the rover, but for the yaw [rad]."""
+WAYS = ("unguarded", "planned", "online")
+"""As asked for; slowed as a whole before it begins; slowed tick by tick."""
 WAIT, AFTER = 0.5, 1.5
 """Rest before a motion and after it [s]."""
+HELD, PATIENCE = 1.0, 10.0
+"""How long a motion may stand still online, and how late it may be, until it counts as over [s]."""
 COMPARE_EVERY = 3
 """Servo ticks between two looks at the ground's pressure."""
 TIPPED = np.radians(10.0)
@@ -41,160 +42,129 @@ class TipTrial:
         yaw: Where the arm points before the motion [rad].
         target: (4,) joint angles of its end [rad].
         duration: Asked for [s].
-        guarded: Whether the guard sees the motion first.
+        way: Of `WAYS`.
         seed: Of the sensors.
+        slope: Of the ground [rad].
+        downhill: Where it falls to, from the rover's right to its front [rad].
     """
 
     load: float
     yaw: float
     target: tuple[float, float, float, float]
     duration: float
-    guarded: bool
+    way: str
     seed: int
+    slope: float = 0.0
+    downhill: float = 0.0
 
 
-def footing_of(model: mujoco.MjModel) -> Footing:
-    """Return what the guard knows of a rover: its sheet and its arm with the load.
+class _Motion:
+    """The reference of a run, by its way."""
 
-    Args:
-        model: The scene with it.
-    """
-    base = known_base()
-    arm = known_arm(model)
-    # The flange under the first joint rides on the base.
-    body = merge(
-        [base.body.mass, arm.base.mass],
-        [base.body.centre, arm.base.centre + MOUNT],
-        [base.body.inertia, arm.base.inertia],
-    )
-    chain = Chain.of_arm(arm, datasheets.ARM_MOTOR.armature)
-    x, y = datasheets.ROVER.half_track, datasheets.ROVER.half_wheelbase
-    polygon = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
-    return Footing(body, chain, MOUNT, polygon, -datasheets.ROVER.centre_height)
+    def __init__(self, trial: TipTrial, scene: TipScene, folded: FloatArray) -> None:
+        asked = Sweep(folded, np.array(trial.target), trial.duration)
+        self.verdict = Guarded(asked, 1.0, math.nan, "")
+        self.online: OnlineGuard | None = None
+        self._asked, self._scene, self._trial = asked, scene, trial
+        if trial.way == "online":
+            self.online = OnlineGuard(scene.footing, asked.at)
+        self._sweep = asked
 
+    def plan(self, seen: Observation) -> None:
+        """Let the guard see the motion first, if it is to."""
+        if self._trial.way == "planned":
+            self.verdict = guard(self._scene.footing, self._asked, level_of(seen))
+            start = self._asked.start
+            self._sweep = self.verdict.sweep or Sweep(start, start, self._trial.duration)
 
-def contact_wrench(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
-    """Return (6,) all contacts' force and moment on the robot about the world's origin."""
-    total, local = np.zeros(6), np.zeros(6)
-    for index in range(data.ncon):
-        contact = data.contact[index]
-        mujoco.mj_contactForce(model, data, index, local)
-        frame = contact.frame.reshape(3, 3)
-        # It acts on the second geom; contacts within the robot cancel out.
-        grounds = model.geom_bodyid[contact.geom] == 0
-        if not grounds.any():
-            continue
-        sign = 1.0 if grounds[0] else -1.0
-        force, moment = sign * frame.T @ local[:3], sign * frame.T @ local[3:]
-        total += np.concatenate([force, moment + np.cross(contact.pos, force)])
-    return total
+    def step(self, time: float, seen: Observation) -> None:
+        """Take what is seen at a tick; time is since the motion's beginning [s]."""
+        if self.online is not None and time > -0.5 * PERIOD:
+            self.online.step(level_of(seen) if seen.inclinometer.usable else None)
 
+    def at(self, time: float) -> Reference:
+        """Return the reference at a time since the motion's beginning [s]."""
+        if self.online is not None and time > -0.5 * PERIOD:
+            return Reference(*self.online.at(time))
+        return Reference(*self._sweep.at(time))
 
-def bodies_wrench(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
-    """Return (6,) what the ground must do by eq. A-5, from every body's true motion.
+    def over(self, time: float) -> bool:
+        """Whether the motion has ended; time is since its beginning [s]."""
+        if self.online is None:
+            return time >= self._sweep.duration
+        done = self.online.time >= self._asked.duration
+        return done or self.online.held >= HELD or self.online.late >= PATIENCE
 
-    Args:
-        model: The scene, with one robot on it.
-        data: After ``mj_forward`` and ``mj_rnePostConstraint``.
-    """
-    count = model.nbody - 1
-    forces, spins = np.empty((count, 3)), np.empty((count, 3))
-    motion = np.empty(6)
-    for index in range(count):
-        body = index + 1
-        axes = data.ximat[body].reshape(3, 3)
-        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
-        kind = mujoco.mjtObj.mjOBJ_BODY
-        mujoco.mj_objectVelocity(model, data, kind, body, motion, 0)
-        omega = motion[:3].copy()
-        mujoco.mj_objectAcceleration(model, data, kind, body, motion, 0)
-        spins[index] = inertia @ motion[:3] + np.cross(omega, inertia @ omega)
-        forces[index] = motion[3:]
-    return ground_wrench(model.body_mass[1:], data.xipos[1:], forces, spins)
+    @property
+    def part(self) -> float:
+        """How much of the way was gone, or is allowed."""
+        if self.online is None:
+            return 0.0 if self.verdict.sweep is None else self.verdict.sweep.part
+        whole = np.linalg.norm(self._asked.end - self._asked.start)
+        gone = self._asked.at(self.online.time)[0] - self._asked.start
+        return float(np.linalg.norm(gone) / whole)
 
 
 def run_tip(trial: TipTrial) -> dict[str, Any]:
     """Swing the arm and watch the wheels.
 
     Returns:
-        ``tipped``, largest ``lean_deg``, the guard's ``report``, ``stretch`` and ``asked_margin``,
-        and over the motion ``point`` and ``pressure`` (n, 2), eq. A-5's and MuJoCo's [m, world],
-        and ``expected`` (n, 2), the guard's model on the reference [m, body frame].
+        ``tipped``, largest ``lean_deg`` from the ground's normal, the guard's ``report``, the
+        ``part`` of the way that was gone, ``seconds`` of the motion and ``stretch``, these over the
+        ones asked for; over the motion ``point`` and ``pressure`` (n, 2), eq. A-5's and MuJoCo's
+        from below the rover's origin [m], ``margin`` (n,), of the pressure in the footprint [m]
+        (negative on the outer half of a tyre, since the footprint is that of the tyres' middles),
+        and ``gone`` (n, 2), time [s] and part of the way by the reference.
+
+    Raises:
+        ValueError: If there is no such way.
     """
-    model = make_model(
-        PLAIN, [RobotPlacement(ROBOT, centre_locked=True, payload=PayloadConfig(trial.load))]
-    )
-    footing = footing_of(model)
+    if trial.way not in WAYS:
+        raise ValueError(f"way {trial.way!r}: valid are {', '.join(WAYS)}")
     folded = FOLDED + [trial.yaw, 0.0, 0.0, 0.0]
-    asked = Sweep(folded, np.array(trial.target), trial.duration)
-    data = _resting(model, footing, folded)
-    simulation = Simulation(model, [ROBOT], seed=trial.seed, data=data)
+    scene = TipScene(trial.load, folded, trial.slope, trial.downhill)
+    simulation = Simulation(scene.model, [ROBOT], seed=trial.seed, data=scene.data)
+    scene.data = simulation.data
     robot = simulation.robots[ROBOT]
-    verdict = Guarded(asked, 1.0, np.nan, "")
-    if trial.guarded:
-        verdict = guard(footing, asked, level_of(robot.observe()))
-    sweep = verdict.sweep or Sweep(folded, folded, trial.duration)
-
-    def reference(time: float) -> Reference:
-        return Reference(*sweep.at(time - WAIT))
-
+    motion = _Motion(trial, scene, folded)
+    motion.plan(robot.observe())
     # A load near the base's own weight makes the base's feed-forward a loop of gain above one.
-    config = arm_config(footing.chain, "pd_gravity", 0.0)
-    controller = ArmController(config, reference)
+    config = arm_config(scene.footing.chain, "pd_gravity", 0.0)
+    controller = ArmController(config, lambda time: motion.at(time - WAIT))
     robot.activate()
-    chassis = model.body(f"{ROBOT}/chassis").id
-    points, pressures, expected = [], [], []
-    lean, gone = 0.0, 0
-    for tick in range(round((WAIT + sweep.duration + AFTER) / PERIOD)):
-        robot.command(controller.step({ROBOT: robot.observe()})[ROBOT])
+    points, pressures, gone = [], [], []
+    lean, tick, over = 0.0, 0, math.inf
+    whole = np.linalg.norm(np.array(trial.target) - folded)
+    while tick * PERIOD < over + AFTER and lean <= TIPPED:
+        time = tick * PERIOD - WAIT
+        seen = robot.observe()
+        motion.step(time, seen)
+        robot.command(controller.step({ROBOT: seen})[ROBOT])
         simulation.step()
-        up = simulation.data.body(chassis).xmat.reshape(3, 3)[2, 2]
-        lean = max(lean, float(np.arccos(min(1.0, up))))
-        gone = tick
-        if lean > TIPPED:
-            break
-        pair = _compare(model, simulation.data) if tick % COMPARE_EVERY == 0 else None
+        tick += 1
+        lean = max(lean, scene.lean)
+        if math.isinf(over) and motion.over(time):
+            over = tick * PERIOD
+        pair = scene.balance() if tick % COMPARE_EVERY == 0 else None
         if pair is None:
             continue
-        wanted = reference((tick + 1) * PERIOD)
-        points.append(pair[0])
-        pressures.append(pair[1])
-        expected.append(
-            footing.zero_moment_point(wanted.angles, wanted.rates, wanted.accelerations)
-        )
+        points.append(scene.on_ground(pair[0]))
+        pressures.append(scene.on_ground(pair[1]))
+        way = np.linalg.norm(motion.at(time).angles - folded)
+        gone.append([time, way / whole])
     simulation.close()
+    seconds = min(over, tick * PERIOD) - WAIT
+    if motion.online is not None and math.isfinite(over):
+        seconds -= min(motion.online.held, HELD)
     return {
         "tipped": int(lean > TIPPED),
         "lean_deg": float(np.degrees(lean)),
-        "seconds": gone * PERIOD,
-        "report": verdict.report,
-        "stretch": verdict.stretch,
-        "part": 0.0 if verdict.sweep is None else verdict.sweep.part,
-        "asked_margin": float(verdict.margin),
+        "seconds": seconds,
+        "stretch": seconds / trial.duration,
+        "report": motion.verdict.report if motion.online is None else motion.online.report,
+        "part": motion.part,
         "point": np.array(points),
         "pressure": np.array(pressures),
-        "expected": np.array(expected),
+        "margin": np.array([scene.footing.margin(point) for point in pressures]),
+        "gone": np.array(gone),
     }
-
-
-def _resting(model: mujoco.MjModel, footing: Footing, folded: FloatArray) -> mujoco.MjData:
-    """Return the rover at rest with its arm folded."""
-    home = model.key("home").id
-    motor = datasheets.ARM_MOTOR
-    hold = footing.chain.bias(folded, np.zeros(4)) / motor.gross_stall_torque * motor.voltage
-    for name, angle, voltage in zip(ARM_JOINTS, folded, hold, strict=True):
-        model.key_qpos[home, model.joint(f"{ROBOT}/{name}_joint").qposadr[0]] = angle
-        model.key_ctrl[home, model.actuator(f"{ROBOT}/{name}").id] = voltage
-    return settle(model)
-
-
-def _compare(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[FloatArray, FloatArray] | None:
-    """Return eq. A-5's point and the contacts' centre of pressure; None without contact."""
-    now = mujoco.MjData(model)
-    mujoco.mj_copyData(now, model, data)
-    mujoco.mj_forward(model, now)
-    mujoco.mj_rnePostConstraint(model, now)
-    pressure = contact_wrench(model, now)
-    if pressure[2] < 1.0:
-        return None
-    return balance(bodies_wrench(model, now)), balance(pressure)

@@ -59,6 +59,8 @@ def draw_course(course: Floats, name: str) -> Figure:
             axes.set_title(f"{robot}: {title}", fontsize=10)
             if row == 1:
                 axes.set_xlabel("time [s]")
+    note = "dotted: the way to the mouth begins, the insertion begins"
+    figure.text(0.5, 0.02, note, ha="center", fontsize=9)
     figure.subplots_adjust(hspace=0.3, wspace=0.2)
     return figure
 
@@ -106,7 +108,8 @@ def draw_comparison(results: Mapping[tuple[str, float], Sequence[Mapping[str, An
         axes.grid(axis="y", alpha=0.3)
         if index >= 2:
             axes.set_xlabel("misalignment, of the widest asked for")
-        if index == 0:
-            axes.legend(fontsize=8)
-    figure.subplots_adjust(hspace=0.3)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(ways), fontsize=9,
+                  title="bars: share or median; dots: runs")  # fmt: skip
+    figure.subplots_adjust(hspace=0.3, bottom=0.17)
     return figure

@@ -53,6 +53,8 @@ def draw_states(width: float) -> Figure:
         pose = pose_in_state(shape, state, 1, tilt, 0.008 if state in (1, 3) else 0.02)
         axes = figure.add_subplot(2, 3, state)
         _draw_state(axes, shape, pose, state)
+    note = "red: force of the slot on the card; dotted: edges of its friction cone"
+    figure.text(0.5, 0.05, note, ha="center", fontsize=9)
     figure.subplots_adjust(hspace=0.15, wspace=0.1)
     return figure
 
@@ -104,12 +106,14 @@ def draw_success(
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
     for index, width in enumerate(widths):
         for way, style in (("guided", "o-"), ("unguided", "s--")):
+            # Beside each other, since many are equal.
+            places = np.array(rings) + 0.05 * (2 * index + (way == "unguided") - len(widths) + 0.5)
             chosen = [cells[way, width, ring] for ring in rings]
             label = f'{width / INCH:g}" {way}'
             share = [np.mean([r["success"] for r in cell]) for cell in chosen]
             force = [max(r["peak"] for r in cell) for cell in chosen]
-            left.plot(rings, share, style, color=f"C{index}", label=label)
-            right.plot(rings, force, style, color=f"C{index}", label=label)
+            left.plot(places, share, style, color=f"C{index}", label=label)
+            right.plot(places, force, style, color=f"C{index}", label=label)
     left.set(ylabel="success", ylim=(-0.05, 1.05))
     right.set(ylabel="largest contact force [N]")
     for axes in (left, right):
@@ -139,12 +143,18 @@ def draw_courses(courses: Mapping[str, Floats]) -> Figure:
         middle = figure.add_subplot(3, 2, 3 + column)
         middle.plot(time, course[:, 7], label="F across")
         middle.plot(time, course[:, 8], label="F along")
-        middle.set(ylabel="[N]")
+        middle.set(ylabel="force on the card [N]")
         middle.legend(fontsize=8)
         lower = figure.add_subplot(3, 2, 5 + column)
         lower.plot(time, course[:, 9], color="tab:purple")
         lower.set(ylabel="moment [N m]", xlabel="time [s]")
         for axes in (upper, middle, lower):
             axes.grid(alpha=0.3)
-    figure.subplots_adjust(hspace=0.25)
+    for row in range(3):  # the same scale for all ways
+        panels = figure.axes[row::3]
+        limits = np.array([axes.get_ylim() for axes in panels])
+        last = max(axes.get_xlim()[1] for axes in panels)
+        for axes in panels:
+            axes.set(xlim=(0.0, last), ylim=(limits[:, 0].min(), limits[:, 1].max()))
+    figure.subplots_adjust(hspace=0.25, wspace=0.25)
     return figure

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from experiments.contract import Experiment
@@ -49,9 +50,9 @@ def print_summary(experiment: Experiment, output: Output) -> None:
         console.print(table)
     for check in metrics["checks"]:
         mark = "[green]ok[/]  " if check["ok"] else "[red]short[/]"
-        console.print(
-            f"{mark} {check['name']}: {format_number(check['value'])} (bound {check['bound']})"
-        )
+        # A name may have a unit in brackets, which rich would take for its own marks.
+        told = escape(f"{check['name']}: {format_number(check['value'])} (bound {check['bound']})")
+        console.print(f"{mark} {told}")
     for path in sorted(output.directory.rglob("*")):
         if path.is_file() and "jobs" not in path.parts:
             console.print(str(path), highlight=False, soft_wrap=True)

@@ -105,7 +105,11 @@ class ArmControlConfig:
 
 
 class ArmController:
-    """Drives one robot's arm along a reference; the wheels stay braked."""
+    """Drives one robot's arm along a reference; the wheels stay braked.
+
+    Attributes:
+        fed_forward: Whether the last step fed the base's motion forward.
+    """
 
     def __init__(self, config: ArmControlConfig, reference: Callable[[float], Reference]) -> None:
         """Prepare.

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.identification.serial_arm import RigidBody, SerialArm
+from controllers.identification.serial_arm import RigidBody, SerialArm, cross_matrix
 
 FloatArray = NDArray[np.float64]
 GRAVITY = 9.81
@@ -64,9 +64,12 @@ class FrameState:
             place: (3,) from this origin [m].
         """
         lever = np.asarray(place, dtype=float)
-        turning = np.cross(self.angular_acceleration, lever)
-        turning += np.cross(self.angular_velocity, np.cross(self.angular_velocity, lever))
-        return dataclasses.replace(self, specific_force=self.specific_force + turning)
+        # As a matrix: np.cross takes ten times as long, and this runs many times a tick.
+        spin = cross_matrix(self.angular_velocity)
+        turning = (cross_matrix(self.angular_acceleration) + spin @ spin) @ lever
+        return FrameState(
+            self.specific_force + turning, self.angular_velocity, self.angular_acceleration
+        )
 
 
 def at_rest(up: ArrayLike = (0.0, 0.0, 1.0)) -> FrameState:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.robot import Observation
+from twin.robot import Channel, Observation
 
 FloatArray = NDArray[np.float64]
 
@@ -105,12 +105,12 @@ class Odometry:
         self._tilt: FloatArray | None = None
 
     def update(self, observation: Observation, period: float) -> None:
-        """Go on by a period [s]; what is missing or stale moves nothing."""
-        if observation.inclinometer.usable:
+        """Go on by a period [s]; what is missing, stale or not finite moves nothing."""
+        if _is_good(observation.inclinometer):
             tilt = np.asarray(observation.inclinometer.value, dtype=float)
             share = period / (period + self._lag)
             self._tilt = tilt if self._tilt is None else self._tilt + share * (tilt - self._tilt)
-        if not observation.wheel_speeds.usable:
+        if not _is_good(observation.wheel_speeds):
             return
         forward, turn = self._steer.motion(observation.wheel_speeds.value)
         middle = self.yaw + 0.5 * turn * period
@@ -143,6 +143,10 @@ class Odometry:
                 [0.0, 0.0, 0.0, 1.0],
             ]
         )
+
+
+def _is_good(channel: Channel) -> bool:
+    return channel.usable and bool(np.isfinite(channel.value).all())
 
 
 def identify_turn_share(

@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.identification.serial_arm import RigidBody
+from controllers.identification.serial_arm import RigidBody, cross_matrix
 from controllers.motion.chain import LEVEL, Chain, FrameState
 
 FloatArray = NDArray[np.float64]
@@ -85,25 +85,38 @@ class Footing:
         accelerations: ArrayLike,
         motion: FrameState = LEVEL,
     ) -> FloatArray:
-        """Return (2,) x, y of the zero-moment point [m], body frame.
+        """Return (2,) x, y of the zero-moment point [m], body frame; arguments as `wrench`.
+
+        Raises:
+            ValueError: If the rover would leave the ground.
+        """
+        wrench = self.wrench(angles, rates, accelerations, motion)
+        return zero_moment_point(wrench, self.ground)
+
+    def wrench(
+        self,
+        angles: ArrayLike,
+        rates: ArrayLike,
+        accelerations: ArrayLike,
+        motion: FrameState = LEVEL,
+    ) -> FloatArray:
+        """Return (6,) the ground's force [N] and moment about the origin [N m], body frame.
 
         Args:
             angles: Of the arm [rad].
             rates: [rad/s].
             accelerations: [rad/s^2].
             motion: Of the base, at the body frame's origin.
-
-        Raises:
-            ValueError: If the rover would leave the ground.
         """
         foot = motion.at(self.mount)
         arm = self.chain.inverse_dynamics(angles, rates, accelerations, foot)[1]
         force = self.base.mass * motion.at(self.base.centre).specific_force
+        turning = cross_matrix(motion.angular_velocity)
         spin = self.base.inertia @ motion.angular_acceleration
-        omega = motion.angular_velocity
-        spin = spin + np.cross(omega, self.base.inertia @ omega)
-        moment = spin + np.cross(self.base.centre, force) + arm[3:] + np.cross(self.mount, arm[:3])
-        return zero_moment_point(np.concatenate([force + arm[:3], moment]), self.ground)
+        spin += turning @ self.base.inertia @ motion.angular_velocity
+        levered = cross_matrix(self.base.centre) @ force + cross_matrix(self.mount) @ arm[:3]
+        moment = spin + levered + arm[3:]
+        return np.concatenate([force + arm[:3], moment])
 
     def margin(self, point: ArrayLike) -> float:
         """Return how far a point is inside the polygon; negative outside [m].

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controllers.insertion.contact import STATES, contacts_of, wrench_cone
+from controllers.insertion.contact import STATES, contacts_of, pose_in_state, wrench_cone
 from controllers.insertion.contact_states import WrenchNoise, classify
 from tests.controllers.insertion.test_contact import SHAPE, pose_of
 
@@ -42,6 +42,19 @@ def test_wrench_tells_apart_what_the_pose_leaves_open():
     assert classify(SHAPE, wall, NOISE, pose, COVARIANCE).state == 6
     assert classify(SHAPE, mouth, NOISE, pose, COVARIANCE).state == 2
     assert classify(SHAPE, wall + mouth, NOISE, pose, COVARIANCE).state == 5
+
+
+def test_a_point_beyond_the_end_of_its_feature_speaks_against_a_state():
+    """Beyond the face's outer end no corner touches it, however well wrench and gap agree."""
+    costs = []
+    for place in (0.5 * SHAPE.wall, SHAPE.wall + 2e-3):
+        pose = pose_in_state(SHAPE, 3, 1, 0.08, 0.5 * SHAPE.wall)
+        pose[0] += place - 0.5 * SHAPE.wall
+        contacts = contacts_of(SHAPE, pose, 3, 1)
+        wrench = wrench_cone(contacts, SHAPE.friction) @ np.ones(2)
+        costs.append(classify(SHAPE, wrench, NOISE, pose, COVARIANCE).cost)
+    # 2 mm beyond, with variances of two directions of which the gap takes one.
+    assert costs[1] - costs[0] == pytest.approx((2e-3 / SIGMAS[0]) ** 2, rel=0.35)
 
 
 def test_estimated_pose_brings_the_features_together():

@@ -113,6 +113,31 @@ def test_card_that_does_not_advance_is_a_jam():
     assert (guide.phase, guide.reason) == (Phase.RETREAT, "jam")
 
 
+def test_time_runs_out():
+    guide = InsertionGuide(dataclasses.replace(CONFIG, timeout=0.2), START)
+    held(guide, np.zeros(3), 19)
+    assert not guide.over
+    held(guide, np.zeros(3), 2)
+    assert (guide.phase, guide.reason) == (Phase.FAILED, "out of time")
+
+
+def test_card_is_believed_where_the_bent_hand_has_it():
+    guide = InsertionGuide(CONFIG, INSIDE)
+    held(guide, np.array([0.2, -1.0, 0.0]), 60)
+    bent = np.array([0.2, -1.0]) / CONFIG.stiffness
+    np.testing.assert_allclose((guide.believed() - guide.command)[:2], bent, atol=1e-7)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_next_try_begins_further_where_the_last_one_slid_to(side):
+    guide = InsertionGuide(CONFIG, START)
+    held(guide, wrench_at((side * 0.05, 0.0), (0.0, -1.0)), 60)
+    while guide.phase is not Phase.RETREAT:
+        before = guide.command[0]
+        guide.step(wrench_at((side * 0.05, 0.0), (0.0, -6.0)))
+    assert guide.command[0] - before == pytest.approx(-side * 1e-3)
+
+
 @pytest.mark.parametrize("missing", [None, np.array([np.nan, 0.0, 0.0])])
 def test_without_a_wrench_nothing_moves_and_after_half_a_second_it_is_over(missing):
     guide = InsertionGuide(CONFIG, START)

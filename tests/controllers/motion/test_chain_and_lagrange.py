@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -17,7 +18,8 @@ from controllers.motion.lagrange import controllability_rank, observability_rank
 from experiments.appa_control import ranks
 from experiments.appa_control_plant import PLAIN, model_errors, planar_plant
 from experiments.known_arm import known_arm
-from models.compose import RobotPlacement, make_model
+from experiments.known_camera_arm import body_pose
+from models.compose import ARM_JOINTS, RobotPlacement, make_model
 
 NOTHING = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
@@ -84,3 +86,25 @@ def test_bad_chains_and_states_are_refused(arm):
         Chain([])
     with pytest.raises(ValueError, match="joint positions"):
         Chain.of_arm(arm).mass_matrix([0.0, np.nan, 0.0, 0.0])
+
+
+def test_last_frame_is_mujocos_wrist():
+    model = make_model(PLAIN, [RobotPlacement("rover1")])
+    data, chain = mujoco.MjData(model), Chain.of_arm(known_arm(model))
+    rng = np.random.default_rng(6)
+    base, wrist = (model.body(f"rover1/{name}").id for name in ("arm_base_link", "wrist"))
+    for angles in rng.uniform(-2.0, 2.0, (20, 4)):
+        for name, angle in zip(ARM_JOINTS, angles, strict=True):
+            data.joint(f"rover1/{name}_joint").qpos = angle
+        mujoco.mj_kinematics(model, data)
+        true = body_pose(data, base).inv() * body_pose(data, wrist)
+        np.testing.assert_allclose(chain.last_frame(angles), true.as_matrix(), atol=1e-9)
+
+
+def test_last_frame_of_a_slide_is_shifted_along_its_axis():
+    slide = Joint(NOTHING, np.array([0.1, 0.0, 0.0]), np.eye(3), np.array([0.0, 1.0, 0.0]), True)
+    turn = Joint(NOTHING, np.zeros(3), np.eye(3), np.array([0.0, 0.0, 1.0]))
+    frame = Chain([turn, slide]).last_frame([np.pi / 2, 0.3])
+    np.testing.assert_allclose(frame[:3, 3], [-0.3, 0.1, 0.0], atol=1e-12)
+    with pytest.raises(ValueError, match="positions"):
+        Chain([turn, slide]).last_frame([0.1])

@@ -2,12 +2,20 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from controllers.identification.serial_arm import RigidBody
 from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmGains, Reference
-from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter
-from controllers.motion.chain import GRAVITY, LEVEL, Chain, Joint
-from controllers.motion.tip_over import Footing, Sweep, guard, least_margin, zero_moment_point
+from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
+from controllers.motion.chain import GRAVITY, LEVEL, Chain, FrameState, Joint
+from controllers.motion.tip_over import (
+    Footing,
+    Sweep,
+    ground_wrench,
+    guard,
+    least_margin,
+    zero_moment_point,
+)
 from twin.robot import Channel, Observation, RobotError, Validity
 
 SQUARE = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
@@ -44,6 +52,37 @@ def test_zero_moment_point_of_an_accelerated_load_is_the_printed_a_5():
     expected = (az * y - ay * up) / (az + 3.0 * GRAVITY)
     point = footing().zero_moment_point([angle], [rate], [growth])
     np.testing.assert_allclose(point, [0.0, expected], atol=1e-12)
+
+
+def test_particles_and_pushes_balance_where_a_5_says():
+    """A-5 with the outer forces' sign as in its denominator; as printed its y has the other."""
+    rng = np.random.default_rng(2)
+    masses, places = rng.uniform(0.5, 2.0, 4), rng.normal(size=(4, 3))
+    felt = rng.normal(size=(4, 3)) + [0.0, 0.0, GRAVITY]
+    push, at = np.array([1.0, -2.0, 3.0]), np.array([0.3, 0.1, 0.4])
+    pushes = [np.concatenate([push, np.zeros(3), at])]
+    up = masses @ felt[:, 2] - push[2]
+    x = masses @ (felt[:, 2] * places[:, 0] - felt[:, 0] * places[:, 2])
+    y = masses @ (felt[:, 2] * places[:, 1] - felt[:, 1] * places[:, 2])
+    x += at[2] * push[0] - at[0] * push[2]
+    y += at[2] * push[1] - at[1] * push[2]
+    wrench = ground_wrench(masses, places, felt, np.zeros((4, 3)), pushes)
+    np.testing.assert_allclose(zero_moment_point(wrench), [x / up, y / up])
+
+
+def test_turning_base_asks_the_ground_for_what_its_particles_do():
+    rng = np.random.default_rng(3)
+    masses, places = rng.uniform(0.5, 2.0, 5), 0.2 * rng.normal(size=(5, 3))
+    force, omega, alpha = rng.normal(size=(3, 3))
+    centre = masses @ places / masses.sum()
+    levers = places - centre
+    inertia = sum(m * (r @ r * np.eye(3) - np.outer(r, r)) for m, r in zip(masses, levers))
+    base = RigidBody(float(masses.sum()), centre, inertia)
+    bare = Footing(base, rod(0.0), np.array([0.1, 0.2, 0.3]), SQUARE, -0.1)
+    felt = force + np.cross(alpha, places) + np.cross(omega, np.cross(omega, places))
+    expected = ground_wrench(masses, places, felt, np.zeros((5, 3)))
+    wrench = bare.wrench([0.3], [0.0], [0.0], FrameState(force, omega, alpha))
+    np.testing.assert_allclose(wrench, expected, atol=1e-12)
 
 
 def test_ground_cannot_pull():
@@ -103,6 +142,71 @@ def controller(law="feed_forward"):
                               motor_damping=np.zeros(1))  # fmt: skip
     still = Reference(np.zeros(1), np.zeros(1), np.zeros(1))
     return ArmController(config, lambda _: still)
+
+
+@pytest.mark.parametrize("law", ["pd", "pd_gravity", "feed_forward"])
+def test_efforts_are_those_of_a_4_for_a_rod_in_closed_form(law):
+    """A point load on a rod: H = m l^2, G = m g l cos(angle above level)."""
+    load, length, pitch, q, rate = 0.6, 0.5, 0.12, 0.4, 0.3
+    nothing = Joint(
+        RigidBody(0.0, np.zeros(3), np.zeros((3, 3))), np.zeros(3), np.eye(3), np.eye(3)[0]
+    )
+    chain, first = Chain([*rod(load, length).joints, nothing, nothing, nothing]), np.eye(4)[0]
+    config = ArmControlConfig(
+        "rover1", chain, np.array([0.0, 0.1, 0.2]), ArmGains(15.0, 0.7), law,
+        BaseFilterConfig(lag=0.0), friction=0.05 * first, motor_damping=0.2 * first, most=50.0,
+    )  # fmt: skip
+
+    def reference(time):
+        return Reference((0.5 + 2.0 * time) * first, (2.0 + 3.0 * time) * first, 3.0 * first)
+
+    arm, turning = ArmController(config, reference), 1.5
+    force = np.array([0.0, 2.0, 12.0])  # felt where the accelerometer is
+    for tick in range(2):
+        seen = Observation(
+            0.01 * tick, arm_angles=measured(q * first), arm_rates=measured(rate * first),
+            inclinometer=measured([pitch, 0.0]), accelerometer=measured(force),
+            gyro=measured([0.01 * tick * turning, 0.0, 0.0]),
+        )  # fmt: skip
+        effort = arm.step({"rover1": seen})["rover1"].arm[0]
+    inertia = load * length**2
+    wanted, middle = reference(0.01), reference(0.015)
+    pull = 15.0**2 * (wanted.angles[0] - q) + 2.0 * 0.7 * 15.0 * (wanted.rates[0] - rate)
+    expected = inertia * (pull + middle.accelerations[0]) + 0.05 + 0.2 * 0.015
+    if law == "pd_gravity":
+        expected += load * GRAVITY * length * np.cos(q + pitch)
+    elif law == "feed_forward":
+        spin = 0.01 * turning
+        foot = force[1:] + turning * np.array([-0.2, 0.1]) - spin**2 * np.array([0.1, 0.2])
+        expected += load * length * (foot[1] * np.cos(q) - foot[0] * np.sin(q)) + inertia * turning
+    assert effort == pytest.approx(expected, rel=1e-9)
+
+
+def test_level_is_worlds_up_by_pitch_about_x_and_roll_about_y():
+    pitch, roll = 0.2, -0.3
+    up = Rotation.from_euler("XY", [pitch, roll]).inv().apply([0.0, 0.0, GRAVITY])
+    seen = Observation(0.0, inclinometer=measured([pitch, roll]))
+    np.testing.assert_allclose(level_of(seen).specific_force, up, atol=1e-12)
+    assert level_of(Observation(0.0)) is LEVEL
+
+
+def test_another_point_of_a_turning_base_feels_what_its_way_is_bent_by():
+    omega, alpha, lever = np.array([[0.3, -0.5, 0.7], [1.0, 2.0, -1.5], [0.1, 0.2, -0.3]])
+    start, step = np.array([0.5, -0.2, 9.9]), 1e-4
+
+    def place(time):
+        turn = Rotation.from_rotvec(omega * time + 0.5 * alpha * time**2)
+        return turn.apply(lever) + 0.5 * start * time**2
+
+    bend = (place(step) - 2.0 * place(0.0) + place(-step)) / step**2
+    moved = FrameState(start, omega, alpha).at(lever)
+    np.testing.assert_allclose(moved.specific_force, bend, atol=1e-5)
+
+
+def test_margin_is_the_distance_to_the_nearest_edge():
+    rover = footing()
+    assert rover.margin([0.15, -0.02]) == pytest.approx(0.05)
+    assert rover.margin([0.0, 0.27]) == pytest.approx(-0.07)
 
 
 def test_arm_is_not_driven_blind_and_wrong_settings_are_named():

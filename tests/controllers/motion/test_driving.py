@@ -1,0 +1,155 @@
+"""Wheel speeds and motion belong together, and dead reckoning goes where geometry says."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from controllers.mapping.standing import lean
+from controllers.motion.driving import Odometry, SkidSteer, identify_turn_share
+from experiments.insertion_identify import ROBOT, identify_slip, rover_steer
+from models.compose import RobotPlacement
+from tests.models.scenes import make_scene
+from twin.robot import MISSING, ArmMode, Channel, Command, Observation, Validity, WheelMode
+from twin.simulation import Simulation
+
+STEER = SkidSteer(0.05, 0.15, turn_share=0.6)
+PERIOD = 0.01
+
+
+def measured(*values: float) -> Channel:
+    return Channel(np.array(values), 0.0, Validity.MEASURED)
+
+
+def driving(speeds, pitch=0.0, roll=0.0) -> Observation:
+    return Observation(0.0, wheel_speeds=measured(*speeds), inclinometer=measured(pitch, roll))
+
+
+@pytest.fixture(scope="module")
+def slip_drive():
+    """A turn that the identification has not seen: wheel speeds and true headings of MuJoCo's."""
+    scene = make_scene(RobotPlacement(ROBOT, stereo=False))
+    simulation = Simulation(scene.model, [ROBOT], seed=5, data=scene.start())
+    robot, chassis = simulation.robots[ROBOT], simulation.data.body(f"{ROBOT}/chassis")
+    robot.activate()
+    held = np.array(robot.observe().arm_angles.value)
+    speeds, yaw = [], []
+    for _ in range(300):
+        seen = robot.observe()
+        speeds.append(np.array(seen.wheel_speeds.value))
+        yaw.append(math.atan2(-chassis.xmat[1], chassis.xmat[4]))
+        wheels = rover_steer().wheel_speeds(0.06, 0.25)
+        robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
+        simulation.step()
+    simulation.close()
+    return np.array(speeds), np.unwrap(yaw), simulation.period
+
+
+def test_motion_of_the_wheel_speeds_for_a_motion_is_that_motion():
+    rng = np.random.default_rng(0)
+    for forward, turn in rng.uniform([-0.1, -0.2], [0.1, 0.2], (50, 2)):
+        np.testing.assert_allclose(STEER.motion(STEER.wheel_speeds(forward, turn)), [forward, turn])
+
+
+def test_rolling_wheels_go_as_fast_as_the_body_over_them():
+    """A wheel's hub moves as the rigid body does: v + turn x (half track), ahead."""
+    rolling = SkidSteer(0.05, 0.15)
+    speeds = rolling.wheel_speeds(0.08, 0.2)
+    hubs = 0.08 + 0.2 * 0.15 * np.array([-1.0, 1.0, -1.0, 1.0])
+    np.testing.assert_allclose(speeds * 0.05, hubs)
+
+
+def test_saturated_wheels_keep_the_curve():
+    forward, turn = STEER.motion(STEER.wheel_speeds(0.5, 2.0))
+    assert np.abs(STEER.wheel_speeds(0.5, 2.0)).max() == pytest.approx(STEER.most)
+    assert forward / turn == pytest.approx(0.25)
+    np.testing.assert_array_equal(STEER.wheel_speeds(0.0, 0.0), 0.0)
+
+
+@pytest.mark.parametrize("turn", [0.4, -0.4])
+def test_dead_reckoning_follows_a_circle(turn):
+    odometry = Odometry(STEER)
+    seen = driving(STEER.wheel_speeds(0.1, turn))
+    radius = 0.1 / turn
+    for tick in range(1, round(2.0 * math.pi / abs(turn) / PERIOD) + 1):
+        odometry.update(seen, PERIOD)
+        angle = turn * PERIOD * tick
+        # Forward is y at the start; the centre is to the left by the radius.
+        place = [radius * (math.cos(angle) - 1.0), radius * math.sin(angle)]
+        np.testing.assert_allclose(odometry.place, place, atol=2e-6)
+    assert odometry.yaw == pytest.approx(angle)
+    assert odometry.way == pytest.approx(0.1 * PERIOD * tick)
+    assert odometry.turned == pytest.approx(abs(angle))
+
+
+def test_way_and_turn_count_backwards_too():
+    odometry = Odometry(STEER)
+    for sign in (1.0, -1.0):
+        for _ in range(100):
+            odometry.update(driving(sign * STEER.wheel_speeds(0.1, 0.3)), PERIOD)
+    np.testing.assert_allclose(odometry.place, 0.0, atol=1e-12)
+    assert odometry.way == pytest.approx(0.2) and odometry.turned == pytest.approx(0.6)
+
+
+def test_missing_speeds_move_nothing_and_missing_tilt_keeps_the_last():
+    odometry = Odometry(STEER, (1.0, 2.0), 0.5)
+    odometry.update(driving([1.0] * 4, 0.02, -0.01)._replace(wheel_speeds=MISSING), PERIOD)
+    np.testing.assert_array_equal(odometry.place, [1.0, 2.0])
+    odometry.update(Observation(0.0), PERIOD)
+    np.testing.assert_array_equal(odometry.tilt, [0.02, -0.01])
+
+
+def test_pose_leans_as_the_inclinometer_means():
+    odometry = Odometry(STEER, (0.3, -0.2), 0.7)
+    odometry.update(driving([0.0] * 4, 0.04, -0.06), PERIOD)
+    c, s = math.cos(0.7), math.sin(0.7)
+    yaw = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    wanted = yaw @ lean(np.array([0.04, -0.06])).rotation.as_matrix()
+    np.testing.assert_allclose(odometry.pose()[:3, :3], wanted, atol=1e-12)
+    np.testing.assert_allclose(odometry.pose()[:3, 3], [0.3, -0.2, 0.0])
+
+
+def test_tilt_follows_a_step_as_a_first_order_lag():
+    odometry = Odometry(STEER, tilt_lag=0.3)
+    odometry.update(driving([0.0] * 4), 1e-4)
+    for _ in range(3000):
+        odometry.update(driving([0.0] * 4, 0.1), 1e-4)
+    assert odometry.tilt[0] == pytest.approx(0.1 * (1.0 - math.exp(-1.0)), rel=1e-3)
+
+
+def test_share_of_a_synthetic_drive_is_found_within_its_deviation():
+    rng = np.random.default_rng(3)
+    turns = 0.2 * np.sign(np.sin(np.arange(600) * PERIOD * 2.0))
+    speeds = np.array([STEER.wheel_speeds(0.05, turn) for turn in turns])
+    headings = 3.0 + np.cumsum(turns) * PERIOD + 1e-3 * rng.normal(size=600)
+    share, deviation = identify_turn_share(STEER, speeds, headings, PERIOD)
+    assert abs(share - STEER.turn_share) < 3.0 * deviation < 0.01
+
+
+def test_share_of_mujocos_rover_brings_dead_reckoning_to_its_true_heading(slip_drive):
+    share, deviation = identify_slip(0)
+    assert 0.2 < share < 1.0 and deviation < 0.01
+    speeds, yaw, period = slip_drive
+    errors = {}
+    for name, steer in (("rolling", rover_steer()), ("identified", rover_steer(share))):
+        odometry = Odometry(steer, yaw=yaw[0])
+        for row in speeds:
+            odometry.update(driving(row), period)
+        errors[name] = abs(odometry.yaw - yaw[-1])
+    turned = abs(yaw[-1] - yaw[0])
+    assert turned > 0.2
+    assert errors["identified"] < 0.06 * turned < errors["rolling"]
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match="turn_share = 0"):
+        SkidSteer(0.05, 0.15, turn_share=0.0)
+    with pytest.raises(ValueError, match="wheel_radius"):
+        SkidSteer(math.nan, 0.15)
+    straight = np.ones((100, 4))
+    with pytest.raises(ValueError, match="less than 5 degrees"):
+        identify_turn_share(STEER, straight, np.zeros(100), PERIOD)
+    with pytest.raises(ValueError, match="as many"):
+        identify_turn_share(STEER, straight, np.zeros(99), PERIOD)
