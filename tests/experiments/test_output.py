@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from experiments.catalogue import EXPERIMENTS
 from experiments.contract import Options
 from experiments.output import Output, plain
+from experiments.summary import print_summary
 
 
 @pytest.fixture
@@ -61,3 +62,9 @@ def test_more_repetitions_extend_the_seeds_and_leave_the_first():
     assert many[:3] == few and len(set(many)) == 50
     assert len(Options(quick=True).job_seeds(50, 5)) == 5
     assert Options(seed=1).job_seeds(50, 5) != many
+
+
+def test_terminal_shows_units_in_brackets(output, capsys):
+    output.check("worst error [mm]", 0.25, "<= 1", ok=True)
+    print_summary(next(iter(EXPERIMENTS.values())), output)
+    assert "worst error [mm]: 0.25 (bound <= 1)" in capsys.readouterr().out
