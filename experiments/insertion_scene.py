@@ -17,9 +17,11 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from experiments.known_camera_arm import body_pose
 from models.card_and_slot.build import add_card, add_slot
 from models.compose import (
+    ARM_JOINTS,
     FieldConfig,
     RobotPlacement,
     add_home,
+    arm_hold_voltage,
     build_scene,
     compile_scene,
     make_terrain,
@@ -107,6 +109,24 @@ def placements(scene: InsertionScene) -> list[RobotPlacement]:
         RobotPlacement(MASTER, scene.master[:2], scene.master[2], stereo=True),
         RobotPlacement(SLAVE, scene.slave[:2], scene.slave[2], stereo=False),
     ]
+
+
+def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:
+    """Let the master's arm begin where its camera was taken before, in the key frame ``home``.
+
+    Args:
+        model: From `compile_insertion`; its key frame is changed.
+        angles: (4,) of the joints [rad].
+    """
+    home = model.key("home").id
+    for name, angle in zip(ARM_JOINTS, angles, strict=True):
+        model.key_qpos[home, model.joint(f"{MASTER}/{name}_joint").qposadr[0]] = angle
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, home)
+    mujoco.mj_forward(model, data)
+    voltages = arm_hold_voltage(model, data, MASTER)
+    for name, voltage in zip(ARM_JOINTS, voltages, strict=True):
+        model.key_ctrl[home, model.actuator(f"{MASTER}/{name}").id] = voltage
 
 
 def card_in_slot(data: mujoco.MjData) -> FloatArray:

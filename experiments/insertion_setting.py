@@ -26,6 +26,7 @@ from experiments.insertion_scene import (
     SLAVE,
     TIP,
     InsertionScene,
+    begin_with_camera_at,
     compile_insertion,
     transform,
 )
@@ -186,6 +187,9 @@ def prepare(trial: InsertionTrial) -> Setting:
     x, y, heading = np.array(stand.place) + 0.01 * scene_rng.normal(size=3)
     scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field)
     model = compile_insertion(scene)
+    watcher = _watcher(trial, stand, settle(model), prior_rng)
+    # The camera is placed by the map before the task begins.
+    begin_with_camera_at(model, watcher.begin(stand.angles))
     simulation = Simulation(
         model,
         [MASTER, SLAVE],
@@ -193,7 +197,6 @@ def prepare(trial: InsertionTrial) -> Setting:
         seed=trial.seed,
         data=settle(model),
     )
-    watcher = _watcher(trial, stand, simulation.data, prior_rng)
     carrier = _carrier(trial, simulation, prior_rng)
     sensing = _sensing(model)
     eyes = FaultyEyes(Fault[trial.fault] if trial.fault else None)
@@ -240,8 +243,9 @@ def _carrier(trial: InsertionTrial, simulation: Simulation, rng: np.random.Gener
     data = simulation.data
     slot = transform(data, f"{SLAVE}/chassis").inv() * transform(data, "slot")
     slot, covariance = _mapped(slot, rng)
-    chain = Chain.of_arm(known_arm(simulation.model, SLAVE), datasheets.ARM_MOTOR.armature)
-    arm = CardArm(reference_arm(), chain, TIP)
+    known = known_arm(simulation.model, SLAVE)
+    chain = Chain.of_arm(known, datasheets.ARM_MOTOR.armature)
+    arm = CardArm(reference_arm(), chain, TIP, known.base)
     config = CarrierConfig(guide_config())
     steer = rover_steer(trial.turn_share)
     return Carrier(config, arm, steer, slot.as_matrix(), covariance)

@@ -7,9 +7,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from controllers.identification.serial_arm import RigidBody
 from controllers.mapping.camera_arm import CameraArm
 from controllers.motion.arm_model import ArmModel
-from controllers.motion.chain import Chain, at_rest
+from controllers.motion.chain import GRAVITY, Chain, at_rest
 
 FloatArray = NDArray[np.float64]
 
@@ -59,14 +60,16 @@ def inverse(transform: FloatArray) -> FloatArray:
 class CardArm:
     """Kinematics and weight of the arm with the card in its gripper, robot frame."""
 
-    def __init__(self, arm: CameraArm, chain: Chain, tip: float) -> None:
+    def __init__(self, arm: CameraArm, chain: Chain, tip: float, plate: RigidBody) -> None:
         """Put the card into the gripper.
 
         Args:
             arm: Hinges and limits.
             chain: The arm with the card, for its weight.
             tip: From the wrist's joint to the middle of the card's leading edge [m].
+            plate: What the force sensor carries before the first joint.
         """
+        self._plate = plate
         self._model = ArmModel(arm, [0.0, tip, 0.0])
         self._base = arm.transform_base_to_robot.as_matrix()
         self._chain = chain
@@ -113,6 +116,8 @@ class CardArm:
         level = self._base[:3, :3].T @ np.asarray(up, dtype=float)
         zero = np.zeros(len(self._chain))
         held = self._chain.inverse_dynamics(angles, zero, zero, at_rest(level))[1]
+        weight = self._plate.mass * GRAVITY * level
+        held = held + np.concatenate([weight, np.cross(self._plate.centre, weight)])
         outside = held - np.asarray(wrench, dtype=float)
         card = self._chain.last_frame(angles) @ self._card
         moment = outside[3:] - np.cross(card[:3, 3], outside[:3])

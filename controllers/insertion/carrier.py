@@ -149,7 +149,8 @@ class Carrier:
         """
         config = self.config
         self._time += config.period
-        if not (seen.arm_angles.usable and seen.arm_rates.usable):
+        joints = seen.arm_angles, seen.arm_rates
+        if not all(each.usable and np.isfinite(each.value).all() for each in joints):
             return self._fail("no arm angles", np.zeros(4), arm=False)
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         if self._wanted is None:
@@ -231,11 +232,13 @@ class Carrier:
 
     def _feel(self, seen: Observation, angles: FloatArray) -> None:
         """Work out what touches the card, less what it was when nothing did."""
-        if not seen.arm_base_wrench.usable:
+        felt = np.full(6, np.nan)
+        if seen.arm_base_wrench.usable:
+            up = level_of(seen).specific_force / GRAVITY
+            felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
+        if not np.all(np.isfinite(felt)):
             self.contact = np.full(6, np.nan) if self.stage is Stage.INSERT else np.zeros(6)
             return
-        up = level_of(seen).specific_force / GRAVITY
-        felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
         if self.stage is Stage.ALIGN:
             self._tare = [*self._tare, felt][-round(self.config.settle / self.config.period) :]
             self._offset = np.mean(self._tare, axis=0)

@@ -85,9 +85,9 @@ def unpack(message: bytes) -> Guidance:
     _, flags, time, *numbers = _FORM.unpack(message)
     covariance = np.zeros((6, 6))
     covariance[_UPPER] = np.array(numbers[6:]) * 1e-6
-    covariance = covariance + covariance.T - np.diag(np.diag(covariance))
     if not np.all(np.isfinite(covariance)):
         raise GuidanceError("guidance message: its covariance is not finite")
+    covariance = covariance + covariance.T - np.diag(np.diag(covariance))
     pose = None
     if flags & _POSE:
         turn = Rotation.from_rotvec(np.array(numbers[:3]) * _ANGLE)

@@ -78,7 +78,8 @@ class Watcher:
             geometry: Of the stereo pair.
             slot: The transform from the slot to the robot and its covariance (6, 6).
             card: The transform from the card to the robot, roughly.
-            angles: (4,) of the joints where the camera is taken first [rad]; None for the best.
+            angles: (4,) of the joints where the camera shall be [rad], until a better place is
+                found. Nothing moves before card or slot is seen.
         """
         self.config = config
         self.slot, self.slot_covariance = slot
@@ -90,7 +91,23 @@ class Watcher:
         self._wanted: FloatArray | None = None
         self._looked = float("nan")
         self._next = 0.0
+        self._found = False
         self._pair: NDArray[np.uint8] | None = None
+
+    def begin(self, angles: FloatArray) -> FloatArray:
+        """Choose where the camera begins, by the map alone.
+
+        Args:
+            angles: (4,) of the joints if there is no better place [rad].
+
+        Returns:
+            (4,) of the joints [rad].
+        """
+        if self._goal is None:
+            self._goal = angles
+        if self.config.plan is not None:
+            self._place(self._goal)
+        return self._goal
 
     def step(self, seen: Observation) -> tuple[Command, Guidance | None]:
         """Take what was measured; return the next command, and guidance after each new pair.
@@ -98,7 +115,7 @@ class Watcher:
         Args:
             seen: Of the master.
         """
-        if not seen.arm_angles.usable:
+        if not (seen.arm_angles.usable and np.isfinite(seen.arm_angles.value).all()):
             return Command(), None
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         if self._wanted is None:
@@ -107,7 +124,8 @@ class Watcher:
         if seen.stereo.usable and seen.stereo.stamp != self._looked:
             self._looked = seen.stereo.stamp
             guidance = self._look(seen, angles) if self._is_new(seen) else self._nothing(seen)
-        if self.config.plan is not None and seen.time >= self._next:
+        # Before anything is seen, the camera waits where it was placed.
+        if self.config.plan is not None and self._found and seen.time >= self._next:
             self._next = seen.time + self.config.again
             self._place(angles)
         return self._move(), guidance
@@ -148,6 +166,7 @@ class Watcher:
         )
         card_fit, slot_fit = fits
         self.fits = (card_fit, slot_fit)
+        self._found |= card_fit is not None or slot_fit is not None
         if slot_fit is not None:
             slot, spread = slot_fit.transform_body_to_camera, slot_fit.covariance
             self.slot = camera * slot
@@ -185,7 +204,7 @@ class Watcher:
         assert self._wanted is not None
         still = np.zeros(4)
         rates = still
-        if self._goal is not None:
+        if self._goal is not None and self._found:
             most = self.config.rate * self.config.period
             step = self._goal - self._wanted
             # All joints arrive at once.

@@ -2,10 +2,8 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.identification.pitch import PitchFit, PitchSensors
@@ -18,7 +16,6 @@ from controllers.surrogate_wrench import WrenchModel, WrenchModelConfig, motor_e
 from experiments.appa_control_plant import MOUNT, sprung_rover
 from experiments.appa_control_trial import ROBOT, arm_config, reference
 from experiments.known_arm import known_arm
-from experiments.known_camera_arm import known_camera_arm
 from models import datasheets
 from models.compose import settle
 from twin.robot import MISSING, Observation
@@ -43,7 +40,6 @@ class Run:
     tilt: np.ndarray
     hand: list[RigidTransform]
     arm: SerialArm
-    hand_in_robot: Callable[[ArrayLike], RigidTransform]
 
 
 @functools.cache
@@ -82,10 +78,7 @@ def swing(ticks=700, pushed=False, inertial=False) -> Run:
             data.xfrc_applied[wrist] = np.concatenate([PUSH, np.cross(lever, PUSH)])
         simulation.step()
     simulation.close()
-    reach = dataclasses.replace(
-        known_camera_arm(model), transform_camera_to_wrist=RigidTransform.from_translation(GRIP)
-    ).camera_in_robot
-    return Run(seen, np.array(efforts), np.array(wrench), np.array(tilt), hand, arm, reach)
+    return Run(seen, np.array(efforts), np.array(wrench), np.array(tilt), hand, arm)
 
 
 def wrench_model() -> WrenchModel:

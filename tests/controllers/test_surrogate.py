@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from controllers.surrogate import SensorLimits
-from controllers.surrogate_pose import DeadReckoning, DeadReckoningConfig, PosePrediction
 from controllers.surrogate_tilt import TiltAxis, TiltModel
 from tests.controllers.surrogate_runs import (
     PERIOD,
@@ -186,53 +184,12 @@ def test_nothing_replaces_the_arms_own_encoders():
     assert "arm_angles missing" in state.stop and np.isnan(state.wrench.value).all()
 
 
-def hand_config(**changes):
-    return DeadReckoningConfig(swing().hand_in_robot, **changes)
-
-
-def test_hidden_body_is_carried_on_within_its_covariance():
-    run = swing()
-    reckoning = DeadReckoning(hand_config())
-    reckoning.correct(PosePrediction(run.hand[200], np.zeros((6, 6))), run.seen[200])
-    ratios, far = [], []
-    for tick in range(205, 500, 5):
-        pose, covariance = reckoning.predict(run.seen[tick], 5 * PERIOD)
-        xi = (run.hand[tick] * pose.inv()).as_exp_coords()
-        ratios.append(nees(xi, covariance))
-        far.append(np.linalg.norm(pose.translation - run.hand[tick].translation))
-    moved = np.ptp([hand.translation for hand in run.hand[200:500]], axis=0).max()
-    assert moved > 0.1 and np.max(far) < 0.005
-    assert np.mean(ratios) < 1.5
-
-
-def test_driven_circle_ends_where_it_began_and_the_covariance_grows():
-    reckoning = DeadReckoning(hand_config(track=0.5, wheel_radius=0.1))
-    seen = swing().seen[0]._replace(inclinometer=measured([0.0, 0.0]))
-    start = PosePrediction(RigidTransform.identity(), 1e-8 * np.eye(6))
-    reckoning.correct(start, seen)
-    # Wheels 3 and 4 rad/s of 0.1 m: 0.1 m/s over 0.5 m, once around in 10 pi seconds.
-    driving = seen._replace(wheel_speeds=measured([3.0, 4.0, 3.0, 4.0]))
-    sizes, pose = [], start.transform_body_to_target
-    for tick in range(1, 101):
-        pose, covariance = reckoning.predict(driving, np.pi / 10.0)
-        sizes.append(np.trace(covariance[3:, 3:]))
-        if tick == 50:
-            turned = pose.rotation.magnitude()
-            assert turned == pytest.approx(np.pi, abs=1e-6)
-    assert np.allclose(pose.translation, 0.0, atol=1e-9)
-    assert np.all(np.diff(sizes[:20]) > 0.0)
-
-
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="stiffness"):
         TiltAxis(0.1, 1.0, 0.0, (0.0, 0.0))
     with pytest.raises(ValueError, match="one of"):
         SensorLimits(np.ones(6), np.ones(2))
-    with pytest.raises(ValueError, match="never seen"):
-        DeadReckoning(hand_config()).predict(swing().seen[0], PERIOD)
     with pytest.raises(ValueError, match="arm_rates is missing"):
         wrench_model().predict(swing().seen[0]._replace(arm_rates=MISSING), PERIOD)
     with pytest.raises(ValueError, match="dt"):
         wrench_model().predict(swing().seen[0], 0.0)
-    with pytest.raises(ValueError, match="track"):
-        hand_config(track=0.0)

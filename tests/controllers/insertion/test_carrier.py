@@ -1,0 +1,205 @@
+"""The slave brings the card in by looks and force, and stands still when it must."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from controllers.insertion.carrier import Stage
+from controllers.insertion.guidance import Guidance
+from tests.controllers.insertion.kinematic import Slave
+from twin.robot import MISSING, ArmMode, Channel, Validity, WheelMode
+
+NOTHING_SEEN = Guidance(0.0, False, False, None, np.zeros((6, 6)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("slip", "error"),
+    [
+        (1.0, None),
+        (0.9, [3e-3, -3e-3, 4e-3, 2e-3, 1e-3, -2e-3]),
+    ],
+)
+def test_card_is_brought_before_the_slot_and_in(slip, error):
+    """Also where wheels slip by a tenth and the map is off: looks make up for both."""
+    slave = Slave((0.01, -0.72, 0.04), slip)
+    carrier = slave.carrier(error)
+    reached = {}
+
+    def note():
+        reached.setdefault(carrier.stage, slave.error())
+        return carrier.over
+
+    slave.run(carrier, 40.0, until=note)
+    assert carrier.stage is Stage.DONE, carrier.reason
+    assert list(reached) == [Stage.WAIT, Stage.APPROACH, Stage.ALIGN, Stage.INSERT, Stage.DONE]
+    across, ahead, turn, beside, yaw = reached[Stage.INSERT]
+    assert abs(across) < 1.2e-3 and abs(turn) < np.radians(0.7)
+    assert ahead == pytest.approx(-carrier.config.stand_off, abs=2e-3)
+    assert slave.error()[1] == pytest.approx(carrier.config.guide.depth, abs=2e-3)
+    # The slot's walls are as wide as this.
+    assert abs(beside) < 0.01 and abs(yaw) < 0.06
+
+
+@functools.cache
+def before_the_slot():
+    """Return a slave that begins to insert, and its controller."""
+    slave = Slave((0.01, -0.64, 0.03))
+    carrier = slave.carrier()
+    slave.run(carrier, 40.0, until=lambda: carrier.stage is Stage.INSERT)
+    slave.run(carrier, 0.3, looks=False)
+    assert carrier.stage is Stage.INSERT
+    return slave, carrier
+
+
+def inserting():
+    return copy.deepcopy(before_the_slot())
+
+
+@functools.cache
+def under_way():
+    """Return a slave in the approach, and its controller."""
+    slave = Slave()
+    carrier = slave.carrier()
+    slave.run(carrier, 2.5)
+    assert carrier.stage is Stage.APPROACH
+    return slave, carrier
+
+
+def approaching(**changes):
+    slave, carrier = copy.deepcopy(under_way())
+    carrier.config = dataclasses.replace(carrier.config, **changes)
+    return slave, carrier
+
+
+def test_speeds_stay_within_their_limits():
+    slave, carrier = inserting()
+    motions = np.array([carrier._steer.motion(c.wheels) for c in slave.commands])
+    assert np.abs(motions[:, 0]).max() <= carrier.config.speed + 1e-9
+    assert np.abs(motions[:, 1]).max() <= carrier.config.turn + 1e-9
+    arms = np.array([c.arm for c in slave.commands])
+    cards = np.array([slave.arm.card_in_robot(a)[:3, 3] for a in arms[::5]])
+    speed = np.linalg.norm(np.diff(cards, axis=0), axis=1) / 0.05
+    assert speed.max() <= carrier.config.card_speed * 1.02
+
+
+@pytest.mark.parametrize("looks", [[], [NOTHING_SEEN]])
+def test_nothing_moves_before_the_first_look_and_without_one_it_gives_up(looks):
+    slave = Slave()
+    carrier = slave.carrier(first=2.0)
+    for _ in range(400):
+        slave.drive(carrier.step(slave.observe(), looks))
+    assert carrier.stage is Stage.FAILED and carrier.reason == "target not seen"
+    assert slave.stands_still(400)
+    np.testing.assert_array_equal(slave.commands[0].arm, Slave().angles)
+
+
+def test_old_look_is_gone_on_from_by_dead_reckoning_and_then_given_up():
+    slave, carrier = approaching(lost=2.5)
+    place = slave.place.copy()
+    slave.run(carrier, carrier.config.stale + 0.3, looks=False)
+    assert slave.place[1] > place[1] + 0.02  # it still drives
+    slave.run(carrier, carrier.config.lost, looks=False, until=lambda: carrier.over)
+    assert carrier.stage is Stage.FAILED and carrier.reason == "target not seen"
+    slave.run(carrier, 0.5)
+    assert slave.stands_still(50)
+
+
+def test_unsure_slave_stands_still_until_it_hears_again():
+    slave, carrier = approaching(known=1e-4)
+    slave.run(carrier, carrier.config.stale + 0.1, looks=False)
+    place = slave.place.copy()
+    slave.run(carrier, 2.0, looks=False)
+    assert slave.stands_still(200) and not carrier.over
+    slave.run(carrier, 1.0)
+    assert slave.place[1] > place[1] + 0.01
+
+
+def test_wrench_beyond_the_limit_stops_everything():
+    slave, carrier = inserting()
+    slave.push[:2] = [0.0, -10.0]
+    slave.run(carrier, 1.0, looks=False)
+    assert carrier.stage is Stage.FAILED and carrier.reason == "force"
+    assert slave.stands_still(95)
+
+
+def test_push_on_the_card_is_felt_less_what_was_there_before():
+    slave, carrier = inserting()
+    slave.push[:] = [0.5, -0.4, 0.2, 0.01, 0.02, 0.03]
+    carrier.step(slave.observe(), [])
+    np.testing.assert_allclose(carrier.contact, slave.push, atol=1e-3)
+
+
+def test_lost_wrench_in_contact_does_not_go_on():
+    slave, carrier = inserting()
+    ahead = slave.error()[1]
+    for _ in range(100):
+        slave.drive(carrier.step(slave.observe()._replace(arm_base_wrench=MISSING), []))
+    assert slave.error()[1] < ahead + 2e-3
+    assert carrier.stage is not Stage.DONE
+
+
+@pytest.mark.parametrize("bad", [MISSING, Channel(np.full(4, np.nan), 0.0, Validity.MEASURED)])
+@pytest.mark.parametrize("channel", ["arm_angles", "arm_rates"])
+def test_missing_joints_take_the_duty_off_for_good(channel, bad):
+    slave, carrier = approaching()
+    command = carrier.step(slave.observe()._replace(**{channel: bad}), [])
+    assert command.wheel_mode is WheelMode.DUTY and command.arm_mode is ArmMode.DUTY
+    np.testing.assert_array_equal([*command.wheels, *command.arm], 0.0)
+    assert carrier.stage is Stage.FAILED and carrier.reason == "no arm angles"
+    slave.run(carrier, 0.5)
+    assert slave.stands_still(50)
+
+
+def test_reason_from_outside_stops_for_good():
+    slave, carrier = approaching()
+    carrier.stop("wrench missing")
+    slave.run(carrier, 0.5)
+    assert carrier.reason == "wrench missing" and slave.stands_still(50)
+    carrier.stop("another")
+    assert carrier.reason == "wrench missing"
+
+
+def test_task_that_takes_too_long_is_given_up():
+    slave, carrier = approaching(timeout=2.8)
+    slave.run(carrier, 0.8)
+    assert carrier.reason == "out of time" and slave.stands_still(45)
+
+
+@pytest.mark.parametrize("kind", ["missing", "stale", "not finite"])
+@pytest.mark.parametrize("channel", ["wheel_speeds", "inclinometer", "arm_base_wrench"])
+def test_spoilt_channel_never_makes_a_command_that_is_not_finite(channel, kind):
+    slave, carrier = approaching()
+
+    def spoil(seen):
+        good = getattr(seen, channel)
+        spoilt = {
+            "missing": MISSING,
+            "stale": good._replace(validity=Validity.STALE),
+            "not finite": Channel(np.full_like(good.value, np.nan), good.stamp, Validity.MEASURED),
+        }
+        return seen._replace(**{channel: spoilt[kind]})
+
+    for tick in range(80):
+        looks = [slave.look()] if tick % 25 == 0 else []
+        seen = slave.observe()
+        command = carrier.step(spoil(seen) if tick % 40 < 20 else seen, looks)
+        slave.drive(command)
+    numbers = [[*c.wheels, *c.arm, *c.arm_rates] for c in slave.commands]
+    assert np.isfinite(numbers).all()
+    assert np.isfinite(carrier.belief.slot_in_start).all()
+
+
+def test_wild_look_moves_nothing_far():
+    slave, carrier = approaching()
+    before = carrier.belief.slot_in_start.copy()
+    true = slave.look()
+    wild = Slave((0.3, -0.5, 0.3)).look()
+    for look in (dataclasses.replace(wild, time=true.time), dataclasses.replace(true, time=-5.0)):
+        slave.drive(carrier.step(slave.observe(), [look]))
+    np.testing.assert_allclose(carrier.belief.slot_in_start, before, atol=1e-4)

@@ -1,0 +1,204 @@
+"""Of rendered pairs the master tells what is true within its covariance, or that it saw nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from controllers.insertion.watcher import Watcher, WatcherConfig
+from controllers.insertion.watching import best_angles
+from experiments.insertion_scene import MASTER, SLAVE
+from experiments.insertion_stand import best_stand, card_cad, reference_arm, slot_cad, watch_plan
+from experiments.mapping_scene import head_geometry
+from models.datasheets import CARD_AND_SLOT
+from tests.controllers.insertion.scenes import WIDTH, arm_at, fresh, true_parts
+from twin.camera import StereoConfig, StereoRig
+from twin.robot import MISSING, ArmMode, Channel, Observation, Validity, WheelMode
+
+PRIOR = np.diag([4.5e-3**2] * 3 + [1.7e-3**2] * 3)
+ROUGH = RigidTransform.from_exp_coords([0.02, -0.01, 0.02, 0.004, -0.003, 0.004])
+"""By how much the card is not where it was believed to be."""
+
+
+class Eyes:
+    """The master's camera on a scene whose state is set."""
+
+    def __init__(self, seed: int = 0):
+        self.model, self.data = fresh()
+        self.rng = np.random.default_rng(seed)
+        self.rig = StereoRig(self.model, f"{MASTER}/", StereoConfig(), self.rng)
+        self.angles = best_stand(WIDTH).angles
+
+    def place(self, offset) -> None:
+        """Move the slave, and the camera to where it sees both parts best."""
+        joint = self.model.body(f"{SLAVE}/chassis").jntadr[0]
+        address = self.model.jnt_qposadr[joint]
+        self.data.qpos[address : address + 2] += offset[:2]
+        mujoco.mj_forward(self.model, self.data)
+        parts = true_parts(self.data)
+        choice = best_angles(watch_plan(), parts, reference_arm(), head_geometry(), self.angles)
+        self.angles = choice.angles
+        arm_at(self.model, self.data, MASTER, self.angles)
+        mujoco.mj_forward(self.model, self.data)
+
+    def watcher(self, prior_error=True) -> Watcher:
+        parts = true_parts(self.data)
+        error = self.rng.multivariate_normal(np.zeros(6), PRIOR) if prior_error else np.zeros(6)
+        slot = RigidTransform.from_exp_coords(error).inv() * parts.slot_pose
+        config = WatcherConfig(card_cad(), slot_cad(WIDTH), CARD_AND_SLOT.marker_diameter, None)
+        card = ROUGH * parts.card_pose
+        return Watcher(config, reference_arm(), head_geometry(), (slot, PRIOR), card)
+
+    def observe(self, stamp: float = 0.0, pair=None) -> Observation:
+        image = self.rig.capture(self.data) if pair is None else pair
+        return Observation(
+            stamp,
+            arm_angles=Channel(np.array(self.angles), stamp, Validity.MEASURED),
+            stereo=Channel(image, stamp, Validity.MEASURED),
+        )
+
+    def hide(self, body: str) -> None:
+        """Take the paint off a body's markers."""
+        for index in range(2):
+            self.model.geom(f"{body}_marker{index}").rgba[3] = 0.0
+
+
+@pytest.fixture
+def eyes():
+    made = Eyes()
+    paint = made.model.geom_rgba.copy()
+    yield made
+    made.model.geom_rgba[:] = paint
+
+
+def square(eyes: Eyes, guidance) -> float:
+    """Squared error of the pose that was told, whitened by its covariance."""
+    parts = true_parts(eyes.data)
+    true = parts.card_pose.inv() * parts.slot_pose
+    error = (true * guidance.transform_slot_to_card.inv()).as_exp_coords()
+    return float(error @ np.linalg.solve(guidance.covariance, error))
+
+
+def test_told_pose_is_true_within_its_covariance(eyes):
+    squares, places = [], []
+    offsets = [(0.0, 0.0), (0.006, 0.03), (-0.014, 0.03), (0.008, 0.03), (0.006, 0.02),
+               (-0.01, 0.01), (0.004, -0.16), (0.0, -0.05)]  # fmt: skip
+    for offset in offsets:
+        eyes.place(offset)
+        command, guidance = eyes.watcher().step(eyes.observe())
+        assert guidance is not None and guidance.card_seen and guidance.slot_seen
+        squares.append(square(eyes, guidance))
+        parts = true_parts(eyes.data)
+        true = parts.card_pose.inv() * parts.slot_pose
+        told = guidance.transform_slot_to_card
+        places.append(np.abs(told.inv().translation - true.inv().translation)[:2].max())
+    # The mean of eight squares of six degrees of freedom has a deviation of 1.2.
+    assert 1.5 < np.mean(squares) < 11.0
+    assert np.median(places) < 1e-3
+
+
+def test_hidden_slot_is_where_the_map_has_it_with_the_maps_covariance(eyes):
+    eyes.place((0.0, 0.0))
+    eyes.hide("slot")
+    watcher = eyes.watcher()
+    _, guidance = watcher.step(eyes.observe())
+    assert guidance is not None and guidance.card_seen and not guidance.slot_seen
+    assert square(eyes, guidance) < 16.8  # 1 % of six degrees of freedom
+    seen = eyes.watcher()
+    np.testing.assert_array_equal(watcher.slot_covariance, PRIOR)
+    eyes.model.geom("slot_marker0").rgba[3] = eyes.model.geom("slot_marker1").rgba[3] = 1.0
+    _, whole = seen.step(eyes.observe())
+    assert whole is not None and whole.slot_seen
+    assert np.linalg.det(whole.covariance) < 1e-3 * np.linalg.det(guidance.covariance)
+
+
+def test_slot_once_seen_is_remembered_when_it_is_hidden(eyes):
+    eyes.place((0.0, 0.0))
+    watcher = eyes.watcher()
+    watcher.step(eyes.observe())
+    eyes.hide("slot")
+    _, guidance = watcher.step(eyes.observe(0.25))
+    assert guidance is not None and not guidance.slot_seen
+    assert square(eyes, guidance) < 16.8
+    assert guidance.covariance[3:, 3:].trace() < PRIOR[3:, 3:].trace()
+
+
+def test_hidden_card_gives_no_pose(eyes):
+    eyes.place((0.0, 0.0))
+    eyes.hide(f"{SLAVE}/card")
+    _, guidance = eyes.watcher().step(eyes.observe())
+    assert guidance is not None and guidance.slot_seen and not guidance.card_seen
+    assert guidance.transform_slot_to_card is None
+
+
+@pytest.mark.parametrize("kind", ["black", "white", "noise"])
+def test_pair_that_shows_nothing_gives_no_pose(eyes, kind):
+    shape = eyes.rig.capture(eyes.data).shape
+    rng = np.random.default_rng(1)
+    pair = {
+        "black": np.zeros(shape, np.uint8),
+        "white": np.full(shape, 255, np.uint8),
+        "noise": rng.integers(0, 256, shape, dtype=np.uint8),
+    }[kind]
+    watcher = eyes.watcher()
+    before = watcher.slot.as_matrix()
+    _, guidance = watcher.step(eyes.observe(pair=pair))
+    assert guidance is not None and guidance.transform_slot_to_card is None
+    assert not guidance.card_seen and not guidance.slot_seen
+    np.testing.assert_array_equal(watcher.slot.as_matrix(), before)
+
+
+def test_frozen_camera_gives_no_pose_though_its_stamps_go_on(eyes):
+    eyes.place((0.0, 0.0))
+    watcher = eyes.watcher()
+    pair = eyes.rig.capture(eyes.data)
+    _, first = watcher.step(eyes.observe(0.0, pair))
+    _, frozen = watcher.step(eyes.observe(0.25, pair.copy()))
+    _, alive = watcher.step(eyes.observe(0.5))
+    assert [g.card_seen for g in (first, frozen, alive)] == [True, False, True]
+    assert frozen.transform_slot_to_card is None
+
+
+def test_pair_is_told_of_once_and_none_is_told_of_never(eyes):
+    watcher = eyes.watcher()
+    seen = eyes.observe(0.0, np.zeros((2, 492, 510), np.uint8))
+    assert watcher.step(seen)[1] is not None
+    assert watcher.step(seen)[1] is None
+    assert watcher.step(seen._replace(stereo=MISSING))[1] is None
+
+
+def test_camera_stays_without_a_plan_and_nothing_moves_without_joint_angles(eyes):
+    watcher = eyes.watcher()
+    seen = eyes.observe(0.0, np.zeros((2, 492, 510), np.uint8))
+    command, _ = watcher.step(seen)
+    np.testing.assert_array_equal(command.arm, eyes.angles)
+    np.testing.assert_array_equal(command.wheels, 0.0)
+    assert command.arm_mode is ArmMode.POSITION and command.wheel_mode is WheelMode.SPEED
+    command, guidance = watcher.step(seen._replace(arm_angles=MISSING))
+    assert guidance is None and command.arm_mode is ArmMode.DUTY
+    np.testing.assert_array_equal([*command.arm, *command.wheels], 0.0)
+
+
+def test_camera_goes_to_its_place_no_faster_than_allowed(eyes):
+    eyes.place((0.0, 0.0))
+    goal = eyes.angles + [0.3, -0.1, 0.2, 0.05]
+    made = eyes.watcher()
+    watcher = Watcher(
+        dataclasses.replace(made.config, rate=0.5), reference_arm(), head_geometry(),
+        (made.slot, PRIOR), made.card, goal,
+    )  # fmt: skip
+    # Before anything is seen it stays.
+    blind = eyes.observe(-1.0, np.zeros((2, 492, 510), np.uint8))
+    for _ in range(3):
+        np.testing.assert_array_equal(watcher.step(blind)[0].arm, eyes.angles)
+    seen = eyes.observe()
+    wanted = [watcher.step(seen)[0].arm for _ in range(70)]
+    np.testing.assert_allclose(wanted[-1], goal)
+    steps = np.abs(np.diff(wanted, axis=0))
+    assert steps.max() < 0.5 * 0.01 + 1e-12
+    # All joints arrive at once, after 0.3 rad at 0.5 rad/s.
+    assert np.ptp(np.argmax(np.isclose(wanted, goal), axis=0)) <= 1

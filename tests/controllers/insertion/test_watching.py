@@ -1,0 +1,149 @@
+"""The master's camera goes where MuJoCo's rays reach all markers; no better place is left out."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from controllers.insertion.watching import best_angles, in_both_images, target_field
+from controllers.placement.arm_inverse import standing_views
+from controllers.placement.spatial_views import rate_positions
+from experiments.insertion_scene import MASTER, transform
+from experiments.insertion_stand import best_stand, reference_arm, watch_plan
+from experiments.mapping_scene import head_geometry
+from tests.controllers.insertion.scenes import (
+    WIDTH,
+    arm_at,
+    fresh,
+    true_parts,
+)
+from twin.camera import camera_model, camera_pose
+
+DRAWN = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
+"""Groups of geoms that pictures show."""
+
+
+def sees(model, data, points, body_left_out: int) -> bool:
+    """Say whether rays from both eyes reach all points (N, 3), world, within both images."""
+    for side in ("left", "right"):
+        name = f"{MASTER}/stereo_{side}"
+        camera = camera_model(model, name)
+        rotation, eye = camera_pose(data, model.camera(name).id)
+        local = (points - eye) @ rotation
+        if np.any(local[:, 2] < 0.05):
+            return False
+        u, v = camera.project(local).T
+        if np.any((u < 0) | (u > camera.width - 1) | (v < 0) | (v > camera.height - 1)):
+            return False
+        for point in points:
+            way = np.linalg.norm(point - eye)
+            hit = np.zeros(1, dtype=np.int32)
+            direction = (point - eye) / way
+            # The head's own hull holds the eye.
+            far = mujoco.mj_ray(model, data, eye, direction, DRAWN, 1, body_left_out, hit)
+            if far < way - 1e-3:
+                return False
+    return True
+
+
+@pytest.fixture(scope="module")
+def watched():
+    """The scene, what is believed of it (the truth), and all markers in the world."""
+    model, data = fresh()
+    parts = true_parts(data)
+    return model, data, parts, transform(data, f"{MASTER}/chassis").apply(parts.markers())
+
+
+def visible(watched, angles) -> bool:
+    model, data, _, markers = watched
+    arm_at(model, data, MASTER, angles)
+    return sees(model, data, markers, model.body(f"{MASTER}/stereo_head").id)
+
+
+def test_chosen_camera_sees_all_four_markers_in_both_images(watched):
+    parts = watched[2]
+    now = best_stand(WIDTH).angles
+    choice = best_angles(watch_plan(), parts, reference_arm(), head_geometry(), now)
+    assert choice.rating > 0.0
+    assert visible(watched, choice.angles)
+
+
+def test_no_candidate_that_rays_reach_rates_much_higher(watched):
+    """Every pose of the arm that is tried, by MuJoCo's rays and the rating of eq. 4-1."""
+    parts, plan, arm = watched[2], watch_plan(), reference_arm()
+    field = target_field(plan, parts)
+    choice = best_angles(plan, parts, arm, head_geometry(), best_stand(WIDTH).angles)
+    views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
+    assert len(views.angles) > 50
+    places = arm.camera_in_robot(views.angles).translation
+    ratings = np.array([v.rating for v in rate_positions(field, plan.lens, places, None)])
+    truly = np.array([visible(watched, angles) for angles in views.angles])
+    assert truly.any()
+    best = max(ratings[truly].max(), choice.rating_now)
+    assert choice.rating >= 0.93 * best
+    # What is counted as seen and not hidden is so.
+    cameras = arm.camera_in_robot(views.angles)
+    counted = in_both_images(cameras, parts.markers(), head_geometry(), plan.border)
+    assert np.all(truly[counted & (ratings > 0.0)])
+
+
+def test_markers_in_both_images_are_those_that_mujocos_cameras_project_there(watched):
+    model, data, parts, markers = watched
+    rng, arm = np.random.default_rng(0), reference_arm()
+    now = best_stand(WIDTH).angles
+    best = best_angles(watch_plan(), parts, arm, head_geometry(), now).angles
+    angles = best + rng.normal(0.0, 0.03, (60, 4))
+    found = in_both_images(arm.camera_in_robot(angles), parts.markers(), head_geometry(), 0.0)
+    inside = []
+    for row in angles:
+        arm_at(model, data, MASTER, row)
+        fits = True
+        for side in ("left", "right"):
+            camera = camera_model(model, f"{MASTER}/stereo_{side}")
+            rotation, eye = camera_pose(data, model.camera(f"{MASTER}/stereo_{side}").id)
+            u, v = camera.project((markers - eye) @ rotation).T
+            fits &= bool(np.all((u > 0) & (u < camera.width - 1)))
+            fits &= bool(np.all((v > 0) & (v < camera.height - 1)))
+        inside.append(fits)
+    assert 0.1 < np.mean(inside) < 0.9
+    np.testing.assert_array_equal(found, inside)
+
+
+def test_card_alone_is_watched_where_both_cannot_be():
+    _, data = fresh()
+    parts = true_parts(data)
+    far = RigidTransform.from_translation([0.0, 0.0, 1.5]) * parts.slot_pose
+    apart = dataclasses.replace(parts, slot_pose=far)
+    now, arm = best_stand(WIDTH).angles, reference_arm()
+    choice = best_angles(watch_plan(), apart, arm, head_geometry(), now)
+    assert choice.rating > 0.0
+    camera = arm.camera_in_robot(choice.angles[None])
+    card = parts.card_pose.apply(parts.card.points)
+    assert in_both_images(camera, card, head_geometry(), 10.0)[0]
+    assert not in_both_images(camera, apart.markers(), head_geometry(), 0.0)[0]
+
+
+def test_nothing_in_reach_rates_nothing_and_moves_nothing():
+    _, data = fresh()
+    parts = true_parts(data)
+    away = RigidTransform.from_translation([0.0, 9.0, 0.0])
+    gone = dataclasses.replace(
+        parts, card_pose=away * parts.card_pose, slot_pose=away * parts.slot_pose
+    )
+    now = best_stand(WIDTH).angles
+    choice = best_angles(watch_plan(), gone, reference_arm(), head_geometry(), now)
+    assert choice.rating == 0.0 and choice.rating_now == 0.0
+    np.testing.assert_array_equal(choice.angles, now)
+
+
+def test_of_views_as_good_the_arm_takes_the_nearest(watched):
+    choice = best_angles(
+        watch_plan(), watched[2], reference_arm(), head_geometry(), best_stand(WIDTH).angles
+    )
+    again = best_angles(watch_plan(), watched[2], reference_arm(), head_geometry(), choice.angles)
+    np.testing.assert_array_equal(again.angles, choice.angles)
+    assert again.rating == pytest.approx(again.rating_now)
