@@ -120,6 +120,24 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.appd_radio",
     ),
     Experiment(
+        name="appe-workspace",
+        summary="all words of five BRAID stages, the poses they reach, and the stage itself",
+        thesis="figure E-5, equations E-1 to E-34",
+        module="experiments.appe_workspace",
+    ),
+    Experiment(
+        name="appe-inverse",
+        summary="words of a binary arm for target poses by six searches, also among obstacles",
+        thesis="section E.3.2",
+        module="experiments.appe_inverse",
+    ),
+    Experiment(
+        name="appe-bus",
+        summary="pulses on BRAID's power line address its actuators, despite noise and lost pulses",
+        thesis="figures E-7, E-8",
+        module="experiments.appe_bus",
+    ),
+    Experiment(
         name="bench",
         summary="speed and accuracy measured against a named peer in the same run",
         thesis="beyond the thesis",

@@ -208,8 +208,8 @@ def _show(
         output.figure("figure_5-13", draw_course(film.course, "Optimal placement"))
         film.save(output.file("insertion.gif"))
     if bad:
-        film = film_trial(bad[0][0], None)
-        output.figure("figure_5-14", draw_course(film.course, "Random placement"))
+        course = run_trial(dataclasses.replace(bad[0][0], trace=True))["course"]
+        output.figure("figure_5-14", draw_course(course, "Random placement"))
 
 
 def _impossible(options: Options, turn_share: float, output: Output) -> None:
