@@ -1,0 +1,1 @@
+"""BRAID, the binary hyper-redundant arm, and its two-wire bus (Thesis appendix E)."""
