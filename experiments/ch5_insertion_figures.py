@@ -51,7 +51,7 @@ def draw_table(
         )
     axes.set_xticks(place, [f"{width / INCH:g} in" for width in widths])
     axes.set(xlabel="slot", ylabel="inserted (95 % interval)", ylim=(0.0, 1.05))
-    axes.legend(loc="lower left")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     figure.tight_layout()
     return figure
 

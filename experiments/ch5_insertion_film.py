@@ -51,7 +51,9 @@ class Film:
 
     def save(self, path: Path) -> None:
         """Write the GIF."""
-        palette = Image.fromarray(self.frames[len(self.frames) // 2]).quantize(96)
+        middle = Image.fromarray(self.frames[len(self.frames) // 2])
+        # Octrees keep the small colours: the card's green, the marks' red.
+        palette = middle.quantize(96, method=Image.Quantize.FASTOCTREE)
         images = [
             Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
             for frame in self.frames
