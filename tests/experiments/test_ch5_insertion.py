@@ -28,7 +28,7 @@ def test_unknown_detector_and_part_are_refused(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", [Fault.HIDDEN, Fault.FROZEN, Fault.WRENCH])
+@pytest.mark.parametrize("fault", [Fault.HIDDEN, Fault.WRENCH])
 def test_fault_ends_as_stated_with_bounded_force(fault):
     trial = InsertionTrial(
         CARD_AND_SLOT.slot_widths[1], True, 11, TURN_SHARE, fault=fault.name, trace=True
