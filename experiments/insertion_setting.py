@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 
@@ -12,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.carrier import Carrier, CarrierConfig, Stage
-from controllers.insertion.guidance import Guidance, unpack
+from controllers.insertion.guidance import Guidance, GuidanceError, unpack
 from controllers.insertion.guide import GuideConfig
 from controllers.insertion.watcher import Watcher, WatcherConfig
 from controllers.motion.chain import Chain
@@ -146,7 +147,9 @@ class InsertionTeam:
         """Send what the master has to say; return what the slave hears."""
         master, slave = self._links
         if guidance is not None and not outage:
-            master.send_latest(guidance.pack())
+            # What lies out of a message's range was mistaken for card or slot.
+            with contextlib.suppress(GuidanceError):
+                master.send_latest(guidance.pack())
         master.poll()
         heard = slave.poll().messages
         return [] if outage else [unpack(message) for message in heard]

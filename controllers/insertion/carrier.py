@@ -26,8 +26,6 @@ from controllers.motion.driving import Odometry, SkidSteer
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
-
-
 _ELBOW = 3.0  # Rates beyond are of the other elbow, not of a step [rad/s].
 
 
@@ -65,7 +63,7 @@ class CarrierConfig:
             as it knows the slot's place well enough, else it stands still.
         known: Deviation of the slot's place with which that is well enough [m].
         lost: Age of the last look after which it gives up [s].
-        first: Time without a first look after which it gives up: the camera has to be placed [s].
+        first: Time without a first look after which it gives up [s]; until then nothing moves.
         settle: Time over which the wrench is tared [s].
         force_limit: Of the contact force at which everything stops [N].
         timeout: For the whole task [s].
@@ -187,7 +185,8 @@ class Carrier:
         self.stage, self._since, self._good = stage, self._time, 0
 
     def _fail(self, reason: str, angles: FloatArray, arm: bool = True) -> Command:
-        self.stage, self.reason = Stage.FAILED, reason
+        # The first reason counts, and a card that is in stays in.
+        self.stop(reason)
         if arm:
             self._wanted = angles.copy()
         return self._hold() if arm else Command(wheel_mode=WheelMode.DUTY, arm_mode=ArmMode.DUTY)
@@ -221,7 +220,7 @@ class Carrier:
         for look in looks:
             if look.card_seen or look.slot_seen:
                 self._last_look = self._time
-            if self.stage is Stage.INSERT or not self.belief.take(look):
+            if self.stage is Stage.INSERT or self.over or not self.belief.take(look):
                 continue
             assert look.transform_slot_to_card is not None
             self.error = to_plane(look.transform_slot_to_card.inv().as_matrix())

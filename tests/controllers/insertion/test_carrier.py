@@ -163,6 +163,16 @@ def test_reason_from_outside_stops_for_good():
     assert carrier.reason == "wrench missing" and slave.stands_still(50)
     carrier.stop("another")
     assert carrier.reason == "wrench missing"
+    carrier.step(slave.observe()._replace(arm_angles=MISSING), [])
+    assert carrier.reason == "wrench missing"
+
+
+def test_card_that_is_in_stays_in_when_joints_go_missing():
+    slave, carrier = inserting()
+    carrier.stage = Stage.DONE
+    command = carrier.step(slave.observe()._replace(arm_angles=MISSING), [])
+    assert command.arm_mode is ArmMode.DUTY and not np.any(command.arm)
+    assert carrier.stage is Stage.DONE and carrier.reason == ""
 
 
 def test_task_that_takes_too_long_is_given_up():
