@@ -37,8 +37,8 @@ class WatcherConfig:
         plan: How the camera is placed; None leaves it where it is.
         detector: Name in `perception.markers.DETECTORS`.
         turned: Deviation of the card's attitude from the slot's, before it is seen [rad].
-        wander: Deviations of turn [rad] and place [m] that the slot's belief gains with each look:
-            the robot moves on its springs.
+        wander: Deviations of turn [rad] and place [m] by which the slot's belief is widened for a
+            look: the robot has moved on its springs since the last that showed the slot.
         again: Time between placements [s].
         better: Factor by which another place must rate higher.
         rate: Largest rate of a joint while the camera moves [rad/s].
