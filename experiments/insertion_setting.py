@@ -25,7 +25,6 @@ from experiments.insertion_identify import rover_springs, rover_steer
 from experiments.insertion_scene import (
     MASTER,
     SLAVE,
-    TIP,
     InsertionScene,
     begin_with_camera_at,
     compile_insertion,
@@ -43,6 +42,7 @@ from experiments.insertion_stand import (
 from experiments.known_arm import known_arm
 from experiments.mapping_scene import head_geometry
 from models import datasheets
+from models.card_and_slot.stand import TIP
 from models.compose import FieldConfig, settle
 from models.datasheets import CARD_AND_SLOT, HAND
 from perception.registration_uncertainty import cross_matrix

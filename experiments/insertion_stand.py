@@ -15,9 +15,10 @@ from controllers.mapping.camera_arm import CameraArm
 from controllers.placement.arm_inverse import arm_solutions
 from controllers.placement.spatial_search import SearchConfig, best_view
 from controllers.placement.task import Lens, PlacementError, View
-from experiments.insertion_scene import MASTER, SLOT_HEIGHT, TIP
+from experiments.insertion_scene import MASTER
 from experiments.known_camera_arm import known_camera_arm
 from models.card_and_slot.build import PAINT
+from models.card_and_slot.stand import SLOT_HEIGHT, TIP
 from models.compose import FLAT, RobotPlacement, make_model
 from models.datasheets import CAMERA, CARD_AND_SLOT, ROVER
 from perception.marker_poses import BodyCad

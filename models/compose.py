@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import clutter, datasheets, terrain
+from models.card_and_slot.stand import hold_card, stand_slot
 from models.configuration import FLAT, ROUGH, FieldConfig, PayloadConfig, RobotPlacement
 from models.materials import add_materials
 
@@ -147,6 +148,13 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
         )
     for robot in robots:
         _add_robot(scene, robot, _start_height(ground, robot), field.friction)
+        if robot.card:
+            hold_card(scene, robot.name)
+    if field.slot_width is not None:
+        stand_slot(scene, field.slot_width, float(ground.ground_at(np.zeros(2))))
+    if not field.shadows:
+        for light in scene.lights:
+            light.castshadow = False
     if robots:
         add_home(scene, robots)
     return scene

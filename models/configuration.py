@@ -39,6 +39,8 @@ class FieldConfig:
             panel or in another block are left out.
         block_edge: Smallest and largest edge of a block [m].
         panel: The panel that is the robots' target, if any.
+        slot_width: Between the walls of the slot that stands at the origin [m]; None for no slot.
+        shadows: Whether lights cast them: they take two thirds of the time of an image.
     """
 
     size: tuple[float, float] = (6.0, 6.0)
@@ -53,6 +55,8 @@ class FieldConfig:
     blocks: int = 0
     block_edge: tuple[float, float] = (0.05, 0.16)
     panel: PanelConfig | None = None
+    slot_width: float | None = None
+    shadows: bool = True
 
     def __post_init__(self) -> None:
         """Refuse impossible fields.
@@ -138,6 +142,7 @@ class RobotPlacement:
         stereo: Whether the arm's stereo head sees; without it the housings stay as ballast.
         centre_locked: Whether the centre joint is held at zero.
         payload: Box in the gripper, if any.
+        card: Whether the gripper holds the card.
     """
 
     name: str = "rover1"
@@ -147,12 +152,14 @@ class RobotPlacement:
     stereo: bool = True
     centre_locked: bool = False
     payload: PayloadConfig | None = None
+    card: bool = False
 
     def __post_init__(self) -> None:
         """Refuse impossible robots.
 
         Raises:
-            ValueError: If the name cannot be a prefix, or there is a payload but no arm.
+            ValueError: If the name cannot be a prefix, there is a payload or a card but no arm, or
+                both at once.
         """
         _require(
             _NAME.fullmatch(self.name) is not None,
@@ -165,3 +172,5 @@ class RobotPlacement:
         _require(
             self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm"
         )
+        held = self.arm and self.payload is None
+        _require(held or not self.card, f"card of {self.name}", self.card, "an arm without payload")

@@ -13,11 +13,8 @@ from controllers.insertion.watcher import Watcher, WatcherConfig
 from controllers.insertion.watching import in_both_images
 from experiments.insertion_identify import rover_springs
 from experiments.insertion_scene import (
-    CARD_AXES,
     MASTER,
     SLAVE,
-    SLOT_HEIGHT,
-    TIP,
     InsertionScene,
     begin_with_camera_at,
     card_in_slot,
@@ -38,6 +35,7 @@ from experiments.insertion_stand import (
     watch_plan,
 )
 from experiments.mapping_scene import head_geometry
+from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT, TIP
 from models.compose import ARM_JOINTS, FLAT, RobotPlacement, make_model, settle
 from models.datasheets import CARD_AND_SLOT, ROVER, TABLE_2_2_TRUTH
 from tests.controllers.insertion.scenes import START, WIDTH, arm_at, fresh, true_parts

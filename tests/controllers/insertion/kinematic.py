@@ -13,10 +13,11 @@ from controllers.insertion.carrier import Carrier, CarrierConfig
 from controllers.insertion.guidance import Guidance
 from controllers.motion.chain import GRAVITY, Chain
 from controllers.motion.driving import SkidSteer
-from experiments.insertion_scene import CARD_AXES, SLAVE, SLOT_HEIGHT
+from experiments.insertion_scene import SLAVE
 from experiments.insertion_setting import guide_config
 from experiments.known_arm import known_arm
 from models import datasheets
+from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT
 from tests.controllers.insertion.scenes import card_arm, scene
 from twin.robot import ArmMode, Channel, Command, Observation, Validity, WheelMode
 

@@ -11,17 +11,11 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.watching import SeenParts
 from controllers.motion.chain import Chain
-from experiments.insertion_scene import (
-    MASTER,
-    SLAVE,
-    TIP,
-    InsertionScene,
-    compile_insertion,
-    transform,
-)
+from experiments.insertion_scene import MASTER, SLAVE, InsertionScene, compile_insertion, transform
 from experiments.insertion_stand import best_stand, card_cad, reference_arm, slot_cad
 from experiments.known_arm import known_arm
 from models import datasheets
+from models.card_and_slot.stand import TIP
 from models.compose import ARM_JOINTS, FLAT, settle
 from models.datasheets import CARD_AND_SLOT
 

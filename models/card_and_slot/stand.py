@@ -1,0 +1,88 @@
+"""Card and slot where rovers use them: the card in a gripper, the slot on its post.
+
+The slot's mouth lies above the world's origin; the card goes in along +y, and the faces of card and
+slot look along +x. So the insertion's plane is the upright plane of an arm that points along y, in
+which it can move the card across, ahead and in pitch (thesis section 5.2, assumption 1).
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from models.card_and_slot.build import add_card, add_slot
+from models.datasheets import CARD_AND_SLOT
+
+SLOT_HEIGHT = 0.30
+"""Of the mouth's middle above the ground at its post [m]."""
+GRIP = 0.10
+"""From the wrist's joint to the card's trailing edge [m]: within the fingers."""
+TIP = GRIP + CARD_AND_SLOT.card_length
+"""From the wrist's joint to the middle of the card's leading edge [m]."""
+CARD_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""Columns are the card's axes in the wrist's frame, and the slot's in the world: across is down,
+ahead is forward, the normal is to the right."""
+_POST = 0.012  # Half width of the post [m].
+
+
+def hold_card(scene: mujoco.MjSpec, robot: str) -> None:
+    """Put the card into a robot's gripper.
+
+    Args:
+        scene: With the robot and its arm.
+        robot: Its name.
+    """
+    card = add_card(scene.body(f"{robot}/wrist"), f"{robot}/")
+    card.pos = [0.0, TIP, 0.0]
+    card.quat = _quaternion(CARD_AXES)
+
+
+def stand_slot(scene: mujoco.MjSpec, width: float, ground: float) -> None:
+    """Add the slot and what holds it.
+
+    Args:
+        scene: To add to.
+        width: Between the slot's walls [m].
+        ground: Height of the ground at the origin [m].
+
+    Raises:
+        ValueError: If the width is not a positive length.
+    """
+    slot = add_slot(scene.worldbody, width)
+    slot.pos = [0.0, 0.0, ground + SLOT_HEIGHT]
+    slot.quat = _quaternion(CARD_AXES)
+    _add_post(scene, width, ground)
+
+
+def _add_post(scene: mujoco.MjSpec, width: float, ground: float) -> None:
+    """Hold both walls from behind: a post, and a bracket at the far end of the walls."""
+    sheet = CARD_AND_SLOT
+    outer = width / 2.0 + sheet.wall
+    depth, middle = sheet.slot_depth, ground + SLOT_HEIGHT
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    colour = [0.45, 0.46, 0.48, 1.0]
+    # Behind the slot, so that the card may go through.
+    back = depth + 0.10
+    scene.worldbody.add_geom(
+        name="post",
+        type=box,
+        size=[_POST, _POST, (SLOT_HEIGHT + outer) / 2.0],
+        pos=[0.0, back, ground + (SLOT_HEIGHT + outer) / 2.0],
+        rgba=colour,
+    )
+    for name, side in (("upper", 1.0), ("lower", -1.0)):
+        height = middle + side * (outer - sheet.wall / 2.0)
+        scene.worldbody.add_geom(
+            name=f"bracket_{name}",
+            type=box,
+            size=[_POST / 2.0, (back - depth) / 2.0, sheet.wall / 2.0],
+            pos=[0.0, (back + depth) / 2.0, height],
+            rgba=colour,
+        )
+
+
+def _quaternion(axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())
+    return quaternion
