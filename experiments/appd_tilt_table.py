@@ -26,8 +26,8 @@ from twin.hardware.calibration import (
 )
 from twin.hardware.tilt_fit import Sample, sample
 from twin.robot import ArmMode, Command, FloatArray, Observation
-from twin.sim_robot import tilt as tilt_of_orientation
 from twin.simulation import Simulation
+from twin.wiring import tilt as tilt_of_orientation
 
 FIELD = FieldConfig(texture_pixels=64)
 WEIGHT = 0.5  # [kg]

@@ -10,6 +10,8 @@ from typing import Protocol
 from twin.clock import Clock
 from twin.robot import Command, Controller, Lifecycle, Observation, Robot, RobotError
 
+_ERROR = Lifecycle.ERROR
+
 
 class LoopRecorder(Protocol):
     """What the loop asks of a recorder."""
@@ -106,7 +108,7 @@ def run(
             observations: dict[str, Observation] = {}
             for name, robot in robots.items():
                 observations[name] = robot.observe()
-                if robot.lifecycle is Lifecycle.ERROR:
+                if robot.lifecycle is _ERROR:
                     raise RobotError(f"robot {name!r} is in error")
             applied: dict[str, Command] = {}
             for controller in controllers:

@@ -10,32 +10,43 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, cast
 
 import numba
 import numpy as np
 
 from twin.robot import MISSING, Channel, FloatArray, Validity
-from twin.sensors import CHANNEL_OFFSETS, CHANNEL_WIDTHS, ChannelSpec, SensorSuite, check_channel
+from twin.sensors import CHANNEL_WIDTHS, ChannelSpec, SensorSuite, check_channel
+from twin.wiring import DIRECT, IntArray, Wiring, gather
 
 _TIME_SLACK = 1e-9
-_BLOCK = 64  # ticks of noise drawn at a time
-_ALL_MEASURED = (Validity.MEASURED,) * len(CHANNEL_WIDTHS)
+_BLOCK = 64  # ticks of noise drawn, and of readings laid out, at a time
+_SIZE = sum(CHANNEL_WIDTHS.values())
+_COUNT = len(CHANNEL_WIDTHS)
+_ALL_MEASURED = (Validity.MEASURED,) * _COUNT
 # As `Channel._make`, without a Python frame for each channel of each tick.
 _channel = cast(
     "Callable[[Any], Channel]",
     functools.partial(tuple.__new__, Channel),  # pyright: ignore[reportUnknownMemberType]
 )
+# One tick's readings, and when each was taken: NumPy makes an item's views all in one call.
+_READING = np.dtype(
+    [(name, np.float64, (width,)) for name, width in CHANNEL_WIDTHS.items()]
+    + [(f"{name}_stamp", np.float64) for name in CHANNEL_WIDTHS]
+)
 
-
-# Rows of the coefficients of every component: noise, offset, range, the low pass's weights of its
-# state, the last input and the present one, the converter's step (zero for none) and last code,
-# and the channel's number.
+# All numbers of a bank are one table, since compiled code takes long to receive an array. Its
+# columns are the components and then the channels. First come the rows of the coefficients of
+# every component: noise, offset, range, the low pass's weights of its state, the last input and
+# the present one, the converter's step (zero for none) and last code, and the channel's number;
 _SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST, _OWNER = range(10)
-# Rows of the timing of every channel: a period of zero means every tick, the delay is in ticks,
-# and luck is this tick's draw.
-_LAG, _PERIOD, _DROPOUT, _DELAY, _LUCK = range(5)
+# in the same rows the timing of every channel: a period of zero means every tick, the delay is in
+# ticks, luck is this tick's draw, and due is when the next sample is [s];
+_LAG, _PERIOD, _DROPOUT, _DELAY, _LUCK, _DUE = range(6)
+# then the filters, the true values, the held samples of the last ticks, and the block of noise.
+_FILTER, _INPUT, _RAW, _PAST = range(10, 14)
+_NO_HISTORY = np.zeros(0)
 
 
 class BankState(NamedTuple):
@@ -79,7 +90,7 @@ class SensorBank:
         suite: SensorSuite,
         period: float,
         rng: np.random.Generator,
-        lags: Mapping[str, float] | None = None,
+        wiring: Wiring = DIRECT,
     ) -> None:
         """Lay the channels side by side.
 
@@ -87,43 +98,45 @@ class SensorBank:
             suite: How each channel is measured.
             period: Servo tick [s].
             rng: Source of noise and dropout, owned by the bank from now on.
-            lags: By channel, how much older than the tick the raw value is [s].
+            wiring: Where the true values come from, and which channels lack them.
         """
         self.names = tuple(CHANNEL_WIDTHS)
-        self.size = sum(CHANNEL_WIDTHS.values())
+        self.size = _SIZE
         self._rng = rng
+        self._wires, self._orientation = wiring.wires, wiring.orientation
         specs = [suite.channels.get(name, ChannelSpec()) for name in self.names]
-        self._chain = _chain(specs, period)
-        self._timing = _timing(specs, [(lags or {}).get(name, 0.0) for name in self.names], period)
-        self._parts = [
-            slice(CHANNEL_OFFSETS[name], CHANNEL_OFFSETS[name] + width)
-            for name, width in CHANNEL_WIDTHS.items()
-        ]
+        timing = _timing(specs, [wiring.lags.get(name, 0.0) for name in self.names], period)
         self._limits = [spec.age_limit + _TIME_SLACK for spec in specs]
         self._least_limit = min(self._limits)
-        self._connected = [spec.connected for spec in specs]
-        self._noisy = bool(np.any(self._chain[_SIGMA] > 0.0))
-        self._lossy = bool(np.any(self._timing[_DROPOUT] > 0.0))
+        self._connected = [
+            spec.connected and name not in wiring.missing for name, spec in zip(self.names, specs)
+        ]
         # Noise is drawn in blocks; drop-outs are drawn between its rows, so then row by row.
-        self._noise = np.zeros((1 if self._lossy else _BLOCK, self.size))
-        self._luck = self._timing[_LUCK]
+        self._lossy = bool(np.any(timing[_DROPOUT] > 0.0))
+        self._noise = np.zeros((1 if self._lossy else _BLOCK, _SIZE))
+        self._depth = 1 + int(timing[_DELAY].max())
+        self._table = np.zeros((_PAST + self._depth + len(self._noise), _SIZE + _COUNT))
+        self._table[: _OWNER + 1, :_SIZE] = _chain(specs, period)
+        self._table[: _LUCK + 1, _SIZE:] = timing
+        self._noisy = bool(np.any(self._table[_SIGMA, :_SIZE] > 0.0))
+        self._luck = self._table[_LUCK, _SIZE:]
         self._used, self._before_block = len(self._noise), {}
         self.reset()
 
     def reset(self) -> None:
         """Forget every sample; all channels are missing until the next `sample`."""
-        depth, channels = 1 + int(self._timing[_DELAY].max()), len(self.names)
-        filters = np.array([np.full(self.size, math.nan), np.zeros(self.size)])
-        past = np.full((depth, self.size + channels), math.nan)
-        self._state = BankState(filters, np.full(channels, -math.inf), past)
+        filters, due, past = self._state()
+        filters[0], filters[1], due[:], past[:] = math.nan, 0.0, -math.inf, math.nan
         self._show()
 
-    def sample(self, time: float, raw: FloatArray) -> None:
+    def sample(self, time: float, present: FloatArray, history: FloatArray = _NO_HISTORY) -> None:
         """Take one sample of everything.
 
         Args:
             time: Robot time of this servo tick [s].
-            raw: (size,) true values in the order of `CHANNEL_WIDTHS`.
+            present: What the wires are connected to; without wires (size,) true values in the
+                order of `CHANNEL_WIDTHS`.
+            history: What the wires with several samples are connected to.
         """
         if self._noisy:
             if self._used == len(self._noise):
@@ -131,39 +144,54 @@ class SensorBank:
             self._used += 1
         if self._lossy:
             self._rng.random(out=self._luck)
-        filters, due, past = self._state
-        reading = self._reading = np.empty(past.shape[1])
+        row = self._row + 1
+        if row == _BLOCK:
+            self._lay_out()
+            row = 0
+        self._row = row
         self._oldest = _advance(
             time,
-            raw,
-            self._noise,
-            self._used - 1,
-            self._chain,
-            self._timing,
-            filters,
-            due,
-            past,
-            reading,
+            present,
+            history,
+            self._wires,
+            self._orientation,
+            self._table,
+            self._depth,
+            self._used,
+            self._readings,
+            row,
         )
+
+    def _state(self) -> BankState:
+        """Return the state, as views of the table."""
+        table = self._table
+        past = table[_PAST : _PAST + self._depth]
+        return BankState(table[_FILTER : _INPUT + 1, :_SIZE], table[_DUE, _SIZE:], past)
 
     def _draw(self) -> None:
         """Draw the next block of noise."""
         self._before_block = dict(self._rng.bit_generator.state)
-        self._rng.standard_normal(out=self._noise)
+        self._table[_PAST + self._depth :, :_SIZE] = self._rng.standard_normal(out=self._noise)
         self._used = 0
+
+    def _lay_out(self) -> None:
+        """Make room for the next block of readings, which is written here and read-only outside."""
+        self._block: Any = np.zeros(_BLOCK, _READING)
+        self._readings = self._block.view(np.float64).reshape(_BLOCK, -1)
+        self._block.flags.writeable = False
 
     def _show(self) -> None:
         """Set what the channels read: the samples of as many ticks ago as each is late."""
-        self._reading = np.empty(self._state.past.shape[1])
-        self._oldest = _read(self._chain, self._timing, self._state.past, self._reading)
+        self._lay_out()
+        self._row = 0
+        self._oldest = _read(self._table, self._depth, self._readings[0])
 
-    def channels(self, time: float) -> list[Channel]:
+    def channels(self, time: float) -> Iterable[Channel]:
         """Return every channel as it reads at `time` [s], read-only, in the order of `names`."""
-        reading = self._reading
-        reading.flags.writeable = False
-        views, stamps = map(reading.__getitem__, self._parts), reading[self.size :].tolist()
-        if time - self._oldest <= self._least_limit and all(self._connected):
-            return list(map(_channel, zip(views, stamps, _ALL_MEASURED)))
+        reading = self._block.item(self._row)
+        stamps = reading[_COUNT:]
+        if time - self._oldest <= self._least_limit and False not in self._connected:
+            return map(_channel, zip(reading, stamps, _ALL_MEASURED))
         measured, stale = Validity.MEASURED, Validity.STALE
         return [
             (
@@ -171,7 +199,7 @@ class SensorBank:
                 if connected and stamp == stamp
                 else MISSING
             )
-            for view, stamp, limit, connected in zip(views, stamps, self._limits, self._connected)
+            for view, stamp, limit, connected in zip(reading, stamps, self._limits, self._connected)
         ]
 
     def disconnect(self, name: str) -> None:
@@ -186,14 +214,15 @@ class SensorBank:
 
     def save(self) -> SavedBank:
         """Return the complete state."""
-        state = BankState(*(part.copy() for part in self._state))
+        state = BankState(*(part.copy() for part in self._state()))
         left = self._used < len(self._noise)
         random = self._before_block if left else dict(self._rng.bit_generator.state)
         return SavedBank(state, tuple(self._connected), random, self._used)
 
     def restore(self, saved: SavedBank) -> None:
         """Go back to a saved state of this bank, bit for bit."""
-        self._state = BankState(*(part.copy() for part in saved.state))
+        for part, value in zip(self._state(), saved.state):
+            part[:] = value
         self._connected = list(saved.connected)
         self._rng.bit_generator.state = dict(saved.random)
         if saved.used < len(self._noise):
@@ -249,61 +278,65 @@ def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, flo
 
 
 @numba.njit(cache=True)
-def _read(chain: FloatArray, timing: FloatArray, past: FloatArray, reading: FloatArray) -> float:
+def _read(table: FloatArray, depth: int, reading: FloatArray) -> float:
     """Write what each channel reads now, and return the oldest stamp; NaN if one is missing."""
-    latest, size, oldest = past.shape[0] - 1, chain.shape[1], math.inf
-    for channel in range(timing.shape[1]):
-        stamp = float(past[latest - int(timing[_DELAY, channel]), size + channel])
-        reading[size + channel] = stamp
+    latest, oldest = _PAST + depth - 1, math.inf
+    for channel in range(_SIZE, _SIZE + _COUNT):
+        stamp = table[latest - int(table[_DELAY, channel]), channel]
+        reading[channel] = stamp
         if stamp < oldest or math.isnan(stamp):
             oldest = stamp
-    for i in range(size):
-        reading[i] = past[latest - int(timing[_DELAY, int(chain[_OWNER, i])]), i]
+    for i in range(_SIZE):
+        channel = _SIZE + int(table[_OWNER, i])
+        reading[i] = table[latest - int(table[_DELAY, channel]), i]
     return oldest
 
 
 @numba.njit(cache=True)
 def _advance(
     time: float,
-    raw: FloatArray,
-    noise: FloatArray,
+    present: FloatArray,
+    history: FloatArray,
+    wires: IntArray,
+    orientation: int,
+    table: FloatArray,
+    depth: int,
+    used: int,
+    readings: FloatArray,
     row: int,
-    chain: FloatArray,
-    timing: FloatArray,
-    filters: FloatArray,
-    due: FloatArray,
-    past: FloatArray,
-    reading: FloatArray,
 ) -> float:
     """Filter, disturb, limit and quantise a sample, hold it where it arrives, and `_read`."""
-    latest, size = past.shape[0] - 1, raw.shape[0]
-    for tick in range(latest):
-        past[tick] = past[tick + 1]
-    arrived = np.zeros(due.shape[0], np.bool_)
-    for channel in range(due.shape[0]):
-        if time < due[channel] - _TIME_SLACK:
+    gather(present, history, wires, orientation, table[_RAW])
+    latest = _PAST + depth - 1
+    raw, noise, held = table[_RAW], table[latest + used], table[latest]
+    for tick in range(_PAST, latest):
+        table[tick] = table[tick + 1]
+    arrived = np.zeros(_COUNT, np.bool_)
+    for channel in range(_COUNT):
+        column = _SIZE + channel
+        due = table[_DUE, column]
+        if time < due - _TIME_SLACK:
             continue
-        period = timing[_PERIOD, channel]
+        period = table[_PERIOD, column]
         if period > 0.0:
             # Counting from the due time keeps the mean rate when it does not divide the servo's.
-            first = math.isinf(due[channel])
-            due[channel] = time + period if first else max(due[channel] + period, time)
-        if timing[_LUCK, channel] >= timing[_DROPOUT, channel]:
+            table[_DUE, column] = time + period if math.isinf(due) else max(due + period, time)
+        if table[_LUCK, column] >= table[_DROPOUT, column]:
             arrived[channel] = True
-            past[latest, size + channel] = time - timing[_LAG, channel]
-    for i in range(size):
-        if math.isnan(filters[0, i]):
-            filters[0, i] = filters[1, i] = raw[i]
-        value = chain[_KEEP, i] * filters[0, i]
-        value += chain[_BEFORE, i] * filters[1, i]
-        value += chain[_NOW, i] * raw[i]
-        filters[0, i], filters[1, i] = value, raw[i]
-        if not arrived[int(chain[_OWNER, i])]:
+            held[column] = time - table[_LAG, column]
+    for i in range(_SIZE):
+        if math.isnan(table[_FILTER, i]):
+            table[_FILTER, i] = table[_INPUT, i] = raw[i]
+        value = table[_KEEP, i] * table[_FILTER, i]
+        value += table[_BEFORE, i] * table[_INPUT, i]
+        value += table[_NOW, i] * raw[i]
+        table[_FILTER, i], table[_INPUT, i] = value, raw[i]
+        if not arrived[int(table[_OWNER, i])]:
             continue
-        low, step = chain[_LOW, i], chain[_STEP, i]
-        value += chain[_BIAS, i] + chain[_SIGMA, i] * noise[row, i]
-        value = min(max(value, low), chain[_HIGH, i])
+        low, step = table[_LOW, i], table[_STEP, i]
+        value += table[_BIAS, i] + table[_SIGMA, i] * noise[i]
+        value = min(max(value, low), table[_HIGH, i])
         if step > 0.0:
-            value = low + step * min(np.rint((value - low) / step), chain[_LAST, i])
-        past[latest, i] = value
-    return _read(chain, timing, past, reading)
+            value = low + step * min(np.rint((value - low) / step), table[_LAST, i])
+        held[i] = value
+    return _read(table, depth, readings[row])

@@ -8,7 +8,8 @@ proportional-integral loop on what was measured.
 from __future__ import annotations
 
 import dataclasses
-from typing import cast
+import math
+from typing import Any
 
 import numba
 import numpy as np
@@ -90,55 +91,97 @@ _ARM_LAWS = {
     id(ArmMode.POSITION): _REACH,
 }
 _MEASURED = Validity.MEASURED
+_BLOCK = 64  # ticks of duties laid out at a time
+# NumPy makes the views of both parts in one call.
+_DUTIES = np.dtype([("wheels", np.float64, (4,)), ("arm", np.float64, (4,))])
 
 
 class Servo:
     """Turns a command and the latest observation into duty, once a servo tick."""
 
-    def __init__(self, config: ServoConfig, period: float) -> None:
+    def __init__(
+        self,
+        config: ServoConfig,
+        period: float,
+        full: FloatArray | None = None,
+        motors: FloatArray | None = None,
+    ) -> None:
         """Prepare the motor lines.
 
         Args:
             config: Motors and gains.
             period: Servo tick [s].
+            full: (8,) what a motor gets at full duty; None for 1.
+            motors: (8,) receives what the motors get, each time; None for an array of its own.
         """
-        # Wheels then arm joints; the rows as `_act` reads them.
-        self._motors = np.array(
+        # Wheels then arm joints; the rows as `_act` reads them, the integrals last.
+        self._axes = np.array(
             [
                 [*config.wheel_stall_torque, *config.arm_stall_torque],
                 [*config.wheel_no_load_speed, *config.arm_no_load_speed],
                 [config.rate_gain] * 8,
                 [config.rate_integral * period] * 8,
                 [config.position_gain] * 8,
+                [1.0] * 8 if full is None else full,
+                [0.0] * 8,
             ]
         )
-        self.reset()
+        self.motors = np.zeros(8) if motors is None else motors
+        self._lay_out()
 
     def reset(self) -> None:
         """Forget the integrals."""
-        self._integrals = np.zeros(8)
+        self._axes[-1] = 0.0
+
+    def _lay_out(self) -> None:
+        """Make room for the next block of duties, which is written here and read-only outside."""
+        self._block: Any = np.zeros(_BLOCK, _DUTIES)
+        self._duties = self._block.view(np.float64).reshape(_BLOCK, 8)
+        self._block.flags.writeable = False
+        self._row = -1
 
     def duty(self, command: Command, observation: Observation) -> FloatArray:
-        """Return (8,) duty in [-1, 1], wheels then arm joints.
+        """Return (8,) duty in [-1, 1], wheels then arm joints; else as `drive`."""
+        return np.concatenate(self.drive(command, observation))
+
+    def drive(self, command: Command, observation: Observation) -> tuple[FloatArray, FloatArray]:
+        """Bring a command to the motors, and return their duty in [-1, 1].
 
         Args:
             command: What is asked for.
             observation: What was measured; only the channels that the modes need must be usable.
 
+        Returns:
+            (4,) of the wheels and (4,) of the arm joints, read-only.
+
         Raises:
             RobotError: If a needed channel is missing or stale.
+            ValueError: If a duty comes to no number, as from a command that was written to after
+                its check; the motors get nothing then.
         """
         wheel_mode, arm_mode = command.wheel_mode, command.arm_mode
         wheel_law, arm_law = _WHEEL_LAWS[id(wheel_mode)], _ARM_LAWS[id(arm_mode)]
-        speeds = rates = angles = NOTHING
+        speeds: Any = NOTHING
+        rates: Any = NOTHING
+        angles: Any = NOTHING
         if wheel_law != _PASS:
-            speeds = _needed(observation.wheel_speeds, "wheel_speeds", wheel_mode)
+            speeds, _, validity = observation.wheel_speeds
+            if validity is not _MEASURED:
+                _insist(observation.wheel_speeds, "wheel_speeds", wheel_mode)
         if arm_law != _PASS:
-            rates = _needed(observation.arm_rates, "arm_rates", arm_mode)
+            rates, _, validity = observation.arm_rates
+            if validity is not _MEASURED:
+                _insist(observation.arm_rates, "arm_rates", arm_mode)
         if arm_law == _REACH:
-            angles = _needed(observation.arm_angles, "arm_angles", arm_mode)
-        duties = np.empty(8)
-        _act(
+            angles, _, validity = observation.arm_angles
+            if validity is not _MEASURED:
+                _insist(observation.arm_angles, "arm_angles", arm_mode)
+        row = self._row + 1
+        if row == _BLOCK:
+            self._lay_out()
+            row = 0
+        self._row = row
+        finite = _act(
             wheel_law,
             arm_law,
             command.wheels,
@@ -147,19 +190,23 @@ class Servo:
             speeds,
             rates,
             angles,
-            self._motors,
-            self._integrals,
-            duties,
+            self._axes,
+            self.motors,
+            self._duties,
+            row,
         )
-        return duties
+        if not finite:
+            self.motors[:] = 0.0
+            raise ValueError(f"duty {self._duties[row]} is not finite; nothing was sent")
+        return self._block.item(row)
 
     def save(self) -> FloatArray:
         """Return the complete state: (8,) integrals of the speed loops as duty."""
-        return self._integrals.copy()
+        return self._axes[-1].copy()
 
     def restore(self, state: FloatArray) -> None:
         """Go back to a saved state."""
-        self._integrals = state.copy()
+        self._axes[-1] = state
 
 
 @numba.njit(cache=True)
@@ -172,18 +219,20 @@ def _act(
     speeds: FloatArray,
     rates: FloatArray,
     angles: FloatArray,
+    axes: FloatArray,
     motors: FloatArray,
-    integrals: FloatArray,
     duties: FloatArray,
-) -> None:
-    """Write eight axes' duties, and bring their integrals on."""
+    row: int,
+) -> bool:
+    """Write eight axes' duties, bring their integrals on, and return whether all are numbers."""
+    finite, full, integrals = True, axes[5], axes[6]
     for axis in range(8):
         joint = axis - 4
         if axis < 4:
             law, target, speed = wheel_law, wheels[axis], speeds[axis]
         else:
             law, target, speed = arm_law, arm[joint], rates[joint]
-        stall, no_load, gain, integral, reach = motors[:, axis]
+        stall, no_load, gain, integral, reach = axes[:5, axis]
         duty = target
         if law == _PUSH:
             duty = target / stall + speed / no_load
@@ -199,11 +248,14 @@ def _act(
                 integrals[axis] = grown
         else:
             integrals[axis] = 0.0
-        duties[axis] = min(max(duty, -1.0), 1.0)
+        # Not by the limited duty, which a NaN may pass for a limit.
+        finite = finite and not math.isnan(duty)
+        duty = min(max(duty, -1.0), 1.0)
+        duties[row, axis], motors[axis] = duty, duty * full[axis]
+    return finite
 
 
-def _needed(channel: Channel, name: str, mode: WheelMode | ArmMode) -> FloatArray:
-    """Return a channel's values, or refuse to drive blind."""
-    if channel.validity is not _MEASURED and not channel.usable:
+def _insist(channel: Channel, name: str, mode: WheelMode | ArmMode) -> None:
+    """Refuse to drive blind."""
+    if not channel.usable:
         raise RobotError(f"{mode.value} mode needs {name}, which is {channel.validity.value}")
-    return cast("FloatArray", channel.value)

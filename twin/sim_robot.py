@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import math
+import functools
+from collections.abc import Callable
+from typing import Any, cast
 
 import mujoco
-import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.robot import (
     ARM_JOINTS,
+    NOTHING,
     WHEELS,
     Channel,
     Command,
@@ -19,31 +20,21 @@ from twin.robot import (
     Lifecycle,
     Observation,
     RobotError,
+    applied_command,
 )
 from twin.sensor_bank import SavedBank, SensorBank
-from twin.sensors import CHANNEL_OFFSETS, SensorSuite
+from twin.sensors import SensorSuite
 from twin.servo import Servo, ServoConfig
+from twin.wiring import wire
 
-IntArray = NDArray[np.intp]
 AXES = (*WHEELS, *ARM_JOINTS)
 _AT_REST = Command()
-
-# MuJoCo sensors behind the channels, with their widths; orientation feeds the inclinometer and
-# the heading.
-_SENSORS: dict[str, tuple[tuple[str, int], ...]] = {
-    "wheel_speeds": tuple((f"{wheel}_vel", 1) for wheel in WHEELS),
-    "centre_angle": (("centre_pos", 1),),
-    "arm_angles": tuple((f"{joint}_pos", 1) for joint in ARM_JOINTS),
-    "arm_rates": tuple((f"{joint}_vel", 1) for joint in ARM_JOINTS),
-    "arm_base_wrench": (("arm_base_force", 3), ("arm_base_torque", 3)),
-    "accelerometer": (("accelerometer", 3),),
-    "gyro": (("gyro", 3),),
-}
-_ORIENTATION = ("orientation", 4)
-_PITCH = CHANNEL_OFFSETS["inclinometer"]
-_HEADING = CHANNEL_OFFSETS["heading"]
-# These are computed with the accelerations, one physics step before the tick.
-_ACCELERATION_CHANNELS: tuple[str, ...] = ("arm_base_wrench", "accelerometer")
+_ACTIVE, _UNCONFIGURED = Lifecycle.ACTIVE, Lifecycle.UNCONFIGURED
+# As `Observation._make`, without its Python frame.
+_observation = cast(
+    "Callable[[Any], Observation]",
+    functools.partial(tuple.__new__, Observation),  # pyright: ignore[reportUnknownMemberType]
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,7 +45,7 @@ class RobotState:
     bank: SavedBank
     servo: FloatArray
     held: Command
-    duty: FloatArray
+    duty: tuple[FloatArray, FloatArray]
     driven: bool
     observation: Observation
 
@@ -89,48 +80,36 @@ class SimRobot:
             ValueError: If an actuator is not in the scene.
         """
         self.name = name
-        self._lifecycle = Lifecycle.UNCONFIGURED
+        # Read by anybody, set by the robot alone: a property takes long in a loop.
+        self.lifecycle = Lifecycle.UNCONFIGURED
         axes = np.array([_actuator(model, prefix + axis) for axis in AXES])
-        # Side by side as a rule; a slice is written faster than single places.
-        row = np.array_equal(axes, axes[0] + np.arange(len(axes)))
-        self._axes = slice(int(axes[0]), int(axes[-1]) + 1) if row else axes
-        self._volts = np.array(model.actuator_ctrlrange[axes, 1], dtype=float)
+        self._axes = axes
         self._ctrl = data.ctrl
+        volts = np.array(model.actuator_ctrlrange[axes, 1], dtype=float)
+        # Side by side as a rule: then the servo writes where the motors read.
+        row = np.array_equal(axes, axes[0] + np.arange(len(axes)))
+        motors = data.ctrl[int(axes[0]) : int(axes[-1]) + 1] if row else None
+        self._servo = Servo(servo, period, volts, motors)
+        self._scattered = not row
         self._sensordata = data.sensordata
-        self._wires, missing = _wire(model, prefix)
-        self._orientation = _sensor(model, prefix + _ORIENTATION[0])
         self._history = data.history
-        self._averaged, samples = _averaged_wrench(model, prefix)
-        step = float(model.opt.timestep)
-        lags = dict.fromkeys(_ACCELERATION_CHANNELS, step)
-        # A mean of n samples, the last of them a step old, stands for its middle.
-        lags["arm_base_wrench"] = step * (1 + samples) / 2
-        self._bank = SensorBank(suite, period, rng, lags)
-        for channel in missing:
-            self._bank.disconnect(channel)
-        self._raw = np.zeros(self._bank.size)
-        self._servo = Servo(servo, period)
+        self._bank = SensorBank(suite, period, rng, wire(model, prefix))
         self._held = _AT_REST
-        self._duty = np.zeros(8)
+        self._duty = (NOTHING, NOTHING)
         self._driven = False
         self._observation = Observation(0.0)
-
-    @property
-    def lifecycle(self) -> Lifecycle:
-        """Current state."""
-        return self._lifecycle
 
     def configure(self, time: float) -> None:
         """Take the first samples and go to INACTIVE, with all axes at zero; the owner calls it."""
         self._bank.reset()
         self._zero()
-        self._lifecycle = Lifecycle.INACTIVE
+        self.lifecycle = Lifecycle.INACTIVE
         self.sense(time)
 
     def close(self) -> None:
         """Zero all axes and go to UNCONFIGURED: the scene is gone."""
         self._zero()
-        self._lifecycle = Lifecycle.UNCONFIGURED
+        self.lifecycle = Lifecycle.UNCONFIGURED
 
     def activate(self) -> None:
         """Go to ACTIVE, from INACTIVE or, explicitly, from ERROR.
@@ -138,17 +117,17 @@ class SimRobot:
         Raises:
             RobotError: If the robot is not configured.
         """
-        if self._lifecycle is Lifecycle.UNCONFIGURED:
+        if self.lifecycle is Lifecycle.UNCONFIGURED:
             raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be activated")
-        if self._lifecycle is not Lifecycle.ACTIVE:
+        if self.lifecycle is not Lifecycle.ACTIVE:
             self._zero()
-            self._lifecycle = Lifecycle.ACTIVE
+            self.lifecycle = Lifecycle.ACTIVE
 
     def deactivate(self) -> None:
         """Zero all axes and go to INACTIVE; an ERROR stays until `activate` ends it."""
         self._zero()
-        if self._lifecycle is Lifecycle.ACTIVE:
-            self._lifecycle = Lifecycle.INACTIVE
+        if self.lifecycle is Lifecycle.ACTIVE:
+            self.lifecycle = Lifecycle.INACTIVE
 
     def observe(self) -> Observation:
         """Return what was measured at the latest servo tick.
@@ -156,7 +135,7 @@ class SimRobot:
         Raises:
             RobotError: If the robot is not configured.
         """
-        if self._lifecycle is Lifecycle.UNCONFIGURED:
+        if self.lifecycle is _UNCONFIGURED:
             raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be read")
         return self._observation
 
@@ -170,17 +149,17 @@ class SimRobot:
             RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable;
                 then it is in ERROR.
         """
-        if self._lifecycle is not Lifecycle.ACTIVE:
+        if self.lifecycle is not _ACTIVE:
             self._zero()
-            raise RobotError(f"robot {self.name!r} is {self._lifecycle.value}, not active")
+            raise RobotError(f"robot {self.name!r} is {self.lifecycle.value}, not active")
         self._held = command
         self._apply()
-        return Command(self._duty[:4], self._duty[4:])
+        return applied_command(*self._duty)
 
     def fail(self, reason: str) -> RobotError:
         """Zero all axes, go to ERROR, and return the error to raise."""
         self._zero()
-        self._lifecycle = Lifecycle.ERROR
+        self.lifecycle = Lifecycle.ERROR
         return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
 
     def disconnect_sensor(self, channel: str) -> None:
@@ -205,24 +184,15 @@ class SimRobot:
         Raises:
             RobotError: As `command`.
         """
-        if self._lifecycle is Lifecycle.ACTIVE and not self._driven:
+        if not self._driven and self.lifecycle is _ACTIVE:
             self._apply()
         self._driven = False
 
     def sense(self, time: float) -> None:
         """Sample all sensors at `time` [s], the end of a servo tick; the owner calls it."""
-        raw = self._raw
-        _gather(
-            self._sensordata,
-            self._wires,
-            self._orientation,
-            self._history,
-            self._averaged,
-            raw,
-        )
-        self._bank.sample(time, raw)
+        self._bank.sample(time, self._sensordata, self._history)
         channels = self._bank.channels(time)
-        self._observation = Observation._make((time, *channels, self._observation.stereo))
+        self._observation = _observation((time, *channels, self._observation.stereo))
 
     def see(self, stereo: Channel) -> None:
         """Take a new stereo pair; the owner calls it."""
@@ -231,55 +201,39 @@ class SimRobot:
     def save(self) -> RobotState:
         """Return the complete state beside the physics."""
         return RobotState(
-            self._lifecycle,
+            self.lifecycle,
             self._bank.save(),
             self._servo.save(),
             self._held,
-            self._duty.copy(),
+            self._duty,
             self._driven,
             self._observation,
         )
 
     def restore(self, state: RobotState) -> None:
         """Go back to a saved state."""
-        self._lifecycle = state.lifecycle
+        self.lifecycle = state.lifecycle
         self._bank.restore(state.bank)
         self._servo.restore(state.servo)
-        self._held, self._duty = state.held, state.duty.copy()
+        self._held, self._duty = state.held, state.duty
         self._driven, self._observation = state.driven, state.observation
 
     def _apply(self) -> None:
         """Let the servo act once, and write the duty to the motors."""
         try:
-            self._duty = self._servo.duty(self._held, self._observation)
+            self._duty = self._servo.drive(self._held, self._observation)
         except RobotError as error:
             raise self.fail(str(error)) from error
-        self._duty.flags.writeable = False
-        self._ctrl[self._axes] = self._duty * self._volts
+        if self._scattered:
+            self._ctrl[self._axes] = self._servo.motors
         self._driven = True
 
     def _zero(self) -> None:
         self._held = _AT_REST
-        self._duty = np.zeros(8)
+        self._duty = (NOTHING, NOTHING)
         self._ctrl[self._axes] = 0.0
         self._servo.reset()
         self._driven = False
-
-
-@numba.njit(cache=True)
-def tilt(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return pitch, roll and yaw [rad] of a body with orientation quaternion (w, x, y, z).
-
-    Pitch is the elevation of the body's y axis (forward), roll the elevation of its x axis turned
-    about y, yaw the azimuth of y: R = Rz(yaw) Rx(pitch) Ry(roll).
-    """
-    forward_up = 2.0 * (y * z + w * x)
-    right_up = 2.0 * (x * z - w * y)
-    up_up = w * w - x * x - y * y + z * z
-    pitch = math.asin(max(-1.0, min(1.0, forward_up)))
-    roll = math.atan2(-right_up, up_up)
-    yaw = math.atan2(-2.0 * (x * y - w * z), w * w - x * x + y * y - z * z)
-    return pitch, roll, yaw
 
 
 def _actuator(model: mujoco.MjModel, name: str) -> int:
@@ -288,74 +242,3 @@ def _actuator(model: mujoco.MjModel, name: str) -> int:
         valid = ", ".join(model.actuator(i).name for i in range(model.nu)) or "none"
         raise ValueError(f"the scene has no actuator {name!r}; it has: {valid}")
     return index
-
-
-def _sensor(model: mujoco.MjModel, name: str) -> int:
-    """Return where a sensor's data begins, or -1 if the scene lacks it."""
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
-    return int(model.sensor_adr[index]) if index >= 0 else -1
-
-
-@numba.njit(cache=True)
-def _gather(
-    sensordata: FloatArray,
-    wires: IntArray,
-    orientation: int,
-    history: FloatArray,
-    averaged: IntArray,
-    raw: FloatArray,
-) -> None:
-    """Bring MuJoCo's sensors to their places in `raw`, those with a history as its mean."""
-    for i in range(wires.shape[1]):
-        raw[wires[1, i]] = sensordata[wires[0, i]]
-    if orientation >= 0:
-        w, x, y, z = sensordata[orientation : orientation + 4]
-        raw[_PITCH], raw[_PITCH + 1], raw[_HEADING] = tilt(w, x, y, z)
-    for place, first, width, samples in averaged:
-        for i in range(width):
-            total = 0.0
-            for sample in range(samples):
-                total += history[first + sample * width + i]
-            raw[place + i] = total / samples
-
-
-def _averaged_wrench(model: mujoco.MjModel, prefix: str) -> tuple[IntArray, int]:
-    """Return where the wrench goes and where its latest samples lie in MuJoCo's history.
-
-    A force/torque transducer averages; one sample of a hundred a second would alias the steps of
-    the motors' duty into the wrench. The rows are the first component's place, the first sample's,
-    the number of components and that of samples. Also returns the number of samples, 1 without a
-    history.
-    """
-    averaged: list[tuple[int, int, int, int]] = []
-    count = 1
-    place = CHANNEL_OFFSETS["arm_base_wrench"]
-    for offset, (sensor, width) in zip((0, 3), _SENSORS["arm_base_wrench"]):
-        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, prefix + sensor)
-        if index < 0 or model.sensor_history[index, 0] < 1:
-            continue
-        count = int(model.sensor_history[index, 0])
-        # The buffer holds two words of book-keeping, the times, then the samples.
-        first = int(model.sensor_historyadr[index]) + 2 + count
-        averaged.append((place + offset, first, width, count))
-    return np.array(averaged, dtype=np.intp).reshape(-1, 4), count
-
-
-def _wire(model: mujoco.MjModel, prefix: str) -> tuple[IntArray, list[str]]:
-    """Return places in sensordata and below them those in the bank, and what has no sensor."""
-    source: list[int] = []
-    into: list[int] = []
-    missing: list[str] = []
-    for channel, parts in _SENSORS.items():
-        place = CHANNEL_OFFSETS[channel]
-        starts = [_sensor(model, prefix + sensor) for sensor, _ in parts]
-        if min(starts) < 0:
-            missing.append(channel)
-            continue
-        for start, (_, width) in zip(starts, parts):
-            source.extend(range(start, start + width))
-            into.extend(range(place, place + width))
-            place += width
-    if _sensor(model, prefix + _ORIENTATION[0]) < 0:
-        missing.extend(("inclinometer", "heading"))
-    return np.array([source, into], dtype=np.intp), missing

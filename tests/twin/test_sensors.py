@@ -181,6 +181,14 @@ def test_values_are_read_only_and_outlive_later_samples():
     np.testing.assert_array_equal(value, np.ones(3))
 
 
+def test_readings_of_many_ticks_keep_their_own_values():
+    _, channels = feed(bank(delay=PERIOD), np.arange(200.0))
+    np.testing.assert_array_equal(
+        [c.value for c in channels[1:]], np.tile(np.arange(199.0), (3, 1)).T
+    )
+    np.testing.assert_allclose([c.stamp for c in channels[1:]], PERIOD * np.arange(199.0))
+
+
 def test_restored_bank_goes_on_bit_for_bit():
     suite = DATASHEET.with_channel("gyro", delay=0.02, dropout=0.3, rate=30.0, bandwidth=10.0)
     sensors = bank(5, suite)

@@ -112,6 +112,33 @@ def test_duty_mode_needs_no_sensor():
     np.testing.assert_array_equal(duty, [0.1] * 4 + [0.0] * 4)
 
 
+def test_motors_get_the_duty_times_what_full_duty_is():
+    volts, motors = np.linspace(5.0, 12.0, 8), np.zeros(8)
+    servo = Servo(ROVER_SERVO, PERIOD, volts, motors)
+    wheels, arm = servo.drive(Command(np.full(4, 0.5), np.full(4, -2.0)), Observation(0.0))
+    np.testing.assert_array_equal(wheels, np.full(4, 0.5))
+    np.testing.assert_array_equal(arm, np.full(4, -1.0))
+    np.testing.assert_array_equal(motors, volts * np.repeat([0.5, -1.0], 4))
+
+
+def test_duties_are_read_only_and_outlive_later_ones():
+    servo, asked = Servo(ROVER_SERVO, PERIOD), np.linspace(-1.0, 1.0, 200)
+    kept = [servo.drive(Command(np.full(4, duty)), Observation(0.0))[0] for duty in asked]
+    np.testing.assert_array_equal(kept, np.tile(asked, (4, 1)).T)
+    with pytest.raises(ValueError, match="read-only"):
+        kept[0][0] = 1.0
+
+
+def test_duty_that_is_no_number_leaves_the_motors_without_voltage():
+    servo = Servo(ROVER_SERVO, PERIOD)
+    servo.drive(Command(np.full(4, 0.5)), Observation(0.0))
+    command = Command(np.zeros(4))
+    command.wheels[1] = np.nan
+    with pytest.raises(ValueError, match="nan.*nothing was sent"):
+        servo.drive(command, Observation(0.0))
+    np.testing.assert_array_equal(servo.motors, np.zeros(8))
+
+
 def test_motors_that_cannot_turn_are_refused():
     with pytest.raises(ValueError, match="wheel_no_load_speed"):
         ServoConfig((1.0,) * 4, (0.0,) * 4, (1.0,) * 4, (1.0,) * 4)

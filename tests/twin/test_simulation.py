@@ -15,8 +15,8 @@ from twin.robot import (
     WheelMode,
 )
 from twin.sensors import DATASHEET, IDEAL
-from twin.sim_robot import tilt
 from twin.simulation import Simulation
+from twin.wiring import tilt
 
 MODEL = compile_scene(("rover1",))
 PAIR = compile_scene(("rover1", "rover2"))
@@ -240,6 +240,16 @@ def test_divergence_puts_every_robot_in_error_with_all_axes_zero():
 def test_nan_is_refused_before_the_motors():
     with pytest.raises(ValueError, match="not finite"):
         Command(np.array([0.0, np.nan, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("part", ["wheels", "arm", "arm_rates"])
+def test_what_is_not_finite_is_refused_by_name_beside_finite_numbers(part, wrong):
+    numbers = {"wheels": np.full(4, 1e308), "arm": np.full(4, 1e308), "arm_rates": np.zeros(4)}
+    assert Command(**numbers).arm is numbers["arm"]
+    numbers[part] = np.array([0.0, 0.0, wrong, -wrong])
+    with pytest.raises(ValueError, match=f"command {part}: .*not finite"):
+        Command(**numbers)
 
 
 def test_unknown_robot_is_named_with_what_there_is():

@@ -8,7 +8,7 @@ from controllers.mapping.standing import CameraPose, camera_in_level, lean, leve
 from experiments.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
-from twin.sim_robot import tilt
+from twin.wiring import tilt
 
 HOME = np.array(ARM.home)
 TARGET = RigidTransform.from_components([0.2, 1.1, 0.05], Rotation.from_euler("zx", [0.3, 1.2]))

@@ -29,7 +29,7 @@ from twin.hardware.tilt_fit import (
     up_of_tilt,
     weighed_tilts,
 )
-from twin.sim_robot import tilt as tilt_of_orientation
+from twin.wiring import tilt as tilt_of_orientation
 
 TODAY = datetime.date(2026, 12, 1)
 ROBOT = read_calibration(calibration_path("rover1"))
