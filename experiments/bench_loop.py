@@ -32,15 +32,18 @@ FIELDS = {
 class DriveAndHold:
     """Drives all robots straight on with their arms held where they are."""
 
+    def __init__(self) -> None:
+        """Drive on."""
+        self._wheels = np.full(4, WHEEL_SPEED)
+
     def reset(self) -> None:
         """Forget nothing: nothing is remembered."""
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Return wheel speeds, and the arm's angles as seen."""
-        wheels = np.full(4, WHEEL_SPEED)
         return {
             name: Command(
-                wheels=wheels,
+                wheels=self._wheels,
                 arm=cast("FloatArray", seen.arm_angles.value),
                 wheel_mode=WheelMode.SPEED,
                 arm_mode=ArmMode.POSITION,
