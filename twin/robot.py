@@ -118,7 +118,7 @@ class ArmMode(enum.Enum):
     POSITION = "position"
 
 
-_ARRAY, _DOUBLE, _FOUR = np.ndarray, np.dtype(np.float64), (4,)
+_ARRAY, _DOUBLE = np.ndarray, np.dtype(np.float64)
 _WHEEL_DUTY, _ARM_DUTY = WheelMode.DUTY, ArmMode.DUTY
 
 
@@ -154,16 +154,7 @@ class Command:
             ValueError: If an array is not (4,) or holds a NaN or an infinity.
         """
         # Every tick makes one a robot, with caches gone cold: few steps, and those in one place.
-        # Eight finite numbers have a finite sum, unless they are absurdly large.
-        if not (
-            type(wheels) is _ARRAY
-            and type(arm) is _ARRAY
-            and wheels.dtype is _DOUBLE
-            and arm.dtype is _DOUBLE
-            and wheels.shape == _FOUR
-            and arm.shape == _FOUR
-            and math.isfinite(sum(arm.tolist(), sum(wheels.tolist())))
-        ):
+        if not _eight_finite(wheels, arm):
             wheels, arm = _four("wheels", wheels), _four("arm", arm)
         if arm_rates is not NOTHING:
             arm_rates = _four("arm_rates", arm_rates)
@@ -185,6 +176,20 @@ def applied_command(wheels: FloatArray, arm: FloatArray) -> Command:
     fields["wheel_mode"], fields["arm_mode"] = _WHEEL_DUTY, _ARM_DUTY
     fields["arm_rates"] = NOTHING
     return command
+
+
+def _eight_finite(wheels: FloatArray, arm: FloatArray) -> bool:
+    """Return whether these are surely (4,) finite numbers each, by the fewest steps."""
+    try:
+        if type(wheels) is _ARRAY and wheels.dtype is _DOUBLE:
+            if type(arm) is _ARRAY and arm.dtype is _DOUBLE:
+                a, b, c, d = wheels.tolist()
+                e, f, g, h = arm.tolist()
+                # Finite numbers have a finite sum, unless they are absurdly large.
+                return math.isfinite(a + b + c + d + e + f + g + h)
+    except (TypeError, ValueError):
+        pass  # of another shape
+    return False
 
 
 def _four(name: str, values: FloatArray) -> FloatArray:

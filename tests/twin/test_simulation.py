@@ -237,6 +237,21 @@ def test_divergence_puts_every_robot_in_error_with_all_axes_zero():
     assert not np.any(simulation.data.ctrl)
 
 
+@pytest.mark.parametrize("shape", [(3,), (5,), (4, 1), (4, 2), (1, 4), ()])
+def test_command_of_another_shape_is_refused_by_name(shape):
+    with pytest.raises(ValueError, match="command wheels: expected 4 numbers, got shape"):
+        Command(np.zeros(shape), np.zeros(4))
+    with pytest.raises(ValueError, match="command arm: expected 4 numbers, got shape"):
+        Command(np.zeros(4), np.zeros(shape))
+
+
+@pytest.mark.parametrize("four", [[0, 1, 0, 1], np.array([0, 1, 0, 1]), np.float32([0, 1, 0, 1])])
+def test_command_of_other_numbers_is_made_one_of_doubles(four):
+    command = Command(four, np.zeros(4))
+    assert command.wheels.dtype == np.float64
+    np.testing.assert_array_equal(command.wheels, [0.0, 1.0, 0.0, 1.0])
+
+
 def test_nan_is_refused_before_the_motors():
     with pytest.raises(ValueError, match="not finite"):
         Command(np.array([0.0, np.nan, 0.0, 0.0]))
