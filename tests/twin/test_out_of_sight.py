@@ -1,0 +1,64 @@
+"""Geoms out of sight are left out before the driver gets them, and no image shows that."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import twin.camera
+from twin.camera import renderer
+from twin.out_of_sight import leave_out_unseen
+
+KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
+INTRINSIC = 'focal="0.0085 0.0085" sensorsize="0.0064 0.0048" principal="0.0011 -0.0007"'
+
+
+def crowd(camera: str, light: str = "false", count: int = 150) -> mujoco.MjModel:
+    """Return a plane with bodies strewn all around a camera that looks at some of them."""
+    rng = np.random.default_rng(5)
+    geoms = ""
+    for index in range(count):
+        place, turn = rng.uniform(-1.5, 1.5, 3), rng.uniform(-1.0, 1.0, 3)
+        size, colour = rng.uniform(0.03, 0.3, 3), rng.uniform(0.2, 1.0, 3)
+        geoms += (
+            f'<geom type="{KINDS[index % 5]}" pos="{place[0]} {place[1]} {place[2]}" '
+            f'euler="{turn[0]} {turn[1]} {turn[2]}" size="{size[0]} {size[1]} {size[2]}" '
+            f'rgba="{colour[0]} {colour[1]} {colour[2]} 1"/>'
+        )
+    return mujoco.MjModel.from_xml_string(f"""
+        <mujoco><visual><map znear="0.01"/></visual><worldbody>
+          <light pos="1 -2 4" dir="0 0.3 -1" castshadow="{light}"/>
+          <geom type="plane" size="0 0 0.1" pos="0 0 -1.6"/>
+          <camera name="eye" pos="0.1 -1.4 0.4" xyaxes="1 0.1 0 0 0.2 1" resolution="170 120"
+            {camera}/>{geoms}
+        </worldbody></mujoco>""")
+
+
+def seen(model: mujoco.MjModel) -> np.ndarray:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return renderer().render(model, data, "eye", 170, 120)
+
+
+@pytest.mark.parametrize("camera", [INTRINSIC, 'fovy="50"'])
+def test_image_without_unseen_geoms_is_the_whole_scenes_bit_for_bit(monkeypatch, camera):
+    model = crowd(camera)
+    kept = []
+
+    def watched(scene, *rest):
+        leave_out_unseen(scene, *rest)
+        nothing = int(mujoco.mjtGeom.mjGEOM_NONE)
+        kept.append(sum(geom.type != nothing for geom in scene.geoms[: scene.ngeom]))
+
+    monkeypatch.setattr(twin.camera, "leave_out_unseen", watched)
+    image = seen(model)
+    monkeypatch.setattr(twin.camera, "leave_out_unseen", lambda *_: None)
+    np.testing.assert_array_equal(image, seen(model))
+    # A third of the bodies stand in sight.
+    assert 20 < kept[0] < 0.6 * model.ngeom
+
+
+def test_nothing_is_left_out_where_shadows_may_fall_into_the_view(monkeypatch):
+    called = []
+    monkeypatch.setattr(twin.camera, "leave_out_unseen", lambda *_: called.append(1))
+    seen(crowd(INTRINSIC, light="true", count=5))
+    assert not called
