@@ -76,12 +76,11 @@ class Scorer:
         """Take one tick."""
         simulation, team = self._setting.simulation, self._setting.team
         carrier, watcher = team.carrier, team.watcher
-        pose = card_in_slot(simulation.data)
         force = contact_force(simulation.model, simulation.data)
         self.peak = max(self.peak, float(np.linalg.norm(force)))
-        self.finite &= bool(np.isfinite(pose).all())
+        self.finite &= bool(np.isfinite(simulation.data.qpos).all())
         if carrier.guide is not None and math.isnan(self.hand_over[0]):
-            self.hand_over = pose[[0, 3]]
+            self.hand_over = card_in_slot(simulation.data)[[0, 3]]
         stereo = observations[MASTER].stereo
         if stereo.usable and stereo.stamp != self._stamp:
             self._stamp = stereo.stamp
@@ -90,6 +89,7 @@ class Scorer:
         if self._trace:
             felt = carrier.contact[[0, 1, 5]]
             stage = STAGES.index(carrier.stage)
+            pose = card_in_slot(simulation.data)
             row = [time, *pose[:4], *carrier.error[:3], *felt, *force[:2], stage]
             self.course.append([float(value) for value in row])
 

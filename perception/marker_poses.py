@@ -8,21 +8,18 @@ tells to which side it leans. Both are weak for a small marker seen head on; the
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.marker_fit import solve_pose, write_residuals
 from perception.stereo_geometry import StereoGeometry
-from perception.twists import exp_twist, log_twist
 
 FloatArray = NDArray[np.float64]
 
 _TURNS = 61  # Of the grid about the line through two markers.
 _SCAN = np.linspace(-1.6, 1.6, 2 * _TURNS + 1)  # Turns about it, from a fit [rad].
-_ITERATIONS = 12
 _STEPS = np.repeat([1e-5, 1e-6], 3)  # Of finite differences [rad, m].
 _NUDGES = RigidTransform.from_exp_coords(
     np.concatenate([np.zeros((1, 6)), np.diag(_STEPS), -np.diag(_STEPS)])
@@ -188,24 +185,23 @@ class _Problem:
             self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
             self._back = prior.transform_body_to_camera.inv().as_matrix()
 
-    def residuals(self, poses: FloatArray) -> FloatArray:
-        """Return (P, R) of poses (P, 4, 4)."""
-        _, count, _ = self._discs.ellipses.shape
-        rows = np.empty((len(poses), 10 * count + (0 if self._prior is None else 6)))
-        geometry = self._geometry
         lens = np.array([geometry.fx, geometry.fy, geometry.cx, geometry.cy, geometry.baseline])
-        _residuals(
-            np.ascontiguousarray(poses),
+        self._count = discs.ellipses[..., 0].size * 5 + (0 if prior is None else 6)
+        self._numbers = (
             self._points,
             self._normal,
-            self._radius,
+            radius,
             lens,
-            self._discs.ellipses,
-            self._whiten,
-            self._back,
-            self._root,
-            rows,
+            np.ascontiguousarray(discs.ellipses),
+            np.ascontiguousarray(self._whiten),
+            np.ascontiguousarray(self._back),
+            np.ascontiguousarray(self._root),
         )
+
+    def residuals(self, poses: FloatArray) -> FloatArray:
+        """Return (P, R) of poses (P, 4, 4)."""
+        rows = np.empty((len(poses), self._count))
+        write_residuals(np.ascontiguousarray(poses), *self._numbers, rows)
         return rows
 
     def allowed(self, poses: FloatArray) -> NDArray[np.bool_]:
@@ -220,25 +216,8 @@ class _Problem:
 
     def solve(self, start: FloatArray) -> tuple[FloatArray, float, FloatArray]:
         """Return pose (4, 4), cost and normal equations (6, 6) after damped Gauss-Newton steps."""
-        pose, damping = start, 1e-4
-        cost, normal = np.inf, np.eye(6)
-        for _ in range(_ITERATIONS):
-            all_residuals = self.residuals(_NUDGES @ pose)
-            here = all_residuals[0]
-            slopes = (all_residuals[1:7] - all_residuals[7:]) / (2.0 * _STEPS[:, None])
-            cost, normal = float(here @ here), slopes @ slopes.T
-            damped = normal + damping * np.diag(np.diag(normal)) + 1e-9 * np.eye(6)
-            step = -np.asarray(np.linalg.solve(damped, slopes @ here), dtype=np.float64)
-            longest = float(np.linalg.norm(step[:3]))
-            step = step * min(1.0, 0.5 / max(longest, 1e-12))
-            trial = exp_twist(step) @ pose
-            ahead = float(np.sum(self.residuals(trial[None]) ** 2))
-            if ahead <= cost:
-                pose, damping = trial, damping * 0.1
-                if cost - ahead < 1e-6 * (1.0 + cost):
-                    break
-            else:
-                damping = max(damping, 1e-6) * 20.0
+        pose, normal = np.array(start), np.eye(6)
+        cost = solve_pose(pose, normal, _NUDGES, _STEPS, *self._numbers, self._count)
         return pose, cost, normal + 1e-9 * np.eye(6)
 
 
@@ -275,56 +254,3 @@ def _turned(
     poses = RigidTransform.from_exp_coords(_SCAN[:, None] * twist).as_matrix() @ pose
     costs = np.sum(problem.residuals(poses) ** 2, axis=1)
     return poses, np.where(problem.allowed(poses), costs, np.inf)
-
-
-@numba.njit(cache=True)
-def _residuals(
-    poses: Any,
-    points: Any,
-    normal: Any,
-    radius: float,
-    lens: Any,
-    ellipses: Any,
-    whiten: Any,
-    back: Any,
-    root: Any,
-    rows: Any,
-) -> None:
-    """Write whitened residuals (P, R) of poses (P, 4, 4), and those of the prior if there is room.
-
-    The ellipses are those of `marker_ellipses.project_discs`; a disc that is not wholly ahead
-    costs 1e6 in each number.
-    """
-    fx, fy, cx, cy, baseline = lens
-    count = len(points)
-    seen = np.empty(5)
-    for p in range(len(poses)):
-        turn, place = np.ascontiguousarray(poses[p, :3, :3]), poses[p, :3, 3]
-        n = turn @ normal
-        for k in range(count):
-            centre = turn @ points[k] + place
-            for eye in range(2):
-                x, y, z = centre[0] - eye * baseline, centre[1], centre[2]
-                square = radius * radius
-                d00 = x * x - square * (1.0 - n[0] * n[0])
-                d01 = x * y + square * n[0] * n[1]
-                d02 = x * z + square * n[0] * n[2]
-                d11 = y * y - square * (1.0 - n[1] * n[1])
-                d12 = y * z + square * n[1] * n[2]
-                d22 = z * z - square * (1.0 - n[2] * n[2])
-                first = 5 * (eye * count + k)
-                if not (d22 > 0.0 and z > 0.0):
-                    rows[p, first : first + 5] = 1e6
-                    continue
-                u, v = d02 / d22, d12 / d22
-                seen[0], seen[1] = fx * u + cx, fy * v + cy
-                seen[2] = fx * fx * (u * u - d00 / d22)
-                seen[3] = fx * fy * (u * v - d01 / d22)
-                seen[4] = fy * fy * (v * v - d11 / d22)
-                for i in range(5):
-                    total = 0.0
-                    for j in range(5):
-                        total += whiten[eye, k, i, j] * (seen[j] - ellipses[eye, k, j])
-                    rows[p, first + i] = total
-        if rows.shape[1] > 10 * count:
-            rows[p, 10 * count :] = root @ log_twist(np.ascontiguousarray(poses[p]) @ back)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.identification.serial_arm import RigidBody
+from controllers.identification.serial_arm import RigidBody, cross_matrix
 from controllers.mapping.camera_arm import CameraArm
 from controllers.motion.arm_model import ArmModel
 from controllers.motion.chain import GRAVITY, Chain, at_rest
@@ -117,9 +117,9 @@ class CardArm:
         zero = np.zeros(len(self._chain))
         held = self._chain.inverse_dynamics(angles, zero, zero, at_rest(level))[1]
         weight = self._plate.mass * GRAVITY * level
-        held = held + np.concatenate([weight, np.cross(self._plate.centre, weight)])
+        held = held + np.concatenate([weight, cross_matrix(self._plate.centre) @ weight])
         outside = held - np.asarray(wrench, dtype=float)
         card = self._chain.last_frame(angles) @ self._card
-        moment = outside[3:] - np.cross(card[:3, 3], outside[:3])
+        moment = outside[3:] - cross_matrix(card[:3, 3]) @ outside[:3]
         turn = card[:3, :3].T
         return np.concatenate([turn @ outside[:3], turn @ moment])

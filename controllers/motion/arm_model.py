@@ -8,6 +8,7 @@ the gripper in the camera's place.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +45,8 @@ class ArmModel:
             arm, transform_camera_to_wrist=RigidTransform.from_components(place, looking)
         )
         self._geometry = ArmGeometry.of(self._arm)
+        self._base = arm.transform_base_to_robot.rotation.as_matrix()
+        self._place = np.asarray(arm.transform_base_to_robot.translation, dtype=float)
         if abs(self._geometry.beside) > STRAIGHT:
             raise ValueError(
                 f"grip point {grip}: {self._geometry.beside} m beside the arm's plane, needs 0"
@@ -125,23 +128,17 @@ class ArmModel:
         asked = np.asarray(task, dtype=float)
         if asked.shape != (4,) or not np.all(np.isfinite(asked)):
             raise ValueError(f"gripper task {task}: expected x, y, z and pitch, finite")
-        eye = self._arm.transform_base_to_robot.inv().apply(asked[:3]) - self._geometry.yaw_axis
-        distance = float(np.hypot(eye[0], eye[1]))
+        eye = self._base.T @ (asked[:3] - self._place) - self._geometry.yaw_axis
+        distance = math.hypot(eye[0], eye[1])
         if distance < LEAST_DISTANCE:
             raise ValueError(f"gripper task {task}: on the yaw's axis, where no yaw is singled out")
-        found = [np.zeros((0, 4))]
-        heading = float(np.arctan2(-eye[0], eye[1]))
+        heading = math.atan2(-eye[0], eye[1])
         # Facing the place, or turned away and reaching over the shoulder.
-        for yaw, along, pitch in (
-            (heading, distance, asked[3]),
-            (heading + np.pi, -distance, asked[3]),
-        ):
-            turn = self._geometry.turned(yaw)
-            bends = self._geometry.bend(along, eye[2], pitch)
-            bends = bends[np.isfinite(bends).all(axis=1)]
-            if np.isfinite(turn):
-                found.append(np.column_stack([np.full(len(bends), turn), bends]))
-        angles = np.concatenate(found)
+        yaws = self._geometry.turned([heading, heading + math.pi])
+        bends = self._geometry.bend([distance, -distance], eye[2], asked[3])
+        turns = np.broadcast_to(yaws[:, None, None], (2, 2, 1))
+        angles = np.concatenate([turns, bends], axis=2).reshape(4, 4)
+        angles = angles[np.isfinite(angles).all(axis=1)]
         if near is None:
             return angles
         return angles[np.argsort(np.linalg.norm(angles - np.asarray(near, dtype=float), axis=1))]

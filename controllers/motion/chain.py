@@ -8,6 +8,7 @@ Vectors of a joint are in the frame that it moves.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numba
@@ -174,6 +175,21 @@ class Chain:
         _mass_matrix(*self._numbers(), state, matrix)
         return matrix + np.diag(self.rotors)
 
+    def carried(self, positions: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return what the last body's push on the world asks of the chain, by the push (eq. A-2).
+
+        Args:
+            positions: (n,) [rad or m].
+
+        Returns:
+            (n, 6) J^T, the efforts, and (6, 6) the wrench at the base, per force and moment about
+            the origin of the last body's frame, in that frame.
+        """
+        state = self._state(positions)
+        efforts, wrenches = np.empty((len(self), 6)), np.empty((6, 6))
+        _carried(*self._numbers()[:4], state[0], efforts, wrenches)
+        return efforts, wrenches
+
     def last_frame(self, positions: ArrayLike) -> FloatArray:
         """Return (4, 4) the transform from the last body's frame to the base frame.
 
@@ -198,10 +214,17 @@ class Chain:
         )
 
     def _state(self, *rows: ArrayLike) -> FloatArray:
-        for name, row in zip(("positions", "rates", "accelerations"), rows, strict=False):
-            if np.shape(row) != (len(self),) or not np.all(np.isfinite(row)):
+        state = np.empty((len(rows), len(self.joints)))
+        for name, row, kept in zip(
+            ("positions", "rates", "accelerations"), rows, state, strict=False
+        ):
+            if np.shape(row) != kept.shape:
                 raise ValueError(f"joint {name} {row}: expected {len(self)} finite numbers")
-        return np.array(rows, dtype=float)
+            kept[:] = row
+            # A sum of finite numbers is finite: cheaper than asking each, many times a tick.
+            if not math.isfinite(kept.sum()):
+                raise ValueError(f"joint {name} {row}: expected {len(self)} finite numbers")
+        return state
 
 
 @numba.njit(cache=True)
@@ -286,6 +309,24 @@ def _newton_euler(
         force = to_parent[i] @ force
         moment = to_parent[i] @ moment + _cross(places[i], force)
     wrench[:3], wrench[3:] = force, moment
+
+
+@numba.njit(cache=True)
+def _carried(slides, axes, offsets, rotations, positions, efforts, wrenches):
+    """Write efforts (n, 6) and the wrench at the base (6, 6) per wrench at the last frame."""
+    wrenches[:] = np.eye(6)
+    force, moment = wrenches[:3], wrenches[3:]
+    for i in range(len(positions) - 1, -1, -1):
+        efforts[i] = axes[i] @ (force if slides[i] else moment)
+        place, rotation = offsets[i].copy(), rotations[i].copy()
+        if slides[i]:
+            place += rotation @ (axes[i] * positions[i])
+        else:
+            rotation = rotation @ _turn(axes[i], positions[i])
+        force[:] = rotation @ force
+        moment[:] = rotation @ moment
+        for k in range(6):
+            moment[:, k] += _cross(place, force[:, k])
 
 
 @numba.njit(cache=True)

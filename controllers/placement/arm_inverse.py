@@ -10,7 +10,10 @@ there, so that from a fixed base only views in a plane can be had: `standing_vie
 from __future__ import annotations
 
 import dataclasses
+import math
+from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -96,23 +99,13 @@ class ArmGeometry:
         Returns:
             (..., 2, 3) angles [rad] with the elbow either way; NaN where out of reach or limits.
         """
-        turn = np.asarray(pitch, dtype=float) - np.arctan2(self.axis[2], self.axis[1])
-        cosine, sine = np.cos(turn), np.sin(turn)
-        y = np.asarray(along) - self.shoulder[0] - cosine * self.camera[0] + sine * self.camera[1]
-        z = np.asarray(height) - self.shoulder[1] - sine * self.camera[0] - cosine * self.camera[1]
-        upper, fore = np.linalg.norm(self.links, axis=1)
-        rest_upper, rest_fore = np.arctan2(self.links[:, 1], self.links[:, 0])
-        folded = (y * y + z * z - upper**2 - fore**2) / (2.0 * upper * fore)
-        # A stretched arm is at the edge of what arccos takes.
-        edge = np.abs(folded) <= 1.0 + STRAIGHT
-        inside = np.arccos(np.where(edge, np.clip(folded, -1.0, 1.0), np.nan))
-        between = np.stack([inside, -inside], axis=-1)
-        lean = np.arctan2(fore * np.sin(between), upper + fore * np.cos(between))
-        first = np.arctan2(z, y)[..., None] - lean
-        shoulder = first - rest_upper
-        elbow = first + between - rest_fore - shoulder
-        angles = np.stack([shoulder, elbow, turn[..., None] - shoulder - elbow], axis=-1)
-        return self._within(angles, self.limits[1:])
+        # Compiled: an arm that is steered asks for one place, many times a second.
+        given = np.broadcast_arrays(along, height, pitch)
+        y, z, turn = (np.ascontiguousarray(numbers, dtype=float).ravel() for numbers in given)
+        angles = np.empty((len(y), 2, 3))
+        squint = math.atan2(self.axis[2], self.axis[1])
+        _bend(self.shoulder, self.links, self.camera, squint, self.limits[1:], y, z, turn, angles)
+        return angles.reshape(*given[0].shape, 2, 3)
 
     def turned(self, yaw: ArrayLike) -> FloatArray:
         """Return yaw angles [rad] brought within the limits; NaN where they cannot be."""
@@ -143,6 +136,52 @@ class ArmGeometry:
             (float(seen - np.arctan2(self.upright * np.cos(pitch), self.axis[0])), pitch)
             for pitch in (rise, np.pi - rise)
         ]
+
+
+@numba.njit(cache=True)
+def _bend(
+    shoulder: Any,
+    links: Any,
+    camera: Any,
+    squint: float,
+    limits: Any,
+    along: Any,
+    height: Any,
+    pitch: Any,
+    angles: Any,
+) -> None:
+    """Write (N, 2, 3) angles of `ArmGeometry.bend`; the squint is the view's angle in the plane."""
+    upper = math.hypot(links[0, 0], links[0, 1])
+    fore = math.hypot(links[1, 0], links[1, 1])
+    rest_upper = math.atan2(links[0, 1], links[0, 0])
+    rest_fore = math.atan2(links[1, 1], links[1, 0])
+    for n in range(len(along)):
+        turn = pitch[n] - squint
+        cosine, sine = math.cos(turn), math.sin(turn)
+        y = along[n] - shoulder[0] - cosine * camera[0] + sine * camera[1]
+        z = height[n] - shoulder[1] - sine * camera[0] - cosine * camera[1]
+        folded = (y * y + z * z - upper * upper - fore * fore) / (2.0 * upper * fore)
+        # A stretched arm is at the edge of what acos takes.
+        if not abs(folded) <= 1.0 + STRAIGHT:
+            angles[n] = np.nan
+            continue
+        inside = math.acos(min(max(folded, -1.0), 1.0))
+        for way in range(2):
+            between = inside if way == 0 else -inside
+            lean = math.atan2(fore * math.sin(between), upper + fore * math.cos(between))
+            first = math.atan2(z, y) - lean
+            found = angles[n, way]
+            found[0] = first - rest_upper
+            found[1] = first + between - rest_fore - found[0]
+            found[2] = turn - found[0] - found[1]
+            for k in range(3):
+                low, high = limits[k]
+                middle = 0.5 * (low + high)
+                near = middle + (found[k] - middle + np.pi) % (2.0 * np.pi) - np.pi
+                if not (low - STRAIGHT <= near <= high + STRAIGHT):
+                    found[:] = np.nan
+                    break
+                found[k] = min(max(near, low), high)
 
 
 def arm_solutions(

@@ -64,6 +64,19 @@ def test_tip_wrench_enters_by_the_jacobian_transposed(plant):
     np.testing.assert_allclose(felt[[0, 1, 4]], [2.0, 0.0, 2.0], atol=1e-12)
 
 
+def test_push_of_the_last_body_is_carried_as_inverse_dynamics_has_it(arm):
+    rng = np.random.default_rng(4)
+    slide = Joint(NOTHING, rng.normal(size=3), np.eye(3), np.array([0.6, 0.0, 0.8]), slides=True)
+    chain = Chain([slide, *Chain.of_arm(arm).joints])
+    q, still = rng.normal(size=5), np.zeros(5)
+    efforts, wrench = chain.carried(q)
+    rest = chain.inverse_dynamics(q, still, still)
+    for column, push in enumerate(np.eye(6)):
+        pushed = chain.inverse_dynamics(q, still, still, tip=push)
+        np.testing.assert_allclose(efforts[:, column], pushed[0] - rest[0], atol=1e-12)
+        np.testing.assert_allclose(wrench[:, column], pushed[1] - rest[1], atol=1e-12)
+
+
 def test_twelve_states_are_controllable_and_observable_with_springs_by_the_arm_alone(plant):
     found = ranks(plant)
     assert found["controllability/printed"] == found["observability/printed"] == 12
