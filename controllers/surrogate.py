@@ -236,6 +236,7 @@ class SurrogateSensing:
         for monitor in self._monitors.values():
             monitor.reset()
         self._level: Channel | None = None
+        self._lean: FloatArray | None = None
         self._stamp = math.nan
 
     def step(
@@ -262,7 +263,7 @@ class SurrogateSensing:
         # This tick's tilt is not judged yet.
         before = observation._replace(inclinometer=self._level or observation.inclinometer)
         touching = efforts if contact else None
-        wrench = self._wrench.predict(before, dt, touching)
+        wrench = self._wrench.predict(before, dt, touching, self._lean)
         allowed = self._wrench.contact_spread(observation) if contact else None
         if contact and efforts is None and allowed is not None:
             wrench = Prediction(wrench.value, wrench.covariance + allowed)
@@ -279,8 +280,12 @@ class SurrogateSensing:
             if observation.inclinometer.stamp != self._stamp:
                 self._tilt.correct(np.asarray(observation.inclinometer.value, dtype=float))
             self._stamp = observation.inclinometer.stamp
+            self._lean = None
         else:
             mended = mended._replace(inclinometer=_predicted(tilt, observation.time))
+            # The wrench that follows from a predicted tilt is as unsure as that is: else the good
+            # wrench sensor would be called failed for the lost inclinometer.
+            self._lean = np.sqrt(np.diag(tilt.covariance))
         self._level = mended.inclinometer
         verdicts = {WRENCH: felt, TILT: seen}
         return Sensed(

@@ -122,7 +122,11 @@ class WrenchModel:
         self._slopes: tuple[FloatArray, FloatArray] | None = None
 
     def predict(
-        self, observation: Observation, dt: float, efforts: ArrayLike | None = None
+        self,
+        observation: Observation,
+        dt: float,
+        efforts: ArrayLike | None = None,
+        tilt: ArrayLike | None = None,
     ) -> Prediction:
         """Return the wrench by the rover on the arm, in and about the arm base frame.
 
@@ -134,6 +138,8 @@ class WrenchModel:
             dt: Since the observation before [s].
             efforts: (4,) of the motors at the joints, friction not taken off [N m]: then the
                 force at the hand is found from them and is part of the wrench.
+            tilt: (2,) deviations of pitch and roll where the inclinometer's channel is itself
+                predicted [rad]; None where it is measured.
 
         Returns:
             (6,) force [N] and moment [N m].
@@ -141,7 +147,7 @@ class WrenchModel:
         Raises:
             ValueError: If angles or rates are missing or not finite, or dt is not positive.
         """
-        wrench, spread, joints = self._free(observation, dt)
+        wrench, spread, joints = self._free(observation, dt, tilt)
         if efforts is None:
             return Prediction(wrench, spread)
         by_efforts, by_wrench = self._contact_maps(observation)
@@ -201,7 +207,7 @@ class WrenchModel:
         return np.diag(np.square([force] * 3 + [moment] * 3))
 
     def _free(
-        self, observation: Observation, dt: float
+        self, observation: Observation, dt: float, tilt: ArrayLike | None = None
     ) -> tuple[FloatArray, FloatArray, Prediction]:
         """Return wrench, its covariance, and the joints' efforts, with nothing touched."""
         if not dt > 0.0:
@@ -222,6 +228,11 @@ class WrenchModel:
         else:
             self._shaken = max(self._shaken - dt, 0.0)
         sigma = self._uncertain(motion, dt, keep, known)
+        if tilt is not None:
+            count = len(angles)
+            sigma[count : count + 3] = np.hypot(
+                sigma[count : count + 3], _leaned(motion, [*np.asarray(tilt, dtype=float), 0.0])
+            )
         both = np.concatenate([wrench, efforts])
         slopes = np.column_stack([self._by_motion(angles), both])
         covariance = slopes @ np.diag(sigma**2) @ slopes.T
@@ -238,10 +249,9 @@ class WrenchModel:
 
     def _dynamics(
         self, angles: FloatArray, rates: FloatArray, accelerations: FloatArray, base: FrameState,
-        tip: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         state = [np.concatenate([[0.0], row]) for row in (angles, rates, accelerations)]
-        efforts, wrench = self._chain.inverse_dynamics(state[0], state[1], state[2], base, tip)
+        efforts, wrench = self._chain.inverse_dynamics(state[0], state[1], state[2], base)
         return wrench, efforts[1:]
 
     def _by_motion(self, angles: FloatArray) -> FloatArray:
@@ -277,18 +287,16 @@ class WrenchModel:
         if known:
             moved[:3] = math.hypot(config.accelerometer_noise * smoothed, 0.5 * moved[0])
             moved[3:] = math.hypot(config.gyro_noise * shaken, 0.5 * moved[3])
-        leaned = config.tilt * np.linalg.norm(cross_matrix(motion.specific_force), axis=0)
-        moved[:3] = np.hypot(moved[:3], leaned)
+        moved[:3] = np.hypot(moved[:3], _leaned(motion, np.full(3, config.tilt)))
         return np.concatenate([np.full(len(self._accelerations), joint), moved, [config.mass]])
 
     def _contact_maps(self, observation: Observation) -> tuple[FloatArray, FloatArray]:
         """Return (n, 6) and (6, 6): efforts and wrench by what the hand does to the world."""
         angles, _ = _joints(observation)
-        none, still = np.zeros(len(angles)), FrameState(np.zeros(3), np.zeros(3), np.zeros(3))
-        lever = cross_matrix(np.asarray(self.config.grip, dtype=float))
-        to_origin = np.block([[np.eye(3), np.zeros((3, 3))], [lever, np.eye(3)]])
-        both = [self._dynamics(angles, none, none, still, column) for column in to_origin.T]
-        return np.column_stack([b[1] for b in both]), np.column_stack([b[0] for b in both])
+        lever = np.eye(6)
+        lever[3:, :3] = cross_matrix(np.asarray(self.config.grip, dtype=float))
+        by_efforts, by_wrench = self._chain.carried(np.concatenate([[0.0], angles]))
+        return by_efforts[1:] @ lever, by_wrench @ lever
 
 
 def motor_efforts(duty: ArrayLike, rates: ArrayLike, stall: float, no_load: float) -> FloatArray:
@@ -301,6 +309,11 @@ def motor_efforts(duty: ArrayLike, rates: ArrayLike, stall: float, no_load: floa
         no_load: Speed at full duty without any torque [rad/s].
     """
     return stall * (np.asarray(duty, dtype=float) - np.asarray(rates, dtype=float) / no_load)
+
+
+def _leaned(motion: FrameState, tilt: ArrayLike) -> FloatArray:
+    """Return (3,) deviations of the specific force by those of the turn about each axis (3,)."""
+    return np.sqrt(np.square(cross_matrix(motion.specific_force)) @ np.square(tilt))
 
 
 def _joints(observation: Observation) -> tuple[FloatArray, FloatArray]:

@@ -1,9 +1,11 @@
 """Surrogates agree with MuJoCo's sensors within their covariances; failed sensors are named."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from controllers.surrogate import SensorLimits
+from controllers.surrogate import SensorLimits, SurrogateSensing
 from controllers.surrogate_tilt import TiltAxis, TiltModel
 from tests.controllers.surrogate_runs import (
     PERIOD,
@@ -176,6 +178,40 @@ def test_tilt_surrogate_that_has_driven_too_far_stops_the_task():
         fast = seen._replace(wheel_speeds=measured(np.full(4, 3.0)), inclinometer=MISSING)
         stops.append(robot.step(fast, PERIOD).stop)
     assert not stops[0] and "inclinometer missing: component" in stops[-1]
+
+
+def on_a_slope(seen: Observation, slope: float, speed: float = 0.0) -> Observation:
+    """Return what a rover without inclinometer measures on a slope [rad], at a speed [rad/s]."""
+    level, steep = (
+        wrench_model().predict(seen._replace(inclinometer=measured([angle, 0.0])), PERIOD).value
+        for angle in (0.0, slope)
+    )
+    wrench = measured(seen.arm_base_wrench.value + steep - level, seen.time)
+    wheels = measured(np.full(4, speed))
+    return seen._replace(arm_base_wrench=wrench, wheel_speeds=wheels, inclinometer=MISSING)
+
+
+def test_lost_inclinometer_on_a_slope_is_not_taken_for_a_failed_wrench():
+    run, slope, most = swing(), 0.0, limits()
+    # The task goes on with a tilt that is unsure by 5 degrees.
+    most[TILT] = dataclasses.replace(most[TILT], largest=np.radians([5.0, 5.0]))
+    robot = SurrogateSensing(wrench_model(), TiltModel(tilt_config()), most)
+    for seen in run.seen[FIRST:FAIL]:
+        robot.step(seen, PERIOD)
+    for tick in range(FAIL, FAIL + 260):
+        # Five degrees on half a metre of way, then it stands on the slope.
+        slope = np.radians(min(0.025 * (tick - FAIL), 5.0))
+        speed = 3.0 if tick < FAIL + 200 else 0.0
+        state = robot.step(on_a_slope(run.seen[tick], slope, speed), PERIOD)
+        assert state.failed == {TILT} and not state.stop
+    found = []
+    for tick in range(FAIL + 260, FAIL + 290):
+        seen = on_a_slope(run.seen[tick], slope)
+        off = seen.arm_base_wrench.value + np.array([0.0, 10.0, 0.0, 0.0, 0.0, 0.0])
+        seen = seen._replace(arm_base_wrench=measured(off, seen.time))
+        found.append(WRENCH in robot.step(seen, PERIOD).failed)
+    # A wrench that is really off is still found within a tenth of a second.
+    assert all(found[10:])
 
 
 def test_nothing_replaces_the_arms_own_encoders():
