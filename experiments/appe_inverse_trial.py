@@ -20,7 +20,8 @@ FloatArray = NDArray[np.float64]
 
 KINDS = ("reachable", "random", "planted")
 """Targets: of random leg lengths, these places with uniform orientations, of random words."""
-EQUAL_TIME = "exchange_equal_time"
+EQUAL_TIME, TIMED = "exchange_equal_time", "walk"
+"""The exchange heuristic again, begun anew for as long as this method takes."""
 BALLS, BALL_RADIUS, CLEARANCE = 3, 0.6, 2.0
 """Obstacles of a scene [r]; none is within the clearance of the base's centre."""
 CLEAR_STAGES = 5
@@ -95,7 +96,7 @@ def solve_targets(trial: Trial) -> dict[str, Any]:
             milliseconds = 1e3 * (time.process_time() - start)
             if solution is not None:
                 found[name].append(_row(solution, milliseconds))
-        found[EQUAL_TIME].append(_exchange_for(arm, target, found["neighbourhood"][-1][3], rng))
+        found[EQUAL_TIME].append(_exchange_for(arm, target, found[TIMED][-1][3], rng))
     return {
         f"{name}/{what}": np.array(rows)[:, column]
         for name, rows in found.items()

@@ -1,4 +1,4 @@
-"""Inverse kinematics of a binary arm by six searches behind one signature (Thesis E.3.2).
+"""Inverse kinematics of a binary arm by seven searches behind one signature (Thesis E.3.2).
 
 What is minimised is ``cost^2 = |dp|^2 + w^2 |dR|_F^2 / 2`` of the tip; for small angles a that is
 ``|dp|^2 + w^2 a^2``. The weight w [m] says what a radian is worth.
@@ -15,6 +15,7 @@ from controllers.braid.chain import MAX_ENUMERATED, all_words, forward, identity
 from controllers.braid.clear_search import first_clear, search_clear
 from controllers.braid.exchange import exchange_from_random
 from controllers.braid.genetic import GeneticConfig, breed
+from controllers.braid.lattice_walk import TailShape, describe_tails, walk
 from controllers.braid.meeting import improve_free_stages, meet
 from controllers.braid.obstacles import LinkCheck, free_words
 from controllers.braid.pose_tree import PoseTree, build_tree, nearest
@@ -36,12 +37,18 @@ class InverseConfig:
         restarts: Random words that the exchange heuristic begins from.
         neighbourhoods: (stages set free, how often) in order, for the large-neighbourhood search.
             The last `TAIL` stages are always free, so (3, 80) looks through 80 x 8^9 words.
+        looks: Searches of the last stages by the walk.
+        steps: Steps of the walk at most; far from all that is in reach it has few looks.
+        polish: As `neighbourhoods`, of what the walk has found.
     """
 
     weight: float = 1.0
     genetic: GeneticConfig = dataclasses.field(default_factory=GeneticConfig)
     restarts: int = 10
     neighbourhoods: tuple[tuple[int, int], ...] = ((2, 250), (3, 80))
+    looks: int = 4000
+    steps: int = 8000
+    polish: tuple[tuple[int, int], ...] = ((2, 60),)
 
     def __post_init__(self) -> None:
         """Refuse what is no search.
@@ -53,11 +60,12 @@ class InverseConfig:
             raise ValueError(f"weight {self.weight}: expected a positive length")
         if self.restarts < 1:
             raise ValueError(f"restarts {self.restarts}: expected at least 1")
-        for free, times in self.neighbourhoods:
-            if not (1 <= free <= TAIL and times >= 0):
-                raise ValueError(
-                    f"neighbourhoods {(free, times)}: expected (1 to {TAIL}, 0 or more)"
-                )
+        if min(self.looks, self.steps) < 0:
+            raise ValueError(f"looks {self.looks}, steps {self.steps}: expected 0 or more")
+        for name, windows in (("neighbourhoods", self.neighbourhoods), ("polish", self.polish)):
+            for free, times in windows:
+                if not (1 <= free <= TAIL and times >= 0):
+                    raise ValueError(f"{name} {(free, times)}: expected (1 to {TAIL}, 0 or more)")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,6 +128,7 @@ class BinaryArm:
         self.config = config or InverseConfig()
         self.stages = state_poses(self.geometry)
         self._parts: dict[tuple[int, bool], Part] = {}
+        self._shape: TailShape | None = None
 
     @property
     def turn(self) -> float:
@@ -144,6 +153,12 @@ class BinaryArm:
             poses = forward(self.stages, words)
             self._parts[key] = Part(words, poses, build_tree(poses, self.config.weight))
         return self._parts[key]
+
+    def tail_shape(self) -> TailShape:
+        """Return what the last `TAIL` stages reach."""
+        if self._shape is None:
+            self._shape = describe_tails(self.part(TAIL).poses, self.stages)
+        return self._shape
 
     def score(self, word: IntArray, target: FloatArray) -> Solution:
         """Return how near a word (n,) comes to a target pose (12,)."""
@@ -268,15 +283,29 @@ def _neighbourhood(
     """Free some stages and the last ones, search them exactly, keep the best, repeat."""
     if arm.count <= TAIL:
         return _tree(arm, target, rng, check)
-    steps = [free for free, times in arm.config.neighbourhoods for _ in range(times)]
     ahead = arm.count - TAIL
-    choices = [rng.choice(ahead, min(free, ahead), replace=False) for free in steps]
+    choices = _choices(arm.config.neighbourhoods, ahead, rng)
     if check is not None:
         return search_clear(
             arm.stages, arm.part(TAIL, bodies=True), ahead, choices, target, check, rng
         )
-    part = arm.part(TAIL)
     word, cost = exchange_from_random(arm.stages, arm.count, target, arm.turn, 1, rng)
+    return _improved(arm, word, cost, target, choices)
+
+
+def _choices(
+    windows: tuple[tuple[int, int], ...], ahead: int, rng: np.random.Generator
+) -> list[IntArray]:
+    """Draw the stages that each neighbourhood sets free among those before the tail."""
+    steps = [free for free, times in windows for _ in range(times)]
+    return [rng.choice(ahead, min(free, ahead), replace=False) for free in steps]
+
+
+def _improved(
+    arm: BinaryArm, word: IntArray, cost: float, target: FloatArray, choices: list[IntArray]
+) -> IntArray:
+    """Search neighbourhoods of a word (n,) of a squared cost, one after the other."""
+    part, ahead = arm.part(TAIL), arm.count - TAIL
     searched: set[bytes] = set()  # since the word last changed: again they would find nothing
     for chosen in choices:
         free = np.zeros(ahead, dtype=bool)
@@ -292,6 +321,25 @@ def _neighbourhood(
     return word
 
 
+def _walk(
+    arm: BinaryArm, target: FloatArray, rng: np.random.Generator, check: Check
+) -> IntArray | None:
+    """Walk towards what the last stages can reach; where that is nothing, as `_neighbourhood`."""
+    ahead, own = arm.count - TAIL, arm.config
+    if ahead < 2:  # no pair to exchange
+        return _meet(arm, target, rng, check)
+    part = arm.part(TAIL)
+    word, cost = exchange_from_random(arm.stages, arm.count, target, arm.turn, 1, rng)
+    head = word[:ahead].copy()
+    last, cost = walk(
+        part.tree, arm.tail_shape(), arm.stages, head, target, cost, own.looks, own.steps, rng
+    )
+    if last >= 0:
+        word = np.concatenate([head, part.words[last]])
+    windows = own.polish if last >= 0 else own.neighbourhoods
+    return _improved(arm, word, cost, target, _choices(windows, ahead, rng))
+
+
 METHODS: dict[str, Method] = {
     "exhaustive": _exhaustive,
     "kd-tree": _tree,
@@ -299,6 +347,7 @@ METHODS: dict[str, Method] = {
     "exchange": _exchange,
     "meet": _meet,
     "neighbourhood": _neighbourhood,
+    "walk": _walk,
 }
 CLEAR_METHODS = ("exhaustive", "kd-tree", "meet", "neighbourhood")
 """Methods that can keep clear of obstacles."""
