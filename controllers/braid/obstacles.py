@@ -1,8 +1,9 @@
 """Which words keep the arm clear of obstacles.
 
-The body of a stage is sampled at points of its three legs and its platform's disc. It hangs on the
-stages before it only, so a beginning that touches rules out all words that begin with it. Words
-that swap straight stages reach one pose with different bodies: here both count.
+Obstacles are a function of places, which a stage is sampled for at points of its three legs and its
+platform's disc, or voxels, which legs and disc are tested against whole. A stage hangs on those
+before it only, so a beginning that touches rules out all words that begin with it. Words that swap
+straight stages reach one pose with different bodies: here both count.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from controllers.braid.chain import MAX_ENUMERATED, forward, identity
 from controllers.braid.stage import LEGS, RADIAL, STATES, FloatArray, IntArray, StageGeometry
 from controllers.braid.stage import state_poses as solve_states
+from controllers.braid.voxel_obstacles import VoxelObstacles, stages_clear
 
 Occupancy = Callable[[FloatArray], FloatArray]
 """Chance (n,) that places (n, 3) [m] in the arm's base frame are occupied."""
@@ -21,9 +23,14 @@ FREE_BELOW = 0.5
 _ALONG, _RIM = 5, 12
 
 
+def rim_joints(geometry: StageGeometry) -> FloatArray:
+    """Return the joints (3, 3) [m] of a disc in its frame."""
+    return geometry.radius * np.column_stack([RADIAL, np.zeros(LEGS)])
+
+
 def body_points(geometry: StageGeometry) -> FloatArray:
     """Return points (8, s, 3) [m] of a stage's body in its base frame, for each state."""
-    joints = geometry.radius * np.column_stack([RADIAL, np.zeros(LEGS)])
+    joints = rim_joints(geometry)
     bearing = 2.0 * np.pi * np.arange(_RIM) / _RIM
     rim = geometry.radius * np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(_RIM)])
     disc = np.vstack([np.zeros((1, 3)), 0.5 * rim[::2], rim])
@@ -44,16 +51,18 @@ class LinkCheck:
         stages: (8, 12) pose of a stage in each state.
     """
 
-    def __init__(self, geometry: StageGeometry, occupancy: Occupancy) -> None:
-        """Sample the body.
+    def __init__(self, geometry: StageGeometry, obstacles: Occupancy | VoxelObstacles) -> None:
+        """Prepare the body.
 
         Args:
             geometry: Sizes of the stages.
-            occupancy: Chance that a place is occupied; unknown places count as they are told.
+            obstacles: Voxels; or the chance that a place is occupied, which counts where it is not
+                below `FREE_BELOW`: NaN, as maps say of unknown places, does.
         """
         self.stages = solve_states(geometry)
+        self._joints = rim_joints(geometry)
         self._body = body_points(geometry)
-        self._occupancy = occupancy
+        self._obstacles = obstacles
 
     def free(self, words: IntArray) -> np.ndarray:
         """Return which words (m, n) keep every stage clear, (m,) bool.
@@ -83,10 +92,14 @@ class LinkCheck:
             base = forward(self.stages, beginnings[:, :-1])
         else:
             base = np.tile(identity(), (len(beginnings), 1))
+        if isinstance(self._obstacles, VoxelObstacles):
+            centres, reach = self._obstacles.centres, self._obstacles.reach
+            states = np.ascontiguousarray(beginnings[:, -1])
+            return stages_clear(base, states, self.stages, self._joints, centres, reach)
         body = self._body[beginnings[:, -1]]
         rotation = base[:, 3:].reshape(-1, 3, 3)
         points = np.einsum("mij,msj->msi", rotation, body) + base[:, None, :3]
-        chance = np.asarray(self._occupancy(points.reshape(-1, 3)))
+        chance = np.asarray(self._obstacles(points.reshape(-1, 3)))
         if chance.shape != (points.shape[0] * points.shape[1],):
             raise ValueError(f"occupancy returned {chance.shape}: expected one chance a place")
         return np.all(chance.reshape(points.shape[:2]) < FREE_BELOW, axis=1)
