@@ -17,6 +17,11 @@ COLOURS = {
     "repeat": "tab:green",
     "correct": "tab:purple",
 }
+_FAULTS = {
+    "missed": "one pulse missed in each word",
+    "extra": "one pulse too many in each word",
+    "missed_flag": "one flag missed in each word",
+}
 _FATE_COLOURS = {"right": "0.85", "told": "tab:blue", "skipped": "tab:orange", "wrong": "tab:red"}
 _FATE_LABELS = {
     "right": "right",
@@ -44,7 +49,8 @@ def draw_waveform(traces: Mapping[str, Trace], circuit: BusCircuit) -> Figure:
         rows[1].plot(time, trace.signal, color="0.6", linewidth=0.8, label="divided")
         rows[1].plot(time, trace.debounced, color="tab:blue", linewidth=0.9, label="debounced")
         rows[1].set(ylabel="to counter [V]")
-        rows[1].legend(fontsize="small", loc="upper right")
+        if column == 0:
+            rows[1].legend(fontsize="small", loc="upper center")  # between the flags
         rows[2].plot(time, trace.flag, color="tab:orange", linewidth=0.9)
         rows[2].set(ylabel="to buffer [V]")
         for axes in rows[1:3]:
@@ -54,8 +60,9 @@ def draw_waveform(traces: Mapping[str, Trace], circuit: BusCircuit) -> Figure:
         rows[3].set(ylabel="counter")
         for actuator, states in enumerate(trace.words.T):
             if states.any():
-                rows[4].fill_between(time, actuator + 0.1, actuator + 0.1 + 0.8 * states)
-        rows[4].set(ylabel="actuator that is on", xlabel="time [ms]", ylim=(0.0, 6.0))
+                ends, on = (actuator + 0.1, actuator + 0.9), states > 0
+                rows[4].fill_between(time, *ends, where=on, color=f"C{actuator}", linewidth=0)
+        rows[4].set(ylabel="actuator on", xlabel="time [ms]", ylim=(0.0, 6.0))
         rows[4].set_yticks(np.arange(6) + 0.5, [str(actuator) for actuator in range(6)])
         for axes in rows:
             axes.grid(alpha=0.3)
@@ -67,7 +74,7 @@ def draw_waveform(traces: Mapping[str, Trace], circuit: BusCircuit) -> Figure:
 def draw_faults(rows: Sequence[Row]) -> Figure:
     """Draw what became of words that one fault befell, for each kind of fault and protocol."""
     kinds = list(dict.fromkeys(row["fault"] for row in rows))
-    figure = Figure(figsize=(4 * len(kinds), 4))
+    figure = Figure(figsize=(4 * len(kinds), 4.4))
     for index, kind in enumerate(kinds):
         axes = figure.add_subplot(1, len(kinds), index + 1)
         chosen = [row for row in rows if row["fault"] == kind]
@@ -78,9 +85,10 @@ def draw_faults(rows: Sequence[Row]) -> Figure:
             axes.bar(np.arange(len(chosen)), shares, bottom=bottom, color=colour, label=label)
             bottom += shares
         axes.set_xticks(np.arange(len(chosen)), [row["protocol"] for row in chosen])
-        axes.set(title=f"one {kind.replace('_', ' ')} a word", ylabel="words [%]")
-    figure.axes[0].legend(fontsize="small", loc="lower right")
-    figure.tight_layout()
+        axes.set(title=_FAULTS.get(kind, kind), ylabel="words [%]")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels), frameon=False)
+    figure.tight_layout(rect=(0.0, 0.07, 1.0, 1.0))
     return figure
 
 
@@ -146,7 +154,10 @@ def draw_durations(durations: Mapping[str, Mapping[int, np.ndarray]]) -> Figure:
         middles = np.array([1e3 * np.median(times) for times in by_count.values()])
         ends = np.array([1e3 * np.percentile(t, (2.5, 97.5)) for t in by_count.values()]).T
         error = [middles - ends[0], ends[1] - middles]
-        axes.errorbar(places, middles, error, fmt="o", capsize=3, label=name)
+        protocol, _, buffer = name.partition(",")
+        mark = "s" if buffer else "o"
+        colour = COLOURS[protocol]
+        axes.errorbar(places, middles, error, fmt=mark, color=colour, capsize=3, label=name)
         axes.set_xticks(np.arange(len(by_count)), [str(count) for count in by_count])
     axes.set(xlabel="actuators", ylabel="time for a change of word [ms]", yscale="log")
     axes.grid(alpha=0.3, which="both")

@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from controllers.braid.inverse import METHODS
 from experiments import contract
 from experiments.appe_inverse_trial import (
     CLEAR_STAGES,
@@ -42,8 +43,12 @@ CHUNK = 50
 """Targets of a job."""
 EXACT, PLANTED_COST = 1e-9, 1e-9
 MEET_MS, RATIO = 30.0, 0.65
+OBSTACLES = ("balls", "voxels")
+"""How the obstacles of a scene are told: as places, or as the occupied voxels of a map."""
 CHOSEN = {5: "kd-tree", 10: "meet", 20: "walk"}
 """The method to use with so many stages."""
+COLOURS = dict(zip((*METHODS, EQUAL_TIME), (*(f"C{k}" for k in range(7)), "C2")))
+"""The exchange heuristic's twice: dashed where it has had equal time."""
 WHAT = {"cost": 1.0, "displacement": 1.0, "angle": 180.0 / np.pi, "ms": 1.0}
 NAMES = {"cost": "cost", "displacement": "displacement", "angle": "angle_deg", "ms": "ms"}
 
@@ -81,7 +86,7 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``<cost, displacement, angle_deg or ms>/<kind>/<stages>/<method>``,
             ``exact_match_fraction/5``, ``planted_recovered_fraction/10``,
             ``ms_per_target/<stages>``, ``cost_ratio_over_exchange/20`` and
-            ``clear_found_fraction/<method>``.
+            ``clear_found_fraction/<balls or voxels>/<method>``.
     """
     cases = [(kind, stages) for kind in ("reachable", "random") for stages in STAGES]
     cases.append(("planted", 10))
@@ -97,11 +102,10 @@ def run(options: Options, output: Output) -> None:
         _measure(kind, stages, result, output)
     _check_exact(results, output)
     _check_heuristics(results, output)
-    scenes = [
-        ClearTrial(seed, size)
-        for seed, size in _chunks(QUICK_SCENES if options.quick else SCENES, options)
-    ]
-    _measure_scenes(sweep(solve_scenes, scenes, options, output, label="scenes"), output)
+    chunks = _chunks(QUICK_SCENES if options.quick else SCENES, options)
+    for kind in OBSTACLES:
+        scenes = [ClearTrial(seed, size, kind == "voxels") for seed, size in chunks]
+        _measure_scenes(kind, sweep(solve_scenes, scenes, options, output, label=kind), output)
     output.figure("inverse", _figure(results))
 
 
@@ -175,43 +179,54 @@ def _check_heuristics(results: Mapping[tuple[str, int], Results], output: Output
     output.check("targets where genetic search beats the exact one", better, "== 0", better == 0)
 
 
-def _measure_scenes(solved: Sequence[Mapping[str, Any]], output: Output) -> None:
+def _measure_scenes(kind: str, solved: Sequence[Mapping[str, Any]], output: Output) -> None:
     """Compare the searches among clear words with the exhaustive one."""
     exists = np.concatenate([np.isfinite(result["exhaustive"]) for result in solved])
     touches = np.concatenate([result["touches"] for result in solved])
-    output.measure("scenes/with_clear_word", fraction(int(exists.sum()), len(exists)))
-    output.measure("scenes/nearest_word_touches", fraction(int(touches.sum()), len(touches)))
+    output.measure(f"scenes/{kind}/with_clear_word", fraction(int(exists.sum()), len(exists)))
+    output.measure(
+        f"scenes/{kind}/nearest_word_touches", fraction(int(touches.sum()), len(touches))
+    )
     collisions = int(sum(result["collisions"] for result in solved))
-    output.check("words found clear that touch", collisions, "== 0", collisions == 0)
+    output.check(f"{kind}: words found clear that touch", collisions, "== 0", collisions == 0)
     best = np.concatenate([result["exhaustive"] for result in solved])
     plain = np.concatenate([result["ignoring"] for result in solved])
     if exists.any():
-        output.measure("scenes/cost_clear", distribution(best[exists]))
-    output.measure("scenes/cost_ignoring", distribution(plain))
+        output.measure(f"scenes/{kind}/cost_clear", distribution(best[exists]))
+    output.measure(f"scenes/{kind}/cost_ignoring", distribution(plain))
     for method in ("kd-tree", "neighbourhood"):
         cost = np.concatenate([result[method] for result in solved])
         found = int(np.sum(np.isfinite(cost) & exists))
         share = found / max(int(exists.sum()), 1)
-        output.measure(f"clear_found_fraction/{method}", share)
-        name = f"{CLEAR_STAGES} stages: {method} finds a clear word where there is one"
+        output.measure(f"clear_found_fraction/{kind}/{method}", share)
+        name = f"{CLEAR_STAGES} stages, {kind}: {method} finds a clear word where there is one"
         output.check(name, share, "== 1", share == 1.0)
 
 
 def _figure(results: Mapping[tuple[str, int], Results]) -> Figure:
     """Draw how costs are spread, a row for each kind of target."""
-    figure = Figure(figsize=(14, 8))
+    figure = Figure(figsize=(14, 11))
     for row, kind in enumerate(("reachable", "random")):
         for column, stages in enumerate(STAGES):
             axes = figure.add_subplot(2, 3, 3 * row + column + 1)
-            result = results[kind, stages]
-            for method in methods_for(stages):
+            result, methods = results[kind, stages], methods_for(stages)
+            for index, method in enumerate(methods):
                 costs = np.sort(result[f"{method}/cost"])
                 time = float(np.median(result[f"{method}/ms"]))
                 share = np.arange(1, len(costs) + 1) / len(costs)
-                style = "--" if method == EQUAL_TIME else "-"
-                axes.plot(costs, share, style, label=f"{method.replace('_', ' ')}, {time:.2g} ms")
+                digits = max(1 - int(np.floor(np.log10(max(time, 1e-3)))), 0)
+                label = f"{method.replace('_', ' ')}, {time:.{digits}f} ms"
+                axes.plot(
+                    costs,
+                    share,
+                    "--" if method == EQUAL_TIME else "-",
+                    color=COLOURS[method],
+                    linewidth=1.0 + 0.5 * (len(methods) - index),  # what is beneath shows
+                    label=label,
+                )
             axes.set(title=f"{stages} stages, {kind}", xlabel="cost [r]", ylabel="targets")
             axes.grid(alpha=0.3)
-            axes.legend(fontsize=7)
-    figure.subplots_adjust(wspace=0.3, hspace=0.35)
+            below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "frameon": False}
+            axes.legend(fontsize="small", ncols=2, **below)
+    figure.subplots_adjust(wspace=0.25, hspace=0.55, bottom=0.17, top=0.95)
     return figure

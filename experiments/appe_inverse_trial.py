@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Set
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,8 @@ from controllers.braid.chain import chain_pose, forward
 from controllers.braid.exchange import exchange_from_random
 from controllers.braid.inverse import EXACT_LIMIT, METHODS, BinaryArm, Solution, solve
 from controllers.braid.obstacles import LinkCheck, body_points
-from controllers.braid.stage import StageGeometry, stage_pose
+from controllers.braid.stage import IntArray, StageGeometry, stage_pose
+from controllers.braid.voxel_obstacles import VoxelObstacles
 
 FloatArray = NDArray[np.float64]
 
@@ -25,6 +27,8 @@ EQUAL_TIME, TIMED = "exchange_equal_time", "walk"
 BALLS, BALL_RADIUS, CLEARANCE = 3, 0.6, 2.0
 """Obstacles of a scene [r]; none is within the clearance of the base's centre."""
 CLEAR_STAGES = 5
+VOXEL = 0.1
+"""Side of the voxels of a scene [r]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,10 +55,12 @@ class ClearTrial:
     Attributes:
         seed: Of the scenes.
         count: Scenes.
+        voxels: Whether the obstacles are told as a map's occupied voxels.
     """
 
     seed: int
     count: int
+    voxels: bool
 
 
 def methods_for(stages: int) -> list[str]:
@@ -128,7 +134,7 @@ def solve_scenes(trial: ClearTrial) -> dict[str, Any]:
     Returns:
         Costs (count,) of ``exhaustive``, ``kd-tree``, ``neighbourhood`` and ``ignoring`` (obstacles
         not regarded), NaN where none was found; ``touches``: whether the ignoring word collides;
-        ``collisions``: how many of the words found touch after all.
+        ``collisions``: how many of the words found have a sampled point within an obstacle.
     """
     rng = np.random.default_rng(trial.seed)
     arm = BinaryArm(CLEAR_STAGES)
@@ -140,14 +146,20 @@ def solve_scenes(trial: ClearTrial) -> dict[str, Any]:
         straight = solve(arm, target, "kd-tree", rng)
         assert straight is not None
         centres = _balls(arm, straight, rng)
-        check = LinkCheck(arm.geometry, lambda points, at=centres: occupied(points, at))
+        sampled = LinkCheck(arm.geometry, lambda points, at=centres: occupied(points, at))
+        check = sampled
+        if trial.voxels:
+            voxels = voxels_of(centres)
+            check = LinkCheck(arm.geometry, voxels)
+            keys = {tuple(key) for key in _keys(voxels.centres).tolist()}
+            sampled = LinkCheck(arm.geometry, lambda points, at=keys: _in_voxels(points, at))
         touches.append(not bool(check.free(straight.word[None])[0]))
         costs["ignoring"].append(straight.cost)
         for name in ("exhaustive", "kd-tree", "neighbourhood"):
             solution = solve(arm, target, name, rng, check)
             costs[name].append(np.nan if solution is None else solution.cost)
             if solution is not None:
-                collisions += not bool(check.free(solution.word[None])[0])
+                collisions += not bool(sampled.free(solution.word[None])[0])
     arrays: dict[str, Any] = {name: np.array(values) for name, values in costs.items()}
     return {**arrays, "touches": np.array(touches), "collisions": collisions}
 
@@ -158,6 +170,24 @@ def occupied(points: FloatArray, centres: FloatArray) -> FloatArray:
     for centre in centres:
         inside |= np.sum((points - centre) ** 2, axis=1) < BALL_RADIUS**2
     return inside.astype(float)
+
+
+def voxels_of(centres: FloatArray) -> VoxelObstacles:
+    """Return the voxels whose middles are within a ball around a centre (k, 3)."""
+    low = np.floor((centres.min(axis=0) - BALL_RADIUS) / VOXEL)
+    high = np.ceil((centres.max(axis=0) + BALL_RADIUS) / VOXEL)
+    axes = [np.arange(first, end) + 0.5 for first, end in zip(low, high)]
+    middles = VOXEL * np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return VoxelObstacles(middles[occupied(middles, centres) > 0.5], VOXEL)
+
+
+def _keys(points: FloatArray) -> IntArray:
+    return np.floor(points / VOXEL).astype(np.int64)
+
+
+def _in_voxels(points: FloatArray, keys: Set[tuple[int, ...]]) -> FloatArray:
+    """Return 1.0 for places (n, 3) in one of some voxels, else 0.0."""
+    return np.array([float(tuple(key) in keys) for key in _keys(points).tolist()])
 
 
 def _balls(arm: BinaryArm, solution: Solution, rng: np.random.Generator) -> FloatArray:

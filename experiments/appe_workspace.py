@@ -152,14 +152,18 @@ def _tabulate_flexures(geometry: StageGeometry, output: Output) -> None:
 
 def _figure(places: FloatArray) -> Figure:
     """Draw the cloud in space, from the side and from above."""
-    figure = Figure(figsize=(13, 4.5))
-    cloud: Any = figure.add_subplot(1, 3, 1, projection="3d")
+    figure = Figure(figsize=(14, 4.8))
+    sizes = figure.add_gridspec(1, 3, width_ratios=(1.2, 1.0, 1.0), wspace=0.35)
+    cloud: Any = figure.add_subplot(sizes[0], projection="3d")
     cloud.scatter(places[:, 0], places[:, 1], places[:, 2], s=0.2, c=places[:, 2])
-    cloud.set(xlabel="x [r]", ylabel="y [r]", zlabel="z [r]")
-    for index, (across, up) in enumerate(((0, 2), (0, 1))):
-        axes = figure.add_subplot(1, 3, index + 2)
+    cloud.set(xlabel="x [r]", ylabel="y [r]", title="tips of all words")
+    cloud.set_box_aspect(np.ptp(places, axis=0))
+    cloud.set_zlabel("z [r]", labelpad=2)
+    cloud.locator_params(axis="z", nbins=3)
+    for index, (across, up, title) in enumerate(((0, 2, "side"), (0, 1, "top"))):
+        axes = figure.add_subplot(sizes[index + 1])
         axes.scatter(places[:, across], places[:, up], s=0.2, c=places[:, 2])
         axes.set(xlabel="xyz"[across] + " [r]", ylabel="xyz"[up] + " [r]", aspect="equal")
+        axes.set_title(f"from the {title}")
         axes.grid(alpha=0.3)
-    figure.subplots_adjust(wspace=0.3)
     return figure

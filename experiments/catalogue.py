@@ -127,7 +127,7 @@ _ALL: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="appe-inverse",
-        summary="words of a binary arm for target poses by six searches, also among obstacles",
+        summary="words of a binary arm for target poses by seven searches, also among obstacles",
         thesis="section E.3.2",
         module="experiments.appe_inverse",
     ),

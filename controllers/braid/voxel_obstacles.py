@@ -88,18 +88,18 @@ def stages_clear(bases, states, stages, joints, centres, reach):
     """
     clear = np.ones(bases.shape[0], dtype=np.bool_)
     radius = np.sqrt((joints[0] ** 2).sum())
-    top, legs = np.empty(12), np.empty((2, 3, 3))
+    top, legs, middle = np.empty(12), np.empty((2, 3, 3)), np.empty(3)
     for i in range(bases.shape[0]):
         compose(bases[i], stages[states[i]], top)
-        middle = 0.5 * (bases[i, :3] + top[:3])
-        bound = np.sqrt(((top[:3] - middle) ** 2).sum()) + radius + reach  # of the whole stage
+        middle[:] = 0.5 * (bases[i, :3] + top[:3])
+        bound = np.sqrt(_squared(top, middle)) + radius + reach  # of the whole stage
         first = np.searchsorted(centres[:, 2], middle[2] - bound)
         end = np.searchsorted(centres[:, 2], middle[2] + bound)
         for k in range(3):
             _place(bases[i], joints[k], legs[0, k])
             _place(top, joints[k], legs[1, k])
         for v in range(first, end):
-            if ((centres[v] - middle) ** 2).sum() > bound * bound:
+            if _squared(centres[v], middle) > bound * bound:
                 continue
             near = _from_disc(top, radius, centres[v])
             for k in range(3):
@@ -108,6 +108,12 @@ def stages_clear(bases, states, stages, joints, centres, reach):
                 clear[i] = False
                 break
     return clear
+
+
+@numba.njit(cache=True)
+def _squared(a, b):
+    """Return the squared distance of two places; numbers only, for arrays would be allocated."""
+    return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2
 
 
 @numba.njit(cache=True)
