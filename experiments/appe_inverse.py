@@ -47,8 +47,8 @@ OBSTACLES = ("balls", "voxels")
 """How the obstacles of a scene are told: as places, or as the occupied voxels of a map."""
 CHOSEN = {5: "kd-tree", 10: "meet", 20: "walk"}
 """The method to use with so many stages."""
-COLOURS = dict(zip((*METHODS, EQUAL_TIME), (*(f"C{k}" for k in range(7)), "C2")))
-"""The exchange heuristic's twice: dashed where it has had equal time."""
+COLOURS = {name: f"C{index}" for index, name in enumerate(METHODS)}
+COLOURS[EQUAL_TIME] = COLOURS["exchange"]  # dashed
 WHAT = {"cost": 1.0, "displacement": 1.0, "angle": 180.0 / np.pi, "ms": 1.0}
 NAMES = {"cost": "cost", "displacement": "displacement", "angle": "angle_deg", "ms": "ms"}
 
@@ -215,7 +215,8 @@ def _figure(results: Mapping[tuple[str, int], Results]) -> Figure:
                 time = float(np.median(result[f"{method}/ms"]))
                 share = np.arange(1, len(costs) + 1) / len(costs)
                 digits = max(1 - int(np.floor(np.log10(max(time, 1e-3)))), 0)
-                label = f"{method.replace('_', ' ')}, {time:.{digits}f} ms"
+                name = "exchange, equal time" if method == EQUAL_TIME else method
+                label = f"{name}, {time:.{digits}f} ms"
                 axes.plot(
                     costs,
                     share,
@@ -227,6 +228,6 @@ def _figure(results: Mapping[tuple[str, int], Results]) -> Figure:
             axes.set(title=f"{stages} stages, {kind}", xlabel="cost [r]", ylabel="targets")
             axes.grid(alpha=0.3)
             below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "frameon": False}
-            axes.legend(fontsize="small", ncols=2, **below)
-    figure.subplots_adjust(wspace=0.25, hspace=0.55, bottom=0.17, top=0.95)
+            axes.legend(fontsize=7.5, ncols=2, **below)
+    figure.subplots_adjust(left=0.05, right=0.98, wspace=0.2, hspace=0.5, bottom=0.15, top=0.96)
     return figure

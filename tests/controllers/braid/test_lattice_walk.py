@@ -85,7 +85,7 @@ def test_walk_returns_the_word_of_the_cost_that_it_says(tails):
 def test_walk_comes_much_nearer_than_exact_windows(tails):
     """Beyond the lattice's 0.075 rad, which windows of a search by cost hardly pass."""
     costs = {"walk": [], "neighbourhood": []}
-    for target in targets(20, 9, 6):
+    for target in targets(20, 5, 6):
         for method, found in costs.items():
             found.append(solve(ARM, target, method, np.random.default_rng(0)).cost)
     assert np.median(costs["walk"]) < 0.65 * np.median(costs["neighbourhood"])
