@@ -11,6 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 PACKAGES := $(VENV)/.packages
 RENDERING := $(VENV)/.rendering
+BROWSER := $(VENV)/.browser
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test lint lock
@@ -23,7 +24,7 @@ setup: $(PACKAGES) $(RENDERING) ## install all into .venv; quick when it is ther
 demo: setup ## identify a rover by the motion of its arm, with figures and a recording
 	$(BIN)/python -m experiments ch2-rover --quick --record
 
-test: setup ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones
+test: setup $(BROWSER) ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones
 	@sh tools/run_tests.sh $(BIN)/python $(PYTEST_ARGS)
 
 lint: setup ## check style, format and types
@@ -41,4 +42,8 @@ $(PACKAGES): requirements.lock pyproject.toml tools/install_packages.sh
 
 $(RENDERING): $(PACKAGES) tools/ensure_rendering.sh
 	@sh tools/ensure_rendering.sh $(BIN)/python
+	@touch $@
+
+$(BROWSER): $(PACKAGES) tools/ensure_browser.sh
+	@sh tools/ensure_browser.sh
 	@touch $@

@@ -76,7 +76,7 @@ def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
     """
     options_type, run = experiment.load()
     options = parse(options_type, experiment.name, experiment.summary, arguments)
-    output = Output(experiment.name, options)
+    output = Output(experiment.name, options, arguments)
     run(options, output)
     output.finish()
     print_summary(experiment, output)

@@ -37,16 +37,18 @@ class Output:
         directory: OUT/NAME.
     """
 
-    def __init__(self, name: str, options: Options) -> None:
+    def __init__(self, name: str, options: Options, arguments: Sequence[str] = ()) -> None:
         """Prepare the folder.
 
         Args:
             name: Name of the experiment.
             options: Options of the run.
+            arguments: Words of the command line that gave these options.
         """
         self.directory = Path(options.out) / name
         self._name = name
         self._options = options
+        self._command = [name, *arguments]
         self._staging = self.directory / ".partial"
         self._measured: dict[str, Any] = {}
         self._thesis: dict[str, Any] = {}
@@ -151,7 +153,8 @@ class Output:
         """Write metrics.json, config.json and run.json and move all results into place."""
         config = {"experiment": self._name, **plain(self._options)}
         write_json(self.file("config.json"), config)
-        write_json(self.file("run.json"), provenance.describe_run(time.monotonic() - self._start))
+        run = provenance.describe_run(time.monotonic() - self._start)
+        write_json(self.file("run.json"), {"command": self._command, **run})
         write_json(self.file("metrics.json"), self.metrics())
         for name in REPLACED:
             _remove(self.directory / name)

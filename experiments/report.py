@@ -74,7 +74,7 @@ def write_report(out: Path) -> Path:
         raise ExperimentError(f"no results in {out}: run an experiment first")
     path = out / "report.html"
     partial = out / ".report.html.partial"
-    partial.write_text(page(results), encoding="utf-8")
+    partial.write_text(page(results, catalogue.EXPERIMENTS), encoding="utf-8")
     os.replace(partial, path)
     return path
 

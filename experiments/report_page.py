@@ -1,71 +1,85 @@
-"""The HTML of the report: plain HTML and CSS, every image inside, no scripts."""
+"""The HTML of the report: plain HTML and CSS, every picture inside, no scripts."""
 
 from __future__ import annotations
 
-import base64
 import csv
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.report_elements import captions, element_table
+from experiments.report_findings import agrees, differences, shortfalls
+from experiments.report_html import anchor, check_cells, command, folded, link, numbers, table
+from experiments.report_images import embed
 from experiments.report_style import STYLE
 from experiments.summary import format_metric, format_number
+from experiments.thesis_elements import Element, elements, reasons
 
 if TYPE_CHECKING:
     from experiments.report import Result
 
+FEW = 10  # checks that are not folded
 ROWS_SHOWN = 60  # of a CSV table; the file has them all
+PARTS = {
+    "shortfalls": "What falls short",
+    "differences": "What differs from the thesis",
+    "elements": "The thesis, element by element",
+}
 
 
-def page(results: Sequence[Result]) -> str:
+def page(results: Sequence[Result], known: Collection[str]) -> str:
     """Return the whole page.
 
     Args:
         results: In the order in which they appear.
+        known: Names of all experiments of this version.
     """
-    contents = "".join(
-        f'<li><a href="#{escape(result.name)}">{escape(result.name)}</a></li>' for result in results
+    thesis, excuses = elements(), reasons()
+    parts = "".join(
+        (
+            shortfalls(results, excuses),
+            differences(results, excuses),
+            element_table(thesis, results, known),
+        )
     )
-    sections = "".join(section(result) for result in results)
+    sections = "".join(section(result, thesis) for result in results)
+    entries = {**{name: text for name, text in PARTS.items() if f'id="{name}"' in parts}}
+    entries.update((result.name, result.name) for result in results)
+    contents = "".join(f"<li>{link(name, text)}</li>" for name, text in entries.items())
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<link rel="icon" href="data:,">'
         f"<title>fieldtwin results</title><style>{STYLE}</style></head><body>"
-        f"<header><h1>fieldtwin</h1><p>The thesis&rsquo; results beside ours.</p>"
-        f"<ul class='contents'>{contents}</ul></header>"
-        f"<main>{shortfalls(results)}{sections}</main></body></html>\n"
+        "<header><h1>fieldtwin</h1><p>Every table and figure of <cite>Compensating for Model "
+        "Uncertainty in the Control of Cooperative Field Robots</cite> (2002), and ours beside "
+        "it.</p>"
+        f"<nav><ul class='contents'>{contents}</ul></nav></header>"
+        f"<main>{parts}{sections}</main></body></html>\n"
     )
 
 
-def shortfalls(results: Sequence[Result]) -> str:
-    """Return the section on what falls short; it comes first."""
-    checks = [(result, check) for result in results for check in result.metrics["checks"]]
-    failed = [(result, check) for result, check in checks if not check["ok"]]
-    if not checks:
-        return ""
-    if not failed:
-        return f'<section class="good"><h2>All {len(checks)} checks hold</h2></section>'
-    rows = "".join(
-        f'<tr><td><a href="#{escape(result.name)}">{escape(result.name)}</a></td>'
-        f"{_check_cells(check)}</tr>"
-        for result, check in failed
-    )
-    return (
-        f'<section class="short"><h2>What falls short: {len(failed)} of {len(checks)} checks</h2>'
-        f"{_table(('experiment', 'check', 'ours', 'bound'), rows)}</section>"
-    )
+def section(result: Result, thesis: Sequence[Element]) -> str:
+    """Return one experiment's section.
 
-
-def section(result: Result) -> str:
-    """Return one experiment's section."""
+    Args:
+        result: Of the experiment.
+        thesis: All elements of the thesis, for the captions.
+    """
     element = f'<p class="element">{escape(result.thesis_element)}</p>'
     quick = '<span class="tag">quick run</span>' if result.config.get("quick") else ""
+    beside = [path for path in result.tables if captions(thesis, result.name, path.stem)]
+    others = [path for path in result.tables if path not in beside]
     return (
         f'<section id="{escape(result.name)}"><h2>{escape(result.name)} {quick}</h2>'
         f"<p>{escape(result.title)}</p>{element if result.thesis_element else ''}"
-        f"{comparison(result)}{checks(result)}{figures(result)}"
-        f"{''.join(table_file(path) for path in result.tables)}{provenance(result)}</section>"
+        f"<p><code>{escape(command(result))}</code></p>"
+        f"{comparison(result)}{checks(result)}"
+        f"{''.join(table_file(result, path, thesis) for path in beside)}"
+        f"{figures(result, thesis)}"
+        f"{''.join(table_file(result, path, thesis) for path in others)}"
+        f"{provenance(result)}</section>"
     )
 
 
@@ -74,16 +88,14 @@ def comparison(result: Result) -> str:
     measured, thesis = result.metrics["measured"], result.metrics["thesis"]
     rows = "".join(metric_row(key, measured.get(key), thesis[key]) for key in thesis)
     headings = ("quantity", "thesis", "ours", "95 % interval", "n", "ours / thesis")
-    compared = _table(headings, rows) if rows else ""
+    compared = table(headings, rows) if rows else ""
     others = {key: value for key, value in measured.items() if key not in thesis}
     rows = "".join(metric_row(key, value, None) for key, value in others.items())
     if not rows:
         return compared
-    unfolded = "" if compared else " open"
-    return (
-        f"{compared}<details{unfolded}><summary>{len(others)} further metrics</summary>"
-        f"{_table(headings, rows)}</details>"
-    )
+    few = not compared and len(others) <= ROWS_SHOWN
+    text = f"{len(others)} further metrics"
+    return compared + folded(text, table(headings, rows), unfolded=few, extra=not few)
 
 
 def metric_row(key: str, ours: Any, thesis: Any) -> str:
@@ -97,68 +109,89 @@ def metric_row(key: str, ours: Any, thesis: Any) -> str:
         format_number(number),
         _ratio(ours, thesis),
     )
-    return f"<tr><td>{escape(key)}</td>{_numbers(cells)}</tr>"
+    differs = thesis is not None and not agrees(ours, thesis)
+    kind = ' class="differs"' if differs else ""
+    return f"<tr{kind}><td>{escape(key)}</td>{numbers(cells)}</tr>"
 
 
 def checks(result: Result) -> str:
-    """Return the checks of one experiment, failed ones first."""
-    ordered = sorted(result.metrics["checks"], key=lambda check: bool(check["ok"]))
-    rows = "".join(
-        f"<tr>{_check_cells(check)}<td class='{'ok' if check['ok'] else 'fail'}'>"
-        f"{'holds' if check['ok'] else 'falls short'}</td></tr>"
-        for check in ordered
+    """Return the checks of one experiment; those that hold are folded where they are many."""
+    held, failed = (
+        [check for check in result.metrics["checks"] if bool(check["ok"]) == ok]
+        for ok in (True, False)
     )
-    return _table(("check", "ours", "bound", ""), rows) if rows else ""
+    parts = [_check_table(failed, "fail", "falls short")] if failed else []
+    if held:
+        rows = _check_table(held, "ok", "holds")
+        parts.append(folded(f"{len(held)} checks hold", rows, unfolded=len(held) <= FEW))
+    return "".join(parts)
 
 
-def figures(result: Result) -> str:
-    """Return all figures, embedded."""
+def _check_table(checks: Sequence[dict[str, Any]], kind: str, text: str) -> str:
+    rows = "".join(
+        f"<tr>{check_cells(check)}<td class='{kind}'>{text}</td></tr>" for check in checks
+    )
+    return table(("check", "ours", "bound", ""), rows)
+
+
+def figures(result: Result, thesis: Sequence[Element]) -> str:
+    """Return all pictures, embedded, those of the thesis first."""
+    named = [(captions(thesis, result.name, path.stem), path) for path in result.figures]
     images = "".join(
-        f'<figure><img alt="{escape(path.stem)}" src="data:image/png;base64,'
-        f'{base64.b64encode(path.read_bytes()).decode()}">'
-        f"<figcaption>{escape(path.stem.replace('_', ' '))}</figcaption></figure>"
-        for path in result.figures
+        _figure(result, path, caption)
+        for caption, path in sorted(named, key=lambda pair: not pair[0])
     )
     return f'<div class="figures">{images}</div>' if images else ""
 
 
-def table_file(path: Path) -> str:
-    """Return a CSV table, folded; long ones are cut, and say so."""
+def _figure(result: Result, path: Path, caption: str) -> str:
+    picture = embed(path)
+    text = caption or path.stem.replace("_", " ")
+    return (
+        f'<figure id="{escape(anchor(result.name, path.stem))}"><img alt="{escape(text)}" '
+        f'width="{picture.width}" height="{picture.height}" src="{picture.url}">'
+        f"<figcaption>{escape(text)}</figcaption></figure>"
+    )
+
+
+def table_file(result: Result, path: Path, thesis: Sequence[Element]) -> str:
+    """Return a CSV table, folded unless it is one of the thesis; long ones are cut, and say so."""
     with path.open(newline="", encoding="utf-8") as stream:
         headings, *rows = list(csv.reader(stream)) or [[]]
-    body = "".join(f"<tr>{_numbers(row)}</tr>" for row in rows[:ROWS_SHOWN])
+    body = "".join(
+        f"<tr>{numbers([_short(cell) for cell in row])}</tr>" for row in rows[:ROWS_SHOWN]
+    )
     cut = f"<p>The first {ROWS_SHOWN} of {len(rows)} rows.</p>" if len(rows) > ROWS_SHOWN else ""
-    name = escape(path.stem.replace("_", " "))
-    return f"<details><summary>{name}</summary>{_table(headings, body)}{cut}</details>"
+    caption = captions(thesis, result.name, path.stem)
+    place = anchor(result.name, path.stem)
+    if any(picture.stem == path.stem for picture in result.figures):
+        place += ".csv"
+    text = caption or path.stem.replace("_", " ")
+    rest = table(headings, body) + cut
+    inside = folded(text, rest, unfolded=bool(caption), extra=not caption)
+    return f'<div id="{escape(place)}">{inside}</div>'
+
+
+def _short(cell: str) -> str:
+    """Return a number of a table with the digits that are worth reading."""
+    try:
+        return format_number(float(cell)) if "." in cell or "e" in cell else cell
+    except ValueError:
+        return cell
 
 
 def provenance(result: Result) -> str:
-    """Return how the result was made, folded."""
-    options = {f"option {key}": value for key, value in result.config.items()}
+    """Return how the result was made, folded; not where on the disk."""
+    options = {f"option {key}": value for key, value in result.config.items() if key != "out"}
     versions = {f"{name} version": text for name, text in result.run.get("versions", {}).items()}
-    rest = {key: value for key, value in result.run.items() if key != "versions"}
+    rest = {key: item for key, item in result.run.items() if key not in ("versions", "command")}
     body = "".join(
         f"<tr><td>{escape(key)}</td><td>{escape(format_number(value))}</td></tr>"
         for key, value in {**options, **rest, **versions}.items()
     )
     duration = format_number(result.run.get("wall_time_s"))
-    title = f"how it was made ({duration} s, seed {escape(str(result.config.get('seed')))})"
-    return f"<details><summary>{title}</summary>{_table((), body)}</details>"
-
-
-def _table(headings: Sequence[str], rows: str) -> str:
-    heads = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
-    head = f"<thead><tr>{heads}</tr></thead>" if headings else ""
-    return f'<div class="scroll"><table>{head}<tbody>{rows}</tbody></table></div>'
-
-
-def _check_cells(check: dict[str, Any]) -> str:
-    cells = _numbers((format_number(check["value"]), format_number(check["bound"])))
-    return f"<td>{escape(str(check['name']))}</td>{cells}"
-
-
-def _numbers(cells: Sequence[str]) -> str:
-    return "".join(f'<td class="number">{escape(cell)}</td>' for cell in cells)
+    text = f"how it was made ({duration} s, seed {result.config.get('seed')})"
+    return folded(text, table((), body), extra=True)
 
 
 def _ratio(ours: Any, thesis: Any) -> str:
