@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from experiments import contract
 from experiments.__main__ import main
 from experiments.contract import Experiment, ExperimentError, OptionError
 from experiments.intervals import distribution
+from experiments.sweep import sweep
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,10 +23,12 @@ class Options(contract.Options):
     Attributes:
         mass: Payload [kg].
         fault: What goes wrong.
+        sweep: Number of jobs of a tenth of a second.
     """
 
     mass: float = 1.0
     fault: str = ""
+    sweep: int = 0
 
     def __post_init__(self):
         super().__post_init__()
@@ -43,6 +47,12 @@ def draw(config):
     return {"numbers": numbers, "sum": float(numbers.sum()), "never": float("inf"), "pair": (1, 2)}
 
 
+def wait_and_draw(config):
+    """Take a while, then draw."""
+    time.sleep(config["seconds"])
+    return {"value": float(np.random.default_rng(config["seed"]).normal())}
+
+
 def run(options, output):
     if options.fault == "error":
         raise ExperimentError("the wheel fell off")
@@ -58,11 +68,21 @@ def run(options, output):
     output.measure("method", "ours & <theirs>")
     output.check("error is small", 12.5, "<= 1", False)
     output.check("plan is quick", 3.5, "<= 75", True)
+    if options.sweep:
+        output.measure("swept", _swept(options, output))
     figure = Figure()
     figure.add_subplot().plot([1, 2])
     output.figure("figure_2-4", figure)
     output.table("table_2-1", ["mass [kg]", "error [%]"], [[1.0, 2], [options.mass, 3]])
     output.file("run.rrd").write_bytes(b"recording" if options.record else b"")
+
+
+def _swept(options, output):
+    """Return the draws of a sweep."""
+    configs = [
+        {"seed": seed, "seconds": 0.1} for seed in options.job_seeds(options.sweep, options.sweep)
+    ]
+    return [job["value"] for job in sweep(wait_and_draw, configs, options, output)]
 
 
 CATALOGUE = {"tiny": Experiment("tiny", "a tiny experiment", "Table 0", "tests.experiments.tiny")}

@@ -1,0 +1,120 @@
+"""Experiments that are killed at a random time, and what is left of them."""
+
+import contextlib
+import dataclasses
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+
+PATIENCE = 300.0  # [s] for one run
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """What one killed run left, and what became of it.
+
+    Attributes:
+        status: Of the killed run, as `subprocess` tells it.
+        finished: Jobs that were kept when it died.
+        lost: Of these, those that are gone, damaged or were made again by the resumed run.
+        metrics: metrics.json of the resumed run.
+    """
+
+    status: int
+    finished: int
+    lost: int
+    metrics: dict
+
+
+def run(words, out, after=None):
+    """Run ``python -m WORDS --out OUT`` and return its status.
+
+    Args:
+        words: Module and arguments.
+        out: Folder of results.
+        after: Signal, whether all of its processes get it, and a function that tells when, from
+            the seconds since the start; None lets it end.
+    """
+    process = subprocess.Popen(
+        [sys.executable, "-m", *words, "--out", str(out)],
+        start_new_session=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        if after is not None:
+            number, everyone, when = after
+            start = time.monotonic()
+            while process.poll() is None and not when(time.monotonic() - start):
+                time.sleep(0.01)
+            if process.poll() is None:
+                (os.killpg if everyone else os.kill)(process.pid, number)
+        return process.wait(PATIENCE)
+    finally:  # nothing of it outlives its trial
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def kill_and_resume(words, name, out, after):
+    """Kill a run, resume it, and compare the jobs that it had finished.
+
+    Args:
+        words: Module and arguments, without ``--out``.
+        name: Of the experiment.
+        out: Empty folder of results.
+        after: As in `run`.
+    """
+    status = run(words, out, after)
+    before = _jobs(out / name)
+    # A folder that holds metrics.json is complete.
+    if (out / name / "metrics.json").exists():
+        json.loads((out / name / "metrics.json").read_text())
+    resumed = run([*words, "--resume"], out)
+    assert resumed == 0, f"the resumed run ended with status {resumed}"
+    after_it = _jobs(out / name)
+    lost = sum(after_it.get(job) != kept for job, kept in before.items())
+    lost += sum(not _readable(data) for _, data in before.values())
+    metrics = json.loads((out / name / "metrics.json").read_text())
+    return Trial(status, len(before), lost, metrics)
+
+
+def duration(words, out):
+    """Return how long an undisturbed run takes [s]."""
+    start = time.monotonic()
+    assert run(words, out) == 0
+    return time.monotonic() - start
+
+
+def draw(rng, longest):
+    """Return a signal, whether all processes get it, and when, for `run`.
+
+    A person's Ctrl-C reaches all processes; a kill reaches one, or all if the machine goes down.
+    """
+    number = signal.SIGINT if rng.random() < 0.5 else signal.SIGKILL  # noqa: PLR2004
+    everyone = number == signal.SIGINT or rng.random() < 0.5  # noqa: PLR2004
+    delay = float(rng.uniform(0.0, longest))
+    return number, bool(everyone), lambda seconds: seconds >= delay
+
+
+def finished(folder):
+    """Return how many jobs of an experiment's folder are kept."""
+    return len(_jobs(folder))
+
+
+def _jobs(folder):
+    """Return time and contents of each job that is kept."""
+    paths = (folder / "jobs").glob("*.npz") if (folder / "jobs").exists() else ()
+    return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in paths}
+
+
+def _readable(data):
+    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
+        return "result" in json.loads(str(stored["json"]))
