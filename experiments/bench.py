@@ -6,12 +6,14 @@ import dataclasses
 from collections.abc import Callable
 
 from experiments import contract
+from experiments.bench_braid import bench_braid
 from experiments.bench_compression import bench_compression
 from experiments.bench_identification import bench_identification
 from experiments.bench_loop import bench_loop
 from experiments.bench_mapping import bench_mapping
 from experiments.bench_markers import bench_markers
 from experiments.bench_placement import bench_placement
+from experiments.bench_scaling import bench_scaling
 from experiments.contract import OptionError
 from experiments.output import Output
 
@@ -22,6 +24,8 @@ BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "placement": bench_placement,
     "markers": bench_markers,
     "compression": bench_compression,
+    "braid": bench_braid,
+    "scaling": bench_scaling,
 }
 
 
