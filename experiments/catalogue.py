@@ -151,6 +151,6 @@ EXPERIMENTS: dict[str, Experiment] = {experiment.name: experiment for experiment
 COMMANDS: dict[str, tuple[str, str]] = {
     "doctor": ("experiments.doctor", "versions, renderer, and what is missing on this machine"),
     "calibrate": ("experiments.calibrate", "a person calibrates a real robot's inclinometer"),
-    "bench-table": ("experiments.bench_table", "README's table of benchmarks, from OUT/bench"),
     "report": ("experiments.report", "all results beside the thesis' in OUT/report.html"),
+    "bench-table": ("experiments.bench_table", "README's table of benchmarks, from OUT/bench"),
 }
