@@ -132,6 +132,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.appe_inverse",
     ),
     Experiment(
+        name="appe-mechanism",
+        summary="BRAID in physics: settled states, detents, sag, and words by its muscle wires",
+        thesis="figures E-1, E-2, E-9",
+        module="experiments.appe_mechanism",
+    ),
+    Experiment(
         name="appe-bus",
         summary="pulses on BRAID's power line address its actuators, despite noise and lost pulses",
         thesis="figures E-7, E-8",

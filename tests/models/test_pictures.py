@@ -41,7 +41,7 @@ def test_a_picture_that_stays_too_large_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "part", ["rover", "arm", "stereo_head", "field", "compliant_base", "card_and_slot"]
+    "part", ["rover", "arm", "stereo_head", "field", "compliant_base", "card_and_slot", "braid"]
 )
 def test_every_model_folder_has_a_readme_and_a_small_picture(part):
     assert (FOLDER / part / "README.md").stat().st_size > 500

@@ -1,0 +1,1 @@
+"""The computer card and the slot that it is inserted into."""
