@@ -78,7 +78,7 @@ class BraidBench:
             self.data.qpos[self._hinges[stage]] = np.arctan2(-inward, -down[:, 2])
         self.data.qpos[self._slides] = lengths - BRAID.middle
         self.data.qvel[:] = 0.0
-        self.data.act[:] = 0.0
+        self.data.act[self.model.actuator_actadr[self.wires]] = 0.0
         mujoco.mj_forward(self.model, self.data)
 
     def bits(self) -> NDArray[np.bool_]:

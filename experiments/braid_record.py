@@ -42,7 +42,7 @@ class BraidRecord:
         self._stream.set_time("sim_time", duration=time)
         for body, path in self._moving:
             self._stream.log(path, _pose(data.xpos[body], data.xquat[body]))
-        hot = MUSCLE_WIRE.ambient + data.act[self._bench.wires]
+        hot = MUSCLE_WIRE.ambient + data.act[self._bench.model.actuator_actadr[self._bench.wires]]
         self._stream.log("curves/hottest_wire", rr.Scalars(float(hot.max())))
         travel = (self._bench.travel() / BRAID.half_stroke).ravel()
         self._stream.log("curves/legs", rr.Scalars(travel))

@@ -138,6 +138,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.appe_mechanism",
     ),
     Experiment(
+        name="appe-placement",
+        summary="a camera placement that BRAID takes on a rover, seen by what is rendered then",
+        thesis="appendix E with chapter 4, suggested only",
+        module="experiments.appe_placement",
+    ),
+    Experiment(
         name="appe-bus",
         summary="pulses on BRAID's power line address its actuators, despite noise and lost pulses",
         thesis="figures E-7, E-8",
