@@ -436,7 +436,7 @@ class BraidSheet:
     radius: float = 0.05  # Assumption: of the joints' circle on each disc
     short: float = 0.05  # Assumption: a leg as long as the radius, ...
     long: float = 0.065  # ... and 30 % more, as `appe-workspace` and `appe-inverse` have it
-    barrier: float = 25.0  # Assumption: twice what five stages and a head load a detent by [N]
+    barrier: float = 25.0  # Assumption: three times what five stages and a head load it by [N]
     damping: float = 400.0  # Assumption: of a leg [N s/m]; with less, five stages shake legs over
     strands: int = 16  # Assumption: wires side by side; all pull twice the barrier
     disc_thickness: float = 4e-3  # Assumption
