@@ -72,6 +72,7 @@ def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
 
     Raises:
         OptionError: If the options are bad.
+        ExperimentError: If the experiment says that it is no success; its results are written.
         Exception: What the experiment raised.
     """
     options_type, run = experiment.load()
@@ -80,6 +81,8 @@ def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
     run(options, output)
     output.finish()
     print_summary(experiment, output)
+    if output.failure:
+        raise ExperimentError(output.failure)
 
 
 def print_list(experiments: Mapping[str, Experiment]) -> None:

@@ -78,6 +78,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch5_contact",
     ),
     Experiment(
+        name="mission",
+        summary="two rovers identify themselves, map, place a camera and insert a card in one run",
+        thesis="figure 1-5, chapters 2 to 5 together",
+        module="experiments.mission",
+    ),
+    Experiment(
         name="appa-control",
         summary="the arm's control laws on soft, middle and stiff bases that are pushed",
         thesis="figure A-1, equations A-1 to A-4",

@@ -54,9 +54,13 @@ class RoverTrial:
     unseen: float = 4.0
 
 
-def known_swinging_arm() -> SwingingArm:
-    """Return what is known of the rover's arm, stretched, from its own data sheet's model."""
-    model = make_model(FLAT, [RobotPlacement(ROBOT)])
+def known_swinging_arm(card: bool = False) -> SwingingArm:
+    """Return what is known of the rover's arm, stretched, from its own data sheet's model.
+
+    Args:
+        card: Whether its gripper holds the card.
+    """
+    model = make_model(FLAT, [RobotPlacement(ROBOT, card=card)])
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     shoulder = model.body(f"{ROBOT}/upper_arm").id

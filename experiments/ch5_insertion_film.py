@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from experiments.ch5_insertion_trial import perform
-from experiments.insertion_scene import MASTER, OVERVIEW, SLAVE
+from experiments.insertion_scene import MASTER, SLAVE
 from experiments.insertion_setting import InsertionTrial, Setting, prepare
+from models.card_and_slot.stand import OVERVIEW
 from perception.marker_poses import BodyFit
 from twin.camera import renderer
 from twin.record import Recorder

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from experiments.known_camera_arm import body_pose
+from models.card_and_slot.stand import CARD_FORCE
 from models.compose import (
     ARM_JOINTS,
     FieldConfig,
@@ -22,15 +23,11 @@ from models.compose import (
     arm_hold_voltage,
     build_scene,
     compile_scene,
-    make_terrain,
 )
 
 FloatArray = NDArray[np.float64]
 
 MASTER, SLAVE = "rover1", "rover2"
-CARD_FORCE = "truth_card_force"
-OVERVIEW = "overview"
-"""Camera that looks at both rovers, for pictures."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,20 +59,6 @@ def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:
     robots = placements(scene)
     field = dataclasses.replace(scene.field, slot_width=scene.width, shadows=False)
     spec = build_scene(field, robots)
-    ground = float(make_terrain(field, robots).ground_at(np.zeros(2)))
-    # For scoring alone: what the hand puts on the card.
-    spec.add_sensor(
-        name=CARD_FORCE,
-        type=mujoco.mjtSensor.mjSENS_FORCE,
-        objtype=mujoco.mjtObj.mjOBJ_SITE,
-        objname=f"{SLAVE}/card_wrench",
-    )
-    spec.worldbody.add_camera(
-        name=OVERVIEW,
-        pos=[0.75, -1.25, ground + 0.68],
-        xyaxes=[0.92, 0.39, 0.0, -0.12, 0.28, 0.95],
-        fovy=46,
-    )
     return compile_scene(spec)
 
 

@@ -18,7 +18,7 @@ from controllers.insertion.guide import GuideConfig
 from controllers.insertion.watcher import Watcher, WatcherConfig
 from controllers.motion.chain import Chain
 from controllers.surrogate import SensorLimits, SurrogateSensing
-from controllers.surrogate_tilt import TiltModel, TiltModelConfig
+from controllers.surrogate_tilt import TiltAxis, TiltModel, TiltModelConfig
 from controllers.surrogate_wrench import WrenchModel, WrenchModelConfig
 from experiments.insertion_faults import Fault, FaultyEyes
 from experiments.insertion_identify import rover_springs, rover_steer
@@ -92,13 +92,43 @@ class InsertionTrial:
     trace: bool = False
 
 
+class GuidanceRadio:
+    """The radio from the master to the slave, with its delay and losses."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        """Place the modems.
+
+        Args:
+            rng: Draws byte errors and sessions.
+        """
+        self._modems = VirtualModems(ModemConfig(), rng)
+        self._links = [FramedLink(end, rng) for end in self._modems.ends]
+
+    def step(self, time: float, guidance: Guidance | None, outage: bool = False) -> list[Guidance]:
+        """Send what the master has to say; return what the slave hears.
+
+        Args:
+            time: [s].
+            guidance: None for nothing new.
+            outage: Whether nothing gets through.
+        """
+        self._modems.time = time
+        master, slave = self._links
+        if guidance is not None and not outage:
+            # What lies out of a message's range was mistaken for card or slot.
+            with contextlib.suppress(GuidanceError):
+                master.send_latest(guidance.pack())
+        master.poll()
+        heard = slave.poll().messages
+        return [] if outage else [unpack(message) for message in heard]
+
+
 class InsertionTeam:
     """Both rovers' controllers with the radio between them; each sees itself alone.
 
     Attributes:
         watcher: Of the master.
         carrier: Of the slave.
-        modems: Of the radio.
         failed: Sensors of the slave that are failed now, by its surrogates.
     """
 
@@ -110,7 +140,7 @@ class InsertionTeam:
         eyes: FaultyEyes,
         rng: np.random.Generator,
     ) -> None:
-        """Place the modems.
+        """Bring them together.
 
         Args:
             watcher: Of the master.
@@ -120,9 +150,8 @@ class InsertionTeam:
             rng: Draws byte errors and sessions.
         """
         self.watcher, self.carrier = watcher, carrier
-        self.modems = VirtualModems(ModemConfig(), rng)
         self.failed: frozenset[str] = frozenset()
-        self._links = [FramedLink(end, rng) for end in self.modems.ends]
+        self._radio = GuidanceRadio(rng)
         self._sensing, self._eyes = sensing, eyes
 
     def reset(self) -> None:
@@ -134,25 +163,14 @@ class InsertionTeam:
         # The thesis' rovers have no accelerometer, gyro or compass.
         bare = {name: seen._replace(**_ABSENT) for name, seen in observations.items()}
         seen = self._eyes.change(bare, stage)
-        time = self.modems.time = max(each.time for each in seen.values())
+        time = max(each.time for each in seen.values())
         watch, guidance = self.watcher.step(seen[MASTER])
-        looks = self._talk(guidance, self._eyes.outage(time, stage))
+        looks = self._radio.step(time, guidance, self._eyes.outage(time, stage))
         sensed = self._sensing.step(seen[SLAVE], period, contact=stage is Stage.INSERT)
         self.failed = sensed.failed
         if sensed.stop:
             self.carrier.stop(sensed.stop)
         return {MASTER: watch, SLAVE: self.carrier.step(sensed.observation, looks)}
-
-    def _talk(self, guidance: Guidance | None, outage: bool) -> list[Guidance]:
-        """Send what the master has to say; return what the slave hears."""
-        master, slave = self._links
-        if guidance is not None and not outage:
-            # What lies out of a message's range was mistaken for card or slot.
-            with contextlib.suppress(GuidanceError):
-                master.send_latest(guidance.pack())
-        master.poll()
-        heard = slave.poll().messages
-        return [] if outage else [unpack(message) for message in heard]
 
 
 @dataclasses.dataclass
@@ -201,7 +219,7 @@ def prepare(trial: InsertionTrial) -> Setting:
         data=settle(model),
     )
     carrier = _carrier(trial, simulation, prior_rng)
-    sensing = _sensing(model)
+    sensing = surrogate_sensing(model, SLAVE, rover_springs())
     eyes = FaultyEyes(Fault[trial.fault] if trial.fault else None)
     team = InsertionTeam(watcher, carrier, sensing, eyes, radio_rng)
     return Setting(simulation, team, stand)
@@ -246,25 +264,43 @@ def _carrier(trial: InsertionTrial, simulation: Simulation, rng: np.random.Gener
     data = simulation.data
     slot = transform(data, f"{SLAVE}/chassis").inv() * transform(data, "slot")
     slot, covariance = _mapped(slot, rng)
-    known = known_arm(simulation.model, SLAVE)
-    chain = Chain.of_arm(known, datasheets.ARM_MOTOR.armature)
-    arm = CardArm(reference_arm(), chain, TIP, known.base)
-    config = CarrierConfig(guide_config())
     steer = rover_steer(trial.turn_share)
+    config = CarrierConfig(guide_config())
+    arm = card_arm(simulation.model, SLAVE)
     return Carrier(config, arm, steer, slot.as_matrix(), covariance)
 
 
-def _sensing(model: mujoco.MjModel) -> SurrogateSensing:
+def card_arm(model: mujoco.MjModel, robot: str) -> CardArm:
+    """Return what a robot knows of its arm with the card.
+
+    Args:
+        model: A scene with the robot and the card in its gripper.
+        robot: Its name.
+    """
+    known = known_arm(model, robot)
+    chain = Chain.of_arm(known, datasheets.ARM_MOTOR.armature)
+    return CardArm(reference_arm(), chain, TIP, known.base)
+
+
+def surrogate_sensing(
+    model: mujoco.MjModel, robot: str, springs: tuple[TiltAxis, TiltAxis]
+) -> SurrogateSensing:
+    """Return what a robot expects its wrench and its inclinometer to be.
+
+    Args:
+        model: A scene with the robot and the card in its gripper.
+        robot: Its name.
+        springs: How it pitches and rolls, as identified.
+    """
     rover, motor = datasheets.ROVER, datasheets.ARM_MOTOR
     arm = WrenchModelConfig(
-        known_arm(model, SLAVE),
+        known_arm(model, robot),
         np.array(rover.arm_mount),
         np.array([0.0, TIP, 0.0]),
         motor.armature,
         friction=np.full(4, motor.friction),
     )
-    pitch, roll = rover_springs()
-    base = TiltModelConfig(pitch, roll, wheel_radius=rover.wheel_radius)
+    base = TiltModelConfig(*springs, wheel_radius=rover.wheel_radius)
     sheet = datasheets.FORCE_TORQUE
     noise = np.array([sheet.force_noise] * 3 + [sheet.torque_noise] * 3)
     limits = {

@@ -35,6 +35,7 @@ class Output:
 
     Attributes:
         directory: OUT/NAME.
+        failure: Why the run is no success although it came to its end; empty if it is one.
     """
 
     def __init__(self, name: str, options: Options, arguments: Sequence[str] = ()) -> None:
@@ -46,6 +47,7 @@ class Output:
             arguments: Words of the command line that gave these options.
         """
         self.directory = Path(options.out) / name
+        self.failure = ""
         self._name = name
         self._options = options
         self._command = [name, *arguments]

@@ -39,6 +39,7 @@ _COMPONENTS: Mapping[str, Sequence[str]] = {
     "heading": ("yaw",),
 }
 _SLACK = 1e-9
+_POINT = 0.003  # Radius of a point in space [m].
 _MARK = (230, 60, 40)
 
 
@@ -216,6 +217,22 @@ class Recorder:
             colors=[_MARK] * len(marks),
             radii=[radius] * len(marks),
         ).partition([len(marks)])
+        self._stream.send_columns(path, self._now(), columns)
+
+    def log_points(self, path: str, points: FloatArray, shades: FloatArray) -> None:
+        """Show points in space, at the latest tick's time; they take the place of older ones.
+
+        Args:
+            path: Entity, such as ``map``.
+            points: (N, 3) [m], in the entity's frame.
+            shades: (N,) from 0, dark, to 1, bright.
+        """
+        grey = np.rint(60.0 + 180.0 * np.clip(shades, 0.0, 1.0)).astype(np.uint8)
+        columns = rr.Points3D.columns(
+            positions=points.astype(np.float32),
+            colors=np.repeat(grey[:, None], 3, axis=1),
+            radii=[_POINT] * len(points),
+        ).partition([len(points)])
         self._stream.send_columns(path, self._now(), columns)
 
     def flush(self) -> None:

@@ -118,25 +118,34 @@ class TargetSearch:
         return np.average(points[together[best]], axis=0, weights=weights[together[best]])
 
     def _aim(self, place: FloatArray, posture: FloatArray) -> FloatArray:
-        """Return the posture with yaw and wrist such that the left camera looks at a point.
+        return aim(self._arm, place, posture, self._config.bend)
 
-        Args:
-            place: (3,) [m], robot frame.
-            posture: (joints,) [rad].
-        """
-        limits = self._arm.limits
-        bend = posture[-1] + self._config.bend * np.array([-1.0, 1.0])
-        low = np.array([limits[0, 0], max(limits[-1, 0], bend[0])])
-        high = np.array([limits[0, 1], min(limits[-1, 1], bend[1])])
 
-        def view(turns: FloatArray) -> FloatArray:
-            return np.concatenate([turns[:1], posture[1:-1], turns[1:]])
+def aim(arm: CameraArm, place: ArrayLike, posture: ArrayLike, bend: float = np.pi) -> FloatArray:
+    """Return a posture with yaw and wrist such that the left camera looks at a point.
 
-        def off_axis(turns: FloatArray) -> FloatArray:
-            seen = self._arm.camera_in_robot(view(turns)).apply(place, inverse=True)
-            return seen / np.linalg.norm(seen) - [0.0, 0.0, 1.0]
+    Args:
+        arm: That carries the camera.
+        place: (3,) [m], robot frame.
+        posture: (joints,) [rad]; those between yaw and wrist stay.
+        bend: Greatest turn of the wrist from it [rad].
 
-        away = place - self._arm.transform_base_to_robot.translation
-        start = np.array([np.arctan2(-away[0], away[1]), posture[-1]])  # At yaw 0 along y.
-        found = least_squares(off_axis, np.clip(start, low, high), bounds=(low, high))
-        return view(found.x)
+    Returns:
+        (joints,) [rad], within the limits; as near to it as they allow.
+    """
+    stance, point = np.asarray(posture, dtype=float), np.asarray(place, dtype=float)
+    limits, turn = arm.limits, stance[-1] + bend * np.array([-1.0, 1.0])
+    low = np.array([limits[0, 0], max(limits[-1, 0], turn[0])])
+    high = np.array([limits[0, 1], min(limits[-1, 1], turn[1])])
+
+    def view(turns: FloatArray) -> FloatArray:
+        return np.concatenate([turns[:1], stance[1:-1], turns[1:]])
+
+    def off_axis(turns: FloatArray) -> FloatArray:
+        seen = arm.camera_in_robot(view(turns)).apply(point, inverse=True)
+        return seen / np.linalg.norm(seen) - [0.0, 0.0, 1.0]
+
+    away = point - arm.transform_base_to_robot.translation
+    start = np.array([np.arctan2(-away[0], away[1]), stance[-1]])  # At yaw 0 along y.
+    found = least_squares(off_axis, np.clip(start, low, high), bounds=(low, high))
+    return view(found.x)

@@ -110,6 +110,8 @@ class StereoMapper:
         config: MapperConfig,
         rng: np.random.Generator,
         on_look: Callable[[Look], None] | None = None,
+        begun: SharedMap | None = None,
+        standings: Mapping[str, Standing] | None = None,
     ) -> None:
         """Prepare; nothing moves before the first `step`.
 
@@ -121,8 +123,11 @@ class StereoMapper:
             config: How they move, look and choose.
             rng: Draws candidates.
             on_look: Called after each look, once, for recording.
+            begun: A map to go on with, in place of ``voxels``.
+            standings: Where robots stand, of those that know already; needs a map with a frame.
         """
-        self.shared = SharedMap(voxels, geometry, cad, config.stereo.stride, config.reach)
+        self.shared = begun or SharedMap(voxels, geometry, cad, config.stereo.stride, config.reach)
+        self._known = dict(standings or {})
         self.looks: list[Look] = []
         self._config, self._rng, self._on_look = config, rng, on_look
         self.localiser = Localiser(geometry, config.localiser)
@@ -156,7 +161,10 @@ class StereoMapper:
                 self._cad.extent,
                 self._config.search,
             )
-            self._heads[name] = _Head(brief, search, search.first())
+            head = self._heads[name] = _Head(brief, search, search.first())
+            if name in self._known:
+                head.standing = self._known[name]
+                head.offsets = self.localiser.fiducials.share(head.standing.shared_covariance())
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Return one command for each robot.

@@ -23,6 +23,10 @@ TIP = GRIP + CARD_AND_SLOT.card_length
 CARD_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Columns are the card's axes in the wrist's frame, and the slot's in the world: across is down,
 ahead is forward, the normal is to the right."""
+CARD_FORCE = "truth_card_force"
+"""Sensor of what the hand puts on the card, for scoring alone."""
+OVERVIEW, SITE_VIEW = "overview", "site_view"
+"""Cameras for pictures: both rovers at the slot, and the site with the panel."""
 _POST = 0.012  # Half width of the post [m].
 
 
@@ -36,6 +40,12 @@ def hold_card(scene: mujoco.MjSpec, robot: str) -> None:
     card = add_card(scene.body(f"{robot}/wrist"), f"{robot}/")
     card.pos = [0.0, TIP, 0.0]
     card.quat = _quaternion(CARD_AXES)
+    scene.add_sensor(
+        name=CARD_FORCE,
+        type=mujoco.mjtSensor.mjSENS_FORCE,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname=f"{robot}/card_wrench",
+    )
 
 
 def stand_slot(scene: mujoco.MjSpec, width: float, ground: float) -> None:
@@ -53,6 +63,22 @@ def stand_slot(scene: mujoco.MjSpec, width: float, ground: float) -> None:
     slot.pos = [0.0, 0.0, ground + SLOT_HEIGHT]
     slot.quat = _quaternion(CARD_AXES)
     _add_post(scene, width, ground)
+    _add_camera(scene, OVERVIEW, (0.75, -1.25, ground + 0.68), (0.0, 0.05, ground + 0.2), 46.0)
+    _add_camera(scene, SITE_VIEW, (1.15, -1.9, ground + 1.15), (0.12, -0.3, ground + 0.1), 44.0)
+
+
+def _add_camera(
+    scene: mujoco.MjSpec,
+    name: str,
+    place: tuple[float, float, float],
+    target: tuple[float, float, float],
+    field: float,
+) -> None:
+    """Add a camera that looks at a point, its rows level; the field of view is in degrees."""
+    back = np.subtract(place, target)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    up = np.cross(back, right)
+    scene.worldbody.add_camera(name=name, pos=place, xyaxes=[*right, *up], fovy=field)
 
 
 def _add_post(scene: mujoco.MjSpec, width: float, ground: float) -> None:

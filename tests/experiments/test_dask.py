@@ -2,11 +2,10 @@
 
 import json
 
+import distributed
 import pytest
 
 from experiments.__main__ import main
-
-distributed = pytest.importorskip("distributed", reason="pip install distributed")
 
 TIMED = "tests_per_second"
 

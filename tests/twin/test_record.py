@@ -2,7 +2,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import mujoco
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from models.compose import FLAT, ROUGH, RobotPlacement, make_model
+from models.compose import ROUGH, RobotPlacement, make_model
 from models.datasheets import ARM
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import StereoConfig
@@ -188,17 +187,13 @@ def test_height_field_mesh_lies_on_the_physical_ground():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("field", [FLAT, ROUGH], ids=["flat", "rough"])
-def test_twenty_seconds_with_stereo_fit_in_15_megabytes(tmp_path, field):
+def test_recordings_with_stereo_on_rough_ground_stay_below_a_megabyte_a_second(tmp_path):
     path = tmp_path / "run.rrd"
-    with connect("sim", field=field, stereo=StereoConfig(4.0)) as link:
+    with connect("sim", field=ROUGH, stereo=StereoConfig(4.0)) as link:
         with Recorder(path, link.simulation) as recorder:
-            begin = time.perf_counter()
-            run(link.robots, [Drive(recorder)], link.clock, recorder, 20.0)
-            print(f"{time.perf_counter() - begin:.1f} s for 20 s")
-    print(f"{path.stat().st_size / 1e6:.1f} MB")
-    assert path.stat().st_size <= 15e6
-    assert len(columns(path)["/rover1/stereo/left"]["sim_time"]) >= 80
+            run(link.robots, [Drive(recorder)], link.clock, recorder, 6.0)
+    assert path.stat().st_size <= 6.0e6
+    assert len(columns(path)["/rover1/stereo/left"]["sim_time"]) >= 24
 
 
 @pytest.mark.slow

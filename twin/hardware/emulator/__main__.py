@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import mujoco
 import numpy as np
 import tyro
 
@@ -142,7 +143,20 @@ class Emulator:
             "codes": rover.codes.tolist(),
             "damage": damage,
             "camera": self._camera(name) if rig.frames else None,
+            "bodies": self._bodies(name),
         }
+
+    def _bodies(self, name: str) -> dict[str, dict[str, Any]]:
+        """Return the true poses of a robot's chassis, of its card and of the slot, if any."""
+        model, data = self.scene.simulation.model, self.scene.simulation.data
+        names = {"chassis": f"{name}/chassis", "card": f"{name}/card", "slot": "slot"}
+        found: dict[str, dict[str, Any]] = {}
+        for word, body in names.items():
+            index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
+            if index >= 0:
+                rotation, place = data.xmat[index].reshape(3, 3), data.xpos[index]
+                found[word] = {"rotation": rotation.tolist(), "translation": place.tolist()}
+        return found
 
     def _camera(self, name: str) -> dict[str, Any]:
         """Return the left camera's true pose in the world."""

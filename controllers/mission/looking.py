@@ -1,0 +1,78 @@
+"""An arm that goes somewhere, and says when a pair was taken there at rest."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.robot import ArmMode, Command, Observation, WheelMode
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclasses.dataclass
+class ArmMove:
+    """A straight way in joint space, the wheels at rest.
+
+    Attributes:
+        goal: (joints,) where it ends [rad].
+        speed: Of the fastest joint [rad/s].
+        rest: Time at the goal before a pair counts [s].
+        near: Greatest joint error at which the arm counts as there [rad].
+        patience: Longest time at a goal that is not reached [s].
+    """
+
+    goal: FloatArray
+    speed: float = 0.8
+    rest: float = 0.6
+    near: float = 0.05
+    patience: float = 4.0
+    _start: FloatArray | None = None
+    _begun: float = math.nan
+    _there: float = math.nan
+
+    def command(self, seen: Observation) -> Command:
+        """Return where the arm shall be now; nothing moves before its angles are known.
+
+        Args:
+            seen: Of the robot.
+        """
+        if self._start is None:
+            if not seen.arm_angles.usable:
+                return Command()
+            self._start, self._begun = np.array(seen.arm_angles.value, dtype=float), seen.time
+        way = self.goal - self._start
+        duration = max(float(np.abs(way).max()) / self.speed, 1e-9)
+        part = min(1.0, (seen.time - self._begun) / duration)
+        rates = way / duration if part < 1.0 else np.zeros_like(way)
+        place = self._start + part * way
+        return Command(np.zeros(4), place, WheelMode.SPEED, ArmMode.POSITION, rates)
+
+    def is_there(self, seen: Observation) -> bool:
+        """Say whether the arm has been at its goal for the time of rest.
+
+        Args:
+            seen: Of the robot.
+        """
+        if self._start is None or not seen.arm_angles.usable:
+            return False
+        arrived = self._begun + float(np.abs(self.goal - self._start).max()) / self.speed
+        error = float(np.abs(np.asarray(seen.arm_angles.value, dtype=float) - self.goal).max())
+        if seen.time < arrived or (error > self.near and seen.time < arrived + self.patience):
+            self._there = math.nan
+            return False
+        if math.isnan(self._there):
+            self._there = seen.time
+        return seen.time >= self._there + self.rest
+
+    def sees(self, seen: Observation) -> bool:
+        """Say whether the pair at hand was taken at the goal, at rest.
+
+        Args:
+            seen: Of the robot.
+        """
+        stereo = seen.stereo
+        return self.is_there(seen) and stereo.usable and stereo.stamp >= self._there + self.rest

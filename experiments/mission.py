@@ -1,0 +1,164 @@
+"""``mission``: two rovers are dropped before a slot, and insert a card by what they find out.
+
+One continuous run: both swing their arms and learn how they pitch on their springs (chapter 2); the
+master finds the panel and maps the place (chapter 3); it finds the card in the slave's gripper, and
+the slave learns from what the master sees how far it turns when its wheels roll; the master goes
+where card and slot are seen best (chapter 4), finds the panel again, and guides the slave (chapter
+5). Each stage uses what the stages before it have estimated. The ablation leaves a stage out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments import contract
+from experiments.contract import OptionError
+from experiments.intervals import distribution, fraction
+from experiments.mission_figures import draw_knowledge, draw_shares, draw_steps
+from experiments.mission_film import film_mission
+from experiments.mission_team import STAGES
+from experiments.mission_trial import MissionTrial, run_mission
+from experiments.output import Output
+from experiments.sweep import sweep
+
+ROBOTS = ("sim", "quantised", "emulated")
+WANTED = 0.9
+Results = list[dict[str, Any]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of mission.
+
+    Attributes:
+        robot: What is driven: sim, quantised (counts as the boards do) or emulated (over the
+            boards' own protocols).
+        without: Knowledge that further missions do without: identification, mapping, placement
+            (unless said, each of them in a full run and none in a quick one; "none" for none).
+    """
+
+    robot: str = "sim"
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse unknown robots and stages.
+
+        Raises:
+            OptionError: Naming it and the known ones.
+        """
+        super().__post_init__()
+        if self.robot not in ROBOTS:
+            raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}")
+        for stage in self.without:
+            if stage not in (*STAGES, "none"):
+                known = ", ".join((*STAGES, "none"))
+                raise OptionError(f"--without {stage}: expected some of {known}")
+
+    @property
+    def ablations(self) -> tuple[str, ...]:
+        """Stages that are left out, one at a time."""
+        if "none" in self.without:
+            return ()
+        return self.without or (() if self.quick else STAGES)
+
+
+def run(options: Options, output: Output) -> None:
+    """Run the missions.
+
+    Args:
+        options: ``quick`` runs one mission, else there are 20, and as many without each stage.
+        output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
+            ``wall_over_sim_time`` and what each stage knew.
+    """
+    seeds = options.job_seeds(20, 1)
+    kinds = ("", *options.ablations)
+    jobs = [
+        MissionTrial(seed, without=kind, robot=options.robot) for kind in kinds for seed in seeds
+    ]
+    if len(jobs) == 1:
+        film = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
+        results = [film.result]
+        if film.steps:
+            output.figure("mission_steps", draw_steps(film.steps))
+    else:
+        results = sweep(run_mission, jobs, options, output, label="missions")
+        if options.record:
+            film_mission(jobs[0], output.file("run.rrd"))
+    cells = {
+        kind: [r for j, r in zip(jobs, results, strict=True) if j.without == kind] for kind in kinds
+    }
+    _measure(cells, output)
+    _tabulate(jobs, results, output)
+    _tell_stages(cells[""], output)
+    output.figure("mission_knowledge", draw_knowledge(cells[""]))
+    if not any(result["success"] for result in cells[""]):
+        output.failure = f"no card was inserted: {cells[''][0]['reason'] or 'not seated'}"
+    if len(kinds) > 1:
+        output.figure("mission_ablation", draw_shares({k: _share(c) for k, c in cells.items()}))
+
+
+def _share(results: Results) -> Any:
+    return fraction(sum(bool(result["success"]) for result in results), len(results))
+
+
+def _measure(cells: dict[str, Results], output: Output) -> None:
+    whole = cells[""]
+    share = _share(whole)
+    output.measure("success_fraction", share)
+    output.check(
+        "missions that end with an inserted card", share["mean"], f">= {WANTED}",
+        share["mean"] >= WANTED,
+    )  # fmt: skip
+    output.measure("seconds", distribution(r["seconds"] for r in whole))
+    pace = [r["wall_over_sim"] for r in whole if np.isfinite(r["wall_over_sim"])]
+    if pace:
+        output.measure("wall_over_sim_time", distribution(pace))
+    forces = [r["peak"] for r in whole if np.isfinite(r["peak"])]
+    if forces:
+        output.measure("largest_force", max(forces))
+        output.check("largest force on the card [N]", max(forces), "<= 10", max(forces) <= 10.0)  # noqa: PLR2004
+    for kind, results in cells.items():
+        if kind:
+            without = _share(results)
+            output.measure(f"success_fraction/without_{kind}", without)
+            lost = sum(a["success"] and not b["success"] for a, b in zip(whole, results))
+            won = sum(b["success"] and not a["success"] for a, b in zip(whole, results))
+            output.measure(f"lost_and_won/without_{kind}", [lost, won])
+            output.measure(f"seconds/without_{kind}", distribution(r["seconds"] for r in results))
+            worse = without["mean"] < share["mean"]
+            output.check(f"without {kind}: worse", without["mean"], f"< {share['mean']:.2f}", worse)
+
+
+def _tell_stages(results: Results, output: Output) -> None:
+    """Store what is known after each stage, over all missions."""
+    names = max((result["stage_names"] for result in results), key=len)
+    rows: list[list[Any]] = []
+    for place, name in enumerate(names):
+        there = [r for r in results if len(r["stage_names"]) > place]
+        ends = [r["stage_ends"][place] for r in there]
+        master = [1e3 * float(np.linalg.norm(np.asarray(r["master_errors"])[place])) for r in there]
+        slave = [1e3 * float(np.linalg.norm(np.asarray(r["slave_errors"])[place])) for r in there]
+        shares = [r["turn_shares"][place] for r in there]
+        if name == "insert":
+            continue
+        output.measure(f"slot_error_mm/master/{name}", distribution(master))
+        output.measure(f"slot_error_mm/slave/{name}", distribution(slave))
+        rows.append([name, *(float(np.median(v)) for v in (ends, master, slave, shares))])
+    columns = ["after", "time [s]", "slot from the master, error [mm]",
+               "slot from the slave, error [mm]", "share of a turn"]  # fmt: skip
+    output.table("stages", columns, rows)
+
+
+def _tabulate(jobs: Sequence[MissionTrial], results: Results, output: Output) -> None:
+    columns = ["without", "seed", "success", "reason", "time [s]", "peak [N]", "across [mm]",
+               "ahead [mm]", "wall/time"]  # fmt: skip
+    rows = [
+        [j.without or "-", j.seed, r["success"], r["reason"], r["seconds"], r["peak"],
+         1e3 * r["across"], 1e3 * r["ahead"], r["wall_over_sim"]]
+        for j, r in zip(jobs, results)
+    ]  # fmt: skip
+    output.table("missions", columns, rows)

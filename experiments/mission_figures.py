@@ -1,0 +1,87 @@
+"""Figures of ``mission``: how it went, what was known when, and what each stage is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+ImageArray = NDArray[np.uint8]
+COLOURS = {"master": "tab:blue", "slave": "tab:orange"}
+
+
+def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
+    """Draw the site at the end of each stage.
+
+    Args:
+        steps: Names of the stages, times [s] and colour pictures.
+    """
+    columns = 2 if len(steps) > 1 else 1
+    rows = max(1, -(-len(steps) // columns))
+    figure = Figure(figsize=(5.2 * columns, 4.1 * rows))
+    for index, (name, time, picture) in enumerate(steps):
+        axes = figure.add_subplot(rows, columns, index + 1)
+        axes.imshow(picture)
+        axes.set_axis_off()
+        axes.set_title(f"{name}, {time:.1f} s", fontsize=10)
+    figure.tight_layout()
+    return figure
+
+
+def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw by how much robots err in the slot's place after each stage, and what they expect.
+
+    Args:
+        results: Of `mission_trial.run_mission`.
+    """
+    figure = Figure(figsize=(7.0, 4.2))
+    axes = figure.add_subplot()
+    names = [n for n in max((r["stage_names"] for r in results), key=len) if n != "insert"]
+    place = np.arange(len(names), dtype=float)
+    for offset, robot in ((-0.12, "master"), (0.12, "slave")):
+        for stage in range(len(names)):
+            there = [r for r in results if len(r["stage_names"]) > stage]
+            errors = [np.linalg.norm(np.asarray(r[f"{robot}_errors"])[stage]) for r in there]
+            sigmas = [np.linalg.norm(np.asarray(r[f"{robot}_sigmas"])[stage]) for r in there]
+            spots = np.full(len(errors), place[stage] + offset)
+            axes.plot(
+                spots, 1e3 * np.array(errors), "o", color=COLOURS[robot], alpha=0.6, markersize=4,
+                label=f"{robot}: true error" if stage == 0 else None,
+            )  # fmt: skip
+            axes.plot(
+                [spots[0] - 0.1, spots[0] + 0.1], [1e3 * float(np.median(sigmas))] * 2, "-",
+                color=COLOURS[robot], linewidth=2,
+                label=f"{robot}: r.m.s. that it expects" if stage == 0 else None,
+            )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_xticks(place, [f"after {name}" for name in names])
+    axes.set(ylabel="place of the slot [mm]", title="What the robots know of the slot")
+    axes.legend(fontsize=8)
+    axes.grid(visible=True, axis="y", alpha=0.3)
+    figure.tight_layout()
+    return figure
+
+
+def draw_shares(shares: Mapping[str, Any]) -> Figure:
+    """Draw how many missions succeed, whole and without each stage.
+
+    Args:
+        shares: Fractions with intervals, by the stage that is left out; "" for the whole.
+    """
+    figure = Figure(figsize=(6.0, 3.8))
+    axes = figure.add_subplot()
+    place = np.arange(len(shares), dtype=float)
+    mean = np.array([cell["mean"] for cell in shares.values()])
+    low = mean - [cell["low"] for cell in shares.values()]
+    high = np.array([cell["high"] for cell in shares.values()]) - mean
+    colours = ["tab:green", *["tab:orange"] * (len(shares) - 1)]
+    axes.bar(place, mean, 0.6, color=colours)
+    axes.errorbar(place, mean, [low, high], fmt="none", color="k", capsize=4)
+    labels = [f"without\n{name}" if name else "whole\nmission" for name in shares]
+    axes.set_xticks(place, labels)
+    axes.set(ylabel="card inserted (95 % interval)", ylim=(0.0, 1.05))
+    figure.tight_layout()
+    return figure

@@ -1,0 +1,70 @@
+"""A rover goes to a pose: held against the pose that an independent integration arrives at."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from controllers.mission.going import Going, GoingConfig
+from controllers.motion.driving import SkidSteer
+from tests.controllers.mission.seen import seen_at
+
+RADIUS, HALF_TRACK, SHARE = 0.065, 0.16, 0.6
+STEER = SkidSteer(RADIUS, HALF_TRACK, SHARE)
+PERIOD = GoingConfig().period
+
+
+def drive(going: Going, share: float, longest: float = 90.0) -> np.ndarray:
+    """Return (3,) where a rover ends that follows at once and turns by a share of rolling."""
+    x = y = yaw = 0.0
+    speeds = np.zeros(4)
+    for tick in range(round(longest / PERIOD)):
+        command = going.step(seen_at(tick * PERIOD, wheel_speeds=speeds))
+        speeds = np.asarray(command.wheels, dtype=float)
+        left, right = RADIUS * speeds[0], RADIUS * speeds[1]
+        yaw += share * (right - left) / (2.0 * HALF_TRACK) * PERIOD
+        x -= 0.5 * (left + right) * math.sin(yaw) * PERIOD
+        y += 0.5 * (left + right) * math.cos(yaw) * PERIOD
+        if going.done:
+            return np.array([x, y, yaw])
+    raise AssertionError("it never arrived")
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        (0.0, 0.5, 0.0),
+        (0.4, 0.3, 1.0),
+        (-0.5, -0.2, -2.0),
+        (0.1, -0.6, 0.3),
+        (0.0, 0.0, 0.7),
+        (0.3, 0.0, 0.0),
+    ],
+)
+def test_a_rover_that_knows_its_slip_arrives(goal: tuple[float, float, float]) -> None:
+    ended = drive(Going(STEER, goal), SHARE)
+    np.testing.assert_allclose(ended[:2], goal[:2], atol=0.01)
+    assert math.remainder(ended[2] - goal[2], 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
+
+
+def test_goals_behind_are_reached_backwards() -> None:
+    going = Going(STEER, (0.0, -0.4, 0.0))
+    first = going.step(seen_at(0.0)).wheels
+    assert np.all(np.asarray(first) < 0.0)
+
+
+def test_a_rover_that_believes_its_wheels_roll_goes_astray() -> None:
+    ended = drive(Going(SkidSteer(RADIUS, HALF_TRACK, 1.0), (0.4, 0.3, 0.0)), SHARE)
+    assert math.dist(ended[:2], (0.4, 0.3)) > 0.05
+
+
+def test_nothing_moves_before_the_arm_is_known() -> None:
+    command = Going(STEER, (0.0, 0.5, 0.0)).step(seen_at(0.0, arm_angles=None))
+    assert np.all(np.asarray(command.wheels) == 0.0)
+
+
+def test_a_goal_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ValueError, match="three finite numbers"):
+        Going(STEER, (0.0, math.nan, 0.0))

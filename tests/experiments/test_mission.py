@@ -1,0 +1,181 @@
+"""The mission: what its robots believe, and one run from the drop to the seated card."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.mapping.shared_map import SharedMap
+from controllers.mapping.standing import Standing, lean, level_target
+from controllers.mission.going import Going
+from experiments.contract import OptionError
+from experiments.insertion_stand import Stand, reference_arm
+from experiments.mapping_scene import head_geometry
+from experiments.mission import Options
+from experiments.mission_knowledge import SLOT_IN_SITE, Knowledge
+from experiments.mission_scene import (
+    DROP_PLACE,
+    DROP_YAW,
+    MASTER,
+    NOMINAL,
+    SLAVE,
+    Site,
+    draw_scene,
+    survey,
+)
+from experiments.mission_stages import VOXEL, GoToStand, take_standing
+from experiments.mission_team import own_model
+from experiments.mission_trial import MissionTrial, run_mission
+from models.datasheets import CARD_AND_SLOT, ROVER
+from perception.target import TargetCad
+from perception.voxel_grid import VoxelGrid
+from perception.voxel_map import VoxelMap
+
+WIDTH = CARD_AND_SLOT.slot_widths[-1]
+
+
+@pytest.fixture(scope="module")
+def site() -> Site:
+    rng = np.random.default_rng(3)
+    return survey(draw_scene(WIDTH, rng), rng)
+
+
+def test_rovers_land_within_what_they_were_told() -> None:
+    starts = {MASTER: [], SLAVE: []}
+    for seed in range(40):
+        for robot in draw_scene(WIDTH, np.random.default_rng(seed)).robots:
+            starts[robot.name].append([*robot.position, robot.yaw])
+    for name, poses in starts.items():
+        off = np.abs(np.array(poses) - NOMINAL[name])
+        assert np.all(off <= [DROP_PLACE, DROP_PLACE, DROP_YAW])
+        assert np.all(off.max(axis=0) > 0.8 * np.array([DROP_PLACE, DROP_PLACE, DROP_YAW]))
+
+
+def test_the_drawing_is_off_by_about_what_it_says() -> None:
+    scene = draw_scene(WIDTH, np.random.default_rng(0))
+    exact = survey(scene, _Zeros())
+    squares = []
+    for seed in range(24):
+        drawn = survey(scene, np.random.default_rng(seed))
+        error = exact.transform_slot_to_panel * drawn.transform_slot_to_panel.inv()
+        xi = np.asarray(error.as_exp_coords())
+        squares.append(xi @ np.linalg.solve(drawn.covariance, xi))
+    # Of 24 draws of chi squared with six degrees of freedom the mean lies within three deviations.
+    assert 3.9 < np.mean(squares) < 8.1
+
+
+class _Zeros(np.random.Generator):
+    """Draws no errors."""
+
+    def __init__(self) -> None:
+        super().__init__(np.random.PCG64(0))
+
+    def normal(self, *_: object, size: int = 1, **__: object) -> np.ndarray:
+        return np.zeros(size)
+
+
+def test_told_the_slot_is_where_a_rover_at_its_nominal_place_would_have_it(site: Site) -> None:
+    told = Knowledge.as_told(site)
+    x, y, yaw = NOMINAL[SLAVE]
+    assert (x, yaw) == (0.0, 0.0)
+    # Straight ahead of the slave, as high as the slot is above a robot's origin.
+    ahead = [0.0, -y, SLOT_IN_SITE.translation[2] - ROVER.centre_height]
+    np.testing.assert_allclose(told.slot_in_slave[:3, 3], ahead, atol=1e-12)
+    # The master looks along -x: what is at its left is at -y.
+    master_x, master_y, _ = NOMINAL[MASTER]
+    np.testing.assert_allclose(
+        told.slot_in_level.translation[:2], [-master_y * -1.0 * -1.0, master_x], atol=1e-12
+    )
+
+
+def test_a_standing_and_the_drawing_tell_where_the_slot_is(site: Site) -> None:
+    level = RigidTransform.from_components([0.7, -0.4, 0.1], Rotation.from_euler("z", 1.4))
+    to_level = level.inv() * site.panel
+    to_world = level_target(to_level)
+    level_to_world = to_world * to_level.inv()
+    knowledge = Knowledge.as_told(site)
+    knowledge.shared = _map(site.target)
+    knowledge.shared.transform_target_to_world = to_world
+    standing = Standing(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
+    take_standing(knowledge, standing)
+    expected = to_level * site.transform_slot_to_panel
+    np.testing.assert_allclose(
+        knowledge.slot_in_level.as_matrix(), expected.as_matrix(), atol=1e-12
+    )
+    # All that is left is the drawing's error, seen from the robot.
+    spread = np.sqrt(np.trace(knowledge.slot_covariance[:3, :3]))
+    assert spread == pytest.approx(np.sqrt(np.trace(site.covariance[:3, :3])))
+
+
+def _map(target: TargetCad) -> SharedMap:
+    voxels = VoxelMap(VoxelGrid(VOXEL, (-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)))
+    return SharedMap(voxels, head_geometry(), target, 4, (0.25, 2.0))
+
+
+def test_a_leaning_rover_sees_the_slot_where_its_lean_puts_it(site: Site) -> None:
+    knowledge = Knowledge.as_told(site)
+    tilt = np.array([0.06, -0.03])
+    slot, _ = knowledge.slot_in_master(tilt)
+    back = lean(tilt) * slot
+    np.testing.assert_allclose(back.as_matrix(), knowledge.slot_in_level.as_matrix(), atol=1e-12)
+
+
+def test_a_stand_is_gone_to_from_where_the_slot_is_seen(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goals: list[np.ndarray] = []
+    told = Going.__init__
+    monkeypatch.setattr(
+        Going,
+        "__init__",
+        lambda self, steer, goal: (goals.append(np.array(goal)), told(self, steer, goal))[1],
+    )
+    knowledge = Knowledge.as_told(site)
+    x, y, yaw = NOMINAL[MASTER]
+    GoToStand(knowledge, Stand((x, y, yaw), np.zeros(4), 0.5, 0.0))
+    np.testing.assert_allclose(goals[0], np.zeros(3), atol=1e-12)
+    GoToStand(knowledge, Stand((x - 0.3, y, yaw + 0.2), np.zeros(4), 0.5, 0.0))
+    # It looks along -x: 0.3 m less of x is 0.3 m ahead.
+    np.testing.assert_allclose(goals[1], [0.0, 0.3, 0.2], atol=1e-12)
+
+
+def test_the_slave_knows_itself_without_the_world() -> None:
+    scene = draw_scene(WIDTH, np.random.default_rng(1))
+    other = dataclasses.replace(scene, field=dataclasses.replace(scene.field, seed=7))
+    one, two = own_model(scene), own_model(other)
+    np.testing.assert_array_equal(one.body_mass, two.body_mass)
+    assert one.body(f"{SLAVE}/card").mass > 0.0
+    assert "slot" not in {one.body(i).name for i in range(one.nbody)}
+
+
+@pytest.mark.parametrize("bad", [{"robot": "lego"}, {"without": ("luck",)}])
+def test_unknown_options_are_named_with_the_known_ones(bad: dict[str, object]) -> None:
+    with pytest.raises(OptionError, match=r"(lego|luck): expected"):
+        Options(**bad)  # type: ignore[arg-type]
+
+
+def test_ablations_run_unless_it_is_quick_or_said_otherwise() -> None:
+    assert Options().ablations == ("identification", "mapping", "placement")
+    assert Options(quick=True).ablations == ()
+    assert Options(quick=True, without=("mapping",)).ablations == ("mapping",)
+    assert Options(without=("none",)).ablations == ()
+
+
+@pytest.mark.slow
+def test_a_mission_ends_with_the_card_in_the_slot() -> None:
+    result = run_mission(MissionTrial(seed=1, scans=(2, 1)))
+    assert result["success"], result["reason"]
+    assert result["stage_names"] == ["identify", "find", "meet", "map", "place", "insert"]
+    assert result["peak"] < 10.0
+    master = np.linalg.norm(result["master_errors"], axis=1)
+    slave = np.linalg.norm(result["slave_errors"], axis=1)
+    # Finding the panel and being seen tell more than having been told.
+    assert master[1] < 0.2 * master[0]
+    assert slave[2] < 0.3 * slave[1]
+    # The wheels do scrub: a turn is less than rolling wheels would make.
+    assert 0.4 < result["turn_shares"][2] < 0.9
+    assert math.isclose(result["turn_shares"][0], 1.0)
