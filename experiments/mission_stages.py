@@ -47,6 +47,8 @@ _LOOKS = 3  # Pairs in a row from which a robot that stands still is believed.
 _TURN = 0.5  # Of the slave to and fro, had its wheels only rolled [rad].
 _AROUND = ((0.0, -0.25), (0.0, 0.25), (0.25, 0.0), (-0.25, 0.0))
 """Turns of yaw and wrist from where the card should be, to look for it around there [rad]."""
+_NEAR_STAND = (0.06, 0.12)  # From the stand [m] and its heading [rad] where it will do.
+_MOST_GOES = 4  # Until it stands there, or stays where it is.
 _GATE = 30.0  # Squared distance, whitened, beyond which it was not the card.
 _STIRRED = np.diag(np.square([0.05, 0.05, _TURN, 0.05, 0.05, 0.02]))
 """Covariance of what a turn to and fro may change of the slot's pose in the robot's frame."""
@@ -363,7 +365,10 @@ class Meet:
 
 
 class GoToStand:
-    """Chapter 4: the master goes where it sees card and slot best, and finds the panel again."""
+    """Chapter 4: the master goes where it sees card and slot best, and finds the panel again.
+
+    What it finds there tells how far dead reckoning has missed; if that is too far, it goes on.
+    """
 
     name = "place"
 
@@ -376,18 +381,31 @@ class GoToStand:
         """
         self.done = False
         self.found = False
-        self._knowledge = knowledge
-        site = knowledge.slot_in_level * SLOT_IN_SITE.inv()
-        x, y, yaw = stand.place
-        place = site.apply([x, y, 0.0])
-        ahead = site.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
-        goal = [place[0], place[1], math.atan2(-ahead[0], ahead[1])]
-        self._going = Going(knowledge.steer(), goal)
-        self._fold = ArmMove(HOME)
+        self._knowledge, self._stand, self._goes = knowledge, stand, 0
         self._rest = ArmMove(HOME)
+        self._set_off()
+
+    def _set_off(self) -> None:
+        """Go to the stand from where the slot is seen now."""
+        self._goes += 1
+        self._going = Going(self._knowledge.steer(), self._way())
+        self._fold = ArmMove(HOME)
         self._folded = False
         self._search: TargetSearch | None = None
         self._look: ArmMove | None = None
+
+    def _way(self) -> FloatArray:
+        """Return (3,) x to the right, y ahead [m] and turn [rad] to the stand from here."""
+        site = self._knowledge.slot_in_level * SLOT_IN_SITE.inv()
+        x, y, yaw = self._stand.place
+        place = site.apply([x, y, 0.0])
+        ahead = site.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
+        return np.array([place[0], place[1], math.atan2(-ahead[0], ahead[1])])
+
+    def _missed(self) -> bool:
+        """Say whether it stands too far from where it shall."""
+        x, y, turn = self._way()
+        return math.hypot(x, y) > _NEAR_STAND[0] or abs(turn) > _NEAR_STAND[1]
 
     def step(self, observations: Observations) -> Mapping[str, Command]:
         """Fold the arm, drive, look for the panel."""
@@ -443,7 +461,11 @@ class GoToStand:
         standing = shared.locate(arm, angles, tilt, pair, config.marker_sigma, config.standing)
         if standing is not None:
             take_standing(self._knowledge, standing)
-            self.found = self.done = True
+            self.found = True
+            if self._missed() and self._goes < _MOST_GOES:
+                self._set_off()
+            else:
+                self.done = True
             return
         hints = possible_markers(pair, head_geometry(), self._knowledge.site.target)
         goal = self._search.after(angles, hints)

@@ -20,10 +20,11 @@ def leave_out_unseen(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, asp
         aspect: Columns over rows of the image, for a camera that is given by its field of view.
     """
     eye = scene.camera[0]
-    # Both eyes of MuJoCo's own stereo stand at the same place for a camera of the model.
+    # MuJoCo keeps two eyes, the camera's own distance apart; the image is that from between them.
+    middle = 0.5 * (np.array(eye.pos, dtype=float) + np.array(scene.camera[1].pos, dtype=float))
     forward, up = np.array(eye.forward, dtype=float), np.array(eye.up, dtype=float)
     to_camera = np.column_stack([np.cross(forward, up), up, forward])
-    across, above, ahead = ((data.geom_xpos - np.array(eye.pos, dtype=float)) @ to_camera).T
+    across, above, ahead = ((data.geom_xpos - middle) @ to_camera).T
     half = eye.frustum_width or 0.5 * aspect * (eye.frustum_top - eye.frustum_bottom)
     radius = model.geom_rbound
     unseen = ahead < -radius

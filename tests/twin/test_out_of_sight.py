@@ -57,6 +57,23 @@ def test_image_without_unseen_geoms_is_the_whole_scenes_bit_for_bit(monkeypatch,
     assert 20 < kept[0] < 0.6 * model.ngeom
 
 
+def test_small_things_at_the_edges_of_a_near_view_stay(monkeypatch):
+    # Nearer than ten times the distance of the two eyes that MuJoCo keeps of a camera.
+    rng = np.random.default_rng(8)
+    dots = "".join(
+        f'<geom type="sphere" size="0.004" pos="{x} {y} -0.4" rgba="{c} 1 {c} 1"/>'
+        for x, y, c in zip(*rng.uniform(-0.3, 0.3, (2, 400)), rng.uniform(0.2, 1.0, 400))
+    )
+    model = mujoco.MjModel.from_xml_string(f"""
+        <mujoco><visual><map znear="0.01"/></visual><worldbody>
+          <light pos="0 0 2" castshadow="false"/>
+          <camera name="eye" resolution="170 120" {INTRINSIC}/>{dots}
+        </worldbody></mujoco>""")
+    image = seen(model)
+    monkeypatch.setattr(twin.camera, "leave_out_unseen", lambda *_: None)
+    np.testing.assert_array_equal(image, seen(model))
+
+
 def test_nothing_is_left_out_where_shadows_may_fall_into_the_view(monkeypatch):
     called = []
     monkeypatch.setattr(twin.camera, "leave_out_unseen", lambda *_: called.append(1))
