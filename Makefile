@@ -21,8 +21,8 @@ help: ## list the commands
 
 setup: $(PACKAGES) $(RENDERING) ## install all into .venv; quick when it is there
 
-demo: setup ## identify a rover by the motion of its arm, with figures and a recording
-	$(BIN)/python -m experiments ch2-rover --quick --record
+demo: setup ## run the mission: two rovers find out what they need and insert a card
+	$(BIN)/python -m experiments mission --quick --record
 
 test: setup $(BROWSER) ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones
 	@sh tools/run_tests.sh $(BIN)/python $(PYTEST_ARGS)

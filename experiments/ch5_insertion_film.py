@@ -20,6 +20,7 @@ from experiments.insertion_setting import InsertionTrial, Setting, prepare
 from models.card_and_slot.stand import OVERVIEW
 from perception.marker_poses import BodyFit
 from twin.camera import renderer
+from twin.layout import task_blueprint
 from twin.record import Recorder
 from twin.robot import Command, Observation
 
@@ -183,32 +184,10 @@ def _small(picture: ImageArray) -> ImageArray:
 
 
 def _blueprint() -> rrb.Blueprint:
-    eyes = [
-        rrb.Spatial2DView(origin=f"{MASTER}/stereo/{side}", name=f"Master's {side} eye")
-        for side in ("left", "right")
+    views = [
+        rrb.TimeSeriesView(origin="insertion/error", name="Error as seen"),
+        rrb.TimeSeriesView(origin="insertion/contact", name="Contact as felt"),
+        rrb.TimeSeriesView(origin=f"{SLAVE}/sensors/arm_base_wrench", name="Wrench"),
+        rrb.TextLogView(origin="insertion/stage", name="Stage"),
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(
-                    origin="world",
-                    name="Scene",
-                    eye_controls=rrb.EyeControls3D(
-                        position=(1.3, -1.5, 0.9), look_target=(0.1, -0.2, 0.25)
-                    ),
-                ),
-                rrb.Horizontal(*eyes),
-                row_shares=[3, 2],
-            ),
-            rrb.Vertical(
-                rrb.TimeSeriesView(origin="insertion/error", name="Error as seen"),
-                rrb.TimeSeriesView(origin="insertion/contact", name="Contact as felt"),
-                rrb.TimeSeriesView(origin=f"{SLAVE}/sensors/arm_base_wrench", name="Wrench"),
-                rrb.TextLogView(origin="insertion/stage", name="Stage"),
-            ),
-            column_shares=[3, 2],
-        ),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-    )
+    return task_blueprint(MASTER, (1.3, -1.5, 0.9), (0.1, -0.2, 0.25), views)

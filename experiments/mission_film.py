@@ -17,6 +17,7 @@ from experiments.mission_stages import FindPanel, MapTogether, Stage
 from experiments.mission_trial import Mission, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
 from twin.camera import renderer
+from twin.layout import task_blueprint
 from twin.loop import LoopRecorder
 from twin.record import Recorder
 from twin.robot import Command, Observation
@@ -181,32 +182,10 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> Film:
 
 
 def _blueprint() -> rrb.Blueprint:
-    eyes = [
-        rrb.Spatial2DView(origin=f"{MASTER}/stereo/{side}", name=f"Master's {side} eye")
-        for side in ("left", "right")
+    views = [
+        rrb.Spatial3DView(origin="mission/map", name="Map, about the panel"),
+        rrb.TimeSeriesView(origin="mission/contact", name="Contact as felt"),
+        rrb.TimeSeriesView(origin=f"{SLAVE}/sensors/arm_base_wrench", name="Wrench"),
+        rrb.TextLogView(origin="mission/stage", name="Stage"),
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(
-                    origin="world",
-                    name="Scene",
-                    eye_controls=rrb.EyeControls3D(
-                        position=(1.5, -2.0, 1.3), look_target=(0.1, -0.3, 0.15)
-                    ),
-                ),
-                rrb.Horizontal(*eyes),
-                row_shares=[3, 2],
-            ),
-            rrb.Vertical(
-                rrb.Spatial3DView(origin="mission/map", name="Map, about the panel"),
-                rrb.TimeSeriesView(origin="mission/contact", name="Contact as felt"),
-                rrb.TimeSeriesView(origin=f"{SLAVE}/sensors/arm_base_wrench", name="Wrench"),
-                rrb.TextLogView(origin="mission/stage", name="Stage"),
-            ),
-            column_shares=[3, 2],
-        ),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-    )
+    return task_blueprint(MASTER, (1.5, -2.0, 1.3), (0.1, -0.3, 0.15), views)

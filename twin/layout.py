@@ -38,6 +38,48 @@ def default_blueprint(
             rrb.Tabs(*tabs) if tabs else rrb.TimeSeriesView(origin="/", name="Curves"),
             column_shares=[3, 2],
         ),
+        *_panels(),
+    )
+
+
+def task_blueprint(
+    watcher: str,
+    position: tuple[float, float, float],
+    target: tuple[float, float, float],
+    views: Sequence[rrb.View | rrb.Container],
+) -> rrb.Blueprint:
+    """Return the layout of a task that one robot watches: the scene, its eyes, and other views.
+
+    Args:
+        watcher: Name of the robot with the eyes.
+        position: From where the scene is shown [m].
+        target: What is in its middle [m].
+        views: Beside them, from top to bottom.
+    """
+    eyes = [
+        rrb.Spatial2DView(origin=f"{watcher}/stereo/{side}", name=f"{watcher}'s {side} eye")
+        for side in ("left", "right")
+    ]
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.Spatial3DView(
+                    origin="world",
+                    name="Scene",
+                    eye_controls=rrb.EyeControls3D(position=position, look_target=target),
+                ),
+                rrb.Horizontal(*eyes),
+                row_shares=[3, 2],
+            ),
+            rrb.Vertical(*views),
+            column_shares=[3, 2],
+        ),
+        *_panels(),
+    )
+
+
+def _panels() -> tuple[rrb.TimePanel, rrb.BlueprintPanel, rrb.SelectionPanel]:
+    return (
         rrb.TimePanel(timeline="sim_time", state="collapsed"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
