@@ -423,9 +423,10 @@ class GoToStand:
                 return {MASTER: self._rest.command(seen), SLAVE: rest}
             self._begin_search()
         assert self._look is not None
+        command = self._look.command(seen)
         if self._look.sees(seen):
             self._take(seen)
-        return {MASTER: self._look.command(seen), SLAVE: rest}
+        return {MASTER: command, SLAVE: rest}
 
     def _reckon(self) -> None:
         """Bring the slot into the new frame by dead reckoning."""
