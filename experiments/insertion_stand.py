@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.watching import SeenParts, WatchPlan, target_field
 from controllers.mapping.camera_arm import CameraArm
 from controllers.placement.arm_inverse import arm_solutions
+from controllers.placement.spatial_occluders import Occluder
 from controllers.placement.spatial_search import SearchConfig, best_view
 from controllers.placement.task import Lens, PlacementError, View
 from experiments.insertion_scene import MASTER
@@ -123,6 +125,26 @@ def best_stand(width: float, level: int = 4) -> Stand:
     Raises:
         PlacementError: If there is no place.
     """
+    return search_stand(width, level)
+
+
+def search_stand(
+    width: float,
+    level: int = 4,
+    occluders: Sequence[Occluder] = (),
+    blocked: Callable[[Stand], bool] | None = None,
+) -> Stand:
+    """Return where the master sees card and slot best, among what else stands there.
+
+    Args:
+        width: Of the slot [m].
+        level: Of the search.
+        occluders: What may hide them besides the slave and the slot's post, level scene.
+        blocked: Says where a rover cannot stand.
+
+    Raises:
+        PlacementError: If there is no place.
+    """
     parts, arm = seen_parts(width), reference_arm()
     plan = watch_plan()
     # Near enough to see all markers in the middle of the approach and no nearer.
@@ -133,12 +155,12 @@ def best_stand(width: float, level: int = 4) -> Stand:
         1.15 * half[2] * 2.0 * CAMERA.fy / CAMERA.height,
     )
     lens = dataclasses.replace(plan.lens, near=max(NEAREST, least))
-    field = target_field(plan, parts)
+    field = target_field(plan, parts, others=occluders)
     kept: list[Stand] = []
 
     def accept(view: View) -> bool:
         stand = stand_for(view.position, field.target.position, arm)
-        if stand is None or not is_clear(stand):
+        if stand is None or not is_clear(stand) or (blocked is not None and blocked(stand)):
             return False
         kept.append(stand)
         return True

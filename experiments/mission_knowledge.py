@@ -19,6 +19,7 @@ from experiments.mission_scene import DROP_PLACE, DROP_YAW, MASTER, NOMINAL, SLA
 from models import datasheets
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT
 from perception.registration_uncertainty import adjoint
+from twin.robot import Observation, RobotError
 
 FloatArray = NDArray[np.float64]
 
@@ -112,6 +113,25 @@ class Knowledge:
         slot, _ = self.slot_in_master(tilt)
         slot_in_slave = RigidTransform.from_matrix(self.slot_in_slave)
         return slot * slot_in_slave.inv() * RigidTransform.from_matrix(card_in_slave)
+
+
+def tilt_of(seen: Observation, robot: str) -> FloatArray:
+    """Return (2,) pitch and roll of a robot [rad].
+
+    Args:
+        seen: Of the robot.
+        robot: Its name.
+
+    Raises:
+        RobotError: If its inclinometer tells nothing.
+    """
+    channel = seen.inclinometer
+    if not (channel.usable and np.isfinite(channel.value).all()):
+        raise RobotError(
+            f"the inclinometer of {robot} is {channel.validity.value}: without it the mission "
+            "cannot tell how the robot leans; check its connection"
+        )
+    return np.asarray(channel.value, dtype=float)
 
 
 def _told(robot: str) -> tuple[RigidTransform, FloatArray]:

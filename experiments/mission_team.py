@@ -21,15 +21,15 @@ from experiments.insertion_setting import (
     guide_config,
     surrogate_sensing,
 )
-from experiments.insertion_stand import best_stand, reference_arm
-from experiments.mission_knowledge import Knowledge
+from experiments.insertion_stand import reference_arm
+from experiments.mission_knowledge import Knowledge, tilt_of
+from experiments.mission_meet import Meet
+from experiments.mission_place import GoToStand, choose_stand
 from experiments.mission_scene import MASTER, SLAVE, MissionScene, Site
 from experiments.mission_stages import (
     HOME,
     FindPanel,
-    GoToStand,
     MapTogether,
-    Meet,
     Observations,
     Stage,
     SwingArms,
@@ -91,7 +91,7 @@ class InsertCard:
 
     def _begin(self, observations: Observations) -> InsertionTeam:
         knowledge = self._knowledge
-        tilt = np.asarray(observations[MASTER].inclinometer.value, dtype=float)
+        tilt = tilt_of(observations[MASTER], MASTER)
         slot, covariance = knowledge.slot_in_master(tilt)
         card = knowledge.card_in_master(tilt, self._arm.card_in_robot(HOME))
         eyes = watcher(self._width, slot, covariance, card, self._placed)
@@ -181,7 +181,7 @@ class MissionTeam:
             yield MapTogether(knowledge, further, explore)
         placed = self._without != "placement"
         if placed:
-            yield GoToStand(knowledge, best_stand(width))
+            yield GoToStand(knowledge, choose_stand(knowledge, width))
         yield InsertCard(knowledge, width, placed, self._scene, self._arm, insert)
 
 

@@ -7,6 +7,7 @@ all of them must be in both images, and what carries the card must not hide them
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,13 +85,16 @@ class ArmChoice:
     rating_now: float
 
 
-def target_field(plan: WatchPlan, parts: SeenParts, whole: bool = True) -> TargetField:
+def target_field(
+    plan: WatchPlan, parts: SeenParts, whole: bool = True, others: Sequence[Occluder] = ()
+) -> TargetField:
     """Return the target between card and slot with what may hide it.
 
     Args:
         plan: Shapes.
         parts: Where they are, in any frame.
         whole: Both card and slot; if not, the card alone.
+        others: What else may hide it, in the same frame.
 
     Raises:
         PlacementError: If the target lies in an occluder.
@@ -105,6 +109,7 @@ def target_field(plan: WatchPlan, parts: SeenParts, whole: bool = True) -> Targe
     occluders = [
         Occluder("carrier", parts.card_pose.apply(plan.carrier)),
         Occluder("stand", parts.slot_pose.apply(plan.stand)),
+        *others,
     ]
     return expand(target, occluders)
 

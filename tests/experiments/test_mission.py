@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import types
+import typing
 
 import numpy as np
 import pytest
@@ -13,10 +15,11 @@ from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing, lean, level_target
 from controllers.mission.going import Going
 from experiments.contract import OptionError
-from experiments.insertion_stand import Stand, reference_arm
+from experiments.insertion_stand import Stand, best_stand, reference_arm
 from experiments.mapping_scene import head_geometry
 from experiments.mission import Options
-from experiments.mission_knowledge import SLOT_IN_SITE, Knowledge
+from experiments.mission_knowledge import SLOT_IN_SITE, Knowledge, tilt_of
+from experiments.mission_place import GoToStand, MappedSite, choose_stand
 from experiments.mission_scene import (
     DROP_PLACE,
     DROP_YAW,
@@ -27,13 +30,14 @@ from experiments.mission_scene import (
     draw_scene,
     survey,
 )
-from experiments.mission_stages import VOXEL, GoToStand, take_standing
+from experiments.mission_stages import VOXEL, take_standing
 from experiments.mission_team import own_model
 from experiments.mission_trial import MissionTrial, run_mission
 from models.datasheets import CARD_AND_SLOT, ROVER
 from perception.target import TargetCad
 from perception.voxel_grid import VoxelGrid
-from perception.voxel_map import VoxelMap
+from perception.voxel_map import Surface, VoxelMap
+from twin.robot import Observation, RobotError
 
 WIDTH = CARD_AND_SLOT.slot_widths[-1]
 
@@ -179,3 +183,58 @@ def test_a_mission_ends_with_the_card_in_the_slot() -> None:
     # The wheels do scrub: a turn is less than rolling wheels would make.
     assert 0.4 < result["turn_shares"][2] < 0.9
     assert math.isclose(result["turn_shares"][0], 1.0)
+
+
+def _with_map(site: Site, points: np.ndarray) -> Knowledge:
+    """Return knowledge whose map holds points of the level ground below the slot [m]."""
+    knowledge = Knowledge.as_told(site)
+    level_to_world = RigidTransform.from_components([0.3, 0.2, 0.1], Rotation.from_euler("z", 0.5))
+    standing = Standing(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
+    to_world = level_to_world * knowledge.slot_in_level * SLOT_IN_SITE.inv()
+    surface = Surface(
+        to_world.apply(points), np.tile(1e-8 * np.eye(3), (len(points), 1, 1)), np.ones(len(points))
+    )
+    shared = types.SimpleNamespace(voxels=types.SimpleNamespace(surface=lambda: surface))
+    knowledge.shared, knowledge.standing = typing.cast(SharedMap, shared), standing
+    return knowledge
+
+
+def test_the_master_does_not_stand_where_the_map_has_something(site: Site) -> None:
+    free = best_stand(WIDTH)
+    x, y, _ = free.place
+    stake = np.array([[x + 0.1, y, z] for z in (0.15, 0.2, 0.25, 0.3)])
+    mapped = MappedSite(_with_map(site, stake))
+    assert mapped.blocks(free)
+    other = choose_stand(_with_map(site, stake), WIDTH)
+    assert math.dist(other.place[:2], (x + 0.1, y)) > 0.29
+
+
+def test_stones_that_a_rover_drives_over_do_not_block(site: Site) -> None:
+    free = best_stand(WIDTH)
+    x, y, _ = free.place
+    stones = np.array([[x + d, y, 0.04] for d in (-0.1, 0.0, 0.1, 0.2)])
+    assert not MappedSite(_with_map(site, stones)).blocks(free)
+    assert choose_stand(_with_map(site, stones), WIDTH).place == free.place
+
+
+def test_what_the_map_has_before_the_slot_moves_the_camera(site: Site) -> None:
+    free = best_stand(WIDTH)
+    middle = np.array([0.0, -0.08, SLOT_IN_SITE.translation[2]])
+    # A board half way to where the camera would be, too high to touch the rover.
+    ahead = np.array([math.cos(free.slant), 0.0, 0.0]) * 0.5 * free.distance
+    board = (
+        middle
+        + ahead
+        + 0.02
+        * np.stack(
+            np.meshgrid([0.0], np.arange(-3, 4), np.arange(8, 12), indexing="ij"), axis=-1
+        ).reshape(-1, 3)
+    )
+    mapped = MappedSite(_with_map(site, board))
+    assert len(mapped.occluders()) > 0
+    assert choose_stand(_with_map(site, board), WIDTH).place != free.place
+
+
+def test_an_inclinometer_that_is_gone_stops_the_mission_with_its_name() -> None:
+    with pytest.raises(RobotError, match="inclinometer of rover1 is missing"):
+        tilt_of(Observation(0.0), MASTER)
