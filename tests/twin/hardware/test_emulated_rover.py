@@ -186,7 +186,7 @@ def test_boards_err_by_a_count_from_the_simulation_that_gets_the_same_voltages()
                 err("centre", boards.centre_angle.value, plain.centre_angle.value, CENTRE)
             if boards.inclinometer.stamp == plain.time:
                 err("tilt", boards.inclinometer.value, plain.inclinometer.value, TILT)
-            robot.command(Command(duty[:4], duty[4:]))
+            robot.command(Command(*duty))
             link.clock.tick()
         np.testing.assert_array_equal(data.qpos, state)
     print({name: round(value, 3) for name, value in worst.items()})
