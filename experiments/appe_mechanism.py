@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from controllers.braid.drive import DriveConfig
 from experiments import appe_mechanism_figures as figures
 from experiments import contract
 from experiments.appe_mechanism_record import record_words
@@ -175,7 +176,7 @@ def _words(options: Options, output: Output) -> None:
     output.measure("words_detent_load", float(load.max()))
     power = BRAID.leg_power * np.minimum(changed, group)
     output.measure("peak_power_W", float(power.max()))
-    output.measure("energy_per_leg_J", BRAID.leg_power * 1.1)
+    output.measure("energy_per_leg_J", BRAID.leg_power * DriveConfig().heating)
     _speed(results, output)
 
 

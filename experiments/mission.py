@@ -70,7 +70,8 @@ def run(options: Options, output: Output) -> None:
     """Run the missions.
 
     Args:
-        options: ``quick`` runs one mission, else there are 20, and as many without each stage.
+        options: ``quick`` runs one mission (over two minutes), else there are 20, and as many
+            without each stage.
         output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
             ``wall_over_sim_time`` and what each stage knew.
     """

@@ -149,7 +149,7 @@ class GoToStand:
             self._reckon()
             if self._knowledge.shared is None:
                 self.done = True
-                return {MASTER: self._rest.command(seen), SLAVE: rest}
+                return {MASTER: self._fold.command(seen), SLAVE: rest}
             self._begin_search()
         assert self._look is not None
         command = self._look.command(seen)

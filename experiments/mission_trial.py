@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.placement.task import PlacementError
 from experiments.insertion_scene import contact_force, transform
 from experiments.mission_scene import MASTER, SLAVE, MissionScene, draw_scene, survey
 from experiments.mission_team import MissionTeam
@@ -213,7 +214,7 @@ def perform(
         )
         wall = summary.wall / max(summary.duration, 1e-9)
         reason = "" if team.over else f"out of time in {team.stage.name}"
-    except RobotError as error:
+    except (RobotError, PlacementError) as error:
         reason = str(error)
     return _result(mission, scorer, reason, wall)
 
