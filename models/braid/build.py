@@ -3,8 +3,9 @@
 A platform hangs in its stage's base by three slides and a ball joint, free in itself. Each leg
 turns about a hinge at the platform's rim and slides along itself; a ``connect`` holds its lower
 end on the base disc, as the spherical joint does. A tendon along each leg has a stiffness that is a
-polynomial with two wells, so the detent is native. Each leg has two bundles of muscle wires, one to extend and one to
-retract it: MuJoCo's exact filter is the wire's temperature, its force is clamped to be one-way.
+polynomial with two wells, so the detent is native. Each leg has two bundles of muscle wires, one to
+extend and one to retract it: MuJoCo's exact filter is the wire's temperature, its force is clamped
+to be one-way.
 
 Elements of stage k and leg j, both from 1: bodies ``stage{k}`` (its platform),
 ``stage{k}_leg{j}``; joints ``stage{k}_x_joint``, ``_y_``, ``_z_``, ``stage{k}_ball_joint``,
