@@ -1,12 +1,19 @@
-"""Which tests need the machine for themselves."""
+"""Which tests need the machine for themselves, and in which order workers take the others."""
 
 from __future__ import annotations
 
+import collections
 from pathlib import Path
 
 import pytest
 
 HARDWARE = Path(__file__).parent / "twin" / "hardware"
+
+
+def pytest_configure(config):
+    config.addinivalue_line(
+        "markers", "virtual_time: of hardware, but waits for no clock: runs beside other tests"
+    )
 
 
 def pytest_addoption(parser):
@@ -20,8 +27,10 @@ def pytest_addoption(parser):
 def pytest_collection_modifyitems(config, items):
     for item in items:
         # Boards answer from another process, within deadlines of milliseconds.
-        if HARDWARE in item.path.parents:
+        if HARDWARE in item.path.parents and item.get_closest_marker("virtual_time") is None:
             item.add_marker(pytest.mark.real_time)
+    if hasattr(config, "workerinput"):
+        _put_slow_files_first(items)
     wanted = config.getoption("--real-time")
     if wanted is None:
         return
@@ -31,3 +40,11 @@ def pytest_collection_modifyitems(config, items):
         (chosen if real_time == (wanted == "only") else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = chosen
+
+
+def _put_slow_files_first(items):
+    """Let no worker begin a long file when the others are about to end."""
+    slow = collections.Counter(
+        item.path for item in items if item.get_closest_marker("slow") is not None
+    )
+    items.sort(key=lambda item: item.path not in slow)

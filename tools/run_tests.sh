@@ -6,7 +6,7 @@ python=$1
 shift
 
 # pytest says 5 where the arguments leave it no test.
-"$python" -m pytest -n auto --dist loadfile --real-time=skip "$@"
+"$python" -m pytest -n auto --dist loadfile --no-loadscope-reorder --real-time=skip "$@"
 shared=$?
 "$python" -m pytest --real-time=only "$@"
 alone=$?

@@ -23,6 +23,8 @@ from twin.hardware.emulator.amplifier import (
     pulse_share,
 )
 
+pytestmark = pytest.mark.virtual_time
+
 CARD = AmplifierConfig()
 RC = AmplifierConfig(law="rc")
 # A clock that is low for 40 % of its period, so that a short pulse ends before it rises.

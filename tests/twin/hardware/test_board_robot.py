@@ -18,6 +18,8 @@ from twin.hardware.link import LinkError
 from twin.hardware.roboclaw_codec import Status
 from twin.robot import NOTHING, ArmMode, Command, Lifecycle, RobotError, Validity, WheelMode
 
+pytestmark = pytest.mark.virtual_time
+
 CALIBRATION = read_calibration(calibration_path("rover1"))
 PERIOD = 0.01
 PINS = {0: 512, 1: 493, 2: 488}  # Centre, roll and pitch, level.
@@ -617,6 +619,7 @@ def test_watchdog_leaves_an_inactive_robot_alone(bench):
     assert bench.robot.lifecycle is Lifecycle.INACTIVE and len(bench.boards.driven) == sent
 
 
+@pytest.mark.real_time
 def test_watched_robot_stops_while_its_controller_hangs():
     boards = Boards()
     config = BoardRobotConfig(watchdog=0.05)

@@ -26,6 +26,8 @@ from twin.hardware.calibration import (
 from twin.hardware.motor_calibration import AXES
 from twin.sensors import DATASHEET
 
+pytestmark = pytest.mark.virtual_time
+
 ROVER1 = read_calibration(calibration_path("rover1"))
 ROVER2 = read_calibration(calibration_path("rover2"))
 TODAY = datetime.date(2026, 12, 1)

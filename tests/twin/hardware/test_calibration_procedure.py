@@ -31,6 +31,8 @@ from twin.hardware.tilt_fit import (
 )
 from twin.wiring import tilt as tilt_of_orientation
 
+pytestmark = pytest.mark.virtual_time
+
 TODAY = datetime.date(2026, 12, 1)
 ROBOT = read_calibration(calibration_path("rover1"))
 SENSORS = (ROBOT.inclinometer.pitch, ROBOT.inclinometer.roll)

@@ -31,6 +31,8 @@ from twin.hardware.radio_messages import PoseMessage, WrenchMessage, pack_map_ch
 from twin.hardware.roboclaw import RoboClawBus
 from twin.hardware.roboclaw_codec import Command
 
+pytestmark = pytest.mark.virtual_time
+
 ADDRESSES = (0x80, 0x81, 0x82, 0x83)
 LONGEST_PACKET = 4 + 33  # [bytes] Both positions.
 KEPT = 20_000  # [bytes] By everything in a test, after it was fed.

@@ -14,6 +14,8 @@ from twin.hardware.emulator.faults import FaultyLine, LineFault, LineFaultConfig
 from twin.hardware.emulator.roboclaw_board import VERSION, RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw_codec import Command, Status
 
+pytestmark = pytest.mark.virtual_time
+
 
 def exchange(line, request, now=0.0):
     return line.feed(bytes.fromhex(request), now)

@@ -40,6 +40,8 @@ from twin.hardware.link import LinkError, SerialLink
 from twin.hardware.roboclaw import BusTiming, RoboClawBus
 from twin.hardware.roboclaw_codec import Command, Status
 
+pytestmark = pytest.mark.virtual_time
+
 # Sound line
 
 
@@ -409,18 +411,20 @@ def wall_clock_damage(plans, seed, waiting_time):
     return sum(damage.values()), np.percentile(wall, 99)
 
 
+@pytest.mark.real_time
 def test_damaged_port_gives_no_wrong_value_and_no_long_call(waiting_time):
     plans = [(KINDS, 0.03, 5), (KINDS, 0.3, 60), (KINDS, 1.0, 25)]
     damaged, _ = wall_clock_damage(plans, 1, waiting_time)
     assert damaged >= 90
 
 
+@pytest.mark.real_time
 @pytest.mark.slow
 def test_damaged_exchanges_give_no_wrong_value_and_no_long_call(waiting_time):
-    plans = [((kind,), 0.3, 60) for kind in KINDS]
-    plans += [(KINDS, 0.03, 200), (KINDS, 0.3, 800), (KINDS, 1.0, 400)]
+    plans = [((kind,), 0.3, 20) for kind in KINDS]
+    plans += [(KINDS, 0.03, 70), (KINDS, 0.3, 270), (KINDS, 1.0, 130)]
     damaged, nearly_all = wall_clock_damage(plans, 2, waiting_time)
-    assert damaged >= 1900 and nearly_all <= WORST_CALL
+    assert damaged >= 630 and nearly_all <= WORST_CALL
 
 
 def timed_failure(call, waiting_time):
@@ -431,6 +435,7 @@ def timed_failure(call, waiting_time):
     return waiting_time() - begin
 
 
+@pytest.mark.real_time
 def test_port_that_takes_nothing_cannot_hold_a_call(waiting_time):
     port = PseudoTerminal()
     serial = SerialLink(port.name, BAUD)
@@ -444,6 +449,7 @@ def test_port_that_takes_nothing_cannot_hold_a_call(waiting_time):
     port.close()
 
 
+@pytest.mark.real_time
 def test_port_that_is_gone_is_a_link_error(waiting_time):
     port = PseudoTerminal()
     bus = RoboClawBus(SerialLink(port.name, BAUD))

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from twin.hardware import roboclaw_codec as codec
 from twin.hardware.roboclaw_codec import Command, Status
 
+pytestmark = pytest.mark.virtual_time
+
 # Packets as the user manual writes them: address, command, payload, checksum.
 WRITES = [
     (0x80, Command.SET_TIMEOUT, (0,), "80 0e 00 18 55"),
