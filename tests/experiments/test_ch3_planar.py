@@ -2,8 +2,6 @@
 
 import dataclasses
 import json
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 from scipy import ndimage
 
 from experiments import ch3_planar, ch3_planar_record
+from experiments.__main__ import main
 from experiments.ch3_planar_explain import merge
 from experiments.ch3_planar_trial import Trial, build_world, first_at, run_trial
 from experiments.ch3_planar_worlds import image_world, indoor_world, make_world, unstructured_world
@@ -191,13 +190,7 @@ def test_a_picture_is_mapped_from_the_command_line(tmp_path):
     pixels[20:24, 40] = 255
     words = ["ch3-planar", "--world", str(picture(tmp_path, pixels)), "--seeds", "1", "--jobs", "1"]
     words += ["--methods", "information", "--explain", "--record"]
-    done = subprocess.run(
-        [sys.executable, "-m", "experiments", *words, "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    assert main([*words, "--out", str(tmp_path)]) == 0
     folder = tmp_path / "ch3-planar"
     measured = json.loads((folder / "metrics.json").read_text())["measured"]
     assert measured["scans_to_90_picture/information"]["median"] < 60
@@ -207,11 +200,7 @@ def test_a_picture_is_mapped_from_the_command_line(tmp_path):
     assert (folder / "run.rrd").stat().st_size > 5_000
 
 
-@pytest.mark.slow
-def test_a_missing_picture_ends_with_status_2(tmp_path):
+def test_a_missing_picture_ends_with_status_2(tmp_path, capsys):
     words = ["ch3-planar", "--world", str(tmp_path / "none.png"), "--out", str(tmp_path)]
-    done = subprocess.run(
-        [sys.executable, "-m", "experiments", *words], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert "no such file" in done.stdout + done.stderr
+    assert main(words) == 2
+    assert "no such file" in capsys.readouterr().err
