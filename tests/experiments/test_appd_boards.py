@@ -40,19 +40,6 @@ def test_every_fault_of_a_robot_and_its_host_is_tried_equally_often():
 
 
 @pytest.mark.slow
-def test_motors_stop_after_each_fault_and_a_wrap_stops_nothing():
-    result = run_batch(Batch(KINDS, SEED))
-    for kind, time, moving, active in zip(
-        *(result[n] for n in ("kind", "stop_time", "moving", "active"))
-    ):
-        if kind == WRAP:
-            assert active and time == float("inf")
-        else:
-            assert moving >= 4 and 0.0 < time <= 0.21, kind
-    assert result["wrong"] == [0] * len(KINDS)
-
-
-@pytest.mark.slow
 def test_robot_that_ignores_an_e_stop_is_found_out(monkeypatch):
     monkeypatch.setattr(BoardRobot, "_check_in_turn", lambda self: None)
     result = run_batch(Batch(("e_stop",), SEED))
@@ -167,7 +154,7 @@ def test_experiment_is_in_the_catalogue_and_breaks_no_real_boards():
 
 
 @pytest.mark.slow
-def test_quick_run_writes_everything(tmp_path):
+def test_quick_run_stops_the_motors_after_each_fault_and_writes_everything(tmp_path):
     command = [
         sys.executable,
         "-m",
@@ -184,7 +171,8 @@ def test_quick_run_writes_everything(tmp_path):
     measured = metrics["measured"]
     assert measured["stopped_fraction"]["median"] == 1.0 and measured["stopped_fraction"]["n"] == 22
     for kind in STOPPING:
-        assert 0.0 < measured[f"stop_time/{kind}"]["median"] <= 0.21
+        assert 0.0 < measured[f"stop_time/{kind}"]["median"]
+        assert measured[f"stop_time_worst/{kind}"] <= 0.21 + 1e-9
     assert measured["went_on_fraction/counter_wrap"]["median"] == 1.0
     assert measured["wrong_values"] == 0
     assert measured["identical_cycles/clean"] >= 100 <= measured["identical_cycles/faulted"]
@@ -198,6 +186,8 @@ def test_quick_run_writes_everything(tmp_path):
     ]
     assert len(fast) == 2
     assert all(check["ok"] for check in metrics["checks"] if check not in fast)
+    named = " ".join(check["name"] for check in metrics["checks"])
+    assert "motors driven when a fault began" in named and "through a counter's wrap" in named
     drawn = {"fault_stops", "calls", "figure_d-3"} | (
         {"pace"} if "adapter_ms" in measured else set()
     )
