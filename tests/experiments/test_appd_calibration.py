@@ -2,13 +2,12 @@
 
 import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from experiments import appd_calibration, appd_tilt_table
+from experiments.__main__ import main
 from experiments.appd_tilt_table import TiltTable, draw_tilts, true_sensors, weigh_one
 from experiments.catalogue import EXPERIMENTS
 from experiments.contract import OptionError
@@ -146,14 +145,8 @@ def test_experiment_is_in_the_catalogue_and_refuses_other_robots():
 
 @pytest.mark.slow
 def test_quick_run_writes_everything(tmp_path):
-    command = [sys.executable, "-m", "experiments", "appd-calibration", "--quick", "--seeds", "1"]
-    done = subprocess.run(
-        [*command, "--jobs", "1", "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    words = ["appd-calibration", "--quick", "--seeds", "1", "--jobs", "1"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
     folder = tmp_path / "appd-calibration"
     metrics = json.loads((folder / "metrics.json").read_text())
     for key, axes in INCLINOMETER_CALIBRATION.items():

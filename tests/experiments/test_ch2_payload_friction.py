@@ -1,8 +1,6 @@
 """The two experiments end to end, and what they say when a sensor is gone."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ import pytest
 from controllers.identification.observation_log import IdentificationError
 from controllers.identification.payload import PayloadIdentifier
 from experiments import ch2_friction, ch2_payload
+from experiments.__main__ import main
 from experiments.contract import OptionError
 from experiments.known_arm import known_arm
 from models.compose import PayloadConfig, RobotPlacement, make_model
@@ -62,14 +61,8 @@ def test_bad_options_are_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ch2-payload", "ch2-friction"])
 def test_quick_run_writes_everything(name, tmp_path):
-    command = [sys.executable, "-m", "experiments", name, "--quick", "--seeds", "1"]
-    done = subprocess.run(
-        [*command, "--jobs", "1", "--record", "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    words = [name, "--quick", "--seeds", "1", "--jobs", "1", "--record"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
     folder = tmp_path / name
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics["checks"]
