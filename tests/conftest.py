@@ -1,11 +1,15 @@
-"""Which tests need the machine for themselves, and in which order workers take the others."""
+"""Which tests need the machine for themselves, which workers take first, and what they keep."""
 
 from __future__ import annotations
 
 import collections
+import json
+import shutil
 from pathlib import Path
 
 import pytest
+
+from experiments.catalogue import EXPERIMENTS
 
 HARDWARE = Path(__file__).parent / "twin" / "hardware"
 
@@ -22,6 +26,30 @@ def pytest_addoption(parser):
         choices=("only", "skip"),
         help="run only, or leave out, tests that time something or wait for a clock",
     )
+    parser.addoption(
+        "--keep-results", metavar="DIR", help="keep there what experiments write in quick runs"
+    )
+
+
+def pytest_runtest_teardown(item):
+    wanted, written = item.config.getoption("--keep-results"), item.funcargs.get("tmp_path")
+    if wanted is None or written is None:
+        return
+    for path in written.glob("**/metrics.json"):
+        _keep(path.parent, Path(wanted))
+
+
+def _keep(folder, wanted):
+    """Copy the folder of a quick run of an experiment of the catalogue."""
+    if folder.name not in EXPERIMENTS:
+        return
+    config = json.loads((folder / "config.json").read_text())
+    # Tests of the report put other results under these names.
+    if config["quick"] and config["experiment"] == folder.name:
+        shutil.rmtree(wanted / folder.name, ignore_errors=True)
+        shutil.copytree(
+            folder, wanted / folder.name, ignore=shutil.ignore_patterns("jobs", "*.rrd")
+        )
 
 
 def pytest_collection_modifyitems(config, items):
