@@ -76,6 +76,7 @@ class Simulation:
         self.model = model
         self.data = mujoco.MjData(model) if data is None else data
         self.period = period
+        self._whole_tick = period - 0.5 * float(model.opt.timestep)
         prefixes = robots if isinstance(robots, Mapping) else {name: f"{name}/" for name in robots}
         if not prefixes:
             raise ValueError("a simulation needs at least one robot")
@@ -129,8 +130,8 @@ class Simulation:
             RobotError: If the physics diverged; every robot is in ERROR then.
         """
         time = self.data.time
-        # MuJoCo resets a state that is not finite, and its clock with it.
-        if time <= self._time:
+        # MuJoCo resets a state that is not finite, and its clock with it: less than a tick passed.
+        if time - self._time < self._whole_tick:
             self._time = time
             errors = [robot.fail("the simulation diverged") for robot in self._robots]
             raise errors[0]
