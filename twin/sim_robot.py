@@ -148,6 +148,7 @@ class SimRobot:
         Raises:
             RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable;
                 then it is in ERROR.
+            ValueError: If a duty comes to no number; all axes are zeroed.
         """
         if self.lifecycle is not _ACTIVE:
             self._zero()
@@ -224,6 +225,9 @@ class SimRobot:
             self._duty = self._servo.drive(self._held, self._observation)
         except RobotError as error:
             raise self.fail(str(error)) from error
+        except ValueError:
+            self._zero()
+            raise
         if self._scattered:
             self._ctrl[self._axes] = self._servo.motors
         self._driven = True

@@ -184,6 +184,28 @@ def test_effort_mode_gives_the_asked_torque_at_the_measured_speed():
     np.testing.assert_allclose(simulation.data.actuator_force[:4], 0.3, rtol=1e-9)
 
 
+def test_duty_that_is_no_number_leaves_scattered_motors_without_voltage_too():
+    spec = mujoco.MjSpec.from_string(scene_xml())
+    # Another actuator amid the robot's own: then the servo cannot write where the motors read.
+    names = [actuator.name for actuator in spec.actuators]
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for name in (*names[:3], "lamp", *names[3:]):
+        spec.add_actuator(
+            name=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, ctrlrange=[-12, 12]
+        ).target = "rover1/front_left_joint" if name == "lamp" else f"{name}_joint"
+    simulation = make(model=spec.compile())
+    robot = simulation.robots["rover1"]
+    robot.activate()
+    robot.command(Command(np.full(4, 0.5)))
+    assert np.count_nonzero(simulation.data.ctrl) == 4
+    command = Command(np.zeros(4))
+    command.wheels[1] = np.nan
+    with pytest.raises(ValueError, match="nan.*nothing was sent"):
+        robot.command(command)
+    assert not np.any(simulation.data.ctrl)
+
+
 def test_lifecycle_follows_the_contract():
     simulation = make()
     robot = simulation.robots["rover1"]
@@ -224,12 +246,14 @@ def test_missing_tachometer_stops_a_speed_loop_with_all_axes_zero():
     assert robot.lifecycle is Lifecycle.ACTIVE
 
 
-def test_divergence_puts_every_robot_in_error_with_all_axes_zero():
+@pytest.mark.parametrize("ticks", [0, 1, 7])
+def test_divergence_puts_every_robot_in_error_with_all_axes_zero(ticks):
     simulation = make(model=PAIR, names=("rover1", "rover2"))
     for robot in simulation.robots.values():
         robot.activate()
         robot.command(Command(np.ones(4), np.ones(4)))
-    simulation.step()
+    for _ in range(ticks):
+        simulation.step()
     simulation.data.qvel[0] = np.nan
     with pytest.raises(RobotError, match="diverged"):
         simulation.step()

@@ -199,6 +199,7 @@ class BoardRobot:
         Raises:
             RobotError: If the robot is not ACTIVE, a channel that the mode needs is not usable, or
                 a board is silent; then it is in ERROR and all axes are zeroed.
+            ValueError: If a duty comes to no number; all axes are zeroed.
         """
         with self._lock:
             if self._lifecycle is not Lifecycle.ACTIVE:
@@ -211,6 +212,9 @@ class BoardRobot:
                 duty = self._within_range(self._servo.duty(command, self._observation))
             except RobotError as error:
                 raise self._fail(str(error)) from error
+            except ValueError:
+                self._stop()
+                raise
             codes = self.calibration.drive.duty_codes(duty)
             try:
                 self.boards.drive(codes)
