@@ -96,7 +96,7 @@ def run(
         What the run took.
 
     Raises:
-        RobotError: If a robot fails.
+        RobotError: If a robot fails; what ended the run comes before what goes wrong at its end.
         ValueError: If a controller commands an unknown robot, or two command the same.
     """
     begin, wall, missed = clock.time, time.perf_counter(), clock.misses
@@ -122,10 +122,14 @@ def run(
             done = step + 1
             if until is not None and until():
                 break
-    finally:
-        _stop(robots)
-        if recorder is not None:
-            recorder.flush()
+    except BaseException as error:
+        try:
+            _end(robots, recorder)
+        except RobotError as another:
+            # What ended the run is what the caller must hear of first.
+            error.add_note(f"and at the end: {another}")
+        raise
+    _end(robots, recorder)
     return RunSummary(done, clock.time - begin, time.perf_counter() - wall, clock.misses - missed)
 
 
@@ -135,13 +139,15 @@ def _wrong_target(name: str, robots: Mapping[str, Robot]) -> ValueError:
     return ValueError(f"a controller commands unknown robot {name!r}; there are {list(robots)}")
 
 
-def _stop(robots: Mapping[str, Robot]) -> None:
-    """Deactivate every robot, even when one of them cannot be reached any more."""
+def _end(robots: Mapping[str, Robot], recorder: LoopRecorder | None) -> None:
+    """Deactivate every robot and flush, even when one of them cannot be reached any more."""
     errors: list[RobotError] = []
     for robot in robots.values():
         try:
             robot.deactivate()
         except RobotError as error:
             errors.append(error)
+    if recorder is not None:
+        recorder.flush()
     if errors:
         raise errors[0]

@@ -89,6 +89,23 @@ def test_failing_robot_stops_the_others(simulation):
     assert not np.any(simulation.data.ctrl)
 
 
+@pytest.mark.parametrize("bug", [None, ValueError("bug")])
+def test_robot_that_cannot_be_stopped_hides_neither_the_others_nor_what_went_wrong(
+    simulation, monkeypatch, bug
+):
+    def unreachable():
+        raise RobotError("no answer")
+
+    monkeypatch.setattr(simulation.robots["rover1"], "deactivate", unreachable)
+    log, push = Log(), Push("rover1", "rover2", fail_at=bug and 3, error=bug)
+    with pytest.raises(ValueError if bug else RobotError) as raised:
+        run(simulation.robots, [push], SimClock(simulation), log, duration=0.05)
+    said = str(raised.value), *getattr(raised.value, "__notes__", ())
+    assert said == (("bug", "and at the end: no answer") if bug else ("no answer",))
+    assert log.flushed == 1
+    assert simulation.robots["rover2"].lifecycle is Lifecycle.INACTIVE
+
+
 def test_unknown_and_doubly_commanded_robots_are_refused(simulation):
     with pytest.raises(ValueError, match=r"'ghost'.*rover1.*rover2"):
         run(simulation.robots, [Push("ghost")], SimClock(simulation))
