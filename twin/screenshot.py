@@ -13,6 +13,7 @@ _ADVICE = (
     "the viewer needs a graphics driver; on Debian and Ubuntu install mesa-vulkan-drivers "
     "for the software one"
 )
+_PNG_END = b"IEND\xaeB`\x82"  # Chunk that ends every PNG file.
 
 
 def screenshot(run: Path, out: Path, at: float | None = None, patience: float = 60.0) -> None:
@@ -84,7 +85,8 @@ def _end(viewer: ViewerClient) -> float:
 
 
 def _wait_for(out: Path, deadline: float) -> None:
-    while not (out.is_file() and out.stat().st_size > 0):
+    """Wait until the viewer has written the picture to its end: closing it would cut that off."""
+    while not (out.is_file() and out.read_bytes().endswith(_PNG_END)):
         if time.monotonic() > deadline:
             raise RuntimeError(f"the viewer did not write {out}; {_ADVICE}")
         time.sleep(0.1)

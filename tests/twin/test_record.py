@@ -2,8 +2,10 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from twin.loop import run
 from twin.record import Recorder
 from twin.robot import ArmMode, Command, WheelMode
 from twin.scene_mesh import body_mesh, geom_colour
-from twin.screenshot import screenshot
+from twin.screenshot import _wait_for, screenshot
 from twin.sensors import DATASHEET
 from twin.simulation import Simulation
 
@@ -207,6 +209,16 @@ def test_screenshot_shows_the_recording(recorded, tmp_path):
             pytest.skip(str(error))
         raise
     assert picture.stat().st_size > 50_000
+
+
+def test_half_written_screenshot_is_waited_for(tmp_path):
+    out = tmp_path / "view.png"
+    whole = cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1].tobytes()
+    out.write_bytes(whole[:-5])
+    with pytest.raises(RuntimeError, match="did not write"):
+        _wait_for(out, time.monotonic())
+    out.write_bytes(whole)
+    _wait_for(out, time.monotonic())
 
 
 def test_screenshot_of_nothing_says_so(tmp_path):
