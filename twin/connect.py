@@ -148,9 +148,10 @@ def _connect_emulated(config: SceneConfig, line_faults: float) -> Connection:
 
 def _connect_wires(wiring: Wiring) -> Connection:
     clock = WallClock(SERVO_PERIOD)
-    robot = wired_robot(wiring, lambda: clock.time)
-    resources = contextlib.ExitStack()
-    resources.callback(robot.close)
-    resources.enter_context(watched(robot))
-    resources.enter_context(without_pauses())
+    with contextlib.ExitStack() as opening:
+        robot = wired_robot(wiring, lambda: clock.time)
+        opening.callback(robot.close)
+        opening.enter_context(watched(robot))
+        opening.enter_context(without_pauses())
+        resources = opening.pop_all()
     return Connection({robot.name: robot}, clock, None, None, resources)

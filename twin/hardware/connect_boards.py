@@ -241,12 +241,15 @@ def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, 
     """
     state = emulator.state()
     robots: dict[str, BoardRobot] = {}
-    for placement in scene.robots:
-        wiring = emulated_wiring(emulator, scene, placement.name)
-        wiring = dataclasses.replace(wiring, patient=True)
-        robot = wired_robot(wiring, lambda: emulator.time, _patience(scene))
-        robot.home(np.array(state[placement.name]["arm_angles"]))
-        robots[placement.name] = robot
+    with contextlib.ExitStack() as opened:
+        for placement in scene.robots:
+            wiring = emulated_wiring(emulator, scene, placement.name)
+            wiring = dataclasses.replace(wiring, patient=True)
+            robot = wired_robot(wiring, lambda: emulator.time, _patience(scene))
+            opened.callback(robot.close)
+            robot.home(np.array(state[placement.name]["arm_angles"]))
+            robots[placement.name] = robot
+        opened.pop_all()
     return robots
 
 

@@ -288,11 +288,14 @@ class NetForceTorque:
 
     def _connected(self) -> socket.socket:
         """Return a socket on a new local port that hears the sensor only."""
+        made: socket.socket | None = None
         try:
             made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             made.setblocking(False)
             made.connect(self._address)
         except OSError as error:
+            if made is not None:
+                made.close()
             raise LinkError(f"force sensor {self._address[0]}: {error}") from None
         return made
 

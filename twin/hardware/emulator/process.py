@@ -52,7 +52,11 @@ class EmulatorProcess:
         self._process = subprocess.Popen(  # noqa: S603
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
-        begun = self._read()
+        try:
+            begun = self._read()
+        except BaseException:
+            self.close()
+            raise
         self.ports: dict[str, dict[str, Any]] = begun["ports"]
         self.period: float = begun["period"]
         self.time: float = begun["time"]
