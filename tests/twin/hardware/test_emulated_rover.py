@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -351,6 +352,22 @@ def test_unknown_fault_is_refused_and_the_emulator_goes_on(emulator):
     assert emulator.time == pytest.approx(before + PERIOD)
 
 
+def test_emulator_that_does_not_start_leaves_nothing_open(monkeypatch):
+    started, folders = [], set(Path(tempfile.gettempdir()).glob("fieldtwin-*"))
+    popen = subprocess.Popen
+
+    def keep(command, **options):
+        started.append(popen(["false"], **options))
+        return started[0]
+
+    monkeypatch.setattr(subprocess, "Popen", keep)
+    with pytest.raises(LinkError, match="the emulator ended"):
+        EmulatorProcess(SceneConfig(stereo=StereoConfig()))
+    assert started[0].returncode == 1
+    assert started[0].stdin.closed and started[0].stdout.closed
+    assert set(Path(tempfile.gettempdir()).glob("fieldtwin-*")) <= folders
+
+
 def test_emulator_that_died_is_a_link_error():
     emulator = EmulatorProcess(SceneConfig())
     emulator._process.kill()
@@ -366,7 +383,8 @@ def test_faults_of_a_file_begin_and_end_in_their_time():
         {"time": 0.02, "kind": "brown_out", "duration": 0.02},
         {"robot": "rover2", "time": 0.0, "kind": "driver_fault"},
     ]
-    emulator = Emulator(SceneConfig(), 0.0, faults)
+    pair = RobotPlacement(ROBOT), RobotPlacement("rover2", (2.0, 0.0))
+    emulator = Emulator(SceneConfig(pair), 0.0, faults)
     rover, boards = emulator.scene.rovers[ROBOT], emulator.rigs[ROBOT].boards.boards
     volts, stopped = [], []
     for _ in range(6):
@@ -377,6 +395,19 @@ def test_faults_of_a_file_begin_and_end_in_their_time():
     assert volts == [12.0, 12.0, 9.0, 9.0, 12.0, 12.0]
     assert stopped == [[]] * 3 + [[0x81]] * 3
     assert boards[0x81].status is Status.E_STOP
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"robot": "rover9"}, "fault of robot 'rover9': there are rover1"),
+        ({"kind": "rust"}, "kind 'rust'; expected one of bus_silent, .*, camera_unplugged"),
+        ({"address": 0x99}, "no motor board 0x99; there are 0x80, 0x81, 0x82, 0x83"),
+    ],
+)
+def test_fault_of_nothing_that_is_there_is_named(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        Emulator(SceneConfig(), 0.0, [{"time": 1.0, "kind": "e_stop", **wrong}])
 
 
 def test_quantised_rover_sees_what_the_simulated_one_sees():

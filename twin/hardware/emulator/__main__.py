@@ -70,8 +70,16 @@ class Emulator:
             line_faults: Share of damaged exchanges.
             faults: Scheduled ones, as in the file.
             frames: Folder for stereo pairs; None to keep them.
+
+        Raises:
+            ValueError: If a fault is of a robot or board that is not there, or of no known kind.
+            CalibrationError: If a robot's calibration cannot be used.
         """
         self.scene = EmulatedScene(scene)
+        names = list(self.scene.rovers)
+        for entry in faults:
+            if entry.get("robot", names[0]) not in names:
+                raise ValueError(f"fault of robot {entry['robot']!r}: there are {', '.join(names)}")
         config = LineFaultConfig(line_faults)
         sources = np.random.default_rng([scene.seed, 5]).spawn(len(self.scene.rovers))
         self.rigs = {
@@ -174,10 +182,18 @@ class Emulator:
 
 
 def _fault(entry: dict[str, Any]) -> ScheduledFault:
+    """Return a fault from its words.
+
+    Raises:
+        ValueError: Naming what is missing or unknown, and the kinds that there are.
+    """
+    kinds = {kind.value: kind for kind in (*RobotFault, *CameraFault)}
+    if entry.get("kind") not in kinds:
+        raise ValueError(f"kind {entry.get('kind')!r}; expected one of {', '.join(kinds)}")
+    if "time" not in entry:
+        raise ValueError(f"{entry['kind']} has no time")
     fields = {key: entry[key] for key in ("time", "duration", "address") if key in entry}
-    cameras = [kind.value for kind in CameraFault]
-    kinds = CameraFault if entry["kind"] in cameras else RobotFault
-    return ScheduledFault(kind=kinds(entry["kind"]), **fields)
+    return ScheduledFault(kind=kinds[entry["kind"]], **fields)
 
 
 def _faults_of(name: str, faults: Sequence[dict[str, Any]]) -> list[ScheduledFault]:
@@ -197,12 +213,16 @@ def main() -> int:
     """Serve until the control line is closed or the process is interrupted."""
     options = tyro.cli(Options, description=__doc__)
     faults: list[dict[str, Any]] = []
-    if options.faults:
-        faults = json.loads(options.faults.read_text())
     if options.realtime and options.frames:
         print("--frames: not with --realtime", file=sys.stderr)
         return 2
-    emulator = Emulator(_scene(options), options.line_faults, faults, options.frames)
+    try:
+        if options.faults:
+            faults = json.loads(options.faults.read_text())
+        emulator = Emulator(_scene(options), options.line_faults, faults, options.frames)
+    except (OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
     ports = {name: rig.ports for name, rig in emulator.rigs.items()}
     period = emulator.scene.period
     print(json.dumps({"ports": ports, "period": period, "time": emulator.scene.time}), flush=True)

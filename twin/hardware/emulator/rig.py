@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -98,8 +98,13 @@ class EmulatedRig:
             schedule: Faults of the robot.
             rng: Decides the damage.
             folder: Where its stereo pairs are put, if it has a head; None to keep them.
+
+        Raises:
+            ValueError: If a fault is of a motor board that is not there.
         """
         addresses = sorted({axis.address for axis in rover.calibration.drive.axes})
+        for fault in schedule:
+            _check_address(fault, addresses)
         self.motors = [BoardMotors(rover, address) for address in addresses]
         boards = [RoboClawBoard(a, m) for a, m in zip(addresses, self.motors, strict=True)]
         self.boards = RoboClawLine(boards)
@@ -206,8 +211,7 @@ class EmulatedRig:
         Raises:
             ValueError: If there is no such board.
         """
-        if fault.address not in self.boards.boards:
-            raise ValueError(f"no motor board {fault.address:#x}")
+        _check_address(fault, self.boards.boards)
         self._schedule = sorted([*self._schedule, fault], key=lambda entry: entry.time)
 
     def _begin(self, fault: ScheduledFault) -> None:
@@ -249,3 +253,9 @@ class EmulatedRig:
         self.bus.close()
         self.analogue.close()
         self.wrench.close()
+
+
+def _check_address(fault: ScheduledFault, addresses: Collection[int]) -> None:
+    if fault.address not in addresses:
+        there = ", ".join(f"{address:#x}" for address in addresses)
+        raise ValueError(f"no motor board {fault.address:#x}; there are {there}")
