@@ -102,17 +102,13 @@ class BusCircuit:
             ValueError: If a value is not positive or a spread or noise negative.
         """
         free = {"divider_spread", "threshold_spread", "rc_spread", "noise", "sense_noise"}
-        may_vanish = free | {"hysteresis", "line_resistance", "actuator_current", "clamp_drop"}
+        free |= {"hysteresis", "line_resistance", "actuator_current", "clamp_drop"}
         for field in dataclasses.fields(self):
-            value, lowest = getattr(self, field.name), 0.0
+            value, may_vanish = getattr(self, field.name), field.name in free
             if value is None:
                 continue
-            if (
-                not math.isfinite(value)
-                or value < lowest
-                or (value == 0.0) > (field.name in may_vanish)
-            ):
-                kind = "0 or more" if field.name in may_vanish else "a positive number"
+            if not (math.isfinite(value) and (value > 0.0 or may_vanish and value == 0.0)):
+                kind = "0 or more" if may_vanish else "a positive number"
                 raise ValueError(f"{field.name}: expected {kind}, got {value}")
         if self.threshold + self.hysteresis / 2 >= self.logic_supply:
             raise ValueError(
@@ -268,8 +264,14 @@ class PowerBus:
         return Trace(time, line, signal, debounced, flag, rows[:, 4].astype(np.int64), words)
 
     def sense(self) -> int:
-        """Return the number of actuators that are on, as the supply current tells the master."""
+        """Return the number of actuators that are on, as the supply current tells the master.
+
+        Raises:
+            ValueError: If actuators that are on take no current.
+        """
         circuit = self.circuit
+        if circuit.actuator_current == 0.0:
+            raise ValueError("actuator_current: expected a positive number to sense, got 0.0")
         current = circuit.actuator_current * self._logic[LATCH].sum()
         current += circuit.sense_noise * self._rng.standard_normal()
         return round(current / circuit.actuator_current)

@@ -173,7 +173,11 @@ DEFAULT_TIMING = PulseTiming()
 
 
 def duration(code: AddressCode, commands: ArrayLike, timing: PulseTiming = DEFAULT_TIMING) -> float:
-    """Return how long a sequence of commands takes on the line [s]."""
+    """Return how long a sequence of commands takes on the line [s].
+
+    Raises:
+        ValueError: If there is no such command.
+    """
     numbers = np.atleast_1d(np.asarray(commands, dtype=int))
     return float(sum(timing.seconds(code.pulses(int(number))) for number in numbers))
 
@@ -213,8 +217,15 @@ def shortest_commands(
     return best
 
 
-def rewriting_commands(code: AddressCode, goal: ArrayLike) -> tuple[int, ...]:
+def rewriting_commands(
+    code: AddressCode, goal: ArrayLike, timing: PulseTiming = DEFAULT_TIMING
+) -> tuple[int, ...]:
     """Return commands that bring every word to the goal: what is done after a fault.
+
+    Args:
+        code: Meaning of the trains.
+        goal: (n,) word that the actuators shall hold.
+        timing: What a train costs.
 
     Raises:
         ValueError: If the code only toggles: then no sequence does it.
@@ -224,7 +235,7 @@ def rewriting_commands(code: AddressCode, goal: ArrayLike) -> tuple[int, ...]:
         home, on = code.home, code.home + 1
         off_first = (home, *_differences(code, np.zeros_like(goal), goal))
         on_first = (on, *_differences(code, np.ones_like(goal), goal))
-        return min(off_first, on_first, key=lambda commands: duration(code, commands))
+        return min(off_first, on_first, key=lambda commands: duration(code, commands, timing))
     if code.mode == "set":
         return tuple(code.single(index, bool(state)) for index, state in enumerate(goal))
     raise ValueError("rewriting: a code that only toggles cannot reach a word from an unknown one")

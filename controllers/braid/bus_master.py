@@ -158,17 +158,17 @@ class Master:
 
     def _write_and_look(self, goal: BoolArray) -> bool:
         """Send the shortest sequence and, if it goes wrong, write the word anew."""
-        code = self._protocol.code
+        code, timing = self._protocol.code, self._bus.timing
         commands = (
-            rewriting_commands(code, goal)
+            rewriting_commands(code, goal, timing)
             if self._lost
-            else shortest_commands(code, self._believed, goal, self._bus.timing)
+            else shortest_commands(code, self._believed, goal, timing)
         )
         for _ in range(self._protocol.attempts):
             if all(self._obeyed(command) for command in commands):
                 return True
             self._rewritten += 1
-            commands = rewriting_commands(code, goal)
+            commands = rewriting_commands(code, goal, timing)
         return False
 
     def _obeyed(self, command: int) -> bool:

@@ -89,7 +89,7 @@ class OneFault:
 
         Args:
             kind: What goes wrong.
-            index: The how-manieth pulse (or flag) is hit, from 0.
+            index: Which pulse (or flag) is hit, counted from 0.
 
         Raises:
             ValueError: If there is no such fault.

@@ -9,6 +9,7 @@ the next word the wires must cool, or they would still pull against their antago
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,11 +71,15 @@ class WireDrive:
     Attributes:
         word: (n,) states that the arm has, or will have after this change.
         duration: Of the change under way, cooling included [s].
-        groups: (m, k, 2) stage and leg of what is heated together, in order.
+        groups: m arrays (k, 2), stage and leg of what is heated together, in order.
     """
 
     def __init__(self, word: IntArray, config: DriveConfig | None = None) -> None:
-        """Begin with an arm that rests in a word (n,).
+        """Begin with an arm at rest.
+
+        Args:
+            word: (n,) states that it rests in.
+            config: Times of the drive.
 
         Raises:
             ValueError: If a state is not 0 to 7.
@@ -117,7 +122,7 @@ class WireDrive:
             (n, 3, 2) 0 or 1, extending and retracting bundle of each leg.
         """
         levels = np.zeros((len(self.word), LEGS, 2))
-        turn = int(time / self._config.heating)
+        turn = math.floor(time / self._config.heating)
         if 0 <= turn < len(self.groups):
             for stage, leg in self.groups[turn]:
                 levels[stage, leg, EXTEND if self._rising[stage, leg] else RETRACT] = 1.0

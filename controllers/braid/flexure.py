@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from controllers.braid.stage import LEGS, RADIAL, StageGeometry, state_lengths, state_poses
+from controllers.braid.stage import StageGeometry, rim_joints, state_lengths, state_poses
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,7 +95,7 @@ def stiffness(flexure: Flexure, material: Material) -> float:
 
 def joint_angles(geometry: StageGeometry) -> tuple[float, float]:
     """Return how far legs lean at most [rad] from the axes of base and platform, in any state."""
-    joints = geometry.radius * np.column_stack([RADIAL, np.zeros(LEGS)])
+    joints = rim_joints(geometry.radius)
     poses = state_poses(geometry)
     rotation = poses[:, 3:].reshape(-1, 3, 3)
     legs = np.einsum("sij,kj->ski", rotation, joints) + poses[:, None, :3] - joints

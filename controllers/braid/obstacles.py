@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 
 from controllers.braid.chain import MAX_ENUMERATED, forward, identity
-from controllers.braid.stage import LEGS, RADIAL, STATES, FloatArray, IntArray, StageGeometry
+from controllers.braid.stage import STATES, FloatArray, IntArray, StageGeometry, rim_joints
 from controllers.braid.stage import state_poses as solve_states
 from controllers.braid.voxel_obstacles import VoxelObstacles, stages_clear
 
@@ -23,14 +23,9 @@ FREE_BELOW = 0.5
 _ALONG, _RIM = 5, 12
 
 
-def rim_joints(geometry: StageGeometry) -> FloatArray:
-    """Return the joints (3, 3) [m] of a disc in its frame."""
-    return geometry.radius * np.column_stack([RADIAL, np.zeros(LEGS)])
-
-
 def body_points(geometry: StageGeometry) -> FloatArray:
     """Return points (8, s, 3) [m] of a stage's body in its base frame, for each state."""
-    joints = rim_joints(geometry)
+    joints = rim_joints(geometry.radius)
     bearing = 2.0 * np.pi * np.arange(_RIM) / _RIM
     rim = geometry.radius * np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(_RIM)])
     disc = np.vstack([np.zeros((1, 3)), 0.5 * rim[::2], rim])
@@ -60,7 +55,7 @@ class LinkCheck:
                 below `FREE_BELOW`: NaN, as maps say of unknown places, does.
         """
         self.stages = solve_states(geometry)
-        self._joints = rim_joints(geometry)
+        self._joints = rim_joints(geometry.radius)
         self._body = body_points(geometry)
         self._obstacles = obstacles
 

@@ -55,6 +55,11 @@ class StageGeometry:
             raise ValueError(f"legs {self.short} and {self.long}: expected 0 < short <= long")
 
 
+def rim_joints(radius: float) -> FloatArray:
+    """Return the joints (3, 3) [m] of a disc of a radius [m], in its frame."""
+    return radius * np.column_stack([RADIAL, np.zeros(LEGS)])
+
+
 def state_lengths(geometry: StageGeometry) -> FloatArray:
     """Return leg lengths (8, 3) [m] of all states; leg j is long where bit j is 1."""
     bits = (np.arange(STATES)[:, None] >> np.arange(LEGS)) & 1
@@ -109,7 +114,7 @@ def closure_residual(pose: FloatArray, lengths: FloatArray, radius: float) -> Fl
         (..., 6): error of each leg's length, and what each leg sticks out of its radial plane.
     """
     position, rotation = pose[..., :3], pose[..., 3:].reshape(*pose.shape[:-1], 3, 3)
-    joints = radius * np.column_stack([RADIAL, np.zeros(LEGS)])
+    joints = rim_joints(radius)
     legs = position[..., None, :] + np.einsum("...ij,kj->...ki", rotation, joints) - joints
     axes = np.column_stack([-RADIAL[:, 1], RADIAL[:, 0], np.zeros(LEGS)])
     hinge = np.einsum("...ij,kj->...ki", rotation, axes)

@@ -201,6 +201,10 @@ def test_bad_values_are_refused():
         BusCircuit(debounce=0.0)
     with pytest.raises(ValueError, match="noise: expected 0 or more, got -1"):
         BusCircuit(noise=-1.0)
+    with pytest.raises(ValueError, match="edge: expected a positive number, got nan"):
+        BusCircuit(edge=float("nan"))
+    with pytest.raises(ValueError, match="actuator_current: expected a positive number to sense"):
+        bus_of(AddressCode(3), actuator_current=0.0).sense()
     with pytest.raises(ValueError, match="threshold: expected below the logic supply"):
         BusCircuit(threshold=4.9)
     with pytest.raises(ValueError, match="margin: expected more than 1"):

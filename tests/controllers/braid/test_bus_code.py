@@ -81,6 +81,14 @@ def test_rewriting_reaches_the_word_from_every_word(code):
         assert tuple(word.astype(int)) == goal
 
 
+def test_rewriting_takes_the_broadcast_that_is_cheaper_by_the_timing():
+    code, goal = AddressCode(5, broadcast=True), [1, 1, 1, 0, 0]
+    # All off and three trains are 12 pulses; all on and two are 16.
+    assert rewriting_commands(code, goal) == (6, 3, 2, 1)
+    # With the RC buffer all trains take as long.
+    assert rewriting_commands(code, goal, PulseTiming(quiet=1e-3)) == (7, 5, 4)
+
+
 def test_a_code_that_only_toggles_cannot_be_rewritten():
     with pytest.raises(ValueError, match="only toggles"):
         rewriting_commands(AddressCode(3), [0, 1, 0])

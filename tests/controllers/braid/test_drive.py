@@ -44,6 +44,7 @@ def test_the_tip_goes_before_the_base_and_nothing_is_heated_while_cooling():
     drive.change(np.array([7, 0, 0, 7]))
     assert np.flatnonzero(drive.levels(0.1).any(axis=(1, 2))).tolist() == [3]
     assert np.flatnonzero(drive.levels(1.2).any(axis=(1, 2))).tolist() == [0]
+    assert not drive.levels(-0.1).any()
     assert not drive.levels(2.3).any()
 
 

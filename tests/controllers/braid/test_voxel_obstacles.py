@@ -7,8 +7,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.braid.chain import all_words, forward, identity
 from controllers.braid.inverse import CLEAR_METHODS, BinaryArm, solve
-from controllers.braid.obstacles import LinkCheck, rim_joints
-from controllers.braid.stage import StageGeometry
+from controllers.braid.obstacles import LinkCheck
+from controllers.braid.stage import StageGeometry, rim_joints
 from controllers.braid.voxel_obstacles import VoxelObstacles, occupied_voxels
 from experiments.appe_inverse_trial import draw_targets
 from perception.occupancy import State
@@ -30,7 +30,7 @@ def ball_of_voxels(side=0.13, centre=(1.3, 0.5, 2.6), radius=0.3):
 
 def dense_body(word):
     """Points (n, 3) all over the legs and platforms of a word."""
-    joints, points = rim_joints(ARM.geometry), []
+    joints, points = rim_joints(ARM.geometry.radius), []
     along = np.linspace(0.0, 1.0, 60)[:, None, None]
     x, y = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 67)])
     disc = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
@@ -60,7 +60,7 @@ def test_words_are_clear_where_no_place_of_a_dense_body_is_within_reach():
 
 def test_no_place_of_a_clear_body_is_in_a_cube_that_slips_between_samples():
     """One small cube in the middle of a leg, where the sampled body has no point."""
-    joints = rim_joints(ARM.geometry)
+    joints = rim_joints(ARM.geometry.radius)
     small = VoxelObstacles(joints[:1] + [0.0, 0.0, 0.385], 0.02)  # state 0 stands upright
 
     def sampled(points):
