@@ -14,7 +14,7 @@ from controllers.insertion.guidance import Guidance
 from controllers.insertion.watcher import Watcher
 from controllers.mapping.searching import aim
 from controllers.mission.going import Going
-from controllers.mission.looking import ArmMove
+from controllers.motion.arm_move import ArmMove
 from controllers.motion.driving import Odometry
 from experiments.insertion_identify import rover_steer
 from experiments.insertion_setting import GuidanceRadio

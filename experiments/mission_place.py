@@ -13,7 +13,7 @@ from controllers.mapping.looking import MapperConfig
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.shared_map import SharedMap
 from controllers.mission.going import Going
-from controllers.mission.looking import ArmMove
+from controllers.motion.arm_move import ArmMove
 from controllers.placement.spatial_occluders import Occluder, occluders_of_voxels
 from experiments.insertion_stand import Stand, reference_arm, search_stand
 from experiments.mapping_scene import head_geometry

@@ -15,7 +15,7 @@ from controllers.insertion.watcher import Watcher, WatcherConfig
 from controllers.mapping.looking import MapperConfig, RobotBrief
 from controllers.mapping.standing import Standing, lean
 from controllers.mapping.stereo_mapper import StereoMapper
-from controllers.mission.looking import ArmMove
+from controllers.motion.arm_move import ArmMove
 from experiments.ch2_rover_trial import known_swinging_arm
 from experiments.insertion_stand import card_cad, reference_arm, slot_cad, watch_plan
 from experiments.known_camera_arm import known_body

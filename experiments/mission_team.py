@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.carrier import Carrier, CarrierConfig
 from controllers.mapping.searching import aim
-from controllers.mission.looking import ArmMove
+from controllers.motion.arm_move import ArmMove
 from experiments.insertion_faults import FaultyEyes
 from experiments.insertion_setting import (
     GuidanceRadio,

@@ -26,12 +26,13 @@ from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing
+from controllers.motion.arm_move import ArmMove
 from perception.stereo import StereoMatcher
 from perception.stereo_geometry import StereoGeometry
 from perception.target import TargetCad, possible_markers
 from perception.view_information import planning_grid
 from perception.voxel_map import VoxelMap
-from twin.robot import ArmMode, Command, Observation
+from twin.robot import Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -60,10 +61,7 @@ class _Head:
     Attributes:
         brief: What is known of it.
         search: For the target.
-        goal: (joints,) where its arm goes [rad].
-        start: (joints,) from where; None before the first observation.
-        begun: When it left [s].
-        there: Since when it is at the goal [s]; NaN on the way.
+        move: Of its arm to the present view.
         standing: Where it stands; None until it has seen the target.
         offsets: (12,) numbers of what its looks err by alike, in the map of fiducials.
         looks: Looks taken.
@@ -76,10 +74,7 @@ class _Head:
 
     brief: RobotBrief
     search: TargetSearch
-    goal: FloatArray
-    start: FloatArray | None = None
-    begun: float = np.nan
-    there: float = np.nan
+    move: ArmMove
     standing: Standing | None = None
     offsets: IndexArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.intp))
     looks: int = 0
@@ -161,7 +156,7 @@ class StereoMapper:
                 self._cad.extent,
                 self._config.search,
             )
-            head = self._heads[name] = _Head(brief, search, search.first())
+            head = self._heads[name] = _Head(brief, search, self._move_to(search.first()))
             if name in self._known:
                 head.standing = self._known[name]
                 head.offsets = self.localiser.fiducials.share(head.standing.shared_covariance())
@@ -173,42 +168,15 @@ class StereoMapper:
         """
         for name, head in self._heads.items():
             seen = observations[name]
-            if head.start is None and seen.arm_angles.usable:
-                head.start, head.begun = np.asarray(seen.arm_angles.value, dtype=float), seen.time
-            if head.start is not None and not head.done and self._may_look(head, seen):
+            known = seen.inclinometer.usable and seen.stereo.usable
+            if not head.done and known and head.move.sees(seen):
                 self._look(name, head, observations)
-        return {
-            name: self._drive(head, observations[name].time) for name, head in self._heads.items()
-        }
+        return {name: head.move.command(observations[name]) for name, head in self._heads.items()}
 
-    def _drive(self, head: _Head, time: float) -> Command:
-        """Follow the straight path in joint space."""
-        if head.start is None:
-            return Command()
-        way = head.goal - head.start
-        duration = max(float(np.abs(way).max()) / self._config.speed, 1e-9)
-        part = min(1.0, (time - head.begun) / duration)
-        rates = way / duration if part < 1.0 else np.zeros_like(way)
-        angles = head.start + part * way
-        return Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)
-
-    def _may_look(self, head: _Head, seen: Observation) -> bool:
-        """Tell whether the arm is at rest at its goal and a pair was taken there."""
-        assert head.start is not None
-        if not (seen.arm_angles.usable and seen.inclinometer.usable and seen.stereo.usable):
-            return False
-        duration = float(np.abs(head.goal - head.start).max()) / self._config.speed
-        arrived = head.begun + duration
-        near = (
-            float(np.abs(np.asarray(seen.arm_angles.value, dtype=float) - head.goal).max())
-            <= self._config.near
-        )
-        if seen.time < arrived or not (near or seen.time > arrived + self._config.patience):
-            head.there = np.nan
-            return False
-        if np.isnan(head.there):
-            head.there = seen.time
-        return seen.stereo.stamp >= head.there + self._config.rest
+    def _move_to(self, goal: FloatArray) -> ArmMove:
+        """Return the way to a view (joints,) [rad]; the wheels get no voltage."""
+        c = self._config
+        return ArmMove(goal, c.speed, c.rest, c.near, c.patience, WheelMode.DUTY)
 
     def _look(self, name: str, head: _Head, observations: Mapping[str, Observation]) -> None:
         """Take the pair in, and choose where to look next."""
@@ -283,7 +251,7 @@ class StereoMapper:
         except ViewError:
             head.done = True
             return
-        head.start, head.goal, head.begun, head.there = look.angles, goal, look.time, np.nan
+        head.move = self._move_to(goal)
 
     def _goal(self, name: str, head: _Head, look: Look) -> FloatArray:
         angles = look.angles

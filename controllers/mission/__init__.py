@@ -1,1 +1,1 @@
-"""Steps between the chapters: arms that are moved to look, rovers that go somewhere."""
+"""Steps between the chapters: rovers that go somewhere."""

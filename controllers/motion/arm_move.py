@@ -23,6 +23,7 @@ class ArmMove:
         rest: Time at the goal before a pair counts [s].
         near: Greatest joint error at which the arm counts as there [rad].
         patience: Longest time at a goal that is not reached [s].
+        wheel_mode: How the wheels are held: at no speed, or without voltage (duty).
     """
 
     goal: FloatArray
@@ -30,9 +31,10 @@ class ArmMove:
     rest: float = 0.6
     near: float = 0.05
     patience: float = 4.0
-    _start: FloatArray | None = None
-    _begun: float = math.nan
-    _there: float = math.nan
+    wheel_mode: WheelMode = WheelMode.SPEED
+    _start: FloatArray | None = dataclasses.field(default=None, init=False)
+    _begun: float = dataclasses.field(default=math.nan, init=False)
+    _there: float = dataclasses.field(default=math.nan, init=False)
 
     def command(self, seen: Observation) -> Command:
         """Return where the arm shall be now; nothing moves before its angles are known.
@@ -49,7 +51,7 @@ class ArmMove:
         part = min(1.0, (seen.time - self._begun) / duration)
         rates = way / duration if part < 1.0 else np.zeros_like(way)
         place = self._start + part * way
-        return Command(np.zeros(4), place, WheelMode.SPEED, ArmMode.POSITION, rates)
+        return Command(np.zeros(4), place, self.wheel_mode, ArmMode.POSITION, rates)
 
     def is_there(self, seen: Observation) -> bool:
         """Say whether the arm has been at its goal for the time of rest.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from controllers.mission.looking import ArmMove
+from controllers.motion.arm_move import ArmMove
 from tests.controllers.mission.seen import PAIR, seen_at
-from twin.robot import ArmMode
+from twin.robot import ArmMode, WheelMode
 
 GOAL = np.array([0.4, 0.8, -1.0, 0.0])
 
@@ -46,3 +47,10 @@ def test_nothing_moves_before_the_arm_is_known() -> None:
     command = ArmMove(GOAL).command(seen_at(0.0, arm_angles=None))
     assert command.arm_mode is ArmMode.DUTY
     assert np.all(np.asarray(command.arm) == 0.0)
+
+
+@pytest.mark.parametrize("mode", [WheelMode.SPEED, WheelMode.DUTY])
+def test_wheels_stand_in_the_mode_that_is_asked_for(mode: WheelMode) -> None:
+    command = ArmMove(GOAL, wheel_mode=mode).command(seen_at(0.0, arm_angles=np.zeros(4)))
+    assert command.wheel_mode is mode
+    assert np.all(command.wheels == 0.0)
