@@ -196,15 +196,17 @@ class Guarded:
 def guard(
     footing: Footing, sweep: Sweep, still: FrameState = LEVEL, config: GuardConfig | None = None
 ) -> Guarded:
-    """Slow a motion until its zero-moment point stays within the footprint; cut it short if slow
-    is not enough.
+    """Slow a motion until its zero-moment point stays within the footprint, or cut it short.
 
     Args:
         footing: The rover.
         sweep: What is asked for.
         still: The base at rest, as its inclinometer has it.
         config: How to judge; None for the default.
-    """  # noqa: D205
+
+    Raises:
+        ValueError: If the motion is not one of the arm's joints, or not finite.
+    """
     rules = config or GuardConfig()
     asked = least_margin(footing, sweep, still, rules.samples)
     if asked >= rules.reserve:
@@ -235,13 +237,22 @@ def least_margin(footing: Footing, sweep: Sweep, still: FrameState, samples: int
     """Return the zero-moment point's least distance inside the polygon over a motion [m].
 
     Minus infinity if the rover would leave the ground.
+
+    Args:
+        footing: The rover.
+        sweep: The motion.
+        still: The base at rest.
+        samples: Of the motion that are looked at.
+
+    Raises:
+        ValueError: If the motion is not one of the arm's joints, or not finite.
     """
     margins: list[float] = []
     for time in np.linspace(0.0, sweep.duration, samples):
-        try:
-            margins.append(footing.margin(footing.zero_moment_point(*sweep.at(time), still)))
-        except ValueError:
+        wrench = footing.wrench(*sweep.at(time), still)
+        if not wrench[2] > 0.0:
             return -np.inf
+        margins.append(footing.margin(zero_moment_point(wrench, footing.ground)))
     return min(margins)
 
 

@@ -114,6 +114,11 @@ def test_reach_beyond_the_footprint_is_cut_short():
     assert guard(footing(20.0), Sweep(np.array([0.0]), np.array([0.1]), 1.0)).sweep is None
 
 
+def test_motion_of_another_arm_is_an_error_and_not_a_rover_that_tips():
+    with pytest.raises(ValueError, match="expected 1 finite numbers"):
+        guard(footing(0.5), Sweep(np.zeros(3), np.full(3, 0.1), 1.0))
+
+
 def test_sweep_rests_at_both_ends_and_its_rates_are_its_derivatives():
     sweep = Sweep(np.array([0.0]), np.array([2.0]), 0.8, 0.5)
     for time, place in ((0.0, 0.0), (0.8, 1.0), (5.0, 1.0)):
