@@ -144,6 +144,8 @@ class SlotBelief:
 
     def _drift(self) -> None:
         """Add what dead reckoning has lost since the last look, about where the robot is."""
+        if not self._where:
+            return  # Not moved yet.
         config = self._config
         way, turned, period = self._drifted
         self._drifted = np.zeros(3)

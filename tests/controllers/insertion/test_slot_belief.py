@@ -175,3 +175,9 @@ def test_one_outlier_is_refused_and_a_persistent_one_believed():
     taken = [belief.take(look(0.0, card, far, noise)) for _ in range(STILL.refusals + 1)]
     assert taken == [False] * STILL.refusals + [True]
     np.testing.assert_allclose(belief.slot_in_start[:3, 3], far.translation, atol=1e-3)
+
+
+def test_deviation_before_the_robot_has_moved_is_the_maps() -> None:
+    prior = np.diag([1e-12] * 3 + [9e-6, 4e-6, 1e-6])
+    belief = SlotBelief(np.eye(4), prior, BeliefConfig())
+    assert belief.deviation() == pytest.approx(3e-3)
