@@ -25,7 +25,7 @@ from perception.voxel_map import VoxelMap
 FloatArray = NDArray[np.float64]
 StateArray = NDArray[np.int8]
 
-_UNKNOWN, _FREE, _OCCUPIED = int(State.UNKNOWN), int(State.FREE), int(State.OCCUPIED)
+_UNKNOWN, _OCCUPIED = int(State.UNKNOWN), int(State.OCCUPIED)
 _OPAQUE = 0.05
 """Chance that a ray still goes on, below which it is not followed."""
 

@@ -11,7 +11,6 @@ import numba
 import numpy as np
 
 GRAVITY = 9.81
-WEIGHT_DIRECTION = (0.0, 0.0, -GRAVITY)
 
 
 @numba.njit(cache=True, inline="always")

@@ -54,6 +54,9 @@ class KalmanFilter:
             matrix: A, (n, rows, 22).
             right: F, (n, rows).
             sigma: Standard deviation of each row of F, (rows,).
+
+        Raises:
+            ValueError: If A has not 22 columns.
         """
         if matrix.shape[-1] != COUNT:
             raise ValueError(f"matrix: expected {COUNT} columns, got {matrix.shape[-1]}")

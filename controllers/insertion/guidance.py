@@ -64,8 +64,7 @@ class Guidance:
         numbers = np.concatenate([steps, spread, [self.time]])
         if not np.all(np.isfinite(numbers)) or np.abs(steps).max() > 0x7FFF:
             raise GuidanceError(f"guidance {self}: not finite, or farther than 0.65 m")
-        with np.errstate(over="ignore"):
-            halves = np.clip(spread, -6e4, 6e4)
+        halves = np.clip(spread, -6e4, 6e4)
         return _FORM.pack(
             KIND, flags, round(self.time / _TIME), *(int(n) for n in steps), *halves.tolist()
         )

@@ -94,14 +94,12 @@ class ArmViews:
     Attributes:
         arm: Its kinematics.
         transform_robot_to_world: Where the robot stands.
-        home: (joints,) where the arm starts [rad]; what it takes up there is free.
         lens: What the head sees.
         config: How views are drawn and rated.
     """
 
     arm: CameraArm
     transform_robot_to_world: RigidTransform
-    home: FloatArray
     lens: Lens
     config: ViewConfig = ViewConfig()
 

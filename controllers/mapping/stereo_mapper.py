@@ -264,7 +264,6 @@ class StereoMapper:
         views = ArmViews(
             head.brief.arm,
             head.standing.transform_level_to_world,
-            head.brief.home,
             self._lens,
             self._config.views,
         )

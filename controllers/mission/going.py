@@ -13,6 +13,8 @@ from controllers.motion.driving import Odometry, SkidSteer
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
+_CLOSE = 0.1  # Nearer, the direction to the goal says nothing [m].
+_LEAST_TURN = 0.05  # Slower turns stall in friction [rad/s].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,11 +114,12 @@ class Going:
             left = float(way @ ahead)
             if self._sign * left > config.near[0]:
                 speed = min(max(config.slowing * left, -config.speed), config.speed)
-                # Close by, the direction to the goal says nothing.
-                steady = math.atan2(-way[0], way[1]) if np.linalg.norm(way) > 0.1 else self._course  # noqa: PLR2004
-                if self._sign < 0.0 and steady != self._course:
-                    steady = _wrapped(steady + math.pi)
-                return speed, self._turning(_wrapped(steady - yaw))
+                course = self._course
+                if np.linalg.norm(way) > _CLOSE:
+                    course = math.atan2(-way[0], way[1])
+                    if self._sign < 0.0:
+                        course = _wrapped(course + math.pi)
+                return speed, self._turning(_wrapped(course - yaw))
             self._phase = _Phase.ALIGN
         if self._phase is _Phase.ALIGN:
             left = _wrapped(self._yaw - self.odometry.yaw)
@@ -126,11 +129,12 @@ class Going:
         return 0.0, 0.0
 
     def _turning(self, left: float) -> float:
+        """Return the rate [rad/s] of a turn of which some is left [rad], to the left."""
         rate = self._config.slowing * left
-        least = 0.05  # Slower turns stall in friction [rad/s].
-        size = min(max(abs(rate), least), self._config.turn)
+        size = min(max(abs(rate), _LEAST_TURN), self._config.turn)
         return math.copysign(size, left)
 
 
 def _wrapped(angle: float) -> float:
+    """Return an angle within half a turn [rad]."""
     return math.remainder(angle, 2.0 * math.pi)

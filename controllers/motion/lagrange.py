@@ -15,8 +15,6 @@ from controllers.motion.chain import LEVEL, Chain, Joint
 
 FloatArray = NDArray[np.float64]
 COUNT = 9
-VEHICLE, SUSPENSION, ARM = slice(0, 3), slice(3, 6), slice(6, 9)
-"""Where the coordinates of the three stand."""
 _YAW = 6
 _NOTHING = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 

@@ -23,7 +23,7 @@ GRID = PlanningGrid(np.array([-1.5, -2.0, 0.0]), 0.05, np.zeros((70, 80, 20), np
 def views() -> ArmViews:
     model = make_model(FieldConfig(texture_pixels=64), [RobotPlacement("rover1")])
     arm = known_camera_arm(model)
-    return ArmViews(arm, PLACE, HOME, LENS, ViewConfig(candidates=30))
+    return ArmViews(arm, PLACE, LENS, ViewConfig(candidates=30))
 
 
 def above(height: float):
