@@ -14,9 +14,9 @@ from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.link import LinkError, SerialLink
-from twin.hardware.motor_calibration import ADDRESSES, FULL_DUTY
+from twin.hardware.motor_calibration import ADDRESSES
 from twin.hardware.roboclaw import RoboClawBus
-from twin.hardware.roboclaw_codec import Command
+from twin.hardware.roboclaw_codec import FULL_DUTY, Command
 
 
 class _Shafts:

@@ -21,9 +21,8 @@ from dm_control.rl import control
 from dm_env import specs
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
-from twin.robot import Command, FloatArray, Observation
+from twin.robot import AXES, Command, FloatArray, Observation
 from twin.sensors import CHANNEL_WIDTHS, DATASHEET, SensorSuite
-from twin.sim_robot import AXES
 from twin.simulation import Simulation
 
 Reward = Callable[[Mapping[str, Observation]], float]

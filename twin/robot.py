@@ -19,6 +19,8 @@ FloatArray = NDArray[np.float64]
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
+AXES = (*WHEELS, *ARM_JOINTS)
+"""Motors in contract order: the wheels, then the arm's joints."""
 
 
 class RobotError(RuntimeError):

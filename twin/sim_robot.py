@@ -11,9 +11,8 @@ import mujoco
 import numpy as np
 
 from twin.robot import (
-    ARM_JOINTS,
+    AXES,
     NOTHING,
-    WHEELS,
     Channel,
     Command,
     FloatArray,
@@ -27,7 +26,6 @@ from twin.sensors import SensorSuite
 from twin.servo import Servo, ServoConfig
 from twin.wiring import wire
 
-AXES = (*WHEELS, *ARM_JOINTS)
 _AT_REST = Command()
 _ACTIVE, _UNCONFIGURED = Lifecycle.ACTIVE, Lifecycle.UNCONFIGURED
 # As `Observation._make`, without its Python frame.

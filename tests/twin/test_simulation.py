@@ -244,6 +244,10 @@ def test_missing_tachometer_stops_a_speed_loop_with_all_axes_zero():
     assert robot.lifecycle is Lifecycle.ERROR
     robot.activate()
     assert robot.lifecycle is Lifecycle.ACTIVE
+    robot.reconnect_sensor("wheel_speeds")
+    simulation.step()
+    robot.command(Command(np.ones(4), np.ones(4), WheelMode.SPEED))
+    assert np.all(simulation.data.ctrl > 0.0)
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 7])

@@ -18,9 +18,8 @@ from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration import Calibration
 from twin.hardware.link import LinkError, at_rest
 from twin.hardware.roboclaw_codec import Status
-from twin.robot import NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
+from twin.robot import AXES, NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
 from twin.servo import ROVER_SERVO, Servo, ServoConfig
-from twin.sim_robot import AXES
 
 IntArray = NDArray[np.int64]
 

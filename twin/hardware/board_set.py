@@ -48,7 +48,7 @@ class BoardState:
 
 
 class BoardSet(Protocol):
-    """What `BoardRobot` asks of the boards; axes are in the order of `motor_calibration.AXES`."""
+    """What `BoardRobot` asks of the boards; axes are in the order of `twin.robot.AXES`."""
 
     @property
     def addresses(self) -> Sequence[int]:

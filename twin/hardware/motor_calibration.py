@@ -17,15 +17,12 @@ from twin.hardware.calibration_section import (
     require,
     require_positive,
 )
-from twin.robot import ARM_JOINTS, WHEELS, FloatArray
+from twin.hardware.roboclaw_codec import FULL_DUTY
+from twin.robot import ARM_JOINTS, AXES, WHEELS, FloatArray
 
 IntArray = NDArray[np.int64]
-AXES: Final = (*WHEELS, *ARM_JOINTS)
-"""Motors in contract order."""
 ADDRESSES: Final = (0x80, 0x81, 0x82, 0x83)
 """Of the motor boards on the bus."""
-FULL_DUTY: Final = 32767
-"""Duty code of a motor that is fully on."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -152,11 +149,6 @@ class DriveCalibration(Section):
     def ranges(self) -> FloatArray:
         """(4, 2) least and largest angles of the arm joints [rad]."""
         return read_only([[joint.lower, joint.upper] for joint in self.joints])
-
-    @functools.cached_property
-    def current_limits(self) -> FloatArray:
-        """(8,) largest motor currents [A]."""
-        return read_only([axis.current_limit for axis in self.axes])
 
     def angles(self, counts: ArrayLike) -> FloatArray:
         """Return shaft angles (..., 8) [rad] of unwrapped encoder counts (..., 8)."""

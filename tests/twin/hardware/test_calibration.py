@@ -23,7 +23,7 @@ from twin.hardware.calibration import (
     read_calibration,
     write_calibration,
 )
-from twin.hardware.motor_calibration import AXES
+from twin.robot import AXES
 from twin.sensors import DATASHEET
 
 pytestmark = pytest.mark.virtual_time

@@ -16,9 +16,9 @@ from twin.hardware.emulator.amplifier import (
     motor_current,
     motor_volts,
 )
-from twin.robot import Channel, Command, FloatArray
+from twin.robot import AXES, Channel, Command, FloatArray
 from twin.sensors import DATASHEET, IDEAL, ChannelSpec, SensorSuite
-from twin.sim_robot import AXES, SimRobot
+from twin.sim_robot import SimRobot
 
 IntArray = NDArray[np.int64]
 
