@@ -1,0 +1,301 @@
+"""What stops the robot over boards: their errors, their silence, and no commands."""
+
+import math
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from tests.twin.hardware.board_tables import (
+    ARM_COUNT,
+    CALIBRATION,
+    PERIOD,
+    WHEEL_COUNT,
+    Bench,
+    Boards,
+)
+from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
+from twin.hardware.board_set import WiredBoards
+from twin.hardware.connect_boards import watched
+from twin.hardware.link import LinkError
+from twin.hardware.roboclaw_codec import Status
+from twin.robot import ArmMode, Command, Lifecycle, RobotError, Validity
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+STOPPING = [
+    Status.E_STOP,
+    Status.TEMPERATURE,
+    Status.MAIN_VOLTAGE_HIGH,
+    Status.DRIVER_FAULT_1,
+    Status.DRIVER_FAULT_2,
+    Status.CURRENT_ERROR_1,
+    Status.CURRENT_ERROR_2,
+    Status.MAIN_VOLTAGE_LOW_WARNING,
+]
+
+
+@pytest.mark.parametrize("address", Boards.addresses)
+@pytest.mark.parametrize("bit", STOPPING)
+def test_board_that_reports_an_error_stops_the_robot_within_a_round(bench, address, bit):
+    bench.active()
+    bench.boards.statuses[address] |= bit
+    assert bench.cycles_until_error() <= 4
+    assert f"board {address:#x} reports {bit.name.lower()}" in bench.robot.fault
+
+
+def test_warnings_that_need_no_stop_do_not_stop(bench):
+    bench.active()
+    for address in bench.boards.addresses:
+        bench.boards.statuses[address] = Status.TEMPERATURE_WARNING | Status.OVER_CURRENT_WARNING_1
+    assert bench.cycles_until_error(32) is None
+
+
+@pytest.mark.parametrize("volts", [10.4, 15.1])
+def test_battery_out_of_range_stops_the_robot_within_a_round_of_all_boards(bench, volts):
+    bench.active()
+    bench.boards.battery = volts
+    assert bench.cycles_until_error() <= 16
+    assert f"has a battery of {volts} V" in bench.robot.fault
+
+
+def test_error_lasts_until_it_is_activated_again_and_says_why(bench):
+    bench.active()
+    bench.boards.statuses[0x81] = Status.E_STOP
+    bench.cycles_until_error()
+    bench.robot.deactivate()
+    assert bench.robot.lifecycle is Lifecycle.ERROR
+    sent = len(bench.boards.driven)
+    for _ in range(3):
+        with pytest.raises(RobotError, match="is error, not active: motor board 0x81 reports e_st"):
+            bench.robot.command(Command(np.ones(4)))
+    assert len(bench.boards.driven) == sent
+    bench.robot.activate()  # Lets go of the e-stop.
+    assert bench.robot.lifecycle is Lifecycle.ACTIVE and not bench.robot.fault
+    assert bench.cycles_until_error(32) is None
+
+
+def test_activation_is_refused_while_the_fault_lasts(bench):
+    bench.active()
+    bench.boards.statuses[0x83] = Status.CURRENT_ERROR_2
+    bench.cycles_until_error()
+    with pytest.raises(RobotError, match="0x83 reports current_error_2; all axes are zeroed"):
+        bench.robot.activate()
+    assert bench.robot.lifecycle is Lifecycle.ERROR
+
+
+def test_board_that_was_reset_is_seen_by_its_timeout_and_wants_to_be_homed(bench):
+    bench.active()
+    bench.boards.timeouts[0x82] = 0.0
+    assert bench.cycles_until_error() <= 16
+    assert bench.robot.fault == "motor board 0x82 was reset; configure and home the robot"
+    with pytest.raises(RobotError, match="does not know where its arm is"):
+        bench.robot.activate()
+    bench.homed().robot.activate()
+    assert bench.cycles_until_error(32) is None
+
+
+@pytest.mark.parametrize(
+    ("axis", "count", "name"), [(1, WHEEL_COUNT, "front_right"), (6, ARM_COUNT, "elbow")]
+)
+def test_counter_that_jumps_further_than_a_motor_turns_stops_the_robot(bench, axis, count, name):
+    bench.active().cycle()
+    moved = np.zeros(8, dtype=np.int64)
+    moved[axis] = int(0.99 * 30.0 * PERIOD / count)
+    bench.cycle(moved=moved)
+    assert bench.robot.lifecycle is Lifecycle.ACTIVE
+    moved[axis] = -math.ceil(1.01 * 30.0 * PERIOD / count)
+    bench.cycle(moved=moved)
+    assert bench.robot.lifecycle is Lifecycle.ERROR and not np.any(bench.boards.taken())
+    assert f"the counter of {name} jumped" in bench.robot.fault
+    with pytest.raises(RobotError, match="does not know where its arm is"):
+        bench.robot.activate()
+
+
+def test_board_that_is_silent_for_two_cycles_is_borne_with_its_samples_marked(bench):
+    bench.active().cycle()
+    bench.boards.silent = {0x82}
+    bench.cycle()
+    assert bench.robot.lifecycle is Lifecycle.ACTIVE
+    bench.boards.silent = set()
+    bench.cycle()
+    assert bench.robot.lifecycle is Lifecycle.ACTIVE and bench.robot.statistics.lost_boards > 0
+
+
+def test_samples_of_a_silent_board_keep_their_stamp_and_turn_stale(bench):
+    bench.homed().cycle()
+    bench.boards.silent = {0x82}
+    stamp = bench.time
+    ages = [bench.cycle().arm_angles for _ in range(12)]
+    assert all(seen.stamp == stamp for seen in ages)
+    # Stale when older than 0.1 s.
+    assert [seen.validity is Validity.STALE for seen in ages] == [False] * 10 + [True] * 2
+    assert bench.cycle().wheel_speeds.stamp == bench.time
+
+
+def test_silent_board_stops_the_robot_after_three_cycles(bench):
+    bench.active().cycle()
+    bench.boards.silent = {0x81}
+    assert bench.cycles_until_error() <= 3
+
+
+def test_silent_board_that_holds_the_others_up_stops_the_robot_within_its_time(bench):
+    """On the wall clock each call to it takes 45 ms, so three cycles would take 0.3 s."""
+
+    class Bus(Boards):
+        def _hear(self, what, address):
+            bench.time += 0.045 * (address in self.silent)
+            super()._hear(what, address)
+
+        def drive(self, codes):
+            bench.time += 0.045 * len(self.silent)
+            super().drive(codes)
+
+    bench.boards = Bus()
+    bench.robot = BoardRobot("rover1", bench.boards, CALIBRATION, lambda: bench.time)
+    bench.active().cycle()
+    bench.boards.silent, start = {0x83}, bench.time
+    bench.cycles_until_error()
+    # Its own zeros are the last of all, so theirs were sent 45 ms before.
+    assert bench.time - start - 0.045 <= 0.2 + PERIOD
+    assert "0x83" in bench.robot.fault or "no valid answer" in bench.robot.fault
+
+
+def test_board_that_was_silent_is_driven_last():
+    told = []
+
+    class Bus:
+        def write(self, address, command, *values):
+            told.append(address)
+            if address == 0x80:
+                raise LinkError("silent")
+
+    boards = WiredBoards(Bus(), CALIBRATION)
+    for order in ([0x80, 0x81, 0x82, 0x83], [0x81, 0x82, 0x83, 0x80]):
+        told.clear()
+        with pytest.raises(LinkError):
+            boards.drive(np.zeros(8, dtype=np.int64))
+        assert told == order
+
+
+def test_zeros_that_no_board_heard_are_sent_until_it_does(bench):
+    """Questions keep a board's own watchdog quiet: it would drive on with its last duty."""
+    bench.active().cycle()
+    bench.boards.silent = {0x81}
+    bench.cycles_until_error()
+    sent = len(bench.boards.driven)
+    bench.cycle()
+    assert len(bench.boards.driven) == sent + 1
+    bench.boards.silent = set()
+    bench.cycle()
+    assert len(bench.boards.driven) == sent + 2 and not np.any(bench.boards.taken())
+    bench.cycle()
+    assert len(bench.boards.driven) == sent + 2
+
+
+def test_board_that_answers_and_takes_no_command_stops_the_robot(bench):
+    bench.active().cycle()
+    bench.boards.deaf = {0x80}
+    assert bench.cycles_until_error() == 3
+
+
+@pytest.mark.parametrize(
+    ("channel", "age", "period"), [("arm_base_wrench", 0.1, 1), ("inclinometer", 0.2, 4)]
+)
+def test_sensor_that_falls_silent_stops_the_robot_when_its_sample_is_stale(
+    bench, channel, age, period
+):
+    bench.active()
+    for _ in range(8):
+        bench.cycle()
+    if channel == "inclinometer":
+        bench.boards.pins[2] = None
+    else:
+        bench.boards.counts = None
+    cycles = bench.cycles_until_error()
+    assert bench.robot.fault == f"{channel} is stale"
+    last = age / PERIOD
+    assert last + 1 - period < cycles <= last + 1
+    with pytest.raises(RobotError, match=f"{channel} is"):
+        bench.robot.activate()
+
+
+def test_robot_does_not_start_without_a_sensor_that_it_should_have(bench):
+    bench.boards.pins[1] = None
+    bench.homed()
+    with pytest.raises(RobotError, match="inclinometer is missing; all axes are zeroed"):
+        bench.robot.activate()
+    assert bench.robot.lifecycle is Lifecycle.ERROR
+
+
+def test_robot_drives_without_sensors_that_it_was_never_given(bench):
+    bench.boards.has_analogue = bench.boards.has_wrench = False
+    bench.active()
+    seen = bench.cycle()
+    assert seen.inclinometer.validity is seen.arm_base_wrench.validity is Validity.MISSING
+    assert bench.cycles_until_error(32) is None
+    assert not [kind for kind, _ in bench.boards.asked if kind in ("pin", "wrench")]
+
+
+def test_mode_that_needs_a_stale_channel_stops_the_robot():
+    bench = Bench(lost_cycles=99, lost_time=9.0)
+    bench.active().cycle()
+    bench.boards.silent = {0x83}
+    hold = Command(arm=np.zeros(4), arm_mode=ArmMode.POSITION)
+    bench.cycle(hold)
+    bench.time += 10 * PERIOD
+    with pytest.raises(RobotError, match="position mode needs arm_rates, which is stale"):
+        bench.cycle(hold)
+    assert bench.robot.lifecycle is Lifecycle.ERROR and not np.any(bench.boards.taken())
+
+
+def test_watchdog_stops_a_robot_that_is_not_commanded(bench):
+    bench.active().cycle()
+    bench.time += 0.149
+    bench.robot.guard()
+    assert bench.robot.lifecycle is Lifecycle.ACTIVE
+    bench.time += 0.002
+    bench.robot.guard()
+    assert bench.robot.lifecycle is Lifecycle.ERROR and not np.any(bench.boards.taken())
+    assert bench.robot.fault == "no command for 0.15 s"
+
+
+def test_controller_that_observes_and_never_commands_is_stopped_too(bench):
+    bench.active()
+    for _ in range(15):
+        bench.time += PERIOD
+        bench.robot.observe()
+    assert bench.robot.lifecycle is Lifecycle.ACTIVE
+    bench.time += PERIOD
+    bench.robot.observe()
+    assert bench.robot.lifecycle is Lifecycle.ERROR
+
+
+def test_watchdog_leaves_an_inactive_robot_alone(bench):
+    bench.homed()
+    sent = len(bench.boards.driven)
+    bench.time += 10.0
+    bench.robot.guard()
+    assert bench.robot.lifecycle is Lifecycle.INACTIVE and len(bench.boards.driven) == sent
+
+
+def test_watched_robot_stops_while_its_controller_hangs():
+    boards = Boards()
+    config = BoardRobotConfig(watchdog=0.05)
+    robot = BoardRobot("rover1", boards, CALIBRATION, time.monotonic, config)
+    robot.configure()
+    robot.home(np.zeros(4))
+    with watched(robot, period=0.01):
+        assert "watchdog of rover1" in {thread.name for thread in threading.enumerate()}
+        robot.activate()
+        robot.command(Command(np.ones(4)))
+        end = time.monotonic() + 20.0
+        while robot.lifecycle is Lifecycle.ACTIVE and time.monotonic() < end:
+            time.sleep(0.01)
+    assert "no command for" in robot.fault and not np.any(boards.taken())
+    assert "watchdog of rover1" not in {thread.name for thread in threading.enumerate()}
