@@ -105,9 +105,12 @@ class Drives:
         Raises:
             ValueError: If no path leads there.
         """
-        cells, _ = self.ground.cells(np.asarray(place, dtype=float)[None, :2])
+        goal = np.asarray(place, dtype=float)[None, :2]
+        cells, inside = self.ground.cells(goal)
+        if not inside[0]:
+            raise ValueError(f"place {goal[0]} m: outside of the map of the ground")
         between = self.ground.centres(self.paths.to((int(cells[0, 0]), int(cells[0, 1]))))
-        return np.vstack([self.start, between[1:-1], np.asarray(place, dtype=float)[None, :2]])
+        return np.vstack([self.start, between[1:-1], goal])
 
 
 def drives(ground: Ground, place: ArrayLike, radius: float, farthest: float) -> Drives:

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from controllers.placement.planar_field import NOTHING, blocked_interval
 from controllers.placement.planar_hulls import Hulls
+from controllers.placement.planar_kernels import UNKNOWN
 from controllers.placement.task import FREE_BELOW, FloatArray, Target
 
-UNKNOWN = 0.5
 STRAIGHT = 1e-12
 """A camera whose cosine to the normal is no more sees the target edge on."""
 

@@ -28,7 +28,12 @@ from controllers.placement.spatial_occluders import (
     expand,
     occluders_of_voxels,
 )
-from controllers.placement.spatial_search import SearchConfig, best_view, rate_positions
+from controllers.placement.spatial_search import (
+    Occupancy,
+    SearchConfig,
+    best_view,
+    rate_positions,
+)
 from controllers.placement.task import FREE_BELOW, Lens, PlacementError, Target, View
 from perception.voxel_bricks import NEVER
 from perception.voxel_map import VoxelMap
@@ -181,21 +186,10 @@ class Replanner:
         Raises:
             PlacementError: If a target is unknown, or no view can be had; it names the reason.
         """
-        names = tuple(self.targets) if watch is None else tuple(watch)
-        for name in names:
-            if name not in self.targets:
-                known = ", ".join(self.targets)
-                raise PlacementError(f"target {name!r} is unknown; there are: {known}")
-        kept = [self._kept[name] for name in names]
+        kept = self._watched(watch)
         for one in kept:
             self._look(one, voxels, movers)
-        solid = [(ConvexHull(m.shape.vertices).equations, m.margin) for m in movers]
-
-        def occupancy(points: FloatArray) -> FloatArray:
-            chance = voxels.probabilities(points)
-            for planes, margin in solid:
-                chance[_inside(planes, points, margin)] = 1.0
-            return chance
+        occupancy = _occupancy(voxels, movers)
 
         def candidates(points: FloatArray) -> FloatArray:
             chance = occupancy(points)
@@ -203,7 +197,6 @@ class Replanner:
                 chance[~possible(points)] = 1.0
             return chance
 
-        search = self.config.search
         radius, made = START * self.lens.near, 0
         if present is not None:
             away = [np.linalg.norm(present - one.target.position) for one in kept]
@@ -211,8 +204,9 @@ class Replanner:
         while True:
             fields, new = self._fields(kept, radius, movers)
             made += new
+            taken = _within(radius, accept)
             try:
-                best = best_view(fields, self.lens, candidates, _within(radius, accept), search)
+                best = best_view(fields, self.lens, candidates, taken, self.config.search)
             except _Beyond as beyond:
                 radius = min(self.lens.far, GROWTH * beyond.distance)
                 continue
@@ -223,18 +217,29 @@ class Replanner:
                     f"{error}; where the camera cannot be brought does not count as free"
                 ) from None
             break
-        now = None
-        if present is not None:
-            seen = (
-                rate_positions(f, self.lens, present[None], occupancy, search.exponents)[0]
-                for f in fields
-            )
-            now = max(seen, key=lambda view: view.rating)
-            now = now if now.rating > 0.0 else None
+        now = None if present is None else self._view_from(present, fields, occupancy)
         tiles = sum(len(one.states) for one in kept)
         if now is not None and best.rating < self.config.factor * now.rating:
             return Replan(now, False, now, made, tiles)
         return Replan(best, True, now, made, tiles)
+
+    def _watched(self, watch: Sequence[str] | None) -> list[_Kept]:
+        """Return what is remembered of some targets, or of all."""
+        names = tuple(self.targets) if watch is None else tuple(watch)
+        for name in names:
+            if name not in self.targets:
+                known = ", ".join(self.targets)
+                raise PlacementError(f"target {name!r} is unknown; there are: {known}")
+        return [self._kept[name] for name in names]
+
+    def _view_from(
+        self, place: FloatArray, fields: Sequence[TargetField], occupancy: Occupancy
+    ) -> View | None:
+        """Return the best view from a place (3,) [m], world; None if no target is seen there."""
+        exponents = self.config.search.exponents
+        seen = (rate_positions(f, self.lens, place[None], occupancy, exponents)[0] for f in fields)
+        best = max(seen, key=lambda view: view.rating)
+        return best if best.rating > 0.0 else None
 
     def _look(self, kept: _Kept, voxels: VoxelMap, movers: Sequence[Mover]) -> None:
         """Note what of the map may hide a target now; forget hulls of tiles that changed."""
@@ -333,6 +338,19 @@ class _Beyond(Exception):  # noqa: N818
     def __init__(self, distance: float) -> None:
         super().__init__(f"a view {distance} m away")
         self.distance = distance
+
+
+def _occupancy(voxels: VoxelMap, movers: Sequence[Mover]) -> Occupancy:
+    """Return P by the map, and 1 within what moves."""
+    solid = [(ConvexHull(m.shape.vertices).equations, m.margin) for m in movers]
+
+    def occupancy(points: FloatArray) -> FloatArray:
+        chance = voxels.probabilities(points)
+        for planes, margin in solid:
+            chance[_inside(planes, points, margin)] = 1.0
+        return chance
+
+    return occupancy
 
 
 def _within(radius: float, accept: Callable[[View], bool] | None) -> Callable[[View], bool]:

@@ -154,6 +154,13 @@ def test_rover_goes_round_a_wall_and_keeps_its_radius_from_it():
     assert corner.min() >= RADIUS - 0.02
 
 
+def test_no_way_leads_off_the_map():
+    drive = drives(ground(everywhere), [0.0, 0.0], RADIUS, 2.0)
+    for place in ([0.0, 9.0], [-9.0, -9.0]):
+        with pytest.raises(ValueError, match="outside of the map"):
+            drive.way(place)
+
+
 def test_rover_that_is_near_enough_stays():
     pose = HERE.transform_robot_to_world * STRAIGHT.camera_in_robot(HOME + [0.5, 0.1, 0.0, 0.2])
     target = pose.apply([0.0, 0.0, 0.3])
