@@ -98,3 +98,24 @@ def checked_points(points: ArrayLike, name: str = "points") -> FloatArray:
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise MapError(f"{name}: {bad.size} of {len(array)} not finite, the first at {bad[0]}")
     return np.ascontiguousarray(array)
+
+
+def checked_cloud(points: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return points (N, 3) and their covariances (N, 3, 3) as arrays of doubles.
+
+    Args:
+        points: (N, 3), or nothing at all for none.
+        covariances: (N, 3, 3).
+
+    Raises:
+        MapError: If a shape is another.
+    """
+    where = np.ascontiguousarray(points, dtype=float)
+    if where.size == 0:
+        where = np.empty((0, 3))
+    if where.ndim != 2 or where.shape[1] != 3:
+        raise MapError(f"points: expected (N, 3), got {where.shape}")
+    spread = np.ascontiguousarray(covariances, dtype=float)
+    if spread.shape != (len(where), 3, 3) and not len(where) == spread.size == 0:
+        raise MapError(f"covariances: expected ({len(where)}, 3, 3), got {spread.shape}")
+    return where, spread

@@ -32,8 +32,17 @@ from perception.voxel_bricks import (
 )
 from perception.voxel_carving import bricks_in, carve_scan, samples_of
 from perception.voxel_fusion import FLOOR, fuse_scan, touch_scan, workspace
-from perception.voxel_grid import MapError, VoxelGrid, checked_points
-from perception.voxel_scan import TILE, Scan, binned, camera_of, empty_scan, fill_scan, window_of
+from perception.voxel_grid import MapError, VoxelGrid, checked_cloud, checked_points
+from perception.voxel_scan import (
+    TILE,
+    Camera,
+    Scan,
+    binned,
+    camera_of,
+    empty_scan,
+    fill_scan,
+    window_of,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -160,21 +169,14 @@ class VoxelMap:
                 unchanged.
             MapFull: If there was no memory for all of the scan.
         """
-        where = np.ascontiguousarray(points, dtype=float)
-        if where.size == 0:
-            where = np.empty((0, 3))
-        if where.ndim != 2 or where.shape[1] != 3:
-            raise MapError(f"points: expected (N, 3), got {where.shape}")
-        spread = np.ascontiguousarray(covariances, dtype=float)
-        if spread.shape != (len(where), 3, 3) and not len(where) == spread.size == 0:
-            raise MapError(f"covariances: expected ({len(where)}, 3, 3), got {spread.shape}")
+        where, spread = checked_cloud(points, covariances)
         if not np.isfinite(transform_camera_to_world.as_matrix()).all():
             raise MapError(f"transform_camera_to_world: not finite: {transform_camera_to_world}")
         if len(where) == 0:
             return 0
-        resolution, corner = self.grid.resolution, self.grid.corner
+        resolution = self.grid.resolution
         pixels = binned(frustum, resolution)
-        camera = camera_of(transform_camera_to_world, pixels, corner)
+        camera = camera_of(transform_camera_to_world, pixels, self.grid.corner)
         margins = (self.config.margin_deviations, self.config.margin_voxels)
         size = (pixels.height, pixels.width)
         if self._scan is None or self._scan.depth.shape != size:
@@ -190,30 +192,8 @@ class VoxelMap:
         if self.scans == LAST_SCAN:
             raise MapError(f"map: holds {LAST_SCAN} scans, it cannot number more")
         self.scans += 1
-        hit, miss, low, high = self._steps()
-        fused = (hit, low, high, float(self.config.correlated_points), self.scans)
-        size = self.grid.shape
         self.bricks.used[DROPPED] = 0
-        full, work = False, workspace()
-        begin = 0
-        while begin < scan.high.size:
-            settings = (resolution, *fused, full, *size)
-            begin = fuse_scan(self.bricks, scan, camera, settings, work, begin)
-            full = full or (begin < scan.high.size and not self._grow(TILE * TILE))
-        begin = 0
-        while begin < pixels.height:
-            settings = (resolution, *fused, full, *size)
-            begin = touch_scan(self.bricks, scan, settings, begin)
-            full = full or (begin < pixels.height and not self._grow(pixels.width))
-        window = window_of(
-            camera, float(scan.high.max()), resolution * SIDE, self.bricks.index.shape
-        )
-        samples = samples_of(camera, resolution, self.config.coarse)
-        begin, end = 0, bricks_in(window) if np.all(window[3:] >= window[:3]) else 0
-        while begin < end:
-            settings = (resolution, miss, low, self.scans, full, self.config.coarse)
-            begin = carve_scan(self.bricks, scan, camera, samples, window, settings, begin)
-            full = full or (begin < end and not self._grow(1))
+        self._carve(scan, camera, self._fuse(scan, camera))
         if self.bricks.used[DROPPED]:
             raise MapFull(
                 f"map: {self.bricks.used[DROPPED]} changes of this scan had no room in "
@@ -221,6 +201,37 @@ class VoxelMap:
                 "coarse or a larger memory_limit"
             )
         return count
+
+    def _fuse(self, scan: Scan, camera: Camera) -> bool:
+        """Make voxels with points more occupied; return whether memory ran out."""
+        hit, _, low, high = self._steps()
+        fused = (hit, low, high, float(self.config.correlated_points), self.scans)
+        resolution, size = self.grid.resolution, self.grid.shape
+        full, work = False, workspace()
+        begin, end = 0, scan.high.size
+        while begin < end:
+            settings = (resolution, *fused, full, *size)
+            begin = fuse_scan(self.bricks, scan, camera, settings, work, begin)
+            full = full or (begin < end and not self._grow(TILE * TILE))
+        begin, end = 0, camera.height
+        while begin < end:
+            settings = (resolution, *fused, full, *size)
+            begin = touch_scan(self.bricks, scan, settings, begin)
+            full = full or (begin < end and not self._grow(camera.width))
+        return full
+
+    def _carve(self, scan: Scan, camera: Camera, full: bool) -> None:
+        """Make voxels before the points freer, as far as there is memory."""
+        _, miss, low, _ = self._steps()
+        resolution, coarse = self.grid.resolution, self.config.coarse
+        deepest = float(scan.high.max())
+        window = window_of(camera, deepest, resolution * SIDE, self.bricks.index.shape)
+        samples = samples_of(camera, resolution, coarse)
+        begin, end = 0, bricks_in(window) if np.all(window[3:] >= window[:3]) else 0
+        while begin < end:
+            settings = (resolution, miss, low, self.scans, full, coarse)
+            begin = carve_scan(self.bricks, scan, camera, samples, window, settings, begin)
+            full = full or (begin < end and not self._grow(1))
 
     def _steps(self) -> tuple[int, int, int, int]:
         """Return hit, miss, lowest and highest log-odds in the map's own steps."""
