@@ -20,6 +20,8 @@ from twin.hardware.camera import StereoFrame
 from twin.hardware.link import LinkError
 from twin.robot import NOTHING, ArmMode, Command, Lifecycle, RobotError, Validity, WheelMode
 
+pytestmark = pytest.mark.virtual_time
+
 
 @pytest.fixture
 def bench():

@@ -22,6 +22,8 @@ from twin.hardware.link import LinkError
 from twin.hardware.roboclaw_codec import Status
 from twin.robot import ArmMode, Command, Lifecycle, RobotError, Validity
 
+pytestmark = pytest.mark.virtual_time
+
 
 @pytest.fixture
 def bench():
@@ -284,6 +286,7 @@ def test_watchdog_leaves_an_inactive_robot_alone(bench):
     assert bench.robot.lifecycle is Lifecycle.INACTIVE and len(bench.boards.driven) == sent
 
 
+@pytest.mark.real_time
 def test_watched_robot_stops_while_its_controller_hangs():
     boards = Boards()
     config = BoardRobotConfig(watchdog=0.05)

@@ -12,6 +12,8 @@ from twin.hardware.radio import FramedLink
 from twin.hardware.radio_channel import SerialChannel
 from twin.hardware.radio_handshake import HandshakeConfig, HandshakeLink
 
+pytestmark = pytest.mark.virtual_time
+
 
 def test_modem_paces_delays_and_hits_as_it_is_told():
     line = Line(ModemConfig(delay=0.01), np.random.default_rng(0))
@@ -69,6 +71,7 @@ def exchange_over_ports(kind, config, seed, messages):
     return result
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("kind", ["handshake", "framed"])
 def test_real_ports_at_the_real_pace_agree_with_virtual_time(kind):
     rng = np.random.default_rng(3)
@@ -88,6 +91,7 @@ def test_real_ports_at_the_real_pace_agree_with_virtual_time(kind):
     assert measured == (*virtual[:2], pytest.approx(virtual[2], rel=0.3))
 
 
+@pytest.mark.real_time
 def test_port_that_is_gone_is_one_clear_error():
     modems = PtyModems(ModemConfig(), np.random.default_rng(0))
     port = SerialLink(modems.ports[0], 9600)

@@ -16,6 +16,8 @@ from twin.hardware.radio_frames import Frame, FrameParser, encode_frame
 from twin.hardware.radio_handshake import HandshakeConfig, HandshakeLink
 from twin.hardware.radio_messages import PoseMessage, unpack
 
+pytestmark = pytest.mark.virtual_time
+
 
 @settings(max_examples=30, deadline=None)
 @given(

@@ -3,11 +3,14 @@
 import tracemalloc
 
 import fastcrc
+import pytest
 from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
 from twin.hardware.radio_frames import Frame, FrameParser, encode_frame
+
+pytestmark = pytest.mark.virtual_time
 
 FRAMES = st.builds(
     Frame,

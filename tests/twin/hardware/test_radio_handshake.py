@@ -18,6 +18,8 @@ from twin.hardware.radio_handshake import (
     HandshakeLink,
 )
 
+pytestmark = pytest.mark.virtual_time
+
 
 def shake(message, spoil=None):
     """Carry a message byte by byte; `spoil(count, byte)` returns what becomes of each."""

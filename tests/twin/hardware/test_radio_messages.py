@@ -15,6 +15,8 @@ from twin.hardware.radio_messages import (
     unpack,
 )
 
+pytestmark = pytest.mark.virtual_time
+
 TIMES = st.floats(-1e3, 1e6)
 ANGLES = st.floats(-100.0, 100.0)
 
