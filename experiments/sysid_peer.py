@@ -30,7 +30,7 @@ from models.datasheets import GRAVITY
 FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 10
-"""Physics steps a sample: 0.5 ms, which the stiff compliance needs."""
+"""Physics steps a sample: 0.5 ms, the longest that the stiff compliance bears."""
 SMALLEST_GAIN = 1e-3
 """Gain of half the squared residuals at which our estimator stops."""
 _LOWER = np.tril_indices(3)
@@ -52,6 +52,7 @@ class SysidPeer:
         sigma: FloatArray,
         arms: Mapping[str, ArmOnMount],
         prior: Prior,
+        substeps: int = SUBSTEPS,
     ) -> None:
         """Prepare models and data.
 
@@ -61,8 +62,10 @@ class SysidPeer:
             sigma: (24,) deviations of the noise.
             arms: The arm in each mode.
             prior: Where to start; it does not enter the cost.
+            substeps: Physics steps a sample.
         """
         self._sigma = sigma
+        self._substeps = substeps
         guess = from_coordinates(prior.mean())
         self._factor = float(np.sqrt(second_moments(guess)[0, 0]))
         self._guess = guess
@@ -143,6 +146,7 @@ class SysidPeer:
         axis, rotation = mode_axes(mode)
         spec = hold_arm(axis, rotation)
         spec.modelname = mode
+        spec.option.timestep = motion.time_step / self._substeps
         for name, kind in (
             ("linear", mujoco.mjtSensor.mjSENS_FRAMELINACC),
             ("angular", mujoco.mjtSensor.mjSENS_FRAMEANGACC),
@@ -150,9 +154,9 @@ class SysidPeer:
             sensor = spec.add_sensor(name=name, type=kind, objname="base")
             sensor.objtype = mujoco.mjtObj.mjOBJ_BODY
         model = spec.compile()
-        step = motion.time_step / SUBSTEPS
+        step = spec.option.timestep
         # A sensor's row is one step behind, and the toolbox drops the last step: two more.
-        jerk = np.append(np.repeat(motion.jerk, SUBSTEPS), [0.0, 0.0])
+        jerk = np.append(np.repeat(motion.jerk, self._substeps), [0.0, 0.0])
         start = np.zeros(model.nq)
         start[6] = self._rest[mode]
         rest = sysid.create_initial_state(model, start, np.zeros(model.nv), np.zeros(model.na))
@@ -193,7 +197,7 @@ class SysidPeer:
 
     def _outputs(self, mode: str, state: FloatArray, sensed: FloatArray, count: int) -> FloatArray:
         """Return (count, 24) deviations from rest; a sensor's row is a step behind the state's."""
-        samples = SUBSTEPS * np.arange(1, count + 1)
+        samples = self._substeps * np.arange(1, count + 1)
         rows, sensed = state[samples - 1], sensed[samples]
         position, velocity = rows[:, 1:8], rows[:, 8:15]
         turn = Rotation.from_rotvec(position[:, 6:7] * mode_axes(mode)[0])
