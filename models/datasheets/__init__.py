@@ -1,0 +1,96 @@
+"""Every number of the models, in SI units, each with its source.
+
+Sources are the thesis (by table, equation or appendix), a maker's data sheet, or "Assumption: ..."
+where neither gives a value. The MJCF files have to hold literals; ``tests/models`` asserts on the
+compiled model that each of them agrees with these modules, one for each subject. All names are
+imported from here.
+
+Body frame of a rover: x to the right, y forward, z up; its origin is the centre of gravity of the
+rover without arm, above the middle of the wheelbase.
+"""
+
+from models.datasheets.arms import ARM, ROD_ARM, ArmSheet, RodArm
+from models.datasheets.braid import BRAID, MUSCLE_WIRE, BraidSheet, MuscleWireSheet
+from models.datasheets.card import CARD_AND_SLOT, HAND, CardAndSlotSheet, HandSheet
+from models.datasheets.motors import (
+    ARM_MOTOR,
+    POWER_STAGE,
+    PULSE_CLOCK,
+    ROVER_RATED_SPEED,
+    WHEEL_MOTOR,
+    WHEEL_RATED_SPEED,
+    WHEEL_RATED_TORQUE,
+    MotorSheet,
+    PowerStageSheet,
+    PulseClockSheet,
+)
+from models.datasheets.rover import ROVER, RoverSheet
+from models.datasheets.sensors import (
+    CAMERA,
+    FORCE_TORQUE,
+    INCLINOMETER,
+    INCLINOMETER_CALIBRATION,
+    CameraSheet,
+    ForceTorqueSheet,
+    InclinometerCalibration,
+    InclinometerSheet,
+)
+from models.datasheets.tables import (
+    TABLE_2_1_AVERAGE_ERROR,
+    TABLE_2_1_CONSTANT,
+    TABLE_2_1_TRUTH,
+    TABLE_2_1_VARIABLE,
+    TABLE_2_2_AVERAGE_ERROR,
+    TABLE_2_2_CONSTANT,
+    TABLE_2_2_TRUTH,
+    TABLE_2_2_VARIABLE,
+)
+from models.datasheets.units import DEGREE, GRAVITY, INCH, OUNCE_INCH, RPM
+
+__all__ = [
+    "ARM",
+    "ARM_MOTOR",
+    "ArmSheet",
+    "BRAID",
+    "BraidSheet",
+    "CAMERA",
+    "CARD_AND_SLOT",
+    "CameraSheet",
+    "CardAndSlotSheet",
+    "DEGREE",
+    "FORCE_TORQUE",
+    "ForceTorqueSheet",
+    "GRAVITY",
+    "HAND",
+    "HandSheet",
+    "INCH",
+    "INCLINOMETER",
+    "INCLINOMETER_CALIBRATION",
+    "InclinometerCalibration",
+    "InclinometerSheet",
+    "MUSCLE_WIRE",
+    "MotorSheet",
+    "MuscleWireSheet",
+    "OUNCE_INCH",
+    "POWER_STAGE",
+    "PULSE_CLOCK",
+    "PowerStageSheet",
+    "PulseClockSheet",
+    "ROD_ARM",
+    "ROVER",
+    "ROVER_RATED_SPEED",
+    "RPM",
+    "RodArm",
+    "RoverSheet",
+    "TABLE_2_1_AVERAGE_ERROR",
+    "TABLE_2_1_CONSTANT",
+    "TABLE_2_1_TRUTH",
+    "TABLE_2_1_VARIABLE",
+    "TABLE_2_2_AVERAGE_ERROR",
+    "TABLE_2_2_CONSTANT",
+    "TABLE_2_2_TRUTH",
+    "TABLE_2_2_VARIABLE",
+    "WHEEL_MOTOR",
+    "WHEEL_RATED_SPEED",
+    "WHEEL_RATED_TORQUE",
+]

@@ -1,0 +1,71 @@
+"""The computer card, the slot that it goes into, and the hand that holds it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+from models.datasheets.tables import TABLE_2_2_TRUTH
+from models.datasheets.units import INCH
+
+
+@dataclasses.dataclass(frozen=True)
+class CardAndSlotSheet:
+    """The computer card and its insertion site, a slot (Thesis sections 5.3, 5.4).
+
+    Lengths [m]. Frames: README of the model.
+    """
+
+    card_width: float = 4.25 * INCH  # Thesis section 5.4
+    slot_widths: tuple[float, float, float] = (5.0 * INCH, 4.5 * INCH, 4.375 * INCH)
+    """Easy, medium, hard (Thesis Table 5-1)."""
+    marker_diameter: float = 0.25 * INCH  # Thesis fig. 5-10
+    card_length: float = 0.10  # Assumption: a short expansion card
+    card_thickness: float = 1.6e-3  # Usual thickness of a printed board
+    card_density: float = 1850.0  # Glass-fibre epoxy [kg/m^3]
+    slot_depth: float = 0.04  # Assumption: no bottom, the card may go through
+    wall: float = 0.03  # Assumption: width of the faces beside the mouth
+    wall_height: float = 0.02  # Assumption: of the walls, along the card's normal
+    friction: float = 0.3  # Assumption: smooth plastic on plastic
+    card_markers: tuple[tuple[float, float], ...] = ((-0.038, -0.02), (0.038, -0.02))
+    """Centres on the card's face, card frame [m]. Assumption: the thesis prints no places."""
+    slot_marker_inset: tuple[float, float] = (0.015, 0.015)
+    """Centres on the walls' faces, from the mouth's corners outward and inward [m]. Assumption."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HandSheet:
+    """What carries the card: arm and suspension as one 6-DOF compliance (Thesis eq. A-1).
+
+    The arm's servo holds its joints by integral action, so in the steady state it is the
+    suspension that gives. Its pitch stiffness is the softest that the thesis prints; at the hand's
+    reach it is taken for all three directions, and for all three turns.
+    """
+
+    reach: float = 0.4  # Assumption: the arm reaches 0.4 m ahead [m]
+    mass: float = 0.15  # Wrist (`ArmSheet`) and a joint's rotor seen at the reach [kg]
+    inertia: float = 0.01  # Of a joint's rotor (`ARM_MOTOR.armature`) [kg m^2]
+
+    @property
+    def stiffness(self) -> float:
+        """Along each axis [N/m]."""
+        return self.turn_stiffness / self.reach**2
+
+    @property
+    def damping(self) -> float:
+        """Along each axis [N s/m]."""
+        return self.turn_damping / self.reach**2
+
+    @property
+    def turn_stiffness(self) -> float:
+        """About each axis [N m/rad] (Thesis Table 2-2)."""
+        return TABLE_2_2_TRUTH["k_pitch"]
+
+    @property
+    def turn_damping(self) -> float:
+        """About each axis [N m s/rad] (Thesis Table 2-2)."""
+        return TABLE_2_2_TRUTH["b_pitch"]
+
+
+CARD_AND_SLOT: Final = CardAndSlotSheet()
+HAND: Final = HandSheet()

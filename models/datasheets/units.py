@@ -1,0 +1,17 @@
+"""Units and constants of nature that the data sheets are written in."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+OUNCE_INCH: Final = 0.028349523125 * 9.80665 * 0.0254
+"""One ounce-force inch [N m] (definition)."""
+RPM: Final = 2.0 * math.pi / 60.0
+"""One revolution a minute [rad/s] (definition)."""
+INCH: Final = 0.0254
+"""One inch [m] (definition)."""
+DEGREE: Final = math.pi / 180.0
+"""One degree [rad] (definition)."""
+GRAVITY: Final = 9.81
+"""Acceleration of free fall as MuJoCo has it unless told otherwise [m/s^2]."""
