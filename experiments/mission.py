@@ -20,6 +20,7 @@ from experiments.contract import OptionError
 from experiments.intervals import distribution, fraction
 from experiments.mission_figures import draw_knowledge, draw_shares, draw_steps
 from experiments.mission_film import film_mission
+from experiments.mission_results import after_stage, stages_of
 from experiments.mission_team import STAGES
 from experiments.mission_trial import MissionTrial, run_mission
 from experiments.output import Output
@@ -135,20 +136,20 @@ def _measure(cells: dict[str, Results], output: Output) -> None:
 
 
 def _tell_stages(results: Results, output: Output) -> None:
-    """Store what is known after each stage, over all missions."""
-    names = max((result["stage_names"] for result in results), key=len)
+    """Store what is known after each stage, over the missions that have ended it."""
     rows: list[list[Any]] = []
-    for place, name in enumerate(names):
-        there = [r for r in results if len(r["stage_names"]) > place]
-        ends = [r["stage_ends"][place] for r in there]
-        master = [1e3 * float(np.linalg.norm(np.asarray(r["master_errors"])[place])) for r in there]
-        slave = [1e3 * float(np.linalg.norm(np.asarray(r["slave_errors"])[place])) for r in there]
-        shares = [r["turn_shares"][place] for r in there]
+    for name in stages_of(results):
         if name == "insert":
             continue
+        known = after_stage(results, name)
+        master, slave = (
+            [1e3 * float(np.linalg.norm(error)) for error in known[f"{robot}_errors"]]
+            for robot in ("master", "slave")
+        )
         output.measure(f"slot_error_mm/master/{name}", distribution(master))
         output.measure(f"slot_error_mm/slave/{name}", distribution(slave))
-        rows.append([name, *(float(np.median(v)) for v in (ends, master, slave, shares))])
+        values = (known["ends"], master, slave, known["turn_shares"])
+        rows.append([name, *(float(np.median(each)) for each in values)])
     columns = ["after", "time [s]", "slot from the master, error [mm]",
                "slot from the slave, error [mm]", "share of a turn"]  # fmt: skip
     output.table("stages", columns, rows)

@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from experiments.mission_results import after_stage, stages_of
+
 ImageArray = NDArray[np.uint8]
 COLOURS = {"master": "tab:blue", "slave": "tab:orange"}
 
@@ -39,13 +41,13 @@ def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
     """
     figure = Figure(figsize=(7.0, 4.2))
     axes = figure.add_subplot()
-    names = [n for n in max((r["stage_names"] for r in results), key=len) if n != "insert"]
+    names = [name for name in stages_of(results) if name != "insert"]
     place = np.arange(len(names), dtype=float)
     for offset, robot in ((-0.12, "master"), (0.12, "slave")):
-        for stage in range(len(names)):
-            there = [r for r in results if len(r["stage_names"]) > stage]
-            errors = [np.linalg.norm(np.asarray(r[f"{robot}_errors"])[stage]) for r in there]
-            sigmas = [np.linalg.norm(np.asarray(r[f"{robot}_sigmas"])[stage]) for r in there]
+        for stage, name in enumerate(names):
+            known = after_stage(results, name)
+            errors = [np.linalg.norm(error) for error in known[f"{robot}_errors"]]
+            sigmas = [np.linalg.norm(sigma) for sigma in known[f"{robot}_sigmas"]]
             spots = np.full(len(errors), place[stage] + offset)
             axes.plot(
                 spots, 1e3 * np.array(errors), "o", color=COLOURS[robot], alpha=0.6, markersize=4,

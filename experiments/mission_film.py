@@ -26,7 +26,8 @@ ImageArray = NDArray[np.uint8]
 
 SIZE = (640, 480)
 _LASTS = {"identify": 13.5, "find": 12.0, "meet": 13.0, "map": 9.0, "place": 22.0, "insert": 20.0}
-"""About how long stages take [s], for the bars."""
+_ANY_LASTS = 15.0
+"""About how long stages take [s], for the bars; a stage that is not named, as the last says."""
 _POINTS = 30_000
 
 
@@ -67,7 +68,7 @@ class _Bars:
             self._stage, self._since = name, time
             self._bar = self._progress.add_task(name, total=1.0, robot_time="")
         if step % 20 == 0 and self._bar is not None:
-            part = (time - self._since) / _LASTS[name]
+            part = (time - self._since) / _LASTS.get(name, _ANY_LASTS)
             self._progress.update(self._bar, completed=min(part, 0.99), robot_time=f"{time:6.1f} s")
 
     def flush(self) -> None:

@@ -20,6 +20,7 @@ from experiments.mapping_scene import head_geometry
 from experiments.mission import Options
 from experiments.mission_knowledge import SLOT_IN_SITE, Knowledge, tilt_of
 from experiments.mission_place import GoToStand, MappedSite, choose_stand
+from experiments.mission_results import after_stage, stages_of
 from experiments.mission_scene import (
     DROP_PLACE,
     DROP_YAW,
@@ -167,6 +168,27 @@ def test_ablations_run_unless_it_is_quick_or_said_otherwise() -> None:
     assert Options(quick=True).ablations == ()
     assert Options(quick=True, without=("mapping",)).ablations == ("mapping",)
     assert Options(without=("none",)).ablations == ()
+
+
+def of_stages(*names: str) -> dict[str, typing.Any]:
+    """Make a result in which every stage leaves its name's length as its errors [m]."""
+    lengths = [float(len(name)) for name in names]
+    arrays = ("master_errors", "master_sigmas", "slave_errors", "slave_sigmas")
+    errors = {key: np.array([[length, 0.0, 0.0] for length in lengths]) for key in arrays}
+    return {"stage_names": names, "stage_ends": lengths, "turn_shares": lengths, **errors}
+
+
+def test_a_mission_without_a_map_does_not_count_as_one_that_ended_mapping() -> None:
+    whole = of_stages("identify", "find", "meet", "map", "place", "insert")
+    unseen = of_stages("identify", "find", "meet", "place", "insert")
+    stopped = of_stages("identify", "find", "meet", "map")
+    for results in ([unseen, stopped, whole], [stopped, unseen], [whole, unseen]):
+        assert stages_of(results) == ["identify", "find", "meet", "map", "place", "insert"]
+        for name in stages_of(results):
+            known = after_stage(results, name)
+            assert len(known["ends"]) == sum(name in r["stage_names"] for r in results)
+            assert {float(error[0]) for error in known["slave_errors"]} == {float(len(name))}
+    assert stages_of([]) == []
 
 
 @pytest.mark.slow
