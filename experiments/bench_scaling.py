@@ -50,7 +50,7 @@ class Curve:
     Attributes:
         axis: What grows, with its unit.
         times: Seconds of each round, by size.
-        exponents: Of ``time = a size^exponent``, one fit for each round.
+        exponents: Of ``time = a size^exponent``, one fit for each round; none for a single size.
     """
 
     axis: str
@@ -76,7 +76,8 @@ def bench_scaling(options: Options, output: Output) -> None:
         "jobs": _sweeps(options, output, rounds),
     }
     for name, curve in curves.items():
-        output.measure(f"scaling_exponent/{name}", distribution(curve.exponents))
+        if curve.exponents:
+            output.measure(f"scaling_exponent/{name}", distribution(curve.exponents))
         for size, seconds in curve.times.items():
             output.measure(f"scaling_s/{name}/{size:g}", distribution(seconds))
     jobs = curves["jobs"].times
@@ -128,9 +129,9 @@ def _curve(axis: str, works: Mapping[float, Callable[[], object]], rounds: int) 
 
 
 def _exponents(times: Times) -> list[float]:
-    """Return one exponent a round; 0 for a single size, which tells none."""
+    """Return one exponent a round; none for a single size, as on a machine of one core."""
     if len(times) == 1:
-        return [0.0]
+        return []
     rounds = zip(*times.values(), strict=True)
     return [exponent(dict(zip(times, each, strict=True))) for each in rounds]
 
@@ -189,9 +190,11 @@ def _sweeps(options: Options, output: Output, rounds: int) -> Curve:
     times: Times = {jobs: [] for jobs in JOBS if jobs <= free_cores()}
     for index in range(-1, rounds):
         for jobs in times:
-            chosen = dataclasses.replace(options, jobs=int(jobs), resume=False)
-            # Each configuration is new, so that none is taken for done.
-            configs = [{"round": index, "jobs": jobs, "job": job} for job in range(SWEPT)]
+            chosen = dataclasses.replace(options, jobs=int(jobs))
+            # No run before this one had the same configurations: a job that is taken for done,
+            # as --resume would have it, takes no time.
+            now = time.time_ns()
+            configs = [{"begun": now, "jobs": jobs, "job": job} for job in range(SWEPT)]
             start = time.perf_counter()
             sweep(spin, configs, chosen, output, label=f"sweep by {jobs:g}")
             if index >= 0:

@@ -1,4 +1,4 @@
-"""Two things timed against each other in the same run."""
+"""Processor time of a function, alone or against another in the same run."""
 
 from __future__ import annotations
 
@@ -6,6 +6,25 @@ import time
 from collections.abc import Callable
 
 from experiments.intervals import Distribution, distribution
+
+
+def repeat(work: Callable[[], object], rounds: int) -> Distribution:
+    """Time a function that has no peer, after one untimed call.
+
+    Args:
+        work: What is measured.
+        rounds: How often.
+
+    Returns:
+        Processor time of this process [s].
+    """
+    work()
+    times: list[float] = []
+    for _ in range(rounds):
+        start = time.process_time()
+        work()
+        times.append(time.process_time() - start)
+    return distribution(times)
 
 
 def compare(

@@ -6,10 +6,12 @@ import json
 import numpy as np
 import pytest
 
+from experiments import bench_scaling
 from experiments.__main__ import main
 from experiments.bench_scaling import exponent
 from experiments.bench_table import BEGIN, END, ROWS, write_between_marks
-from experiments.contract import OptionError
+from experiments.contract import OptionError, Options
+from experiments.output import Output
 from tests.experiments.tiny import CATALOGUE
 
 
@@ -18,6 +20,19 @@ def test_a_power_law_s_exponent_is_found():
     noise = np.random.default_rng(0).normal(0.0, 0.01, 4)
     noisy = {size: float(np.exp(e) / size) for size, e in zip((1, 2, 4, 8), noise)}
     assert exponent(noisy) == pytest.approx(-1.0, abs=0.03)
+
+
+def test_a_resumed_sweep_is_timed_anew_and_one_core_has_no_exponent(tmp_path, monkeypatch):
+    monkeypatch.setattr(bench_scaling, "free_cores", lambda: 1)
+    monkeypatch.setattr(bench_scaling, "SWEPT", 2)
+    options = Options(quick=True, out=tmp_path, resume=True)
+    kept = []
+    for _ in range(2):
+        output = Output("bench", options)
+        curve = bench_scaling._sweeps(options, output, rounds=1)
+        assert list(curve.times) == [1] and curve.exponents == []
+        kept.append(len(list(output.jobs_directory().glob("*.npz"))))
+    assert kept == [4, 8]  # two jobs in a round, and one round is not counted
 
 
 def result(folder, measured, checks=()):
