@@ -53,7 +53,7 @@ def sweep(
         One mapping for each configuration.
 
     Raises:
-        ExperimentError: If the Dask cluster cannot be used.
+        ExperimentError: If the Dask cluster cannot be used, or a result is lost on the disk.
         Exception: What a job raised, with its configuration noted.
     """
     directory = output.jobs_directory()
@@ -65,9 +65,13 @@ def sweep(
         for key, result in _results(function, pending, options):
             _write(paths[key], pending[key], result)
             progress.advance(task)
-    finished = {key: _read(path) for key, path in paths.items()}
-    results = [finished[key] for key in keys]
-    return [result for result in results if result is not None]
+    finished: dict[str, Result] = {}
+    for key, path in paths.items():
+        result = _read(path)
+        if result is None:  # To leave it out would shift all results behind it.
+            raise ExperimentError(f"{path}: lost after it was written; --resume runs it again")
+        finished[key] = result
+    return [finished[key] for key in keys]
 
 
 def _results(

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments import sweep as sweep_module
 from experiments.contract import ExperimentError, Options
 from experiments.output import Output
 from experiments.sweep import sweep
@@ -58,6 +59,14 @@ def test_resume_ignores_other_configurations_and_damaged_files(tmp_path):
     before = calls(tmp_path)
     go(tmp_path, configs(tmp_path, 3), jobs=1, resume=True)
     assert calls(tmp_path) - before == 3
+
+
+def test_a_lost_result_is_named_and_not_left_out(tmp_path, monkeypatch):
+    read = sweep_module._read
+    lost = iter([False, False, False, False, True, False])  # three looked for, three read
+    monkeypatch.setattr(sweep_module, "_read", lambda path: None if next(lost) else read(path))
+    with pytest.raises(ExperimentError, match=r"[0-9a-f]{20}\.npz: lost after it was written"):
+        go(tmp_path, configs(tmp_path, 3), jobs=1)
 
 
 def test_without_resume_every_job_runs_again(tmp_path):
