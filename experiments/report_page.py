@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.contract import ExperimentError
 from experiments.report_elements import captions, element_table
 from experiments.report_findings import agrees, differences, shortfalls
 from experiments.report_html import anchor, check_cells, command, folded, link, numbers, table
@@ -34,6 +35,9 @@ def page(results: Sequence[Result], known: Collection[str]) -> str:
     Args:
         results: In the order in which they appear.
         known: Names of all experiments of this version.
+
+    Raises:
+        ExperimentError: If a picture or table is damaged.
     """
     thesis, excuses = elements(), reasons()
     parts = "".join(
@@ -145,7 +149,10 @@ def figures(result: Result, thesis: Sequence[Element]) -> str:
 
 
 def _figure(result: Result, path: Path, caption: str) -> str:
-    picture = embed(path)
+    try:
+        picture = embed(path)
+    except OSError as error:
+        raise ExperimentError(f"{path}: no picture ({error})") from None
     text = caption or path.stem.replace("_", " ")
     return (
         f'<figure id="{escape(anchor(result.name, path.stem))}"><img alt="{escape(text)}" '
@@ -156,8 +163,11 @@ def _figure(result: Result, path: Path, caption: str) -> str:
 
 def table_file(result: Result, path: Path, thesis: Sequence[Element]) -> str:
     """Return a CSV table, folded unless it is one of the thesis; long ones are cut, and say so."""
-    with path.open(newline="", encoding="utf-8") as stream:
-        headings, *rows = list(csv.reader(stream)) or [[]]
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            headings, *rows = list(csv.reader(stream)) or [[]]
+    except (OSError, ValueError, csv.Error) as error:
+        raise ExperimentError(f"{path}: no table ({error})") from None
     body = "".join(
         f"<tr>{numbers([_short(cell) for cell in row])}</tr>" for row in rows[:ROWS_SHOWN]
     )

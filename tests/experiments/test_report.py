@@ -44,6 +44,15 @@ def test_damaged_result_is_named(tmp_path):
         write_report(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["figures/figure_2-4.png", "tables/table_2-1.csv"])
+def test_damaged_picture_or_table_is_named(tmp_path, name):
+    assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
+    (tmp_path / "tiny" / name).write_bytes(b"\x89PNG\xff\xfe")
+    with pytest.raises(ExperimentError, match=name):
+        write_report(tmp_path)
+    assert not (tmp_path / "report.html").exists()
+
+
 def test_pictures_of_the_thesis_are_found_from_its_elements(tmp_path):
     assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
     (tmp_path / "tiny").rename(tmp_path / "ch2-simulation")
