@@ -16,7 +16,7 @@ from controllers.braid.drive import WireDrive, word_bits
 from controllers.braid.inverse import BinaryArm, InverseConfig, solve
 from controllers.braid.obstacles import LinkCheck
 from controllers.braid.stage import STATES, IntArray
-from controllers.placement.spatial_occluders import Occluder, TargetField, expand
+from controllers.placement.spatial_occluders import TargetField, expand
 from controllers.placement.spatial_search import SearchConfig, rate_positions, views_in_order
 from controllers.placement.task import PlacementError, View
 from experiments.appe_placement_scene import (
@@ -27,7 +27,13 @@ from experiments.appe_placement_scene import (
     draw_setting,
 )
 from experiments.braid_bench import GEOMETRY
-from experiments.ch4_stereo_blocks import CLEARANCE, margins_of, occupancy_of
+from experiments.ch4_stereo_blocks import (
+    CLEARANCE,
+    believed_blocks,
+    margins_of,
+    occluders_of,
+    occupancy_of,
+)
 from experiments.ch4_stereo_search import disc
 from experiments.placement_scene import head_lens
 from models.blocks import Block
@@ -100,8 +106,7 @@ class Planner:
         margins = margins_of(told)
         self.lens = head_lens()
         goal = disc("target", TARGET_RADIUS, target, FACING)
-        occluders = [Occluder(block.name, block.corners) for block in told]
-        self.field: TargetField = expand(goal, occluders, margins)
+        self.field: TargetField = expand(goal, occluders_of(told), margins)
         self._base, self._mount = scene.transform_base_to_world, scene.transform_camera_to_tip
         self._intrinsics = scene.intrinsics
         self._arm = BinaryArm(scene.bench.stages, GEOMETRY, InverseConfig(weight=WEIGHT))
@@ -180,17 +185,6 @@ def look_at(place: FloatArray, aim: FloatArray, roll: float) -> RigidTransform:
     return RigidTransform.from_components(place, level * Rotation.from_euler("z", roll))
 
 
-def believed(setting: Setting, rng: np.random.Generator) -> tuple[Block, ...]:
-    """Return the blocks with errors of their places (1 mm) and headings (1 deg)."""
-    told = []
-    for block in setting.blocks:
-        x, y, z = block.centre
-        dx, dy = rng.normal(scale=1e-3, size=2)
-        yaw = block.yaw + np.deg2rad(rng.normal())
-        told.append(Block(block.name, (x + dx, y + dy, z), block.half, float(yaw)))
-    return tuple(told)
-
-
 def hidden_setting(rng: np.random.Generator, stages: int) -> tuple[Setting, RoverView]:
     """Draw settings until the arm at home does not see all of the target."""
     while True:
@@ -205,7 +199,7 @@ def prepare(trial: PlacementTrial) -> tuple[RoverView, Plan | None, int]:
     rng = np.random.default_rng(trial.seed)
     setting, scene = hidden_setting(rng, trial.stages)
     try:
-        planner = Planner(scene, setting.target, believed(setting, rng))
+        planner = Planner(scene, setting.target, believed_blocks(setting.blocks, rng))
     except PlacementError:
         return scene, None, 0
     return scene, planner.plan(), planner.seeing
@@ -241,8 +235,7 @@ def run_placement(trial: PlacementTrial) -> dict[str, Any]:
     for _ in range(RANDOM_WORDS):
         bench.put(rng.integers(0, STATES, trial.stages))
         bench.step(REST)
-        part, count = scene.seen()
-        random.append(part if count > 0.0 else 0.0)
+        random.append(scene.seen()[0])
     return {
         "placed": True, "home": home, "seeing": seeing,
         "seen": seen, "pixels": pixels, "random": np.array(random),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -19,7 +18,8 @@ COLOURS = {"constant": "tab:red", "information": "tab:blue"}
 
 def draw_arm_motion(trial: Mapping[str, Any], excitation: str) -> Figure:
     """Draw the shoulder angle over time (Thesis figures 2-9 and 2-10)."""
-    figure, axes = plt.subplots(figsize=(7, 3))
+    figure = Figure(figsize=(7, 3))
+    axes = figure.subplots()
     angle = np.asarray(trial["shoulder"])
     axes.plot(np.arange(len(angle)) * 0.01, np.rad2deg(angle), color=COLOURS.get(excitation))
     axes.set(xlabel="time [s]", ylabel="shoulder angle [deg]", title=f"{excitation} excitation")
@@ -29,9 +29,8 @@ def draw_arm_motion(trial: Mapping[str, Any], excitation: str) -> Figure:
 
 def draw_tilt(results: Results) -> Figure:
     """Draw the inclinometer's pitch under each excitation (Thesis figure 2-11)."""
-    figure, rows = plt.subplots(
-        len(results), 1, figsize=(7, 1.8 * len(results)), sharex=True, squeeze=False
-    )
+    figure = Figure(figsize=(7, 1.8 * len(results)))
+    rows = figure.subplots(len(results), 1, sharex=True, squeeze=False)
     for axes, (excitation, trials) in zip(rows[:, 0], results.items()):
         trial = trials[0]
         axes.plot(trial["tilt_times"], trial["tilt"], color=COLOURS.get(excitation, "grey"), lw=1)
@@ -44,7 +43,8 @@ def draw_tilt(results: Results) -> Figure:
 
 def draw_convergence(results: Results, truth: Mapping[str, float]) -> Figure:
     """Draw the estimates over time with the band of the seeds (Thesis figure 2-12)."""
-    figure, grid = plt.subplots(2, 3, figsize=(12, 6))
+    figure = Figure(figsize=(12, 6))
+    grid = figure.subplots(2, 3)
     shown = [name for name in ("constant", "information") if name in results] or list(results)
     for index, (name, unit) in enumerate(zip(NAMES, UNITS)):
         axes = grid.flat[index]
@@ -69,7 +69,8 @@ def draw_convergence(results: Results, truth: Mapping[str, float]) -> Figure:
 
 def draw_errors(results: Results, truth: Mapping[str, float]) -> Figure:
     """Draw the average error of every run by excitation, on a logarithmic scale."""
-    figure, axes = plt.subplots(figsize=(7, 3.5))
+    figure = Figure(figsize=(7, 3.5))
+    axes = figure.subplots()
     true = np.array([truth[name] for name in NAMES])
     errors = [
         [100 * np.mean(np.abs(trial["parameters"] - true) / true) for trial in trials]

@@ -15,7 +15,7 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from models.compose import FLAT, RobotPlacement, load_part, make_model, settle
-from models.datasheets import ROVER
+from models.datasheets import GRAVITY, ROVER
 
 FloatArray = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ def _pendulum_inertia(height: float) -> float:
     fraction = swing[crossings] / (swing[crossings] - swing[crossings + 1])
     period = np.diff((crossings + fraction) * _STEP).mean()
     lever = hung - _centre_height(model)
-    about_pivot = mass * 9.81 * lever * period**2 / (4 * np.pi**2)
+    about_pivot = mass * GRAVITY * lever * period**2 / (4 * np.pi**2)
     wheels = 4 * ROVER.wheel_mass * ROVER.half_wheelbase**2
     return float(about_pivot - mass * lever**2 + mass * height**2 - wheels)
 

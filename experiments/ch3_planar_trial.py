@@ -7,7 +7,7 @@ import functools
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -21,8 +21,6 @@ from perception.planar_raycast import RangeSensor, scan
 
 TARGET = 0.9
 """Fraction mapped at which a run has got there."""
-
-Kind: TypeAlias = Literal["unstructured", "indoor"]
 
 
 @dataclasses.dataclass(frozen=True)

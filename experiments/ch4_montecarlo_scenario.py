@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.placement.planar_sight import separated
-from models.datasheets import CAMERA
+from models.datasheets import CAMERA, INCH
 
 FloatArray = NDArray[np.float64]
 
-INCH = 0.0254
 DENSITIES = (5, 20, 35)  # [%] of the work space, table 4-1
 TOLERANCES = (20, 10, 1)  # [%] of the object's width, table 4-1
 SIDES = 6

@@ -38,12 +38,13 @@ from experiments.ch4_stereo_blocks import (
     run_blocks,
 )
 from experiments.ch4_stereo_record import record_placement
-from experiments.ch4_stereo_search import INCH, LENS, SearchTrial, run_search, warm_up
+from experiments.ch4_stereo_search import LENS, SearchTrial, run_search, warm_up
 from experiments.contract import OptionError
 from experiments.intervals import distribution, fraction
 from experiments.output import Output
 from experiments.sweep import sweep
 from models.blocks import FIGURE_4_12
+from models.datasheets import INCH
 
 SCENES, QUICK_SCENES = 200, 24
 ARRANGEMENTS, QUICK_ARRANGEMENTS = 60, 8
@@ -116,7 +117,7 @@ def _wall(output: Output) -> None:
 def _figure_scene(options: Options, output: Output) -> None:
     """Plan in the scene of figure 4-12 from an uncertain model; render what is seen from there."""
     rng = np.random.default_rng(options.seed)
-    told = believed_blocks(FIGURE_4_12, rng)
+    told = believed_blocks(FIGURE_4_12.blocks, rng)
     margins = margins_of(told)
     target = hole_of(FIGURE_4_12, int(options.target.removeprefix("hole")))
     field = expand(target, occluders_of(told), margins)
@@ -163,6 +164,7 @@ def _searches(options: Options, output: Output) -> None:
     words = np.random.SeedSequence((options.seed, 1)).generate_state(count)
     span = COUNTS[1] - COUNTS[0] + 1
     trials = [SearchTrial(int(w), COUNTS[0] + i % span, i % 2 == 1) for i, w in enumerate(words)]
+    # What is timed runs alone, one scene after the other.
     results = [run_search(trial) for trial in trials]
     matches = sum(bool(result["match"]) for result in results)
     output.measure("search_match_fraction", matches / count)

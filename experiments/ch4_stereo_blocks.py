@@ -8,7 +8,7 @@ scene: the hole's pixels with the blocks there, over those with the blocks taken
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -23,7 +23,6 @@ from controllers.placement.task import PlacementError, Target
 from experiments.ch4_stereo_search import LENS, disc
 from models.blocks import (
     CAMERA_NAME,
-    THICKNESS,
     Arrangement,
     Block,
     build_blocks,
@@ -43,7 +42,6 @@ DEVIATIONS = 3.0
 CLEARANCE = 0.04
 """Between the lens' principal node and anything: half the housing's length and more [m]."""
 RANDOM_VIEWS = 5
-DOWN = -THICKNESS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,10 +68,15 @@ def occluders_of(blocks: tuple[Block, ...]) -> list[Occluder]:
     return [Occluder(block.name, block.corners) for block in blocks]
 
 
-def believed_blocks(arrangement: Arrangement, rng: np.random.Generator) -> tuple[Block, ...]:
-    """Return the blocks as the planner is told: each pose with an error."""
+def believed_blocks(blocks: Sequence[Block], rng: np.random.Generator) -> tuple[Block, ...]:
+    """Return blocks as the planner is told: each pose with an error.
+
+    Args:
+        blocks: As they are.
+        rng: Of the errors.
+    """
     told: list[Block] = []
-    for block in arrangement.blocks:
+    for block in blocks:
         x, y, z = block.centre
         dx, dy = rng.normal(scale=SIGMA, size=2)
         yaw = block.yaw + rng.normal(scale=SIGMA_YAW)
@@ -154,7 +157,7 @@ def run_blocks(trial: BlocksTrial) -> dict[str, Any]:
     """
     rng = np.random.default_rng(trial.seed)
     arrangement = draw_arrangement(rng, trial.blocks)
-    told = believed_blocks(arrangement, rng)
+    told = believed_blocks(arrangement.blocks, rng)
     margins = margins_of(told)
     target, occupancy = hole_of(arrangement), occupancy_of(told, margins)
     try:

@@ -19,8 +19,8 @@ from controllers.placement.spatial_field import signed_caps
 from controllers.placement.spatial_occluders import TargetField
 from controllers.placement.spatial_search import rate_positions, spherical
 from controllers.placement.task import Lens, View
-from experiments.ch4_stereo_search import INCH
 from models.blocks import Arrangement
+from models.datasheets import CAMERA, INCH
 
 FloatArray = NDArray[np.float64]
 
@@ -148,7 +148,7 @@ def pictures(
     figure = Figure(figsize=(3.6 * len(views), 4.2))
     for index, (view, image) in enumerate(zip(views, images)):
         axes = figure.add_subplot(1, len(views), index + 1)
-        axes.imshow(image, aspect=0.0098 / 0.0125)  # Pixels are wider than high.
+        axes.imshow(image, aspect=CAMERA.fx / CAMERA.fy)  # Pixels are wider than high.
         default = "optimal pose" if index == 0 else f"random pose {index}"
         name = names[index] if names else default
         axes.set_title(f"{name}\n{view.distance / INCH:.1f} in, rating {view.rating:.0f} per m")

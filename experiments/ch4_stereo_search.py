@@ -24,11 +24,10 @@ from controllers.placement.spatial_search import (
 )
 from controllers.placement.spatial_sight import sees_all
 from controllers.placement.task import Lens, PlacementError, Target, View
-from models.datasheets import CAMERA
+from models.datasheets import CAMERA, INCH
 
 FloatArray = NDArray[np.float64]
 
-INCH = 0.0254
 LENS = Lens(CAMERA.field_of_view[0], CAMERA.width, 5.0 * INCH, 24.0 * INCH)
 """Nearest distance in focus as the thesis' answer of 5 inches says; the farthest is a choice."""
 PLAIN = SearchConfig(refine=False)

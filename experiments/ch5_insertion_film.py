@@ -32,7 +32,7 @@ SMALL = (360, 270)
 """Of a half of the GIF [px]."""
 EVERY = 40
 """Ticks from one picture to the next."""
-_RED, _YELLOW = (230, 60, 40), (250, 220, 60)
+_RED = (230, 60, 40)
 
 
 @dataclasses.dataclass

@@ -15,7 +15,7 @@ def known_arm(model: mujoco.MjModel, robot: str = "rover1") -> SerialArm:
     """Return the arm above the force/torque sensor, with everything fixed to its links.
 
     Args:
-        model: A scene with the robot, its gripper empty.
+        model: A scene with the robot; what its gripper holds counts as part of the wrist.
         robot: Name of the robot.
 
     Raises:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from controllers.placement.task import Lens, Target
 from experiments.ch3_scene import RIG, StereoScene, look_at
 from experiments.mapping_scene import PIXEL_SIGMA
-from models.datasheets import CAMERA
+from models.datasheets import CAMERA, INCH
 from perception.pinhole import Frustum
 from perception.voxel_grid import VoxelGrid
 from perception.voxel_map import VoxelMap
@@ -29,7 +29,6 @@ EYES, SEEN = (-1.1, 1.1), (-0.9, 0.9)
 """Where the head is and what it looks at, along x and y [m]."""
 NOT_DOWN = 0.3
 """The head does not look at what is nearer on the ground [m]."""
-INCH = 0.0254
 SIDES = 16
 """Corners that stand for a round target."""
 

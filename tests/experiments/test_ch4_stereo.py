@@ -56,7 +56,7 @@ def test_rendered_hole_is_whole_just_where_exact_sight_says_so():
 
 
 def test_camera_is_kept_off_blocks_and_face():
-    blocks = believed_blocks(FIGURE_4_12, np.random.default_rng(0))
+    blocks = believed_blocks(FIGURE_4_12.blocks, np.random.default_rng(0))
     occupancy = occupancy_of(blocks, [0.0] * len(blocks))
     wall = np.array(blocks[0].centre)
     places = np.array([wall, wall + [0.06, 0, 0.03], wall + [0.0, 0.0, 0.2], [0.1, 0.0, 0.02]])
