@@ -99,7 +99,7 @@ def run(options: Options, output: Output) -> None:
     output.figure("figure_E-9_arm", figures.arms())
     output.figure("toggle", figures.toggle(toggle_course()))
     if options.record:
-        trial = WordTrial(options.stages, options.seed, RECORDED, 3)
+        trial = WordTrial(options.stages, options.seed, RECORDED, options.group())
         record_words(trial, output.file("run.rrd"))
 
 
