@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from models import clutter, datasheets, terrain
 from models.card_and_slot.stand import hold_card, stand_slot
-from models.configuration import FLAT, ROUGH, FieldConfig, PayloadConfig, RobotPlacement
+from models.configuration import (
+    FLAT,
+    ROUGH,
+    START_RADIUS,
+    FieldConfig,
+    PayloadConfig,
+    RobotPlacement,
+    check_panel,
+    check_robots,
+)
 from models.materials import add_materials
 
 __all__ = [
@@ -44,7 +53,6 @@ WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
 TEXTURE_TILE = FieldConfig.texture_tile
 """Edge of the ground's noise tile, unless the field says another [m]."""
-_START_RADIUS = 0.4  # Kept clear of rocks and blocks about a robot's start [m].
 
 
 def load_part(name: str) -> mujoco.MjSpec:
@@ -90,7 +98,7 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
     )
     none = terrain.Rocks(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
     bare = terrain.Terrain(field.size, heights, none)
-    discs = [(*robot.position, _START_RADIUS) for robot in robots]
+    discs = [(*robot.position, START_RADIUS) for robot in robots]
     if field.panel is not None:
         discs.append((*field.panel.position, field.panel.footprint))
     clear = np.array(discs).reshape(-1, 3)
@@ -132,8 +140,8 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
     Raises:
         ValueError: If two robots share a name, or one starts outside the field or at the panel.
     """
-    _check_robots(field, robots)
-    _check_panel(field, robots)
+    check_robots(field, robots)
+    check_panel(field, robots)
     ground = make_terrain(field, robots)
     scene = load_part("field")
     scene.modelname = "scene"
@@ -248,46 +256,6 @@ def add_home(scene: mujoco.MjSpec, robots: Sequence[RobotPlacement]) -> None:
         for name, voltage in zip(ARM_JOINTS, voltages, strict=True):
             data.actuator(f"{robot.name}/{name}").ctrl = voltage
     scene.add_key(name="home", qpos=data.qpos.copy(), ctrl=data.ctrl.copy())
-
-
-def _check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
-    names = [robot.name for robot in robots]
-    for robot in robots:
-        if names.count(robot.name) > 1:
-            raise ValueError(
-                f"two robots are called {robot.name!r}; names given: {', '.join(names)}; "
-                f"free, for example: {_free_name(names)}"
-            )
-        reach = np.abs(np.asarray(robot.position)) + 0.3
-        if np.any(reach > np.asarray(field.size) / 2.0):
-            raise ValueError(
-                f"robot {robot.name!r} starts at {robot.position}, less than 0.3 m from the edge "
-                f"of the field of {field.size[0]} x {field.size[1]} m"
-            )
-
-
-def _check_panel(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
-    panel = field.panel
-    if panel is None:
-        return
-    reach = np.abs(np.asarray(panel.position)) + panel.footprint
-    if np.any(reach > np.asarray(field.size) / 2.0):
-        raise ValueError(
-            f"the panel stands at {panel.position}, less than {panel.footprint:.2f} m from the "
-            f"edge of the field of {field.size[0]} x {field.size[1]} m"
-        )
-    least = panel.footprint + _START_RADIUS
-    for robot in robots:
-        distance = math.dist(robot.position, panel.position)
-        if distance < least:
-            raise ValueError(
-                f"robot {robot.name!r} starts {distance:.2f} m from the panel; "
-                f"needs {least:.2f} m or more"
-            )
-
-
-def _free_name(names: Sequence[str]) -> str:
-    return next(name for name in (f"rover{i}" for i in range(1, 1000)) if name not in names)
 
 
 def _add_ground(scene: mujoco.MjSpec, ground: terrain.Terrain) -> None:

@@ -5,10 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections.abc import Sequence
+
+import numpy as np
 
 from models import datasheets
 from models.clutter import PanelConfig
 
+START_RADIUS = 0.4
+"""Kept clear of rocks and blocks about a robot's start [m]."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -174,3 +179,61 @@ class RobotPlacement:
         )
         held = self.arm and self.payload is None
         _require(held or not self.card, f"card of {self.name}", self.card, "an arm without payload")
+
+
+def check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
+    """Refuse robots of one name, and robots off the field.
+
+    Args:
+        field: The field.
+        robots: All robots on it.
+
+    Raises:
+        ValueError: Naming the robot.
+    """
+    names = [robot.name for robot in robots]
+    for robot in robots:
+        if names.count(robot.name) > 1:
+            raise ValueError(
+                f"two robots are called {robot.name!r}; names given: {', '.join(names)}; "
+                f"free, for example: {_free_name(names)}"
+            )
+        reach = np.abs(np.asarray(robot.position)) + 0.3
+        if np.any(reach > np.asarray(field.size) / 2.0):
+            raise ValueError(
+                f"robot {robot.name!r} starts at {robot.position}, less than 0.3 m from the edge "
+                f"of the field of {field.size[0]} x {field.size[1]} m"
+            )
+
+
+def check_panel(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
+    """Refuse a panel that hangs over the field's edge or stands where a robot starts.
+
+    Args:
+        field: The field, perhaps with a panel.
+        robots: All robots on it.
+
+    Raises:
+        ValueError: Naming the panel or the robot.
+    """
+    panel = field.panel
+    if panel is None:
+        return
+    reach = np.abs(np.asarray(panel.position)) + panel.footprint
+    if np.any(reach > np.asarray(field.size) / 2.0):
+        raise ValueError(
+            f"the panel stands at {panel.position}, less than {panel.footprint:.2f} m from the "
+            f"edge of the field of {field.size[0]} x {field.size[1]} m"
+        )
+    least = panel.footprint + START_RADIUS
+    for robot in robots:
+        distance = math.dist(robot.position, panel.position)
+        if distance < least:
+            raise ValueError(
+                f"robot {robot.name!r} starts {distance:.2f} m from the panel; "
+                f"needs {least:.2f} m or more"
+            )
+
+
+def _free_name(names: Sequence[str]) -> str:
+    return next(name for name in (f"rover{i}" for i in range(1, 1000)) if name not in names)

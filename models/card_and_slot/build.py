@@ -122,7 +122,22 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
     )
     spec.worldbody.add_light(pos=[0.0, 0.0, 1.0], dir=[0.0, 0.0, -1.0])
     add_slot(spec.worldbody, width)
-    carrier = spec.worldbody.add_body(name="carrier", mocap=True)
+    add_card(_add_hand(spec.worldbody.add_body(name="carrier", mocap=True)))
+    for geom in spec.geoms:
+        geom.friction[0] = friction
+    for name, kind in (
+        ("card_force", mujoco.mjtSensor.mjSENS_FORCE),
+        ("card_torque", mujoco.mjtSensor.mjSENS_TORQUE),
+    ):
+        spec.add_sensor(
+            name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="card_wrench"
+        )
+    return spec.compile()
+
+
+def _add_hand(carrier: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Add the body ``hand`` on the springs of its six degrees of freedom."""
+    # MuJoCo must have an inertia; the joints' armature, that of rotors, is a hundred times this.
     hand = carrier.add_body(name="hand", mass=HAND.mass, inertia=[1e-4] * 3)
     hand.explicitinertial = True
     for kind, turn in ((_SLIDE, False), (_HINGE, True)):
@@ -135,17 +150,7 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
             )
             joint.stiffness = [HAND.turn_stiffness if turn else HAND.stiffness, 0, 0]
             joint.damping = [HAND.turn_damping if turn else HAND.damping, 0, 0]
-    add_card(hand)
-    for geom in spec.geoms:
-        geom.friction[0] = friction
-    for name, kind in (
-        ("card_force", mujoco.mjtSensor.mjSENS_FORCE),
-        ("card_torque", mujoco.mjtSensor.mjSENS_TORQUE),
-    ):
-        spec.add_sensor(
-            name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="card_wrench"
-        )
-    return spec.compile()
+    return hand
 
 
 def _contact() -> dict[str, list[float]]:
