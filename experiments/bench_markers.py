@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import cv2
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -15,15 +13,12 @@ from experiments.bench_markers_figures import draw_steps
 from experiments.contract import Options
 from experiments.intervals import distribution
 from experiments.mapping_scene import head_geometry
+from experiments.marker_scene import MarkerScene, MarkerView, expectation
 from experiments.output import Output
 from experiments.timing import compare
-from models.card_and_slot.build import PAINT, add_card, add_slot
-from models.compose import FieldConfig, build_scene, compile_scene, load_part
-from models.datasheets import CARD_AND_SLOT
-from perception.marker_ellipses import MarkerExpectation, project_discs
-from perception.marker_poses import BodyCad, PosePrior
+from perception.marker_ellipses import MarkerExpectation
+from perception.marker_poses import PosePrior
 from perception.markers import DETECTORS, MarkerPairs, match_bodies, triangulate
-from twin.camera import StereoConfig, StereoRig, camera_pose
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -35,142 +30,10 @@ SLANTS = (0.0, 20.0, 40.0, 60.0)
 """Between the markers' normal and the line of sight [deg]."""
 VIEWS, QUICK_VIEWS = 12, 2
 """Pairs of each range and slant."""
-TABLE_HEIGHT = 0.4  # Of card and slot over the ground [m].
 HEAD_ON = (0.5, 0.0)
-RANGE_KNOWN = 0.2
-"""How well the range is known before, as a part of it: map and dead reckoning are better."""
 TILT_SIGMA = math.radians(2.0)
 """Deviation of the faces' normal where a prior is used: tilt sensor and the planar task."""
 _FAR = 3.0  # Farther off, a detection is another thing [px].
-
-
-@dataclasses.dataclass(frozen=True)
-class MarkerView:
-    """A pair with its truth.
-
-    Attributes:
-        pair: (2, H, W) uint8.
-        bodies: Card and slot to the left camera.
-        ellipses: (2, 4, 5) of the card's, then the slot's markers, as they truly are.
-        distance: Of the view [m].
-        slant: Of the view [deg].
-    """
-
-    pair: ImageArray
-    bodies: tuple[RigidTransform, RigidTransform]
-    ellipses: FloatArray
-    distance: float
-    slant: float
-
-
-def marker_cads(width: float) -> tuple[BodyCad, BodyCad]:
-    """Return the CAD of the card and of a slot.
-
-    Args:
-        width: Of the slot [m].
-    """
-    sheet = CARD_AND_SLOT
-    card = [[x, y, sheet.card_thickness / 2.0 + PAINT] for x, y in sheet.card_markers]
-    outward, inward = sheet.slot_marker_inset
-    top = sheet.wall_height / 2.0 + PAINT
-    slot = [[side * (width / 2.0 + outward), inward, top] for side in (-1.0, 1.0)]
-    return BodyCad(np.array(card)), BodyCad(np.array(slot))
-
-
-def expectation(distance: float) -> MarkerExpectation:
-    """Return what is expected of a view whose range is known to a fifth."""
-    return MarkerExpectation(distance * (1.0 - RANGE_KNOWN), distance * (1.0 + RANGE_KNOWN))
-
-
-class MarkerScene:
-    """Card and slot over textured ground with rocks, before a free stereo head."""
-
-    def __init__(self, rng: np.random.Generator, noise_db: float | None = 46.0) -> None:
-        """Build.
-
-        Args:
-            rng: Of the views and of the noise.
-            noise_db: Of the images.
-        """
-        self.width = CARD_AND_SLOT.slot_widths[1]
-        self.geometry = head_geometry()
-        self.cads = marker_cads(self.width)
-        self._rng = rng
-        seed = int(rng.integers(2**31))
-        scene = build_scene(FieldConfig(size=(3.0, 3.0), rocks=150, blocks=10, seed=seed), ())
-        stands = [
-            scene.worldbody.add_body(name=f"{name}_stand", mocap=True) for name in ("card", "slot")
-        ]
-        add_card(stands[0])
-        add_slot(stands[1], self.width)
-        head = load_part("stereo_head")
-        for geom in list(head.geoms):
-            head.delete(geom)
-        rig = scene.worldbody.add_body(name="rig", mocap=True)
-        scene.attach(head, frame=rig.add_frame(), prefix="rig/")
-        self._model = compile_scene(scene)
-        self._model.vis.quality.numslices = 96
-        self._data = mujoco.MjData(self._model)
-        self._rig = StereoRig(self._model, "rig/", StereoConfig(noise_db=noise_db), rng)
-
-    def view(self, distance: float, slant: float) -> MarkerView:
-        """Draw a pair.
-
-        Args:
-            distance: From the cameras to the middle of card and slot [m].
-            slant: Of their faces [deg].
-        """
-        rng = self._rng
-        level = [0.0, 0.0, TABLE_HEIGHT]
-        turn = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3))
-        slot = RigidTransform.from_components(level, turn)
-        gap = [rng.uniform(-0.01, 0.01), rng.uniform(-0.03, -0.005), rng.uniform(-0.004, 0.004)]
-        bend = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3))
-        card = slot * RigidTransform.from_components(gap, bend)
-        around, lean = rng.uniform(-1.0, 1.0) - math.pi / 2.0, math.radians(slant) + 1e-3
-        away = [math.sin(lean) * math.cos(around), math.sin(lean) * math.sin(around)]
-        middle = slot.apply([0.0, 0.0, CARD_AND_SLOT.wall_height / 2.0])
-        eye = middle + distance * turn.apply([*away, math.cos(lean)])
-        ahead = middle + rng.uniform(-0.02, 0.02, 3) * distance - eye
-        roll = rng.uniform(-0.4, 0.4)
-        upward = turn.apply([math.sin(roll), math.cos(roll), 0.0])
-        right = np.cross(ahead, upward) / np.linalg.norm(np.cross(ahead, upward))
-        ahead /= np.linalg.norm(ahead)
-        axes = np.column_stack([right, np.cross(ahead, right), ahead])
-        camera = RigidTransform.from_components(eye, Rotation.from_matrix(axes))
-        for name, pose in (("slot_stand", slot), ("card_stand", card)):
-            self._put(name, pose)
-        mount = self._model.camera("rig/stereo_left")
-        self._put("rig", camera * RigidTransform.from_translation(mount.pos * [-1, 1, 1]))
-        mujoco.mj_forward(self._model, self._data)
-        return self._seen(distance, slant)
-
-    def _put(self, name: str, pose: RigidTransform) -> None:
-        if name == "rig":
-            # The camera looks along the head's y, its rows run along -z.
-            flip = Rotation.from_matrix([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
-            pose = pose * RigidTransform.from_rotation(flip)
-        index = self._model.body(name).mocapid[0]
-        self._data.mocap_pos[index] = pose.translation
-        self._data.mocap_quat[index] = pose.rotation.as_quat(scalar_first=True)
-
-    def _seen(self, distance: float, slant: float) -> MarkerView:
-        rotation, place = camera_pose(self._data, self._model.camera("rig/stereo_left").id)
-        back = RigidTransform.from_components(place, Rotation.from_matrix(rotation)).inv()
-        bodies, discs, normals = [], [], []
-        for name, cad in zip(("card", "slot"), self.cads, strict=True):
-            body = self._data.body(name)
-            turn = Rotation.from_matrix(body.xmat.reshape(3, 3))
-            pose = back * RigidTransform.from_components(body.xpos, turn)
-            bodies.append(pose)
-            discs.append(pose.apply(cad.points))
-            normals.append(np.tile(pose.rotation.apply(cad.normal), (len(cad.points), 1)))
-        centres = np.concatenate(discs)
-        eyes = np.stack([centres, centres - [self.geometry.baseline, 0.0, 0.0]])
-        radius = CARD_AND_SLOT.marker_diameter / 2.0
-        ellipses = project_discs(eyes, np.concatenate(normals)[None], radius, self.geometry)
-        pair = self._rig.capture(self._data)
-        return MarkerView(pair, (bodies[0], bodies[1]), ellipses, distance, slant)
 
 
 def hough_peer(image: ImageArray, view: MarkerView) -> FloatArray:

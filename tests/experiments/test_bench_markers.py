@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.bench_markers import MarkerScene, centre_errors, expectation
+from experiments.bench_markers import centre_errors
+from experiments.marker_scene import MarkerScene, expectation
 from perception.markers import DETECTORS
 
 
