@@ -62,7 +62,7 @@ class BraidBench:
         mujoco.mj_forward(model, self.data)
 
     def put(self, word: IntArray) -> None:
-        """Put the arm at rest into a word (n,), exactly as its kinematics say, wires cold."""
+        """Put the arm at rest into a word (n,), exactly by its kinematics, wires cold and off."""
         lengths = np.where(word_bits(word), GEOMETRY.long, GEOMETRY.short)
         poses = stage_pose(lengths, GEOMETRY.radius)
         joints = GEOMETRY.radius * np.column_stack([RADIAL, np.zeros(LEGS)])
@@ -79,6 +79,7 @@ class BraidBench:
         self.data.qpos[self._slides] = lengths - BRAID.middle
         self.data.qvel[:] = 0.0
         self.data.act[self.model.actuator_actadr[self.wires]] = 0.0
+        self.data.ctrl[self.wires] = 0.0
         mujoco.mj_forward(self.model, self.data)
 
     def bits(self) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from controllers.placement.task import Lens, PlacementError, View
 from experiments.insertion_scene import MASTER
 from experiments.known_camera_arm import known_camera_arm
 from models.card_and_slot.build import PAINT
-from models.card_and_slot.stand import SLOT_HEIGHT, TIP
+from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT, TIP
 from models.compose import FLAT, RobotPlacement, make_model
 from models.datasheets import CAMERA, CARD_AND_SLOT, ROVER
 from perception.marker_poses import BodyCad
@@ -108,7 +108,7 @@ def seen_parts(width: float, gap: float = GAP) -> SeenParts:
         width: Of the slot [m].
         gap: Of the card before the mouth [m].
     """
-    axes = Rotation.from_matrix([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    axes = Rotation.from_matrix(CARD_AXES)
     slot = RigidTransform.from_components([0.0, 0.0, SLOT_HEIGHT], axes)
     card = RigidTransform.from_components([0.0, -gap, SLOT_HEIGHT], axes)
     return SeenParts(card, slot, card_cad(), slot_cad(width))

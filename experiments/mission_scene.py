@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from experiments.insertion_scene import transform
+from experiments.insertion_scene import MASTER, SLAVE, transform
 from models.clutter import PanelConfig
 from models.compose import FieldConfig, RobotPlacement, make_model
 from perception.registration_uncertainty import cross_matrix
@@ -23,7 +23,6 @@ from perception.target import TargetCad
 
 FloatArray = NDArray[np.float64]
 
-MASTER, SLAVE = "rover1", "rover2"
 NOMINAL = {MASTER: (0.82, -0.35, math.pi / 2), SLAVE: (0.0, -0.92, 0.0)}
 """Where the robots should be dropped: x, y [m] and yaw [rad], world."""
 DROP_PLACE, DROP_YAW = 0.06, 0.10

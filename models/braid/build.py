@@ -24,7 +24,7 @@ import numpy as np
 
 from models.compose import build_scene, load_part
 from models.configuration import FieldConfig, RobotPlacement
-from models.datasheets import BRAID, MUSCLE_WIRE
+from models.datasheets import BRAID, CAMERA, MUSCLE_WIRE
 
 LEGS = 3
 BEARINGS = (-90.0, 30.0, 150.0)
@@ -78,9 +78,10 @@ def make_braid(config: BraidConfig) -> mujoco.MjSpec:
     for stage in range(1, config.stages + 1):
         body = _add_stage(spec, body, stage, config)
     body.add_site(name="tip", group=4)
-    # The head's centre of gravity stands over the disc's middle.
+    # The head's origin is between the optical centres, in the housings' front faces: so its centre
+    # of gravity stands over the disc's middle, and its housings 4 mm above the disc.
     above = 0.5 * BRAID.disc_thickness + 0.0195
-    body.add_site(name="stereo_mount", group=4, pos=[0.0, 0.0305, above])
+    body.add_site(name="stereo_mount", group=4, pos=[0.0, 0.5 * CAMERA.housing[2], above])
     return spec
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from controllers.braid.chain import forward
 from controllers.braid.drive import WireDrive, word_bits
-from controllers.braid.stage import STATES, state_poses
+from controllers.braid.stage import LEGS, STATES, state_poses
 from experiments.appe_mechanism import Options
 from experiments.appe_mechanism_trial import (
     SagTrial,
@@ -27,7 +27,9 @@ def test_an_arm_put_into_a_word_closes_all_its_loops_at_the_pose_of_the_kinemati
     bench = make_bench(BraidConfig(4))
     rng = np.random.default_rng(1)
     for word in rng.integers(0, STATES, (5, 4)):
+        bench.heat(np.ones((4, LEGS, 2)))
         bench.put(word)
+        assert not np.any(bench.data.ctrl)
         np.testing.assert_allclose(bench.tip(), ideal_tip(word), atol=1e-12)
         np.testing.assert_allclose(
             ideal_tip(word), forward(state_poses(GEOMETRY), word), atol=1e-12
