@@ -156,9 +156,11 @@ class Output:
         config = {"experiment": self._name, **plain(self._options)}
         write_json(self.file("config.json"), config)
         run = provenance.describe_run(time.monotonic() - self._start)
-        write_json(self.file("run.json"), {"command": self._command, **run})
+        names = {entry.name for entry in self._staging.iterdir()} | {"run.json", "metrics.json"}
+        about = {"command": self._command, **run, "files": sorted(names)}
+        write_json(self.file("run.json"), about)
         write_json(self.file("metrics.json"), self.metrics())
-        for name in REPLACED:
+        for name in dict.fromkeys((*REPLACED, *_files_of(self.directory / "run.json"))):
             _remove(self.directory / name)
         for entry in sorted(self._staging.iterdir(), key=lambda path: path.name == "metrics.json"):
             target = self.directory / entry.name
@@ -198,6 +200,15 @@ def write_json(path: Path, value: Any) -> None:
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     os.replace(partial, path)
+
+
+def _files_of(run: Path) -> list[str]:
+    """Return the names of what the run before has left, as far as its run.json tells."""
+    try:
+        names = [str(name) for name in json.loads(run.read_text(encoding="utf-8"))["files"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return [name for name in names if FILE_NAME.fullmatch(name) and name != "jobs"]
 
 
 def _remove(path: Path) -> None:

@@ -34,6 +34,19 @@ def test_nothing_is_in_place_before_the_end_and_old_figures_are_gone_after(outpu
     assert [path.name for path in (output.directory / "figures").iterdir()] == ["figure_2.png"]
 
 
+def test_a_film_of_the_run_before_is_gone_and_what_is_not_of_a_run_stays(output, tmp_path):
+    output.file("film.gif").write_bytes(b"film")
+    output.finish()
+    (output.directory / "notes.txt").write_text("mine")
+    run = json.loads((output.directory / "run.json").read_text())
+    assert run["files"] == ["config.json", "film.gif", "metrics.json", "run.json"]
+    Output("tiny", Options(out=tmp_path)).finish()
+    assert not (output.directory / "film.gif").exists()
+    assert (output.directory / "notes.txt").read_text() == "mine"
+    (output.directory / "run.json").write_text('{"files": 3}')
+    Output("tiny", Options(out=tmp_path)).finish()
+
+
 def test_what_is_not_a_number_becomes_null(output):
     output.measure("never", np.array([np.inf, 1.0, np.nan]))
     output.finish()
