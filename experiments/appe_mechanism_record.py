@@ -32,7 +32,13 @@ def record_words(trial: WordTrial, path: Path) -> None:
     stream.send_blueprint(
         rrb.Blueprint(
             rrb.Horizontal(
-                rrb.Spatial3DView(origin="world", name="BRAID"),
+                rrb.Spatial3DView(
+                    origin="world",
+                    name="BRAID",
+                    eye_controls=rrb.EyeControls3D(
+                        position=(0.45, -0.45, 0.35), look_target=(0.0, 0.0, 0.12)
+                    ),
+                ),
                 rrb.Vertical(
                     rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long"),
                     rrb.TimeSeriesView(origin="curves/hottest_wire", name="Hottest wire [degC]"),

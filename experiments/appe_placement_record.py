@@ -37,7 +37,13 @@ def record_placement(trial: PlacementTrial, path: Path) -> None:
     stream.send_blueprint(
         rrb.Blueprint(
             rrb.Horizontal(
-                rrb.Spatial3DView(origin="world", name="Rover with BRAID"),
+                rrb.Spatial3DView(
+                    origin="world",
+                    name="Rover with BRAID",
+                    eye_controls=rrb.EyeControls3D(
+                        position=(-0.3, -1.6, 0.9), look_target=(0.4, 0.0, 0.25)
+                    ),
+                ),
                 rrb.Vertical(
                     rrb.Spatial2DView(origin="camera", name="Left camera"),
                     rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long"),

@@ -12,8 +12,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from scipy.stats import binomtest
-
 from experiments import contract
 from experiments.ch5_insertion_figures import (
     draw_course,
@@ -27,7 +25,7 @@ from experiments.contract import OptionError
 from experiments.insertion_faults import ENDS_IN, Fault
 from experiments.insertion_identify import identify_slip
 from experiments.insertion_setting import NOISE_DB, InsertionTrial
-from experiments.intervals import distribution, fraction
+from experiments.intervals import distribution, fraction, mcnemar
 from experiments.output import Output
 from experiments.sweep import sweep
 from models.datasheets import CARD_AND_SLOT, INCH
@@ -125,7 +123,7 @@ def _measure_cells(cells: Cells, widths: Sequence[float], output: Output) -> Non
         output.measure(key, share, thesis=THESIS[placement][column])
     for width in widths:
         best, other = cells["optimal", width], cells["random", width]
-        p = mcnemar(best, other)
+        p = mcnemar([r["success"] for r in best], [r["success"] for r in other])
         name = f"{width / INCH:g}"
         output.measure(f"mcnemar_p/{name}", p)
         value = float(rows["optimal", width]["mean"])
@@ -136,14 +134,6 @@ def _measure_cells(cells: Cells, widths: Sequence[float], output: Output) -> Non
         values = [float(rows["random", width]["mean"]) for width in widths]
         falls = all(a >= b for a, b in zip(values, values[1:])) and values[0] > values[-1]
         output.check("random, widest less narrowest", values[0] - values[-1], "> 0, falling", falls)
-
-
-def mcnemar(first: Results, second: Results) -> float:
-    """Return the exact two-sided p of McNemar's test for paired successes."""
-    only_first = sum(a["success"] and not b["success"] for a, b in zip(first, second, strict=True))
-    only_second = sum(b["success"] and not a["success"] for a, b in zip(first, second, strict=True))
-    told = only_first + only_second
-    return float(binomtest(only_first, told, 0.5).pvalue) if told else 1.0
 
 
 def _measure_all(results: Results, output: Output) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy import stats
@@ -70,3 +70,16 @@ def fraction(successes: int, n: int) -> Distribution:
         "p95": share,
         "n": n,
     }
+
+
+def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> float:
+    """Return the exact two-sided p of McNemar's test for paired successes.
+
+    Args:
+        first: Whether each run of one kind succeeded.
+        second: The same of the other kind, in the same order.
+    """
+    only_first = sum(a and not b for a, b in zip(first, second, strict=True))
+    only_second = sum(b and not a for a, b in zip(first, second, strict=True))
+    told = only_first + only_second
+    return float(stats.binomtest(only_first, told, 0.5).pvalue) if told else 1.0

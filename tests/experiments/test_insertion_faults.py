@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from controllers.insertion.carrier import Stage
-from experiments.ch5_insertion import mcnemar
 from experiments.insertion_faults import AFTER, BEGINS, ENDS_IN, Fault, FaultyEyes
 from experiments.insertion_scene import MASTER, SLAVE
 from twin.robot import Channel, Observation, Validity
@@ -79,19 +78,3 @@ def test_frozen_camera_has_new_stamps_on_one_old_picture():
     seen = [eyes.change(observations(time), Stage.APPROACH)[MASTER].stereo for time in (2.0, 3.0)]
     np.testing.assert_array_equal(seen[0].value, seen[1].value)
     assert [each.stamp for each in seen] == [2.0, 3.0]
-
-
-def successes(*flags: int):
-    return [{"success": bool(flag)} for flag in flags]
-
-
-def test_mcnemar_is_the_exact_binomial_of_the_pairs_that_differ():
-    """By hand: b = 6 and c = 1 of 7, two-sided 2 * (1 + 7) / 2**7."""
-    first = successes(*[1] * 6, 0, *[1] * 5, *[0] * 3)
-    second = successes(*[0] * 6, 1, *[1] * 5, *[0] * 3)
-    assert mcnemar(first, second) == pytest.approx(2 * 8 / 128)
-    assert mcnemar(second, first) == pytest.approx(2 * 8 / 128)
-    assert mcnemar(successes(1, 0, 1), successes(1, 0, 1)) == 1.0
-    assert mcnemar(successes(*[1] * 5), successes(*[0] * 5)) == pytest.approx(2 / 32)
-    with pytest.raises(ValueError, match="zip"):
-        mcnemar(successes(1), successes(1, 0))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.intervals import distribution, fraction
+from experiments.intervals import distribution, fraction, mcnemar
 
 
 @pytest.mark.parametrize("n", [6, 9, 20, 51])
@@ -54,3 +54,15 @@ def test_wilson_interval_agrees_with_its_closed_form():
     assert fraction(0, 5)["low"] == 0.0
     with pytest.raises(ValueError, match="not a fraction"):
         fraction(6, 5)
+
+
+def test_mcnemar_is_the_exact_binomial_of_the_pairs_that_differ():
+    """By hand: b = 6 and c = 1 of 7, two-sided 2 * (1 + 7) / 2**7."""
+    first = [True] * 6 + [False] + [True] * 5 + [False] * 3
+    second = [False] * 6 + [True] + [True] * 5 + [False] * 3
+    assert mcnemar(first, second) == pytest.approx(2 * 8 / 128)
+    assert mcnemar(second, first) == pytest.approx(2 * 8 / 128)
+    assert mcnemar([True, False, True], [True, False, True]) == 1.0
+    assert mcnemar([True] * 5, [False] * 5) == pytest.approx(2 / 32)
+    with pytest.raises(ValueError, match="zip"):
+        mcnemar([True], [True, False])

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import types
 import typing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing, lean, level_target
 from controllers.mission.going import Going
+from experiments import mission
 from experiments.contract import OptionError
 from experiments.insertion_stand import Stand, best_stand, reference_arm
 from experiments.mapping_scene import head_geometry
@@ -34,6 +37,7 @@ from experiments.mission_scene import (
 from experiments.mission_stages import VOXEL, take_standing
 from experiments.mission_team import own_model
 from experiments.mission_trial import MissionTrial, run_mission
+from experiments.output import Output
 from models.datasheets import CARD_AND_SLOT, ROVER
 from perception.target import TargetCad
 from perception.voxel_grid import VoxelGrid
@@ -189,6 +193,36 @@ def test_a_mission_without_a_map_does_not_count_as_one_that_ended_mapping() -> N
             assert len(known["ends"]) == sum(name in r["stage_names"] for r in results)
             assert {float(error[0]) for error in known["slave_errors"]} == {float(len(name))}
     assert stages_of([]) == []
+
+
+def test_an_ablation_is_compared_with_the_whole_mission_of_the_same_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of five whole missions all succeed; of three without a map those of even seeds."""
+    asked: list[MissionTrial] = []
+
+    def pretend(
+        _run: object, jobs: list[MissionTrial], *_: object, label: str
+    ) -> list[dict[str, typing.Any]]:
+        asked.extend(jobs)
+        ended = of_stages("identify", "insert")
+        told = {"seconds": 1.0, "wall_over_sim": 1.0, "peak": 2.0, "across": 0.0, "ahead": 0.0}
+        return [
+            {**ended, **told, "reason": "", "success": not job.without or job.seed % 2 == 0}
+            for job in jobs
+        ]
+
+    monkeypatch.setattr(mission, "sweep", pretend)
+    output = Output("mission", options := Options(seeds=5, without=("mapping",), out=tmp_path))
+    mission.run(options, output)
+    output.finish()
+    measured = json.loads((tmp_path / "mission" / "metrics.json").read_text())["measured"]
+    whole = [job.seed for job in asked if not job.without]
+    part = [job.seed for job in asked if job.without == "mapping"]
+    assert len(whole) == 5 and part == whole[:3]
+    odd = sum(seed % 2 for seed in part)
+    assert measured["lost_and_won/without_mapping"] == [odd, 0]
+    assert measured["mcnemar_p/without_mapping"] == pytest.approx(min(1.0, 2 * 0.5**odd))
 
 
 @pytest.mark.slow
