@@ -20,7 +20,7 @@ from experiments.contract import OptionError
 from experiments.intervals import distribution, fraction, mcnemar
 from experiments.mission_figures import draw_knowledge, draw_shares, draw_steps
 from experiments.mission_film import film_mission
-from experiments.mission_results import after_stage, stages_of
+from experiments.mission_results import after_stage, stage_seconds, stages_of
 from experiments.mission_team import STAGES
 from experiments.mission_trial import MissionTrial, run_mission
 from experiments.output import Output
@@ -75,7 +75,8 @@ def run(options: Options, output: Output) -> None:
         options: ``quick`` runs one mission (over two minutes), else there are 20, and half as many
             without each stage.
         output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
-            ``mcnemar_p/without_<stage>``, ``wall_over_sim_time`` and what each stage knew.
+            ``mcnemar_p/without_<stage>``, ``stage_longer_by_s/without_<stage>/<stage>``,
+            ``wall_over_sim_time`` and what each stage knew.
     """
     seeds = options.job_seeds(20, 1)
     kinds = ("", *options.ablations)
@@ -141,6 +142,11 @@ def _compare(kind: str, whole: Results, results: Results, output: Output) -> Non
     output.measure(f"lost_and_won/without_{kind}", [lost, won])
     output.measure(f"mcnemar_p/without_{kind}", mcnemar(with_it, left_out))
     output.measure(f"seconds/without_{kind}", distribution(r["seconds"] for r in results))
+    pairs = [(stage_seconds(a), stage_seconds(b)) for a, b in zip(whole, results)]
+    for stage in pairs[0][0]:
+        longer = [b[stage] - a[stage] for a, b in pairs if stage in a and stage in b]
+        if longer:
+            output.measure(f"stage_longer_by_s/without_{kind}/{stage}", distribution(longer))
     worse = without["mean"] < share["mean"]
     output.check(f"without {kind}: worse", without["mean"], f"< {share['mean']:.2f}", worse)
 

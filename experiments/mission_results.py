@@ -41,3 +41,13 @@ def after_stage(results: Results, name: str) -> dict[str, list[Any]]:
     there = [(result, result["stage_names"].index(name)) for result in results
              if name in result["stage_names"]]  # fmt: skip
     return {key: [result[told][place] for result, place in there] for key, told in keys.items()}
+
+
+def stage_seconds(result: Mapping[str, Any]) -> dict[str, float]:
+    """Return how long each stage of a mission took [s].
+
+    Args:
+        result: Of `mission_trial.run_mission`.
+    """
+    ends = [0.0, *result["stage_ends"]]
+    return {name: end - begin for name, begin, end in zip(result["stage_names"], ends, ends[1:])}

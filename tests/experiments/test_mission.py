@@ -23,7 +23,7 @@ from experiments.mapping_scene import head_geometry
 from experiments.mission import Options
 from experiments.mission_knowledge import SLOT_IN_SITE, Knowledge, tilt_of
 from experiments.mission_place import GoToStand, MappedSite, choose_stand
-from experiments.mission_results import after_stage, stages_of
+from experiments.mission_results import after_stage, stage_seconds, stages_of
 from experiments.mission_scene import (
     DROP_PLACE,
     DROP_YAW,
@@ -193,6 +193,10 @@ def test_a_mission_without_a_map_does_not_count_as_one_that_ended_mapping() -> N
             assert len(known["ends"]) == sum(name in r["stage_names"] for r in results)
             assert {float(error[0]) for error in known["slave_errors"]} == {float(len(name))}
     assert stages_of([]) == []
+    assert stage_seconds({"stage_names": ["find", "map"], "stage_ends": [2.0, 5.0]}) == {
+        "find": 2.0,
+        "map": 3.0,
+    }
 
 
 def test_an_ablation_is_compared_with_the_whole_mission_of_the_same_seed(
@@ -222,6 +226,8 @@ def test_an_ablation_is_compared_with_the_whole_mission_of_the_same_seed(
     assert len(whole) == 5 and part == whole[:3]
     odd = sum(seed % 2 for seed in part)
     assert measured["lost_and_won/without_mapping"] == [odd, 0]
+    longer = measured["stage_longer_by_s/without_mapping/insert"]
+    assert longer["median"] == 0.0 and longer["n"] == 3
     assert measured["mcnemar_p/without_mapping"] == pytest.approx(min(1.0, 2 * 0.5**odd))
 
 
