@@ -118,6 +118,7 @@ class EmulatedRig:
         self._rover = rover
         self._schedule = sorted(schedule, key=lambda fault: fault.time)
         self._ends: list[tuple[float, RobotFault | CameraFault]] = []
+        self._full_battery = rover.battery
         self._absent: set[RobotFault | CameraFault] = set()
         self._shown = -np.inf
         self.frames = self._open_frames(folder)
@@ -163,9 +164,10 @@ class EmulatedRig:
         """Begin and end the faults that are due at `time` [s]."""
         while self._schedule and self._schedule[0].time <= time + _SLACK:
             self._begin(self._schedule.pop(0))
-        for end, kind in [entry for entry in self._ends if entry[0] <= time + _SLACK]:
+        over = [entry for entry in self._ends if entry[0] <= time + _SLACK]
+        self._ends = [entry for entry in self._ends if entry not in over]
+        for kind in {kind for _, kind in over} - self._present():
             self._end(kind)
-            self._ends.remove((end, kind))
 
     def serve_bus(self, now: float) -> None:
         """Answer what came for the motor boards."""
@@ -227,12 +229,18 @@ class EmulatedRig:
             case RobotFault.COUNTER_PRESET:
                 board.preset(_PRESET)
             case RobotFault.BROWN_OUT:
+                if RobotFault.BROWN_OUT not in self._present():
+                    self._full_battery = self._rover.battery
                 self._rover.battery = _LOW_BATTERY
             case RobotFault.NO_WRENCH | RobotFault.NO_ANALOGUE:
                 self._absent.add(fault.kind)
             case kind:
                 board.status |= _LATCHED[kind]
         self._ends.append((fault.time + fault.duration, fault.kind))
+
+    def _present(self) -> set[RobotFault | CameraFault]:
+        """Return the kinds of which a fault has begun and not ended."""
+        return {kind for _, kind in self._ends}
 
     def _plug(self) -> None:
         if self.frames is not None:
@@ -242,7 +250,7 @@ class EmulatedRig:
         if kind is RobotFault.BUS_SILENT:
             self.bus_line.silent = False
         elif kind is RobotFault.BROWN_OUT:
-            self._rover.battery = 12.0
+            self._rover.battery = self._full_battery
         self._absent.discard(kind)
         self._plug()
 
