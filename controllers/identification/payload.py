@@ -192,8 +192,15 @@ def estimate_payload(log: ObservationLog, config: PayloadConfig) -> PayloadEstim
         IdentificationError: If the run is too short, or does not show the mass.
     """
     record = read_arm(log, config.sensing)
-    frames = frame_motions(config.arm, record.joints, record.base)
     stride = (config.window + 1) // 2
+    # Six numbers from one window cannot fix ten parameters; two windows leave two to judge them by.
+    needed = config.window + stride
+    if len(record.times) < needed:
+        raise IdentificationError(
+            f"a run of {len(record.times)} ticks is too short for two windows of {config.window}; "
+            f"at least {needed} are needed"
+        )
+    frames = frame_motions(config.arm, record.joints, record.base)
     left, matrix, times = (
         filter_alike(values, config.window, stride)
         for values in (

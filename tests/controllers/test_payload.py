@@ -229,3 +229,7 @@ def test_too_short_a_run_is_told(arm):
     config = PayloadConfig(arm, sensing=SensingConfig())
     with pytest.raises(IdentificationError, match="a run of 0 ticks is too short"):
         identify(arm, config, observations(arm, config, 0.095, 0.0)).estimate()
+    # One window is six equations for ten parameters.
+    seen = observations(arm, config, config.swing.fade + 0.88, 0.0)
+    with pytest.raises(IdentificationError, match="two windows of 59; at least 89 are needed"):
+        identify(arm, config, seen).estimate()
