@@ -61,7 +61,7 @@ def mutual_information(
     lying at its end, where eq. 2-12b would divide by zero.
 
     Args:
-        estimate: (n,).
+        estimate: (n,); NaN where there is none, which tells nothing.
         sigma: (n,) standard deviations; NaN or infinity where nothing is known.
         bounds: (n, 2) ends of the range.
         bits: Precision of the sensor.
@@ -69,7 +69,7 @@ def mutual_information(
     Returns:
         (n,) between 0 (nothing known) and `bits`.
     """
-    return _information(estimate, sigma, bounds, bits)
+    return np.where(np.isnan(estimate), 0.0, _information(estimate, sigma, bounds, bits))
 
 
 @numba.njit(cache=True)

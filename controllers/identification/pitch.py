@@ -212,7 +212,7 @@ class PitchFit:
             trial_cost, trial_residual, trial_jacobian = self._evaluate(
                 trial, wrench, indices, tilt
             )
-            if trial_cost >= cost:
+            if not trial_cost < cost:  # NaN is no gain either.
                 damping *= 10
                 if damping > 1e6:
                     break

@@ -53,6 +53,10 @@ def test_nothing_known_is_0_bits(sigma):
     assert bits(1.0, sigma) == pytest.approx(0, abs=1e-4)
 
 
+def test_an_estimate_that_is_not_a_number_tells_nothing():
+    assert bits(np.nan, 0.1) == 0.0
+
+
 @pytest.mark.parametrize("sigma", [0.0, 1e-300, 1e-9])
 @pytest.mark.parametrize("estimate", [-2.0, 1.003, 6.0, 60.0])
 def test_exactly_known_is_10_bits(estimate, sigma):

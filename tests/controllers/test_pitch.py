@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
+from controllers.identification import pitch
 from controllers.identification.arm_motion import Trajectory
 from controllers.identification.pitch import (
     NAMES,
@@ -103,6 +104,19 @@ def test_a_measurement_that_is_not_a_number_is_named(name):
     (wrench if name == "arm_base_wrench" else tilt)[5] = np.nan
     with pytest.raises(ValueError, match=name):
         PitchFit(SENSORS).fit(wrench, np.arange(len(tilt)), tilt)
+
+
+def test_a_step_to_where_the_model_overflows_is_no_gain(monkeypatch):
+    _, wrench = rich_wrench(1.0)
+    tilt = predict_tilt(TRUTH, wrench, SENSORS, SENSORS.wrench_age)
+
+    def overflowing(parameters, *arguments):
+        soft = parameters[4] < 0.9 * PitchPrior().stiffness
+        return predict_tilt(parameters, *arguments) * (np.nan if soft else 1.0)
+
+    monkeypatch.setattr(pitch, "predict_tilt", overflowing)
+    estimate = PitchFit(SENSORS).fit(wrench, np.arange(len(tilt)), tilt)
+    assert np.isfinite(estimate.chi_square) and np.all(np.isfinite(estimate.covariance))
 
 
 def test_arm_at_rest_weighs_its_weight_at_the_shoulder():
