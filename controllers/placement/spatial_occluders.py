@@ -216,13 +216,17 @@ def expand(
 
     Raises:
         PlacementError: If a hull holds the target's reference point: it is hidden from everywhere.
-        ValueError: If the target is not in space, a margin is negative or a hull is flat.
+        ValueError: If the target is not in space, the margins are not as many as the occluders,
+            one is negative or a hull is flat.
     """
     if len(target.position) != 3:  # noqa: PLR2004
         raise ValueError(f"target {target.name!r}: lies on the plane, expected three dimensions")
     rotation = frame_of(target.normal)
     outline = target.outline @ rotation
-    margins = np.broadcast_to(np.asarray(margin, dtype=float), len(occluders))
+    given = np.asarray(margin, dtype=float)
+    if given.shape not in ((), (1,), (len(occluders),)):
+        raise ValueError(f"margin of shape {given.shape}: expected one, or {len(occluders)}")
+    margins = np.broadcast_to(given, len(occluders))
     names: list[str] = []
     hulls: list[ConvexHull] = []
     for occluder, width in zip(occluders, margins):

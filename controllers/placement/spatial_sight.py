@@ -68,7 +68,7 @@ def sees_all(
 def _solid(points: FloatArray) -> _Solid:
     """Return the hull of points; of fewer dimensions where they are."""
     middle = points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(points - middle, full_matrices=True)
+    _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
     size = np.zeros(3)
     size[: len(spread)] = spread
     rank = int(np.count_nonzero(size > _FLAT * max(size[0], 1e-300)))

@@ -174,7 +174,10 @@ def rate_view(  # noqa: PLR0913, PLR0917
     relation_error: float,
     exponents: tuple[float, float, float, float],
 ) -> float:
-    """Rate one view by eq. 4-1 [1/m]; 0 where it is out of focus, hidden, averted or not free.
+    """Rate one view by eq. 4-1 [1/m]; 0 where it is none.
+
+    That is where the target is hidden or averted, the place not free, or, unless the exponent of
+    the depth is 0, the target out of focus.
 
     Args:
         distance: From camera to target [m].

@@ -107,6 +107,12 @@ def test_voxel_hulls_hold_every_voxel_and_leave_a_bay_free():
         expand(disc_target(position=[0.0, 0.0, 0.005]), [Occluder("whole", centres)])
 
 
+def test_margins_that_are_not_one_for_each_occluder_are_refused():
+    blocks = [box(f"block {k}", [0.0, 0.0, 0.1 + k], 0.02) for k in range(3)]
+    with pytest.raises(ValueError, match=r"margin of shape \(2,\): expected one, or 3"):
+        expand(disc_target(), blocks, [0.001, 0.002])
+
+
 def test_voxels_apart_are_two_occluders_and_none_are_none():
     two = np.array([[0.005, 0.005, 0.005], [0.045, 0.005, 0.005]])
     assert len(occluders_of_voxels(two, 0.01)) == 2

@@ -1,12 +1,14 @@
 """Exact sight agrees with a linear program and with dense rays; the hulls never see too much."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial_field import free_caps
-from controllers.placement.spatial_occluders import expand
+from controllers.placement.spatial_occluders import Occluder, expand
 from controllers.placement.spatial_sight import AVERTED, VISIBLE, first_hiding, sees_all
 from controllers.placement.task import PlacementError, Target
 from tests.controllers.placement.spatial_scenes import box, disc_target, random_occluders
@@ -106,3 +108,16 @@ def test_box_just_beside_the_line_of_sight_hides_a_disc_but_not_its_middle():
     assert sees_all(middle, [block], camera)[0]
     assert sees_all(disc_target(radius=0.009), [block], camera)[0]
     assert not sees_all(disc_target(radius=0.011), [block], camera)[0]
+
+
+def test_a_fine_mesh_takes_no_more_room_than_its_corners():
+    rng = np.random.default_rng(3)
+    way = rng.normal(size=(2000, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    ball = Occluder("ball", np.array([0.0, 0.0, 0.2]) + 0.05 * way)
+    tracemalloc.start()
+    found = first_hiding(disc_target(), [ball], [[0.0, 0.0, 0.4], [0.3, 0.0, 0.1]])
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.tolist() == [0, VISIBLE]
+    assert most < 200 * ball.vertices.nbytes
