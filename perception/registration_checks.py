@@ -93,6 +93,21 @@ def checked_map(
     return places, spread
 
 
+def checked_pose_covariance(covariance: ArrayLike) -> FloatArray:
+    """Return the (6, 6) covariance of a pose's xi [rad, m].
+
+    Raises:
+        RegistrationError: If the shape is another, a number is not finite or a variance negative.
+    """
+    spread = np.asarray(covariance, dtype=float)
+    if spread.shape != (6, 6):
+        raise RegistrationError(f"pose covariance of shape {spread.shape}: expected (6, 6)")
+    _check_finite("pose covariance", spread)
+    if np.any(np.diag(spread) < 0.0):
+        raise RegistrationError("pose covariance: a variance is negative")
+    return spread
+
+
 def weakness(image_points: ArrayLike, sigma: ArrayLike) -> str | None:
     """Say why a set of fiducials cannot fix a motion; None if it can.
 

@@ -21,6 +21,7 @@ from perception.registration_checks import (
     RegistrationError,
     check_strength,
     checked_image_points,
+    checked_pose_covariance,
     checked_sigma,
 )
 from perception.registration_consensus import agreeing
@@ -122,12 +123,13 @@ class FiducialMap:
             prior: Of its pose.
 
         Raises:
-            RegistrationError: If it names an unknown offset.
+            RegistrationError: If it names an unknown offset, or its covariance is none.
         """
         self._check_offsets(prior)
+        own = checked_pose_covariance(prior.covariance)
         spread = self._joint[np.ix_(prior.offsets, prior.offsets)]
         shared = prior.by_offsets @ spread @ prior.by_offsets.T
-        return prior.at(self.offsets[prior.offsets]), shared + prior.covariance
+        return prior.at(self.offsets[prior.offsets]), shared + own
 
     def observe_from(
         self,
@@ -201,9 +203,10 @@ class FiducialMap:
             (N,) their numbers.
 
         Raises:
-            RegistrationError: If a number is not finite or a disparity not positive.
+            RegistrationError: If a number is not finite, a disparity not positive or the pose's
+                covariance none.
         """
-        pose = np.zeros((6, 6)) if covariance is None else np.asarray(covariance, dtype=float)
+        pose = checked_pose_covariance(np.zeros((6, 6)) if covariance is None else covariance)
         crossed = np.zeros((6, len(self._joint)))
         seen = checked_image_points("image points", image_points)
         spread = self._checked_sigma(sigma, len(seen))

@@ -6,6 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from perception.registration import RegistrationError, estimate_motion
 from perception.registration_map import FiducialMap
+from perception.registration_prior import PosePrior
 from perception.registration_uncertainty import (
     composed_covariance,
     inverse_covariance,
@@ -139,6 +140,25 @@ def test_unknown_and_repeated_numbers_are_refused():
         fiducials.observe([0, 1, 2], image[:4])
     with pytest.raises(RegistrationError, match="not finite"):
         fiducials.observe([0, 1, 2, 3], image[:4], new=[[np.nan, 1.0, 20.0]])
+
+
+@pytest.mark.parametrize(
+    ("covariance", "told"),
+    [
+        (np.full((6, 6), np.nan), r"\[0, 0\] is not finite"),
+        (np.eye(3), r"shape \(3, 3\): expected \(6, 6\)"),
+        (-np.eye(6), "a variance is negative"),
+    ],
+)
+def test_what_is_no_covariance_of_a_pose_is_refused_and_leaves_the_map(covariance, told):
+    _, fiducials, _ = explore(9, steps=0)
+    joint, pose = fiducials.covariance.copy(), RigidTransform.identity()
+    image = HEAD.project(fiducials.positions)
+    with pytest.raises(RegistrationError, match=told):
+        fiducials.add(image, pose, covariance)
+    with pytest.raises(RegistrationError, match=told):
+        fiducials.observe_from(PosePrior(pose, covariance), [0, 1], image[:2], new=image)
+    np.testing.assert_array_equal(fiducials.covariance, joint)
 
 
 def random_covariance(generator, size, scale):
