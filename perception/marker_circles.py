@@ -24,6 +24,7 @@ RING = 1.5
 """The rim's points lie so far outside a marker [px]: the low pass cancels those at the rim."""
 _BINS = 16  # Of a circumference.
 _BESIDE = 0.75  # A point on a circle is at most so far from it [px of the rows].
+_AROUND = 24  # Pixels of a square of five about a pixel: so many may join a chain at once.
 
 
 def hough_circles(
@@ -95,7 +96,7 @@ def _chain(first: int, columns: Any, rows: Any, index: Any, free: Any, far: floa
     height, width = index.shape
     members[0], used, done = first, 1, 0
     mark[first] = first
-    while done < used and used < len(members) - 8:
+    while done < used and used < len(members) - _AROUND:
         c, r = columns[members[done]], rows[members[done]]
         done += 1
         # A rim of a few pixels has gaps of one.
@@ -123,7 +124,7 @@ def _track(columns: Any, rows: Any, height: int, width: int, stretch: float, lea
     free = np.ones(count, np.bool_)
     mark = np.full(count, -1, np.int32)
     # Half a rim is enough to draw from.
-    members = np.empty(16 + int(1.2 * far), np.int32)
+    members = np.empty(8 + int(1.2 * far) + _AROUND, np.int32)
     circles = np.zeros((512, 4))
     found, state = 0, seed
     for first in range(count):

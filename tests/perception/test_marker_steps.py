@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from perception import marker_circles
 from perception.marker_circles import circle_of_three, hough_circles
 from perception.marker_ellipses import MarkerExpectation, project_discs
 from perception.marker_hough import (
@@ -102,3 +103,11 @@ def test_rings_drawn_by_opencv_are_found_in_square_pixels():
     assert len(full) == 3
     for centre in truth:
         assert np.hypot(*(full[:, :2] - centre).T).min() < 0.5
+
+
+def test_a_crowd_of_points_does_not_overrun_a_chain(monkeypatch):
+    """Compiled code does not look where it writes; interpreted it does."""
+    monkeypatch.setattr(marker_circles, "_chain", marker_circles._chain.py_func)
+    rows, columns = np.divmod(np.random.default_rng(0).permutation(144).astype(np.int32), 12)
+    circles = marker_circles._track.py_func(columns, rows, 12, 12, 1.0, 3.0, 12.0, 16.5, 1)
+    assert circles.shape[1] == 4
