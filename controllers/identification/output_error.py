@@ -76,13 +76,15 @@ class Window:
         """Refuse what cannot be weighed.
 
         Raises:
-            MeasurementError: If there is not one sample of 24 channels for each step, a measurement
-                is not finite or a deviation is not positive.
+            MeasurementError: If there is not one sample of 24 channels for each step, not one
+                deviation for each channel, a measurement is not finite or a deviation not positive.
         """
         expected = (len(self.trajectory.jerk), CHANNELS)
         if self.outputs.shape != expected:
             raise MeasurementError(f"outputs of shape {self.outputs.shape}: expected {expected}")
         check_finite(self.outputs)
+        if self.sigma.shape != (CHANNELS,):
+            raise MeasurementError(f"sigma of shape {self.sigma.shape}: expected ({CHANNELS},)")
         if not np.all(self.sigma > 0):
             raise MeasurementError(f"sigma {self.sigma}: every channel needs a positive deviation")
 
@@ -114,9 +116,12 @@ class Estimate:
         """True when chi^2 per measurement says that the model explains the data.
 
         The tolerance widens to four standard deviations where data are few: those of uniform
-        noise, whose squares vary by 0.8 (2 if Gaussian: then four count as two and a half).
+        noise, whose squares vary by 0.8 (2 if Gaussian: then four count as two and a half). No data
+        explain nothing.
         """
-        spread = 4 * np.sqrt(0.8 / max(self.measurements, 1))
+        if not self.measurements:
+            return False
+        spread = 4 * np.sqrt(0.8 / self.measurements)
         return abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, spread)
 
     def physical_information(self) -> FloatArray:

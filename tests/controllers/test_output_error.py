@@ -182,6 +182,7 @@ def test_trust_widens_only_where_data_are_few():
 
     assert trusted(1.009, 10**7) and not trusted(1.011, 10**7) and not trusted(0.989, 10**7)
     assert trusted(1.04, 5760) and not trusted(1.06, 5760)
+    assert not base.trustworthy  # It has seen nothing.
 
 
 def unknown_after(
@@ -248,6 +249,8 @@ def test_missing_channel_or_sample_is_refused():
         Window(PATHS["x"], predicted("x")[:, :23], np.ones(24))
     with pytest.raises(MeasurementError, match=r"shape \(399, 24\)"):
         Window(PATHS["x"], predicted("x")[1:], np.ones(24))
+    with pytest.raises(MeasurementError, match=r"sigma of shape \(6,\): expected \(24,\)"):
+        Window(PATHS["x"], np.zeros((400, 24)), np.ones(6))
 
 
 def test_channel_without_noise_is_refused():
