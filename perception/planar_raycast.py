@@ -130,7 +130,13 @@ def ray_sums(values: FloatArray, opaque: BoolArray, cells: IntArray, table: Fan)
 
     Returns:
         (layers, n, rays) sums.
+
+    Raises:
+        ValueError: If the values are not of the cells that are opaque or not.
     """
+    if values.ndim != 3 or values.shape[1:] != opaque.shape:
+        expected = ", ".join(map(str, opaque.shape))
+        raise ValueError(f"values: expected shape (layers, {expected}), got {values.shape}")
     return _ray_sums(values, opaque, cells, table.starts, table.offsets, table.areas)
 
 

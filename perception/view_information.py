@@ -113,6 +113,9 @@ def view_information(
         cameras: N transforms from camera to world.
         rays: (R, 3) unit vectors, camera frame.
         reach: Nearest and farthest measurable distance along a ray [m].
+
+    Raises:
+        ValueError: If the probabilities are not of the grid's cells.
     """
     value, _ = _look(grid, occupancy, cameras, rays, reach, None)
     return value
@@ -133,6 +136,9 @@ def claimed_by_view(
         camera: One transform from camera to world.
         rays: As for `view_information`.
         reach: As for `view_information`.
+
+    Raises:
+        ValueError: As `view_information`.
     """
     claims = np.zeros(grid.states.shape, np.bool_)
     _look(grid, occupancy, camera, rays, reach, claims)
@@ -147,6 +153,8 @@ def _look(
     reach: tuple[float, float],
     claims: NDArray[np.bool_] | None,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
+    if occupancy.shape != grid.states.shape:
+        raise ValueError(f"occupancy: expected shape {grid.states.shape}, got {occupancy.shape}")
     places = np.ascontiguousarray(cameras.translation.reshape(-1, 3))
     turns = np.ascontiguousarray(cameras.rotation.as_matrix().reshape(-1, 3, 3))
     near, far = reach

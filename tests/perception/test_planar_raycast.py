@@ -144,6 +144,13 @@ def test_ray_sums_agree_with_fine_sampling_of_each_ray():
             assert found[n, ray] == pytest.approx(expected, rel=2e-3, abs=1e-4)
 
 
+def test_values_of_another_map_are_refused():
+    opaque, cells, table = scattered(3), np.array([[15, 16]]), fan(6.0, 0.5, 48)
+    for shape in ((1, 30, 35), (30, 34)):
+        with pytest.raises(ValueError, match=r"values: expected shape \(layers, 30, 34\)"):
+            ray_sums(np.zeros(shape), opaque, cells, table)
+
+
 @pytest.mark.parametrize("degrees", [30.0, 75.0, 90.0, 360.0])
 def test_sliding_sums_are_the_sums_of_each_sector(degrees):
     sums = np.random.default_rng(5).random((3, 240))

@@ -124,6 +124,14 @@ def test_what_is_no_grid_is_refused(shape, edge):
         PlanningGrid(LOW, edge, np.zeros(shape, np.int8))
 
 
+@pytest.mark.parametrize("rate", [view_information, claimed_by_view])
+def test_probabilities_of_another_grid_are_refused(rate):
+    grid = scene(0)
+    other = expected_occupancy(grid.states[:-1])
+    with pytest.raises(ValueError, match=r"expected shape \(12, 10, 8\), got \(11, 10, 8\)"):
+        rate(grid, other, cameras(1, 1)[0], RAYS, REACH)
+
+
 def test_planning_grid_is_the_map_by_its_bricks():
     voxels = scanned()
     grid = planning_grid(voxels)
