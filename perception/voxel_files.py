@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import tempfile
+import secrets
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +33,8 @@ from perception.voxel_grid import MapError, VoxelGrid
 from perception.voxel_map import VoxelMap, VoxelMapConfig
 
 FORMAT, VERSION = "fieldtwin voxel map", 1
+MESHES = ("ply", "stl", "obj", "glb")
+"""Endings of the files that a mesh can be written to."""
 _STORES = {
     "values": BRICKS,
     "block": BRICKS,
@@ -52,7 +54,9 @@ def replace_file(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
         write: Writes the content to the open file that it is given.
     """
     target = Path(path)
-    descriptor, partial = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    # Not a temporary file of the library's: nobody else could read those.
+    partial = target.with_name(f".{target.name}.{secrets.token_hex(8)}")
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
     try:
         with os.fdopen(descriptor, "wb") as stream:
             write(stream)
@@ -220,17 +224,19 @@ def surface_mesh(voxels: VoxelMap) -> trimesh.Trimesh:
 
 
 def export_mesh(voxels: VoxelMap, path: Path | str) -> int:
-    """Write `surface_mesh` to a file whose ending tells the format (ply, stl, obj, glb).
+    """Write `surface_mesh` to a file whose ending tells the format, one of `MESHES`.
 
     Returns:
         How many triangles it has.
 
     Raises:
-        MapError: If nothing is occupied.
+        MapError: If nothing is occupied, or the ending is another.
     """
+    kind = Path(path).suffix.lstrip(".")
+    if kind not in MESHES:
+        raise MapError(f"{path}: expected a mesh's name to end in one of .{', .'.join(MESHES)}")
     mesh = surface_mesh(voxels)
     if len(mesh.faces) == 0:
         raise MapError("map: nothing is occupied, so there is no mesh")
-    kind = Path(path).suffix.lstrip(".")
     replace_file(path, lambda stream: _write(stream, mesh.export(file_type=kind)))
     return len(mesh.faces)

@@ -9,6 +9,7 @@ from perception import voxel_files
 from perception.occupancy import State
 from perception.pinhole import Frustum
 from perception.voxel_files import (
+    MESHES,
     export_mesh,
     export_points,
     load,
@@ -91,6 +92,12 @@ def test_a_file_is_put_in_place_only_when_it_is_on_the_disk(tmp_path, monkeypatc
     replace_file(tmp_path / "x", lambda stream: stream.write(b"abc"))
     assert calls == ["sync", "replace", "sync"]
     assert (tmp_path / "x").read_bytes() == b"abc"
+
+
+def test_a_file_may_be_read_by_whoever_may_read_others(tmp_path):
+    (tmp_path / "other").write_bytes(b"abc")
+    replace_file(tmp_path / "x", lambda stream: stream.write(b"abc"))
+    assert (tmp_path / "x").stat().st_mode == (tmp_path / "other").stat().st_mode
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
@@ -187,3 +194,14 @@ def test_the_exported_mesh_encloses_the_occupied_voxels(tmp_path):
     np.testing.assert_allclose([lower, upper], [centres.min(0) - half, centres.max(0) + half])
     with pytest.raises(MapError, match="nothing is occupied"):
         export_mesh(step_map(scans=0), tmp_path / "none.stl")
+
+
+def test_a_mesh_is_written_as_its_ending_says_and_no_other_ending_is_taken(tmp_path, monkeypatch):
+    box = trimesh.creation.box()
+    monkeypatch.setattr(voxel_files, "surface_mesh", lambda voxels: box)
+    for kind in MESHES:
+        assert export_mesh(step_map(scans=0), tmp_path / f"map.{kind}") == len(box.faces)
+        assert len(trimesh.load(tmp_path / f"map.{kind}", force="mesh").faces) == len(box.faces)
+    for name in ("map.step", "map"):
+        with pytest.raises(MapError, match=r"end in one of \.ply, \.stl, \.obj, \.glb"):
+            export_mesh(step_map(scans=0), tmp_path / name)
