@@ -36,7 +36,7 @@ def find_blobs(
     """Return bright spots that may be markers, by their second moments.
 
     A top hat takes away all that is wider than a marker at its nearest; what stays and stands out
-    by half the least contrast is grouped.
+    by six tenths of the least contrast is grouped.
 
     Args:
         image: (H, W) uint8.

@@ -53,6 +53,8 @@ class BodyCad:
         apart = np.linalg.norm(points[:, None] - points, axis=2) + np.eye(len(points))
         if not np.all(np.isfinite(points)) or apart.min() < 1e-4:
             raise ValueError(f"body markers: got {points.tolist()}, needs distinct finite points")
+        if not abs(np.linalg.norm(self.normal) - 1.0) < 1e-6:
+            raise ValueError(f"body markers: got normal {self.normal}, needs a unit vector")
 
 
 @dataclasses.dataclass(frozen=True)

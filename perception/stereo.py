@@ -203,10 +203,9 @@ class StereoMatcher:
         fit = refine(left, right, pixels, starts, c.window // 2)
         trusted = np.isfinite(fit.disparities) & (fit.inner_contrasts >= c.least_contrast)
         trusted &= fit.residuals <= c.most_residual * fit.contrasts
-        planes = np.full((*coarse.shape, 4), np.nan)
+        planes = np.full((*coarse.shape, 3), np.nan)
         planes[rows[trusted], columns[trusted], 0] = fit.disparities[trusted]
-        planes[rows[trusted], columns[trusted], 1:3] = fit.slopes[trusted]
-        planes[rows[trusted], columns[trusted], 3] = fit.sigmas[trusted]
+        planes[rows[trusted], columns[trusted], 1:] = fit.slopes[trusted]
         misses, matched = _neighbour_misses(planes, c)
         excess = np.maximum(misses[rows, columns] - 4.0 * c.noise_factor * fit.sigmas, 0.0)
         sigma = np.sqrt(
@@ -281,8 +280,7 @@ def _neighbour_misses(
     """Compare each point's plane of disparity with its neighbours half a window away.
 
     Args:
-        planes: (R, C, 4) disparity [px], its slopes by column and row, its deviation; NaN where
-            there is none.
+        planes: (R, C, 3) disparity [px] and its slopes by column and row; NaN where there is none.
         config: Window and stride.
 
     Returns:

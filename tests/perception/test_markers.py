@@ -148,3 +148,5 @@ def test_wrong_arguments_are_named():
         MarkerExpectation(0.5, 0.4)
     with pytest.raises(ValueError, match="N >= 2"):
         BodyCad(np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="normal .*needs a unit vector"):
+        BodyCad(CARD.points, normal=(0.0, 0.0, 2.0))
