@@ -35,6 +35,10 @@ from perception.voxel_map import VoxelMap, VoxelMapConfig
 FORMAT, VERSION = "fieldtwin voxel map", 1
 MESHES = ("ply", "stl", "obj", "glb")
 """Endings of the files that a mesh can be written to."""
+# An archive whose flags are damaged asks for a password, or for what no reader can do.
+_UNREADABLE = (
+    OSError, ValueError, KeyError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile,
+)  # fmt: skip
 _STORES = {
     "values": BRICKS,
     "block": BRICKS,
@@ -109,7 +113,7 @@ def load(path: Path | str) -> VoxelMap:
         version = int(found["version"])
     except FileNotFoundError:
         raise
-    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise MapError(f"{path}: no voxel map, or a damaged one: {error}") from error
     if version != VERSION:
         raise MapError(f"{path}: voxel map of version {version}, this program reads {VERSION}")

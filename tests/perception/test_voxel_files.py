@@ -125,6 +125,17 @@ def test_flipped_bytes_are_refused_or_harmless(tmp_path):
             assert "map.npz" in str(error)
 
 
+@pytest.mark.parametrize("offset", [6, 8, 10])  # Version needed, flags and method of an entry.
+def test_flipped_bytes_of_the_archives_directory_are_refused(tmp_path, offset):
+    path = tmp_path / "map.npz"
+    save(step_map(scans=0), path)
+    damaged = bytearray(path.read_bytes())
+    damaged[damaged.index(b"PK\x01\x02") + offset] ^= 0xFF
+    path.write_bytes(damaged)
+    with pytest.raises(MapError, match="map.npz: no voxel map"):
+        load(path)
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
