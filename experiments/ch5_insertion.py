@@ -152,8 +152,12 @@ def _measure_all(results: Results, output: Output) -> None:
         turns = [math.degrees(abs(r["turn"])) for r in over]
         output.measure("hand_over_deg", distribution(turns))
     output.measure("seconds", distribution(r["seconds"] for r in results))
-    output.measure("seen_share/random", distribution([r["seen"] for r in results if not r["best"]]))
-    output.measure("seen_share/optimal", distribution([r["seen"] for r in results if r["best"]]))
+    for placement in PLACEMENTS:
+        chosen = [r for r in results if r["best"] == (placement == "optimal")]
+        output.measure(f"seen_share/{placement}", distribution(r["seen"] for r in chosen))
+        told = [r["nees"] for r in chosen if not math.isnan(r["nees"])]
+        if told:
+            output.measure(f"guidance_nees/{placement}", distribution(told))
 
 
 def _shares(cells: Cells, widths: Sequence[float]) -> dict[tuple[str, float], Any]:

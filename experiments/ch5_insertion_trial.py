@@ -7,11 +7,13 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.insertion.carrier import Stage
-from experiments.insertion_scene import MASTER, card_in_slot, contact_force
+from controllers.insertion.guidance import Guidance
+from experiments.insertion_scene import MASTER, SLAVE, card_in_slot, contact_force, transform
 from experiments.insertion_setting import InsertionTrial, Setting, prepare
 from twin.clock import SimClock
 from twin.loop import LoopRecorder, Recorders, run
@@ -51,6 +53,8 @@ class Scorer:
         whole: Pairs in which card and slot were seen.
         course: Rows of `COURSE`.
         finite: Whether all commands were finite and all states too.
+        nees: Of each pose that the master sent, its squared error over what its covariance says,
+            for each of the six degrees of freedom; 1 on average if the covariance is right.
     """
 
     def __init__(self, setting: Setting, trace: bool) -> None:
@@ -64,6 +68,7 @@ class Scorer:
         self.hand_over = np.full(2, math.nan)
         self.course: list[list[float]] = []
         self.finite = True
+        self.nees: list[float] = []
         self._setting, self._trace, self._stamp = setting, trace, math.nan
 
     def record(
@@ -86,6 +91,8 @@ class Scorer:
             self._stamp = stereo.stamp
             self.looks += 1
             self.whole += all(fit is not None for fit in watcher.fits)
+        if team.told is not None and team.told.transform_slot_to_card is not None:
+            self.nees.append(_nees(simulation.data, team.told))
         if self._trace:
             felt = carrier.contact[[0, 1, 5]]
             stage = STAGES.index(carrier.stage)
@@ -95,6 +102,14 @@ class Scorer:
 
     def flush(self) -> None:
         """Nothing is buffered."""
+
+
+def _nees(data: mujoco.MjData, told: Guidance) -> float:
+    """Return the normalised squared error of a pose that the master sends at once."""
+    assert told.transform_slot_to_card is not None
+    truth = transform(data, f"{SLAVE}/card").inv() * transform(data, "slot")
+    error = np.asarray((truth * told.transform_slot_to_card.inv()).as_exp_coords())
+    return float(error @ np.linalg.solve(told.covariance, error)) / error.size
 
 
 @dataclasses.dataclass
@@ -145,7 +160,8 @@ def run_trial(trial: InsertionTrial) -> dict[str, Any]:
         ``seconds``, ``wall`` time of the loop [s], ``peak`` contact force [N], ``across`` [m] and
         ``turn`` [rad] errors at the hand-over (NaN without), ``gap`` of the card at the end [m],
         ``distance`` [m] and ``slant`` [rad] of the camera, ``seen`` share of pairs with all
-        markers, ``moves`` of the camera, ``finite`` (no state was not); with ``trace`` ``course``.
+        markers, ``moves`` of the camera, ``nees`` mean of `Scorer.nees` (NaN if nothing was sent),
+        ``finite`` (no state was not); with ``trace`` ``course``.
     """
     done = perform(trial)
     scorer, setting = done.scorer, done.setting
@@ -167,6 +183,7 @@ def run_trial(trial: InsertionTrial) -> dict[str, Any]:
         "slant": setting.stand.slant,
         "seen": scorer.whole / max(scorer.looks, 1),
         "moves": watcher.moves,
+        "nees": float(np.mean(scorer.nees)) if scorer.nees else math.nan,
         "finite": scorer.finite,
     }
     setting.simulation.close()

@@ -130,6 +130,7 @@ class InsertionTeam:
         watcher: Of the master.
         carrier: Of the slave.
         failed: Sensors of the slave that are failed now, by its surrogates.
+        told: What the master says in this tick; None for nothing new.
     """
 
     def __init__(
@@ -151,6 +152,7 @@ class InsertionTeam:
         """
         self.watcher, self.carrier = watcher, carrier
         self.failed: frozenset[str] = frozenset()
+        self.told: Guidance | None = None
         self._radio = GuidanceRadio(rng)
         self._sensing, self._eyes = sensing, eyes
 
@@ -164,8 +166,8 @@ class InsertionTeam:
         bare = {name: seen._replace(**_ABSENT) for name, seen in observations.items()}
         seen = self._eyes.change(bare, stage)
         time = max(each.time for each in seen.values())
-        watch, guidance = self.watcher.step(seen[MASTER])
-        looks = self._radio.step(time, guidance, self._eyes.outage(time, stage))
+        watch, self.told = self.watcher.step(seen[MASTER])
+        looks = self._radio.step(time, self.told, self._eyes.outage(time, stage))
         sensed = self._sensing.step(seen[SLAVE], period, contact=stage is Stage.INSERT)
         self.failed = sensed.failed
         if sensed.stop:
@@ -194,7 +196,9 @@ def prepare(trial: InsertionTrial) -> Setting:
     Args:
         trial: What is tried.
     """
-    scene_rng, view_rng, prior_rng, radio_rng = np.random.default_rng(trial.seed).spawn(4)
+    # The simulation draws its noise from children of the seed itself.
+    streams = np.random.default_rng((trial.seed, 1)).spawn(4)
+    scene_rng, view_rng, prior_rng, radio_rng = streams
     stand = best_stand(trial.width) if trial.optimal else random_stand(trial.width, view_rng)
     field = FieldConfig(
         **_FIELD,

@@ -79,15 +79,14 @@ class MarkerScene:
         stands = [
             scene.worldbody.add_body(name=f"{name}_stand", mocap=True) for name in ("card", "slot")
         ]
-        add_card(stands[0])
-        add_slot(stands[1], self.width)
+        add_card(scene, stands[0])
+        add_slot(scene, stands[1], self.width)
         head = load_part("stereo_head")
         for geom in list(head.geoms):
             head.delete(geom)
         rig = scene.worldbody.add_body(name="rig", mocap=True)
         scene.attach(head, frame=rig.add_frame(), prefix="rig/")
         self._model = compile_scene(scene)
-        self._model.vis.quality.numslices = 96
         self._data = mujoco.MjData(self._model)
         self._rig = StereoRig(self._model, "rig/", StereoConfig(noise_db=noise_db), rng)
 

@@ -166,7 +166,8 @@ def prepared(trial: MissionTrial):  # noqa: ANN201
     Args:
         trial: What is tried.
     """
-    scene_rng, site_rng, team_rng = np.random.default_rng(trial.seed).spawn(3)
+    # The simulation draws its noise from children of the seed itself.
+    scene_rng, site_rng, team_rng = np.random.default_rng((trial.seed, 1)).spawn(3)
     scene = draw_scene(trial.width, scene_rng)
     site = survey(scene, site_rng)
     team = MissionTeam(scene, site, trial.width, team_rng, trial.without, trial.scans)

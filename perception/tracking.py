@@ -245,10 +245,9 @@ def _disparity(
         return None
     row = round(float(start[1]))
     column = round(float(start[0] - start[2]))
-    low = max(column - reach - half, 0)
-    strip = np.ascontiguousarray(
-        pair[1][row - half : row + half + 1, low : column + reach + half + 1]
-    )
+    # Expected beyond the picture's left edge, nothing is left to search.
+    low, high = max(column - reach - half, 0), max(column + reach + half + 1, 0)
+    strip = np.ascontiguousarray(pair[1][row - half : row + half + 1, low:high])
     if row < half or strip.shape[0] < config.patch or strip.shape[1] < config.patch:
         return None
     likeness: Any = cv2.matchTemplate(strip, template, cv2.TM_CCOEFF_NORMED)

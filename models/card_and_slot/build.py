@@ -11,14 +11,19 @@ from models.datasheets import CARD_AND_SLOT, HAND
 PAINT = 3e-5
 """Half thickness of a marker [m]: a thick one shows its edge, from the side."""
 _HIDDEN = {"contype": 0, "conaffinity": 0, "mass": 0.0}
-_BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+_DISC = "marker_disc"
+_RIM = 128
+"""Corners of a marker's rim. MuJoCo draws its own cylinders with 28, which are 0.8 % smaller than
+the circle: enough to tilt the pose of what carries the markers by a degree."""
+_BOX, _MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH
 _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 
 
-def add_card(parent: mujoco.MjsBody, prefix: str = "") -> mujoco.MjsBody:
+def add_card(scene: mujoco.MjSpec, parent: mujoco.MjsBody, prefix: str = "") -> mujoco.MjsBody:
     """Add the body ``card`` in the parent's frame, with its wrench site and markers.
 
     Args:
+        scene: Of the parent.
         parent: Body to add to; the card's frame is the parent's until it is moved.
         prefix: In front of the names ``card``, ``card_plate``, ``card_marker0`` and ``1`` and the
             site ``card_wrench``.
@@ -40,14 +45,17 @@ def add_card(parent: mujoco.MjsBody, prefix: str = "") -> mujoco.MjsBody:
     )
     body.add_site(name=f"{prefix}card_wrench", size=[0.002] * 3, group=4)
     for index, (x, y) in enumerate(sheet.card_markers):
-        _add_marker(body, f"{prefix}card_marker{index}", x, y, half[2])
+        _add_marker(scene, body, f"{prefix}card_marker{index}", x, y, half[2])
     return body
 
 
-def add_slot(parent: mujoco.MjsBody, width: float, prefix: str = "") -> mujoco.MjsBody:
+def add_slot(
+    scene: mujoco.MjSpec, parent: mujoco.MjsBody, width: float, prefix: str = ""
+) -> mujoco.MjsBody:
     """Add the body ``slot`` in the parent's frame: two walls with a marker each.
 
     Args:
+        scene: Of the parent.
         parent: Body to add to, for instance the world's; move the slot by its ``pos`` and
             ``quat``.
         width: Between the walls [m].
@@ -75,6 +83,7 @@ def add_slot(parent: mujoco.MjsBody, width: float, prefix: str = "") -> mujoco.M
             **_contact(),
         )
         _add_marker(
+            scene,
             body,
             f"{prefix}slot_marker{index}",
             side * (width / 2.0 + outward),
@@ -121,8 +130,8 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
         height=64,
     )
     spec.worldbody.add_light(pos=[0.0, 0.0, 1.0], dir=[0.0, 0.0, -1.0])
-    add_slot(spec.worldbody, width)
-    add_card(_add_hand(spec.worldbody.add_body(name="carrier", mocap=True)))
+    add_slot(spec, spec.worldbody, width)
+    add_card(spec, _add_hand(spec.worldbody.add_body(name="carrier", mocap=True)))
     for geom in spec.geoms:
         geom.friction[0] = friction
     for name, kind in (
@@ -158,12 +167,18 @@ def _contact() -> dict[str, list[float]]:
     return {"solref": [0.004, 1.0], "friction": [CARD_AND_SLOT.friction, 0.005, 1e-4]}
 
 
-def _add_marker(body: mujoco.MjsBody, name: str, x: float, y: float, top: float) -> None:
+def _add_marker(
+    scene: mujoco.MjSpec, body: mujoco.MjsBody, name: str, x: float, y: float, top: float
+) -> None:
+    if scene.mesh(_DISC) is None:
+        disc = scene.add_mesh(name=_DISC, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        disc.scale = [CARD_AND_SLOT.marker_diameter / 2.0] * 2 + [PAINT]
+        disc.make_cone(_RIM, 1.0)  # as wide at its top
     body.add_geom(
         name=name,
-        type=_CYLINDER,
+        type=_MESH,
+        meshname=_DISC,
         pos=[x, y, top],
-        size=[CARD_AND_SLOT.marker_diameter / 2.0, PAINT, 0.0],
         rgba=[0.95, 0.95, 0.95, 1.0],
         **_HIDDEN,
     )

@@ -37,7 +37,7 @@ def hold_card(scene: mujoco.MjSpec, robot: str) -> None:
         scene: With the robot and its arm.
         robot: Its name.
     """
-    card = add_card(scene.body(f"{robot}/wrist"), f"{robot}/")
+    card = add_card(scene, scene.body(f"{robot}/wrist"), f"{robot}/")
     card.pos = [0.0, TIP, 0.0]
     card.quat = _quaternion(CARD_AXES)
     scene.add_sensor(
@@ -59,7 +59,7 @@ def stand_slot(scene: mujoco.MjSpec, width: float, ground: float) -> None:
     Raises:
         ValueError: If the width is not a positive length.
     """
-    slot = add_slot(scene.worldbody, width)
+    slot = add_slot(scene, scene.worldbody, width)
     slot.pos = [0.0, 0.0, ground + SLOT_HEIGHT]
     slot.quat = _quaternion(CARD_AXES)
     _add_post(scene, width, ground)

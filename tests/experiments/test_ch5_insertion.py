@@ -58,6 +58,7 @@ def test_quick_run_inserts_at_the_narrowest_slot_and_writes_everything(tmp_path)
     assert measured["largest_force"] <= ch5_insertion.MOST_FORCE
     assert measured["largest_force/impossible"] <= ch5_insertion.MOST_FORCE
     assert measured["hand_over_mm"]["median"] < 1.5
+    assert 0.3 < measured["guidance_nees/optimal"]["median"] < 3.0
     assert 0.0 < measured["turn_share"] < 1.0
     assert not math.isnan(measured["mcnemar_p/4.375"])
     for name in ("table_5-1", "figure_5-11", "figure_5-12", "figure_5-13"):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from scipy import spatial
 
-from models.card_and_slot.build import compile_bench
+from models.card_and_slot.build import PAINT, compile_bench
 from models.datasheets import CARD_AND_SLOT, HAND, INCH, TABLE_2_2_TRUTH
 
 
@@ -49,7 +50,13 @@ def test_card_and_slot_have_two_quarter_inch_markers_each_that_touch_nothing(ben
         for index in (0, 1):
             marker = bench.geom(f"{body}_marker{index}")
             assert bench.body(marker.bodyid[0]).name == body
-            assert 2.0 * marker.size[0] == pytest.approx(0.25 * INCH)
+            shape = bench.mesh(int(marker.dataid[0]))
+            first, count = int(shape.vertadr[0]), int(shape.vertnum[0])
+            corners = bench.mesh_vert[first : first + count]
+            assert 2.0 * corners.max() == pytest.approx(0.25 * INCH, rel=1e-3)
+            # What the cameras see is a circle to a thousandth of its area.
+            seen = spatial.ConvexHull(corners).volume / (2.0 * PAINT)
+            assert seen == pytest.approx(np.pi * (0.125 * INCH) ** 2, rel=1e-3)
             assert marker.contype[0] == marker.conaffinity[0] == 0
 
 
