@@ -61,6 +61,14 @@ def test_what_left_the_view_or_has_no_texture_is_not_found(views):
     assert not track(*pairs, before, HEAD, behind).found.any()
 
 
+def test_right_image_is_not_searched_where_the_fiducial_is_not_expected(views):
+    _, pairs, before, _ = views
+    still = RigidTransform.identity()
+    assert track(pairs[0], pairs[0], before, HEAD, still).found.all()
+    beyond = before + [0.0, 0.0, 450.0]
+    assert not track(pairs[0], pairs[0], beyond, HEAD, still).found.any()
+
+
 def test_other_images_are_not_taken_for_the_same_place(views):
     _, pairs, before, _ = views
     other = TexturedPlane(np.random.default_rng(9)).pair(MOTION)
