@@ -113,7 +113,8 @@ class MissionScorer:
     """Keeps what a mission is scored by: truth, which no controller sees.
 
     Attributes:
-        peak: Largest true force on the card [N]; NaN where it is not known.
+        peak: Largest true force on the card during the insertion [N]; before, nothing touches it.
+            NaN where it is not known.
         stages: As they ended.
     """
 
@@ -133,7 +134,7 @@ class MissionScorer:
         """Take one tick."""
         mission = self._mission
         simulation = mission.connection.simulation
-        if simulation is not None:
+        if simulation is not None and mission.team.insertion is not None:
             force = contact_force(simulation.model, simulation.data)
             self.peak = max(self.peak, float(np.linalg.norm(force)))
         for name, ended in mission.team.ended[len(self.stages) :]:
@@ -225,10 +226,10 @@ def run_mission(trial: MissionTrial) -> dict[str, Any]:
 
     Returns:
         ``success`` (the slave says so and the card is truly seated), ``reason`` if not,
-        ``seconds`` of robot time, ``wall_over_sim``, ``peak`` force on the card [N], ``across`` and
-        ``ahead`` of the card in the slot at the end [m], and of each stage the ``stage_names``,
-        ``stage_ends`` [s], ``master_errors``, ``master_sigmas``, ``slave_errors``,
-        ``slave_sigmas`` [m] and ``turn_shares``.
+        ``seconds`` of robot time, ``wall_over_sim``, ``peak`` force on the card during the
+        insertion [N], ``across`` and ``ahead`` of the card in the slot at the end [m], and of each
+        stage the ``stage_names``, ``stage_ends`` [s], ``master_errors``, ``master_sigmas``,
+        ``slave_errors``, ``slave_sigmas`` [m] and ``turn_shares``.
     """
     with prepared(trial) as mission:
         return perform(mission)
