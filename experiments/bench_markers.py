@@ -70,8 +70,8 @@ def bench_markers(options: Options, output: Output) -> None:
         options: ``quick`` takes fewer views.
         output: Receives ``marker_error_px/*``, ``marker_ms/*``, ``pose_error_mm/*`` and more.
     """
-    rng = np.random.default_rng(options.job_seeds(1, 1)[0])
-    scene = MarkerScene(rng)
+    seed = options.job_seeds(1, 1)[0]
+    scene = MarkerScene(np.random.default_rng(seed))
     count = QUICK_VIEWS if options.quick else VIEWS
     views = [
         scene.view(distance, slant)
@@ -82,7 +82,7 @@ def bench_markers(options: Options, output: Output) -> None:
     _draw(views, scene, output)
     _centres(views, scene, output)
     _times(views, scene, output)
-    _poses(views, scene, output)
+    _poses(views, scene, seed, output)
 
 
 def _draw(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
@@ -180,7 +180,7 @@ def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> PosePrior:
     return PosePrior(guess, information)
 
 
-def _poses(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+def _poses(views: list[MarkerView], scene: MarkerScene, seed: int, output: Output) -> None:
     """Measure the bodies' poses with and without a prior of the normal."""
     for detector, detect in DETECTORS.items():
         pairs = []
@@ -189,7 +189,9 @@ def _poses(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
             left, right = (detect(image, scene.geometry, expected, None) for image in view.pair)
             pairs.append(triangulate(left, right, scene.geometry, expected))
         for known in ("alone", "tilt_known"):
-            _poses_of(views, pairs, scene, f"{detector}/{known}", output)
+            # Both detectors get the same priors.
+            rng = np.random.default_rng((seed, 1))
+            _poses_of(views, pairs, scene, f"{detector}/{known}", rng, output)
 
 
 def _poses_of(
@@ -197,9 +199,9 @@ def _poses_of(
     pairs: list[MarkerPairs],
     scene: MarkerScene,
     key: str,
+    rng: np.random.Generator,
     output: Output,
 ) -> None:
-    rng = np.random.default_rng(7)
     places, turns, nees, head_on, found = [], [], [], [], 0
     for view, seen in zip(views, pairs, strict=True):
         priors = [
