@@ -245,6 +245,7 @@ class SurrogateSensing:
         dt: float,
         efforts: ArrayLike | None = None,
         contact: bool = False,
+        obstacles: bool = False,
     ) -> Sensed:
         """Take an observation and mend it.
 
@@ -255,6 +256,9 @@ class SurrogateSensing:
             contact: Whether the hand may touch something: then a wrench that a force at the hand
                 explains is no fault, and without efforts nothing can predict it. A touch that was
                 not announced looks like a failed wrench.
+            obstacles: Whether the hand may run into something though it should not: then too such
+                a wrench is no fault, for whoever moves the hand must feel it; a wrench that is
+                lost is predicted as in free motion.
         """
         for name in ("arm_angles", "arm_rates"):
             channel = getattr(observation, name)
@@ -264,7 +268,8 @@ class SurrogateSensing:
         before = observation._replace(inclinometer=self._level or observation.inclinometer)
         touching = efforts if contact else None
         wrench = self._wrench.predict(before, dt, touching, self._lean)
-        allowed = self._wrench.contact_spread(observation) if contact else None
+        touchable = contact or obstacles
+        allowed = self._wrench.contact_spread(observation) if touchable else None
         if contact and efforts is None and allowed is not None:
             wrench = Prediction(wrench.value, wrench.covariance + allowed)
         felt = self._monitors[WRENCH].step(observation.arm_base_wrench, wrench, dt, allowed)

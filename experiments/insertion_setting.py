@@ -168,7 +168,8 @@ class InsertionTeam:
         time = max(each.time for each in seen.values())
         watch, self.told = self.watcher.step(seen[MASTER])
         looks = self._radio.step(time, self.told, self._eyes.outage(time, stage))
-        sensed = self._sensing.step(seen[SLAVE], period, contact=stage is Stage.INSERT)
+        inserts = stage is Stage.INSERT
+        sensed = self._sensing.step(seen[SLAVE], period, contact=inserts, obstacles=True)
         self.failed = sensed.failed
         if sensed.stop:
             self.carrier.stop(sensed.stop)

@@ -118,6 +118,7 @@ class Carrier:
         self.stage, self.reason = Stage.WAIT, ""
         self.guide: InsertionGuide | None = None
         self.contact = np.zeros(6)
+        self._load = 0.0  # force [N] that must not grow too large
         self.belief = SlotBelief(slot_in_robot, covariance, config.belief)
         self.error = np.full(5, np.nan)
         self._arm = arm
@@ -158,7 +159,7 @@ class Carrier:
         self._feel(seen, angles)
         if not self.over and self._time > config.timeout:
             return self._fail("out of time", angles)
-        if not self.over and float(np.linalg.norm(self.contact[:3])) > config.force_limit:
+        if not self.over and self._load > config.force_limit:
             return self._fail("force", angles)
         if self.stage is Stage.WAIT:
             if self._last_look > -math.inf:
@@ -235,6 +236,7 @@ class Carrier:
         if seen.arm_base_wrench.usable:
             up = level_of(seen).specific_force / GRAVITY
             felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
+        self._load = 0.0
         if not np.all(np.isfinite(felt)):
             self.contact = np.full(6, np.nan) if self.stage is Stage.INSERT else np.zeros(6)
             return
@@ -242,6 +244,10 @@ class Carrier:
             self._tare = [*self._tare, felt][-round(self.config.settle / self.config.period) :]
             self._offset = np.mean(self._tare, axis=0)
         self.contact = felt - self._offset if self._tare else np.zeros(6)
+        # What the card runs into before it is inserted must not be tared away.
+        bringing = self.stage in (Stage.APPROACH, Stage.ALIGN)
+        touched = felt if bringing else self.contact
+        self._load = float(np.linalg.norm(touched[:3]))
 
     def _go(self, angles: FloatArray) -> Command:
         """Bring the card before the slot, with wheels and arm."""

@@ -233,7 +233,8 @@ class InsertionGuide:
         config = self.config
         across, ahead, rate = 0.0, 0.0, 0.0
         if self.phase is Phase.RETREAT:
-            ahead = -config.speed
+            # A card that is drawn out bent would spring aside and hit the slot.
+            across, ahead = self._give_aside(), -config.speed
         elif self.phase is Phase.SLIDE:
             across, ahead = self._slide()
         else:
@@ -261,14 +262,17 @@ class InsertionGuide:
         """Return speed across and turning rate away from what presses on the sides."""
         config = self.config
         force_x, _, moment = self._wrench
-        across = config.give * _beyond(force_x, config.deadband)
         depth = max(float(self.believed()[1]), 0.0)
         # Sliding in, each side's friction is mu N backward, half a width from the middle; both
         # together turn by mu f_x times that. What is left is the normal forces' own moment.
         normal = moment - config.friction * config.card_width / 2.0 * force_x
         about = normal - depth / 2.0 * force_x
         rate = config.give_turn * _beyond(about, config.moment_deadband)
-        return across, min(max(rate, -config.turn_rate), config.turn_rate)
+        return self._give_aside(), min(max(rate, -config.turn_rate), config.turn_rate)
+
+    def _give_aside(self) -> float:
+        """Return the speed across, away from what presses on the sides."""
+        return self.config.give * _beyond(self._wrench[0], self.config.deadband)
 
 
 class StraightInsertion:

@@ -159,14 +159,17 @@ def test_task_stops_when_a_surrogate_has_served_too_long():
 @pytest.mark.slow
 def test_contact_is_no_fault_but_without_a_wrench_it_stops_the_task():
     run = swing(ticks=300, pushed=True)
-    robot, unaware = sensing(), sensing()
+    robot, careful, unaware = sensing(), sensing(), sensing()
     state = unaware.step(run.seen[0], PERIOD)
     for seen in run.seen[1:]:
         assert not robot.step(seen, PERIOD, contact=True).faults
+        assert not careful.step(seen, PERIOD, obstacles=True).faults
         state = unaware.step(seen, PERIOD)
     assert WRENCH in state.failed
     lost = run.seen[-1]._replace(arm_base_wrench=MISSING)
     assert "arm_base_wrench missing: component" in robot.step(lost, PERIOD, contact=True).stop
+    # Where nothing should be touched, free motion predicts what is lost.
+    assert not careful.step(lost, PERIOD, obstacles=True).stop
 
 
 def test_tilt_surrogate_that_has_driven_too_far_stops_the_task():
