@@ -39,7 +39,7 @@ def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
     Args:
         results: Of `mission_trial.run_mission`.
     """
-    figure = Figure(figsize=(7.0, 4.2))
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
     axes = figure.add_subplot()
     names = [name for name in stages_of(results) if name != "insert"]
     place = np.arange(len(names), dtype=float)
@@ -61,9 +61,8 @@ def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
     axes.set_yscale("log")
     axes.set_xticks(place, [f"after {name}" for name in names])
     axes.set(ylabel="place of the slot [mm]", title="What the robots know of the slot")
-    axes.legend(fontsize=8)
+    figure.legend(fontsize=8, ncols=2, loc="outside lower center")
     axes.grid(visible=True, axis="y", alpha=0.3)
-    figure.tight_layout()
     return figure
 
 

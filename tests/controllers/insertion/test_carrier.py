@@ -128,6 +128,20 @@ def test_wrench_beyond_the_limit_stops_everything():
     assert slave.stands_still(95)
 
 
+@pytest.mark.parametrize("stage", [Stage.APPROACH, Stage.ALIGN])
+def test_push_that_grows_slowly_on_the_way_stops_everything(stage):
+    """Before the slot, where the wrench is tared, it must not be tared away."""
+    slave, carrier = approaching(aligned=(0.0, 0.0))
+    slave.run(carrier, 20.0, until=lambda: carrier.stage is stage)
+    for _ in range(600):
+        slave.push[1] -= 0.02 if stage is Stage.ALIGN else 0.1
+        slave.drive(carrier.step(slave.observe(), [slave.look()]))
+        if carrier.over:
+            break
+    assert carrier.stage is Stage.FAILED and carrier.reason == "force"
+    assert -10.0 < slave.push[1] < -8.0
+
+
 def test_push_on_the_card_is_felt_less_what_was_there_before():
     slave, carrier = inserting()
     slave.push[:] = [0.5, -0.4, 0.2, 0.01, 0.02, 0.03]

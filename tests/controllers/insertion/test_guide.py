@@ -107,6 +107,17 @@ def test_force_beyond_the_limit_draws_back_and_at_last_gives_up():
     assert (guide.phase, guide.reason) == (Phase.FAILED, "force")
 
 
+def test_card_that_is_drawn_back_gives_way_to_the_side_it_is_pushed_to():
+    guide = InsertionGuide(CONFIG, INSIDE)
+    held(guide, np.array([4.0, -6.0, 0.0]), 3)
+    assert guide.phase is Phase.RETREAT
+    before = guide.command.copy()
+    held(guide, np.array([2.0, 0.0, 0.0]), 20)
+    assert guide.phase is Phase.RETREAT
+    assert guide.command[0] > before[0] + 1e-4
+    assert guide.command[2] == before[2]
+
+
 def test_card_that_does_not_advance_is_a_jam():
     guide = InsertionGuide(CONFIG, INSIDE)
     held(guide, np.array([0.0, -3.2, 0.0]), 260)
