@@ -30,7 +30,7 @@ def heard_of(distance: float) -> list[Guidance]:
         stage=Stage.APPROACH, config=SimpleNamespace(period=0.01), step=act, stop=None
     )
     sensing = SimpleNamespace(
-        step=lambda seen, dt, contact: SimpleNamespace(
+        step=lambda seen, dt, contact, obstacles: SimpleNamespace(
             observation=seen, failed=frozenset(), stop=""
         )
     )
