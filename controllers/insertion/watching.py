@@ -151,7 +151,7 @@ def _best_of(
     except PlacementError:
         return ArmChoice(now, 0.0, 0.0)
     views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
-    angles = np.vstack([now, views.angles])
+    angles = np.vstack([now, views.angles[above_its_foot(arm, views.angles)]])
     cameras = arm.camera_in_robot(angles)
     markers = parts.markers() if whole else parts.card_pose.apply(parts.card.points)
     seen = in_both_images(cameras, markers, geometry, plan.border)
@@ -162,6 +162,17 @@ def _best_of(
     good = np.flatnonzero(ratings >= _AS_GOOD * ratings.max())
     best = int(good[np.argmin(np.abs(angles[good] - now).max(axis=1))])
     return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]))
+
+
+def above_its_foot(arm: CameraArm, angles: FloatArray) -> NDArray[np.bool_]:
+    """Say in which postures (N, joints) the arm stays above the plane that it stands on.
+
+    Below are deck and ground: an arm that reaches there lifts its own robot.
+    """
+    if not len(angles):
+        return np.zeros(0, dtype=bool)
+    foot = float(arm.transform_base_to_robot.translation[2])
+    return arm.body_in_robot(angles)[..., 2].min(axis=1) > foot + arm.body_radius
 
 
 def in_both_images(

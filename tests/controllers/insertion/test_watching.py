@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.watching import best_angles, in_both_images, target_field
+from controllers.insertion.watching import (
+    above_its_foot,
+    best_angles,
+    in_both_images,
+    target_field,
+)
 from controllers.placement.arm_inverse import standing_views
 from controllers.placement.spatial_views import rate_positions
 from experiments.insertion_scene import MASTER, transform
@@ -147,3 +152,24 @@ def test_of_views_as_good_the_arm_takes_the_nearest(watched):
     again = best_angles(watch_plan(), watched[2], reference_arm(), head_geometry(), choice.angles)
     np.testing.assert_array_equal(again.angles, choice.angles)
     assert again.rating == pytest.approx(again.rating_now)
+
+
+def test_arm_above_its_foot_touches_neither_ground_nor_deck_nor_wheels():
+    model, data = fresh()
+    arm, rng = reference_arm(), np.random.default_rng(3)
+    angles = rng.uniform(*arm.limits.T, size=(300, 4))
+    names = [model.body(index).name for index in range(model.nbody)]
+    links = {names.index(f"{MASTER}/{name}") for name in ("forearm", "wrist", "stereo_head")}
+    parts = ("chassis", "rear_chassis", "front_left_wheel", "front_right_wheel")
+    below = {0} | {names.index(f"{MASTER}/{name}") for name in parts}
+    touches = np.zeros(len(angles), dtype=bool)
+    for number, posture in enumerate(angles):
+        arm_at(model, data, MASTER, posture)
+        mujoco.mj_forward(model, data)
+        for contact in data.contact:
+            pair = {int(model.geom_bodyid[geom]) for geom in contact.geom}
+            touches[number] |= bool(pair & links and pair & below)
+    above = above_its_foot(arm, angles)
+    assert 0.1 < above.mean() < 0.9 and touches.sum() > 20
+    assert not np.any(touches & above)
+    assert above_its_foot(arm, np.zeros((0, 4))).shape == (0,)
