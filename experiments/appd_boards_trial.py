@@ -325,15 +325,20 @@ class _Trial:
         """Drive through the wrap, and hold every speed against the true angles."""
         count = 2.0 * np.pi / robot.calibration.drive.front_left.counts_per_turn
         angles, codes = [self._bench.angles[:4]], [self._bench.codes]
-        before = self._counters(robot)
+        before, compared = self._counters(robot), 0
         for _ in range(self._lead + AFTER):
             self._cycle(robot, motion.step())
             angles.append(self._bench.angles[:4])
             speeds = robot.observe().wheel_speeds
             if speeds.usable:
+                compared += 1
                 way = np.asarray(speeds.value, dtype=float) * PERIOD
                 self._wrong += not fits_a_way(way, np.array(angles[-_REMEMBERED:]), 1.001 * count)
             codes.append(self._bench.codes)
+        if compared < AFTER:
+            raise ExperimentError(
+                f"only {compared} speeds could be compared: the machine is too busy"
+            )
         after = self._counters(robot)
         if all(was * now > 0 for was, now in zip(before, after)):
             raise ExperimentError(f"no counter wrapped: {before} became {after}")
