@@ -40,7 +40,7 @@ class Options(contract.Options):
             boards' own protocols).
         without: Knowledge that further missions do without: identification, mapping, placement
             (unless said, each of them in a full run and none in a quick one; "none" for none), one
-            at a time and with the first half of the seeds.
+            at a time and with the same seeds.
     """
 
     robot: str = "sim"
@@ -72,18 +72,18 @@ def run(options: Options, output: Output) -> None:
     """Run the missions.
 
     Args:
-        options: ``quick`` runs one mission (over two minutes), else there are 20, and half as many
+        options: ``quick`` runs one mission (over two minutes), else there are 20, and as many
             without each stage.
         output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
             ``mcnemar_p/without_<stage>``, ``stage_longer_by_s/without_<stage>/<stage>``,
+            ``first_stop_miss_mm``, ``first_stop_miss_deg`` and ``stops`` of whole missions and
+            without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
             ``wall_over_sim_time`` and what each stage knew.
     """
     seeds = options.job_seeds(20, 1)
     kinds = ("", *options.ablations)
     jobs = [
-        MissionTrial(seed, without=kind, robot=options.robot)
-        for kind in kinds
-        for seed in (seeds[: -(-len(seeds) // 2)] if kind else seeds)
+        MissionTrial(seed, without=kind, robot=options.robot) for kind in kinds for seed in seeds
     ]
     if len(jobs) == 1:
         film = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
@@ -128,8 +128,9 @@ def _measure(cells: dict[str, Results], output: Output) -> None:
         output.measure("largest_force", max(forces))
         output.check("largest force on the card [N]", max(forces), "<= 10", max(forces) <= 10.0)  # noqa: PLR2004
     for kind, results in cells.items():
+        _tell_stops(kind, results, output)
         if kind:
-            _compare(kind, whole[: len(results)], results, output)
+            _compare(kind, whole, results, output)
 
 
 def _compare(kind: str, whole: Results, results: Results, output: Output) -> None:
@@ -147,8 +148,29 @@ def _compare(kind: str, whole: Results, results: Results, output: Output) -> Non
         longer = [b[stage] - a[stage] for a, b in pairs if stage in a and stage in b]
         if longer:
             output.measure(f"stage_longer_by_s/without_{kind}/{stage}", distribution(longer))
+    stops = [(a["misses"], b["misses"]) for a, b in zip(whole, results)]
+    more = [1e3 * (b[0, 0] - a[0, 0]) for a, b in stops if len(a) and len(b)]
+    if more:
+        farther = distribution(more)
+        output.measure(f"first_stop_miss_more_by_mm/without_{kind}", farther)
+        output.check(
+            f"without {kind}: first stop farther from the camera's place [mm]",
+            farther["low"], "> 0 within its interval", farther["low"] > 0.0,
+        )  # fmt: skip
     worse = without["mean"] < share["mean"]
     output.check(f"without {kind}: worse", without["mean"], f"< {share['mean']:.2f}", worse)
+
+
+def _tell_stops(kind: str, results: Results, output: Output) -> None:
+    """Store how often the master stopped on its way, and how far off it was the first time."""
+    stops = [result["misses"] for result in results if len(result["misses"])]
+    if not stops:
+        return
+    suffix = f"/without_{kind}" if kind else ""
+    output.measure(f"stops{suffix}", distribution(len(misses) for misses in stops))
+    output.measure(f"first_stop_miss_mm{suffix}", distribution(1e3 * m[0, 0] for m in stops))
+    turns = distribution(float(np.degrees(misses[0, 1])) for misses in stops)
+    output.measure(f"first_stop_miss_deg{suffix}", turns)
 
 
 def _tell_stages(results: Results, output: Output) -> None:
@@ -173,10 +195,10 @@ def _tell_stages(results: Results, output: Output) -> None:
 
 def _tabulate(jobs: Sequence[MissionTrial], results: Results, output: Output) -> None:
     columns = ["without", "seed", "success", "reason", "time [s]", "peak [N]", "across [mm]",
-               "ahead [mm]", "wall/time"]  # fmt: skip
+               "ahead [mm]", "wall/time", "stops"]  # fmt: skip
     rows = [
         [j.without or "-", j.seed, r["success"], r["reason"], r["seconds"], r["peak"],
-         1e3 * r["across"], 1e3 * r["ahead"], r["wall_over_sim"]]
+         1e3 * r["across"], 1e3 * r["ahead"], r["wall_over_sim"], len(r["misses"])]
         for j, r in zip(jobs, results)
     ]  # fmt: skip
     output.table("missions", columns, rows)

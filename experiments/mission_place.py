@@ -97,6 +97,12 @@ class GoToStand:
     """Chapter 4: the master goes where it sees card and slot best, and finds the panel again.
 
     What it finds there tells how far dead reckoning has missed; if that is too far, it goes on.
+
+    Attributes:
+        done: Whether it stands there, or will get no nearer.
+        found: Whether it has found the panel from there.
+        stand: Where it shall stand.
+        stops: How often it has driven and stopped by dead reckoning.
     """
 
     name = "place"
@@ -110,13 +116,13 @@ class GoToStand:
         """
         self.done = False
         self.found = False
-        self._knowledge, self._stand, self._goes = knowledge, stand, 0
+        self.stand, self.stops = stand, 0
+        self._knowledge = knowledge
         self._rest = ArmMove(HOME)
         self._set_off()
 
     def _set_off(self) -> None:
         """Go to the stand from where the slot is seen now."""
-        self._goes += 1
         self._going = Going(self._knowledge.steer(), self._way())
         self._fold = ArmMove(HOME)
         self._folded = False
@@ -126,7 +132,7 @@ class GoToStand:
     def _way(self) -> FloatArray:
         """Return (3,) x to the right, y ahead [m] and turn [rad] to the stand from here."""
         site = self._knowledge.slot_in_level * SLOT_IN_SITE.inv()
-        x, y, yaw = self._stand.place
+        x, y, yaw = self.stand.place
         place = site.apply([x, y, 0.0])
         ahead = site.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
         return np.array([place[0], place[1], math.atan2(-ahead[0], ahead[1])])
@@ -146,6 +152,7 @@ class GoToStand:
         if not self._going.done:
             return {MASTER: self._going.step(seen), SLAVE: rest}
         if self._look is None:
+            self.stops += 1
             self._reckon()
             if self._knowledge.shared is None:
                 self.done = True
@@ -192,13 +199,13 @@ class GoToStand:
         if standing is not None:
             take_standing(self._knowledge, standing)
             self.found = True
-            if self._missed() and self._goes < _MOST_GOES:
+            if self._missed() and self.stops < _MOST_GOES:
                 self._set_off()
             else:
                 self.done = True
             return
         hints = possible_markers(pair, head_geometry(), self._knowledge.site.target)
-        goal = self._search.after(angles, hints)
+        goal = self._search.after(angles, hints, tilt)
         if goal is None:
             self.done = True
         else:

@@ -36,6 +36,7 @@ Observations = Mapping[str, Observation]
 HOME = np.array(ARM.home)
 PERIOD = SERVO_PERIOD
 VOXEL = 0.01  # [m]
+_SEARCH_SCANS = 20  # All views of the search, and some hints that it follows.
 BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
 """Corners of the map [m], about the panel."""
 
@@ -101,7 +102,7 @@ class FindPanel:
 
         Args:
             knowledge: Gets the map, and where the slot is from the master.
-            scans: Looks.
+            scans: Looks; more only until it has found the panel.
             rng: Draws candidate views.
         """
         self._knowledge = knowledge
@@ -110,7 +111,7 @@ class FindPanel:
             head_geometry(),
             knowledge.site.target,
             VoxelMap(VoxelGrid(VOXEL, *BOX)),
-            MapperConfig(scans=scans),
+            MapperConfig(scans=scans, search_scans=_SEARCH_SCANS),
             rng,
         )
         self._rest = ArmMove(HOME)

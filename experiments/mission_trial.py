@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,6 +14,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.placement.task import PlacementError
 from experiments.insertion_scene import contact_force, transform
+from experiments.insertion_stand import Stand
+from experiments.mission_knowledge import SLOT_IN_SITE
+from experiments.mission_place import GoToStand
 from experiments.mission_scene import MASTER, SLAVE, MissionScene, draw_scene, survey
 from experiments.mission_team import MissionTeam
 from models.datasheets import CARD_AND_SLOT
@@ -116,12 +120,14 @@ class MissionScorer:
         peak: Largest true force on the card during the insertion [N]; before, nothing touches it.
             NaN where it is not known.
         stages: As they ended.
+        misses: How far from its stand [m] and its heading [rad] the master stood at each stop.
     """
 
     def __init__(self, mission: Mission) -> None:
         """Begin."""
         self.peak = 0.0 if mission.connection.simulation is not None else float("nan")
         self.stages: list[StageResult] = []
+        self.misses: list[tuple[float, float]] = []
         self._mission = mission
 
     def record(
@@ -137,6 +143,9 @@ class MissionScorer:
         if simulation is not None and mission.team.insertion is not None:
             force = contact_force(simulation.model, simulation.data)
             self.peak = max(self.peak, float(np.linalg.norm(force)))
+        going = mission.team.stage
+        if isinstance(going, GoToStand) and going.stops > len(self.misses):
+            self.misses.append(_miss(mission.poses(MASTER), going.stand))
         for name, ended in mission.team.ended[len(self.stages) :]:
             tilt = np.asarray(observations[MASTER].inclinometer.value, dtype=float)
             self.stages.append(self._result(name, ended, tilt))
@@ -229,7 +238,8 @@ def run_mission(trial: MissionTrial) -> dict[str, Any]:
         ``seconds`` of robot time, ``wall_over_sim``, ``peak`` force on the card during the
         insertion [N], ``across`` and ``ahead`` of the card in the slot at the end [m], and of each
         stage the ``stage_names``, ``stage_ends`` [s], ``master_errors``, ``master_sigmas``,
-        ``slave_errors``, ``slave_sigmas`` [m] and ``turn_shares``.
+        ``slave_errors``, ``slave_sigmas`` [m] and ``turn_shares``; ``misses`` (stops, 2), how far
+        from its stand [m] and its heading [rad] the master stood when it stopped.
     """
     with prepared(trial) as mission:
         return perform(mission)
@@ -260,7 +270,17 @@ def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -
         "slave_errors": np.array([stage.slave_error for stage in stages]),
         "slave_sigmas": np.array([stage.slave_sigma for stage in stages]),
         "turn_shares": [stage.turn_share for stage in stages],
+        "misses": np.array(scorer.misses).reshape(-1, 2),
     }
+
+
+def _miss(poses: Mapping[str, RigidTransform], stand: Stand) -> tuple[float, float]:
+    """Return how far a robot is from a stand [m] and from its heading [rad]."""
+    robot = SLOT_IN_SITE * poses["slot"].inv() * poses["chassis"]
+    x, y, yaw = stand.place
+    ahead = robot.rotation.apply([0.0, 1.0, 0.0])
+    turn = math.remainder(math.atan2(-ahead[0], ahead[1]) - yaw, 2.0 * math.pi)
+    return math.hypot(robot.translation[0] - x, robot.translation[1] - y), abs(turn)
 
 
 def _offset(poses: Mapping[str, RigidTransform], believed: RigidTransform) -> FloatArray:

@@ -27,6 +27,7 @@ class MapperConfig:
     Attributes:
         method: One of `METHODS`.
         scans: Looks of each robot, those for the target included.
+        search_scans: Looks beyond these of a robot that has not seen the target yet.
         speed: Fastest joint on the way to a view [rad/s].
         rest: Time at the goal before a look [s].
         near: Greatest joint error at which the arm counts as there [rad].
@@ -48,6 +49,7 @@ class MapperConfig:
 
     method: str = "information"
     scans: int = 12
+    search_scans: int = 0
     speed: float = 0.8
     rest: float = 0.6
     near: float = 0.05

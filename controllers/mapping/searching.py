@@ -2,7 +2,8 @@
 
 The head turns from view to view over all sides. What may be a marker is a hint: the head turns to
 it at once, so that the whole target comes into view. The arm takes up only postures that lie in the
-space which is free when the robot is set down, for nothing else is known to be free yet.
+space which is free when the robot is set down, for nothing else is known to be free yet. The wrist
+of a leaning robot turns against the lean, lest it look at the ground or into the sky.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from controllers.mapping.camera_arm import CameraArm
+from controllers.mapping.standing import lean
 from perception.target import PossibleMarkers
 
 FloatArray = NDArray[np.float64]
@@ -28,7 +30,7 @@ class SearchConfig:
         turns: Yaws of the views [rad], in their order: ahead first. Less apart than a field of
             view: one marker in either image is hint enough.
         lift: The wrist's turn from where it is when the robot starts [rad].
-        bend: Greatest turn of the wrist from its posture's on the way to a hint [rad].
+        bend: Greatest turn of the wrist from its posture's, to a hint or against a lean [rad].
         alike: Two views no joint of which differs by more show the same [rad].
         slack: Markers of one target lie within its own extent times this: distances are measured.
         alone: Weight of what only one image shows, against 1 of what both show.
@@ -72,14 +74,18 @@ class TargetSearch:
 
     def first(self) -> FloatArray:
         """Return the first view (joints,) [rad]."""
-        return next(self._rest)
+        low, _ = self._postures
+        return self._turned(low, self._config.turns[0])
 
-    def after(self, angles: FloatArray, hints: PossibleMarkers) -> FloatArray | None:
+    def after(
+        self, angles: FloatArray, hints: PossibleMarkers, tilt: FloatArray
+    ) -> FloatArray | None:
         """Return the next view (joints,) [rad]; None when all have been tried.
 
         Args:
             angles: (joints,) from which the last look was taken [rad].
             hints: What it showed that may be markers.
+            tilt: (2,) pitch and roll of the robot then [rad].
         """
         self._tried.append(angles)
         place = self._likeliest(hints)
@@ -89,7 +95,8 @@ class TargetSearch:
                 view = self._aim(wanted, posture)
                 if self._is_new(view):
                     return view
-        return next((view for view in self._rest if self._is_new(view)), None)
+        upright = (self._against_lean(view, tilt) for view in self._rest)
+        return next((view for view in upright if self._is_new(view)), None)
 
     def _views(self) -> Iterator[FloatArray]:
         """Yield the views over all sides: ahead from both postures, then around from each."""
@@ -97,11 +104,21 @@ class TargetSearch:
         ahead, *sides = self._config.turns
         order = [(low, ahead), (high, ahead)]
         order += [(posture, turn) for posture in self._postures for turn in sides]
-        limits = self._arm.limits
         for posture, turn in order:
-            view = posture.copy()
-            view[0] = posture[0] + turn
-            yield np.clip(view, *limits.T)
+            yield self._turned(posture, turn)
+
+    def _turned(self, posture: FloatArray, turn: float) -> FloatArray:
+        view = posture.copy()
+        view[0] += turn
+        return np.clip(view, *self._arm.limits.T)
+
+    def _against_lean(self, view: FloatArray, tilt: FloatArray) -> FloatArray:
+        """Return a view with the wrist turned by what the robot's lean raises or lowers it."""
+        ahead = np.array([-np.sin(view[0]), np.cos(view[0]), 0.0])
+        raised = float(np.arcsin(lean(tilt).apply(ahead)[2]))
+        level = view.copy()
+        level[-1] -= np.clip(raised, -self._config.bend, self._config.bend)
+        return np.clip(level, *self._arm.limits.T)
 
     def _is_new(self, view: FloatArray) -> bool:
         return all(np.abs(view - tried).max() > self._config.alike for tried in self._tried)

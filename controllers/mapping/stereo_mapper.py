@@ -216,7 +216,7 @@ class StereoMapper:
             head.waiting.clear()
         if self._on_look is not None:
             self._on_look(self.looks[-1])
-        self._choose(name, head, look)
+        self._choose(name, head, look, tilt)
 
     def _take(self, taken: _Waiting, standing: Standing, offsets: IndexArray) -> None:
         """Fuse a look into the map."""
@@ -240,24 +240,25 @@ class StereoMapper:
             spheres.append(local + [0.0, 0.0, 0.0, self._config.aura])
         return np.concatenate(spheres)
 
-    def _choose(self, name: str, head: _Head, look: Look) -> None:
+    def _choose(self, name: str, head: _Head, look: Look, tilt: FloatArray) -> None:
         """Choose the next view of a robot, and set its arm off."""
         head.claims, head.rated = None, None
-        if head.looks >= self._config.scans:
+        spare = self._config.search_scans if head.standing is None else 0
+        if head.looks >= self._config.scans + spare:
             head.done = True
             return
         try:
-            goal = self._goal(name, head, look)
+            goal = self._goal(name, head, look, tilt)
         except ViewError:
             head.done = True
             return
         head.move = self._move_to(goal)
 
-    def _goal(self, name: str, head: _Head, look: Look) -> FloatArray:
+    def _goal(self, name: str, head: _Head, look: Look, tilt: FloatArray) -> FloatArray:
         angles = look.angles
         if head.standing is None:
             hints = possible_markers(look.pair, self.geometry, self._cad)
-            goal = head.search.after(angles, hints)
+            goal = head.search.after(angles, hints, tilt)
             if goal is None:
                 raise ViewError("the target is nowhere around")
             return goal

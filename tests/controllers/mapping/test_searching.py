@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from controllers.mapping.arm_views import ViewConfig
 from controllers.mapping.looking import MapperConfig
@@ -14,6 +15,7 @@ from perception.target import PossibleMarkers
 HOME, SURVEY = np.array(ARM.home), np.array(ViewConfig().survey)
 NOTHING = PossibleMarkers(np.zeros((0, 3)), np.zeros((0, 3)))
 EXTENT = 0.35
+LEVEL = np.zeros(2)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +45,7 @@ def test_search_without_hints_looks_all_around_once_and_then_ends(arm):
     views = []
     while view is not None:
         views.append(view)
-        view = search.after(view, NOTHING)
+        view = search.after(view, NOTHING, LEVEL)
     views = np.array(views)
     assert views[0, 0] == 0.0 and len(views) == 18
     apart = np.abs(views[:, None] - views).max(axis=2) + np.eye(len(views))
@@ -59,20 +61,20 @@ def test_next_view_has_what_may_be_a_marker_in_its_middle(arm):
         place = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]) * distance
         place[2] = rng.uniform(-0.1, 0.25)
         search, view = searching(arm)
-        view = search.after(view, hints_at(arm, view, place))
+        view = search.after(view, hints_at(arm, view, place), LEVEL)
         assert off_axis(arm, view, place) < 1e-3
 
 
 def test_hints_that_fit_on_one_target_outweigh_a_single_one(arm):
     search, view = searching(arm)
     target = np.array([[0.5, 0.8, 0.1], [0.6, 0.8, 0.2]])
-    view = search.after(view, hints_at(arm, view, [*target, [-0.6, 0.8, 0.1]]))
+    view = search.after(view, hints_at(arm, view, [*target, [-0.6, 0.8, 0.1]]), LEVEL)
     assert off_axis(arm, view, target.mean(axis=0)) < 1e-3
 
 
 def test_hint_in_both_images_outweighs_one_in_a_single_image(arm):
     search, view = searching(arm)
-    view = search.after(view, hints_at(arm, view, [-0.6, 0.8, 0.1], alone=[0.6, 0.8, 0.1]))
+    view = search.after(view, hints_at(arm, view, [-0.6, 0.8, 0.1], alone=[0.6, 0.8, 0.1]), LEVEL)
     assert off_axis(arm, view, np.array([-0.6, 0.8, 0.1])) < 1e-3
 
 
@@ -81,9 +83,27 @@ def test_false_hint_costs_one_look_from_each_posture_and_the_search_goes_on(arm)
     search, view = searching(arm)
     stared = []
     for _ in range(6):
-        view = search.after(view, hints_at(arm, view, place))
+        view = search.after(view, hints_at(arm, view, place), LEVEL)
         stared.append(off_axis(arm, view, place) < 1e-3)
     assert stared == [True, True, False, False, False, False]
+
+
+@pytest.mark.parametrize("tilt", [(-0.17, 0.04), (0.15, -0.1)])
+def test_leaning_robot_looks_as_high_as_a_level_one(arm, tilt):
+    lean = Rotation.from_euler("XY", tilt)
+    heights = []
+    for stands, turn in ((LEVEL, Rotation.identity()), (np.array(tilt), lean)):
+        search, view = searching(arm)
+        axes = []
+        while view is not None:
+            axes.append(turn.apply(arm.camera_in_robot(view).rotation.as_matrix()[:, 2])[2])
+            view = search.after(view, NOTHING, stands)
+        heights.append(np.arcsin(axes))
+    level, leaning = heights
+    # The first look ahead leans with the robot, so it is taken once more.
+    assert len(leaning) == len(level) + 1
+    assert abs(leaning[0] - level[0]) > 0.1
+    assert np.abs(leaning[1:] - level).max() < 0.02
 
 
 def test_arm_keeps_to_the_space_that_is_free_when_the_robot_is_set_down(arm):
