@@ -2,8 +2,9 @@
 
 Each tick the identified model says what wrench and tilt should read. A sample that is missing, not
 finite, frozen, or too far off for its covariance (normalised innovation) is replaced; a sensor that
-stays so is named as failed until it agrees again. When its surrogate has become too unsure, or has
-served too long, the task has to stop, and the reason is given.
+stays so is named as failed until it agrees again. While the inclinometer is lost, the weight of an
+arm that touches nothing tells the tilt. When its surrogate has become too unsure, or has served too
+long, the task has to stop, and the reason is given.
 """
 
 from __future__ import annotations
@@ -273,7 +274,7 @@ class SurrogateSensing:
         if contact and efforts is None and allowed is not None:
             wrench = Prediction(wrench.value, wrench.covariance + allowed)
         felt = self._monitors[WRENCH].step(observation.arm_base_wrench, wrench, dt, allowed)
-        mended = observation
+        mended, expected = observation, wrench
         if felt.believed:
             spread = np.diag(np.square(self._monitors[WRENCH].limits.noise))
             wrench = Prediction(np.asarray(observation.arm_base_wrench.value, dtype=float), spread)
@@ -287,6 +288,8 @@ class SurrogateSensing:
             self._stamp = observation.inclinometer.stamp
             self._lean = None
         else:
+            if felt.believed and not contact and self._lean is not None:
+                self._weigh(before, expected, wrench, dt)
             mended = mended._replace(inclinometer=_predicted(tilt, observation.time))
             # The wrench that follows from a predicted tilt is as unsure as that is: else the good
             # wrench sensor would be called failed for the lost inclinometer.
@@ -301,6 +304,17 @@ class SurrogateSensing:
             frozenset(name for name, verdict in verdicts.items() if verdict.failed),
             "; ".join(verdict.stop for verdict in verdicts.values() if verdict.stop),
         )
+
+    def _weigh(
+        self, believed: Observation, expected: Prediction, wrench: Prediction, dt: float
+    ) -> None:
+        """Correct the tilt by the arm's weight."""
+        assert self._lean is not None
+        value, spread = wrench
+        off = self._wrench.lean(believed, expected, value, spread, self._lean, dt)
+        if off is not None:
+            tilt = np.asarray(believed.inclinometer.value, dtype=float) + off.value
+            self._tilt.weigh(Prediction(tilt, off.covariance))
 
 
 def _blind(observation: Observation, name: str) -> Sensed:

@@ -67,7 +67,8 @@ class TiltModelConfig:
         gain: The same of the moment that it knows, as a part of it.
         lever: The same of the levers [m]: an arm that only swings hardly tells them.
         stand: How fast what the wheels stand on becomes unsure at rest [rad/sqrt(s)].
-        drive: The same by driving [rad/sqrt(m)].
+        drive: The same by driving [rad/sqrt(m)]. Over 0.4 m of ground with 2 cm of relief and
+            rocks of 2 to 5 cm pitch was measured to change by 0.157 of it, roll by 0.112 (r.m.s.).
         wheel_radius: Tells how far the wheels drove [m].
     """
 
@@ -79,7 +80,7 @@ class TiltModelConfig:
     gain: float = 0.1
     lever: float = 0.03
     stand: float = 1e-4
-    drive: float = 0.05
+    drive: float = 0.16
     wheel_radius: float = 0.08
 
     def __post_init__(self) -> None:
@@ -168,10 +169,21 @@ class TiltModel:
         Args:
             tilt: (2,) pitch and roll [rad].
         """
-        read = np.array([0.0, 0.0, 1.0, 1.0])
-        for axis, value in enumerate(np.asarray(tilt, dtype=float)):
+        values = np.asarray(tilt, dtype=float)
+        self._take(values, np.full(2, self.config.noise**2), np.array([0.0, 0.0, 1.0, 1.0]))
+
+    def weigh(self, tilt: Prediction) -> None:
+        """Take what the weight of the arm says of the tilt as it is, after `predict`.
+
+        Args:
+            tilt: (2,) pitch and roll [rad].
+        """
+        self._take(tilt.value, np.diag(tilt.covariance), np.array([1.0, 0.0, 0.0, 1.0]))
+
+    def _take(self, values: FloatArray, variances: FloatArray, read: FloatArray) -> None:
+        for axis, (value, variance) in enumerate(zip(values, variances)):
             spread = self._spreads[axis]
-            gain = spread @ read / (read @ spread @ read + self.config.noise**2)
+            gain = spread @ read / (read @ spread @ read + variance)
             self._states[axis] += gain * (value - read @ self._states[axis])
             self._spreads[axis] = spread - np.outer(gain, read @ spread)
 

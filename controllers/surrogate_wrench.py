@@ -11,6 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy.stats
 from numpy.typing import ArrayLike, NDArray
 
 from controllers.identification.serial_arm import SerialArm, cross_matrix
@@ -23,6 +24,8 @@ FloatArray = NDArray[np.float64]
 
 _AT_REST = 0.15  # Tachometers of wheels at rest read less [rad/s].
 _SETTLES = 0.5  # Time for which the base still swings when the wheels have stopped [s].
+_SHAKES = 0.1  # Time for which what shakes the base stays about the same [s].
+_NO_TILT = float(scipy.stats.chi2.isf(1e-3, 6))  # Squared distance, whitened.
 _SAME_POSE = 0.02  # Joint angles within which slopes are taken as the same [rad].
 
 
@@ -198,6 +201,44 @@ class WrenchModel:
         _, by_wrench = self._contact_maps(observation)
         return by_wrench @ self._before() @ by_wrench.T
 
+    def lean(
+        self,
+        observation: Observation,
+        expected: Prediction,
+        wrench: ArrayLike,
+        noise: ArrayLike,
+        tilt: ArrayLike,
+        dt: float,
+    ) -> Prediction | None:
+        """Return by how much the tilt is off: the arm's weight tells where down is.
+
+        Args:
+            observation: With the arm's angles, and the tilt as it is believed.
+            expected: Of `predict` for it, with the same ``tilt``.
+            wrench: (6,) measured [N, N m].
+            noise: (6, 6) covariance of it.
+            tilt: (2,) deviations of the believed pitch and roll [rad].
+            dt: Since the observation before [s].
+
+        Returns:
+            (2,) pitch and roll to add [rad]; None for a wrench that no tilt explains, as of a hand
+            that touches something.
+        """
+        angles, _ = _joints(observation)
+        by_force = self._by_motion(angles)[:6, len(angles) : len(angles) + 3]
+        by_tilt = by_force @ _force_by_tilt(observation)
+        unsure = np.asarray(tilt, dtype=float)
+        leaned = np.square(_leaned(level_of(observation), [*unsure, 0.0]))
+        spread = expected.covariance - (by_force * leaned) @ by_force.T + np.asarray(noise)
+        off = np.asarray(wrench, dtype=float) - expected.value
+        whole = spread + by_tilt @ np.diag(unsure**2) @ by_tilt.T
+        if off @ np.linalg.solve(whole, off) > _NO_TILT:
+            return None
+        weights = np.linalg.solve(spread, by_tilt).T
+        covariance = np.asarray(np.linalg.inv(weights @ by_tilt), dtype=float)
+        # What shakes the base stays about the same for a while, and counts once.
+        return Prediction(covariance @ weights @ off, covariance * max(_SHAKES / dt, 1.0))
+
     def _touch(self, by_efforts: FloatArray, extra: FloatArray, joints: Prediction) -> Prediction:
         noise = joints.covariance + np.diag(self.config.friction**2)
         return _update(self._before(), by_efforts, extra, noise)
@@ -314,6 +355,21 @@ def motor_efforts(duty: ArrayLike, rates: ArrayLike, stall: float, no_load: floa
 def _leaned(motion: FrameState, tilt: ArrayLike) -> FloatArray:
     """Return (3,) deviations of the specific force by those of the turn about each axis (3,)."""
     return np.sqrt(np.square(cross_matrix(motion.specific_force)) @ np.square(tilt))
+
+
+def _force_by_tilt(observation: Observation) -> FloatArray:
+    """Return (3, 2) how the specific force changes with pitch and roll [m/s^2/rad]."""
+    tilt, step = np.asarray(observation.inclinometer.value, dtype=float), 1e-4
+    columns: list[FloatArray] = []
+    for unit in step * np.eye(2):
+        ends = [
+            level_of(
+                observation._replace(inclinometer=observation.inclinometer._replace(value=value))
+            ).specific_force
+            for value in (tilt + unit, tilt - unit)
+        ]
+        columns.append((ends[0] - ends[1]) / (2.0 * step))
+    return np.column_stack(columns)
 
 
 def _joints(observation: Observation) -> tuple[FloatArray, FloatArray]:
