@@ -18,9 +18,9 @@ import numpy as np
 from experiments import contract
 from experiments.contract import OptionError
 from experiments.intervals import distribution, fraction, mcnemar
-from experiments.mission_figures import draw_knowledge, draw_shares, draw_steps
+from experiments.mission_figures import draw_knowledge, draw_steps, draw_worth
 from experiments.mission_film import film_mission
-from experiments.mission_results import after_stage, stage_seconds, stages_of
+from experiments.mission_results import after_stage, first_stops, stage_seconds, stages_of
 from experiments.mission_team import STAGES
 from experiments.mission_trial import MissionTrial, run_mission
 from experiments.output import Output
@@ -104,7 +104,8 @@ def run(options: Options, output: Output) -> None:
     if not any(result["success"] for result in cells[""]):
         output.failure = f"no card was inserted: {cells[''][0]['reason'] or 'not seated'}"
     if len(kinds) > 1:
-        output.figure("mission_ablation", draw_shares({k: _share(c) for k, c in cells.items()}))
+        shares = {kind: _share(results) for kind, results in cells.items()}
+        output.figure("mission_ablation", draw_worth(shares, first_stops(cells)))
 
 
 def _share(results: Results) -> Any:

@@ -66,23 +66,36 @@ def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def draw_shares(shares: Mapping[str, Any]) -> Figure:
-    """Draw how many missions succeed, whole and without each stage.
+def draw_worth(shares: Mapping[str, Any], stops: Mapping[str, Sequence[float]]) -> Figure:
+    """Draw what each stage is worth: cards inserted, and how far off the master stops at first.
 
     Args:
         shares: Fractions with intervals, by the stage that is left out; "" for the whole.
+        stops: Distances of first stops from the camera's place [m], by the same; empty where the
+            master goes nowhere.
     """
-    figure = Figure(figsize=(6.0, 3.8))
-    axes = figure.add_subplot()
+    figure = Figure(figsize=(9.6, 3.8), layout="constrained")
+    inserted, stopped = figure.subplots(1, 2)
     place = np.arange(len(shares), dtype=float)
     mean = np.array([cell["mean"] for cell in shares.values()])
     low = mean - [cell["low"] for cell in shares.values()]
     high = np.array([cell["high"] for cell in shares.values()]) - mean
     colours = ["tab:green", *["tab:orange"] * (len(shares) - 1)]
-    axes.bar(place, mean, 0.6, color=colours)
-    axes.errorbar(place, mean, [low, high], fmt="none", color="k", capsize=4)
+    inserted.bar(place, mean, 0.6, color=colours)
+    inserted.errorbar(place, mean, [low, high], fmt="none", color="k", capsize=4)
+    inserted.set(ylabel="card inserted (95 % interval)", ylim=(0.0, 1.05))
+    for spot, colour, kind in zip(place, colours, shares):
+        far = 100.0 * np.asarray(stops[kind], dtype=float)
+        # Beside each other, so that equal ones are seen.
+        spread = spot + np.linspace(-0.2, 0.2, len(far))
+        stopped.plot(spread, far, "o", color=colour, alpha=0.7, markersize=4)
+        if len(far):
+            stopped.plot([spot - 0.3, spot + 0.3], [np.median(far)] * 2, "k-", linewidth=2)
+        else:
+            stopped.text(spot, 0.0, "stays", ha="center", va="bottom")
+    stopped.set(ylabel="first stop from the camera's place [cm]", ylim=(0.0, None))
     labels = [f"without\n{name}" if name else "whole\nmission" for name in shares]
-    axes.set_xticks(place, labels)
-    axes.set(ylabel="card inserted (95 % interval)", ylim=(0.0, 1.05))
-    figure.tight_layout()
+    for axes in (inserted, stopped):
+        axes.set_xticks(place, labels)
+        axes.set_xlim(-0.5, len(place) - 0.5)
     return figure

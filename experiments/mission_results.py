@@ -51,3 +51,15 @@ def stage_seconds(result: Mapping[str, Any]) -> dict[str, float]:
     """
     ends = [0.0, *result["stage_ends"]]
     return {name: end - begin for name, begin, end in zip(result["stage_names"], ends, ends[1:])}
+
+
+def first_stops(cells: Mapping[str, Results]) -> dict[str, list[float]]:
+    """Return how far from the camera's place the master stopped at first [m], by kind of mission.
+
+    Args:
+        cells: Results of `mission_trial.run_mission`, by kind; missions that stayed are left out.
+    """
+    return {
+        kind: [float(result["misses"][0, 0]) for result in results if len(result["misses"])]
+        for kind, results in cells.items()
+    }
