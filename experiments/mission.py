@@ -28,6 +28,8 @@ from experiments.sweep import sweep
 
 ROBOTS = ("sim", "quantised", "emulated")
 WANTED = 0.9
+_TELLS_SLIP = "identification"
+"""What dead reckoning rests on."""
 Results = list[dict[str, Any]]
 
 
@@ -154,10 +156,11 @@ def _compare(kind: str, whole: Results, results: Results, output: Output) -> Non
     if more:
         farther = distribution(more)
         output.measure(f"first_stop_miss_more_by_mm/without_{kind}", farther)
-        output.check(
-            f"without {kind}: first stop farther from the camera's place [mm]",
-            farther["low"], "> 0 within its interval", farther["low"] > 0.0,
-        )  # fmt: skip
+        if kind == _TELLS_SLIP:
+            output.check(
+                f"without {kind}: first stop farther from the camera's place [mm]",
+                farther["low"], "> 0 within its interval", farther["low"] > 0.0,
+            )  # fmt: skip
     worse = without["mean"] < share["mean"]
     output.check(f"without {kind}: worse", without["mean"], f"< {share['mean']:.2f}", worse)
 
