@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.looking import RobotBrief
-from controllers.placement.footprint import Part, pose_drives
+from controllers.placement.footprint import Part, PoseDrives, pose_drives
 from controllers.placement.ground import ground_of
 from controllers.placement.reach import Reach, RoverState
 from controllers.placement.replanner import Mover, Replan, Replanner
@@ -170,48 +171,70 @@ def _speedup(voxels: VoxelMap, target: Target, output: Output) -> None:
     output.check("placement, re-plan as exhaustive search", float(same), "== 1", same)
 
 
+@dataclasses.dataclass(frozen=True)
+class _Asked:
+    """What one rover was told about views that it can take.
+
+    Attributes:
+        drive: Its ways over the map.
+        reach: What it asked of each view.
+        view: The best one; None for none.
+        refusal: Why there is none.
+        seconds: Processor time of the ways and of the re-plan.
+    """
+
+    drive: PoseDrives
+    reach: Reach
+    view: View | None
+    refusal: str
+    seconds: tuple[float, float]
+
+
+def _ask(voxels: VoxelMap, target: Target, scene: StereoScene, name: str, most: int) -> _Asked:
+    """Find the best view that a rover can take, among the best so many."""
+    brief = RobotBrief(
+        known_camera_arm(scene.model, name), scene.joints(name), known_body(scene.model, name)
+    )
+    level = leveled(body_pose(scene.data, scene.model.body(f"{name}/chassis").id))
+    heading = float(level.rotation.as_euler("ZYX")[0])
+    start = time.process_time()
+    drive = pose_drives(outline(voxels), np.append(level.translation[:2], heading), FARTHEST)
+    ground = time.process_time() - start
+    places = {target.name: target.position}
+    state = RoverState(level, scene.joints(name))
+    reach = Reach(brief, state, drive, not_free(voxels), places, most=most)
+    planner, view, refusal = Replanner([target], head_lens()), None, ""
+    start = time.process_time()
+    try:
+        view = planner.replan(voxels, accept=reach, possible=reach.possible).view
+    except PlacementError as error:
+        refusal = str(error)
+    return _Asked(drive, reach, view, refusal, (ground, time.process_time() - start))
+
+
 def _reach(
     voxels: VoxelMap, target: Target, scene: StereoScene, most: int, key: str, output: Output
 ) -> None:
     """Find the best view that each rover can take, and how long that costs with all questions."""
     cell = voxels.grid.resolution**2
+    _ask(voxels, target, scene, scene.robot_names[0], most)  # compiles
     for name in scene.robot_names:
-        brief = RobotBrief(
-            known_camera_arm(scene.model, name),
-            scene.joints(name),
-            known_body(scene.model, name),
-        )
-        at = body_pose(scene.data, scene.model.body(f"{name}/chassis").id)
-        level = leveled(at)
-        state = RoverState(level, scene.joints(name))
-        heading = float(level.rotation.as_euler("ZYX")[0])
-        pose = np.append(level.translation[:2], heading)
-        start = time.process_time()
-        drive = pose_drives(outline(voxels), pose, FARTHEST)
-        ground = time.process_time() - start
-        output.measure(f"{key}/{name}/ground_ratio", ground / PERIOD)
-        stands = np.count_nonzero(drive.enterable.any(axis=0)) * cell
+        told = _ask(voxels, target, scene, name, most)
+        ground, replan = (seconds / PERIOD for seconds in told.seconds)
+        output.measure(f"{key}/{name}/ground_ratio", ground)
+        stands = np.count_nonzero(told.drive.enterable.any(axis=0)) * cell
         output.measure(f"{key}/{name}/standing_places_m2", stands)
-        reached = np.count_nonzero(np.isfinite(drive.costs).any(axis=0)) * cell
+        reached = np.count_nonzero(np.isfinite(told.drive.costs).any(axis=0)) * cell
         output.measure(f"{key}/{name}/reachable_m2", reached)
-        places = {target.name: target.position}
-        reach = Reach(brief, state, drive, not_free(voxels), places, most=most)
-        best = None
-        planner = Replanner([target], head_lens())
-        start = time.process_time()
-        try:
-            best = planner.replan(voxels, accept=reach, possible=reach.possible).view
-        except PlacementError as error:
-            output.measure(f"{key}/{name}/refusal", str(error))
-        ratio = (time.process_time() - start) / PERIOD
-        output.measure(f"{key}/{name}/replan_ratio", ratio)
+        if told.refusal:
+            output.measure(f"{key}/{name}/refusal", told.refusal)
+        output.measure(f"{key}/{name}/replan_ratio", replan)
         text = f"placement, {key}, {name}: a re-plan and its ways over a vision period"
-        whole = ratio + ground / PERIOD
-        output.check(text, whole, "<= 1", whole <= 1.0)
-        output.measure(f"{key}/{name}/refused", len(reach.refused))
-        if best is not None and reach.plan is not None:
-            output.measure(f"{key}/{name}/drive_m", reach.plan.length)
-            output.measure(f"{key}/{name}/rating", best.rating)
+        output.check(text, ground + replan, "<= 1", ground + replan <= 1.0)
+        output.measure(f"{key}/{name}/refused", len(told.reach.refused))
+        if told.view is not None and told.reach.plan is not None:
+            output.measure(f"{key}/{name}/drive_m", told.reach.plan.length)
+            output.measure(f"{key}/{name}/rating", told.view.rating)
 
 
 def outline(voxels: VoxelMap) -> tuple[Part, Part]:
