@@ -1,4 +1,4 @@
-"""With what a run was made: versions, commit, processor."""
+"""With what a run was made: versions, commit, processor and its linear algebra."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import platform
 import subprocess
 from pathlib import Path
 from typing import Any
+
+import threadpoolctl
 
 PACKAGES = (
     "fieldtwin",
@@ -38,6 +40,7 @@ def describe_run(wall_time: float) -> dict[str, Any]:
         "platform": platform.platform(),
         "cpu": cpu_name(),
         "cores": free_cores(),
+        "linear_algebra": linear_algebra(),
         "gl": os.environ.get("MUJOCO_GL", ""),
         "versions": versions(),
         **commit(),
@@ -79,6 +82,17 @@ def free_cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def linear_algebra() -> list[str]:
+    """Return name, version and kernels of each linear algebra library that is loaded.
+
+    Kernels for two kinds of processors differ in the last bits, and a long course with them.
+    """
+    loaded = (each for each in threadpoolctl.threadpool_info() if each["user_api"] == "blas")
+    return sorted(
+        {f"{e['internal_api']} {e['version']} {e.get('architecture', '')}".strip() for e in loaded}
+    )
 
 
 def _git(checkout: Path, *arguments: str) -> str | None:
