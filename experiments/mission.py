@@ -74,7 +74,7 @@ def run(options: Options, output: Output) -> None:
     """Run the missions.
 
     Args:
-        options: ``quick`` runs one mission (over two minutes), else there are 20, and as many
+        options: ``quick`` runs one mission (about a minute), else there are 20, and as many
             without each stage.
         output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
             ``mcnemar_p/without_<stage>``, ``stage_longer_by_s/without_<stage>/<stage>``,
