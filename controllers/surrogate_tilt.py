@@ -54,6 +54,21 @@ class TiltAxis:
         return cls(inertia, damping, stiffness, (ry, rz))
 
 
+def tilting_moments(pitch: TiltAxis, roll: TiltAxis) -> FloatArray:
+    """Return (2, 6), what the wrench on the arm does to the base about both axes [N m].
+
+    Args:
+        pitch: About x.
+        roll: About y.
+    """
+    return -np.array(
+        [
+            [0.0, -pitch.lever[1], pitch.lever[0], 1.0, 0.0, 0.0],
+            [roll.lever[1], 0.0, roll.lever[0], 0.0, 1.0, 0.0],
+        ]
+    )
+
+
 @dataclasses.dataclass(frozen=True)
 class TiltModelConfig:
     """How a base tilts, and how the inclinometer sees it.
@@ -145,7 +160,7 @@ class TiltModel:
             raise ValueError(f"tilt model: arm_base_wrench {wrench}, needs six finite numbers")
         if self._rest is None:
             self._rest = wrench
-        turns = self._turns()
+        turns = tilting_moments(self.config.pitch, self.config.roll)
         change = wrench - self._rest
         moments = turns @ change
         across = change[2] ** 2 + change[[1, 0]] ** 2
@@ -192,16 +207,6 @@ class TiltModel:
         """(2,) pitch and roll as they are, not delayed by the inclinometer's filter [rad]."""
         read = np.array([1.0, 0.0, 0.0, 1.0])
         return Prediction(self._states @ read, np.diag(read @ self._spreads @ read))
-
-    def _turns(self) -> FloatArray:
-        """Return (2, 6), what the wrench on the arm does to the base about both axes [N m]."""
-        pitch, roll = self.config.pitch.lever, self.config.roll.lever
-        return -np.array(
-            [
-                [0.0, -pitch[1], pitch[0], 1.0, 0.0, 0.0],
-                [roll[1], 0.0, roll[0], 0.0, 1.0, 0.0],
-            ]
-        )
 
     def _driven(self, observation: Observation, dt: float) -> float:
         if not observation.wheel_speeds.usable:

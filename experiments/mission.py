@@ -28,8 +28,8 @@ from experiments.sweep import sweep
 
 ROBOTS = ("sim", "quantised", "emulated")
 WANTED = 0.9
-_TELLS_SLIP = "identification"
-"""What dead reckoning rests on."""
+_TELLS_ITSELF = "identification"
+"""What dead reckoning and the lean under the arm rest on."""
 Results = list[dict[str, Any]]
 
 
@@ -78,8 +78,9 @@ def run(options: Options, output: Output) -> None:
             without each stage.
         output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
             ``mcnemar_p/without_<stage>``, ``stage_longer_by_s/without_<stage>/<stage>``,
-            ``first_stop_miss_mm``, ``first_stop_miss_deg`` and ``stops`` of whole missions and
-            without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
+            ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``stops`` and ``card_off_middle_mm`` of
+            whole missions and without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
+            ``card_off_middle_more_by_mm/without_<stage>`` (where both inserted),
             ``wall_over_sim_time`` and what each stage knew.
     """
     seeds = options.job_seeds(20, 1)
@@ -132,6 +133,10 @@ def _measure(cells: dict[str, Results], output: Output) -> None:
         output.check("largest force on the card [N]", max(forces), "<= 10", max(forces) <= 10.0)  # noqa: PLR2004
     for kind, results in cells.items():
         _tell_stops(kind, results, output)
+        inserted = [1e3 * abs(r["across"]) for r in results if r["success"]]
+        if inserted:
+            suffix = f"/without_{kind}" if kind else ""
+            output.measure(f"card_off_middle_mm{suffix}", distribution(inserted))
         if kind:
             _compare(kind, whole, results, output)
 
@@ -151,18 +156,39 @@ def _compare(kind: str, whole: Results, results: Results, output: Output) -> Non
         longer = [b[stage] - a[stage] for a, b in pairs if stage in a and stage in b]
         if longer:
             output.measure(f"stage_longer_by_s/without_{kind}/{stage}", distribution(longer))
-    stops = [(a["misses"], b["misses"]) for a, b in zip(whole, results)]
-    more = [1e3 * (b[0, 0] - a[0, 0]) for a, b in stops if len(a) and len(b)]
-    if more:
-        farther = distribution(more)
-        output.measure(f"first_stop_miss_more_by_mm/without_{kind}", farther)
-        if kind == _TELLS_SLIP:
-            output.check(
-                f"without {kind}: first stop farther from the camera's place [mm]",
-                farther["low"], "> 0 within its interval", farther["low"] > 0.0,
-            )  # fmt: skip
+    _compare_places(kind, whole, results, output)
     worse = without["mean"] < share["mean"]
     output.check(f"without {kind}: worse", without["mean"], f"< {share['mean']:.2f}", worse)
+
+
+def _compare_places(kind: str, whole: Results, results: Results, output: Output) -> None:
+    """Measure by how much master and card miss their places by more without a stage."""
+    more = {
+        "first_stop_miss_more_by_mm": [
+            1e3 * (b["misses"][0, 0] - a["misses"][0, 0])
+            for a, b in zip(whole, results)
+            if len(a["misses"]) and len(b["misses"])
+        ],
+        "card_off_middle_more_by_mm": [
+            1e3 * (abs(b["across"]) - abs(a["across"]))
+            for a, b in zip(whole, results)
+            if a["success"] and b["success"]
+        ],
+    }
+    said = {
+        "first_stop_miss_more_by_mm": "first stop farther from the camera's place [mm]",
+        "card_off_middle_more_by_mm": "card farther from the slot's middle [mm]",
+    }
+    for name, values in more.items():
+        if not values:
+            continue
+        farther = distribution(values)
+        output.measure(f"{name}/without_{kind}", farther)
+        if kind == _TELLS_ITSELF:
+            output.check(
+                f"without {kind}: {said[name]}", farther["low"], "> 0 within its interval",
+                farther["low"] > 0.0,
+            )  # fmt: skip
 
 
 def _tell_stops(kind: str, results: Results, output: Output) -> None:

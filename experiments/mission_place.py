@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 
@@ -123,7 +124,7 @@ class GoToStand:
 
     def _set_off(self) -> None:
         """Go to the stand from where the slot is seen now."""
-        self._going = Going(self._knowledge.steer(), self._way())
+        self._going = Going(self._knowledge.steer(), self._way(), free=self._free)
         self._fold = ArmMove(HOME)
         self._folded = False
         self._search: TargetSearch | None = None
@@ -136,6 +137,16 @@ class GoToStand:
         place = site.apply([x, y, 0.0])
         ahead = site.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
         return np.array([place[0], place[1], math.atan2(-ahead[0], ahead[1])])
+
+    def _free(self, pose: FloatArray) -> bool:
+        """Say whether the map has nothing at a pose (3,) given as `_way` is."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        site = SLOT_IN_SITE * self._knowledge.slot_in_level.inv()
+        x, y, _ = site.apply([pose[0], pose[1], 0.0])
+        ahead = site.rotation.apply([-s, c, 0.0])
+        place = (float(x), float(y), math.atan2(-ahead[0], ahead[1]))
+        blocked = MappedSite(self._knowledge).blocks(dataclasses.replace(self.stand, place=place))
+        return not blocked
 
     def _missed(self) -> bool:
         """Say whether it stands too far from where it shall."""

@@ -13,6 +13,7 @@ from controllers.insertion.card_arm import CardArm
 from controllers.insertion.carrier import Carrier, CarrierConfig
 from controllers.mapping.searching import aim
 from controllers.motion.arm_move import ArmMove
+from controllers.motion.base_lean import BaseLean
 from experiments.insertion_faults import FaultyEyes
 from experiments.insertion_setting import (
     GuidanceRadio,
@@ -104,6 +105,7 @@ class InsertCard:
             knowledge.steer(),
             knowledge.slot_in_slave,
             knowledge.slave_covariance,
+            BaseLean(*knowledge.springs(SLAVE), self._arm.mount),
         )
         model = own_model(self._scene)
         sensing = surrogate_sensing(model, SLAVE, knowledge.springs(SLAVE))

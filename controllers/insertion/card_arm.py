@@ -101,6 +101,27 @@ class CardArm:
         found = self._model.inverse([*np.asarray(place, dtype=float), pitch], near)
         return found[0] if len(found) else np.full(4, np.nan)
 
+    @property
+    def mount(self) -> FloatArray:
+        """(3,) the arm's base in the robot frame [m]."""
+        return self._base[:3, 3]
+
+    def weight(self, angles: ArrayLike, up: ArrayLike) -> FloatArray:
+        """Return the wrench by the rover that holds arm and card up at rest.
+
+        Args:
+            angles: (4,) of the joints [rad].
+            up: (3,) unit vector that points up, robot frame.
+
+        Returns:
+            (6,) in and about the arm's base [N, N m].
+        """
+        level = self._base[:3, :3].T @ np.asarray(up, dtype=float)
+        zero = np.zeros(len(self._chain))
+        held = self._chain.inverse_dynamics(angles, zero, zero, at_rest(level))[1]
+        plate = self._plate.mass * GRAVITY * level
+        return held + np.concatenate([plate, cross_matrix(self._plate.centre) @ plate])
+
     def contact(self, wrench: ArrayLike, angles: ArrayLike, up: ArrayLike) -> FloatArray:
         """Return what touches the card, from the wrench under the arm.
 
@@ -113,12 +134,7 @@ class CardArm:
             (6,) force and moment on the card, in its frame and about the middle of its leading
             edge, at rest and slow motion [N, N m].
         """
-        level = self._base[:3, :3].T @ np.asarray(up, dtype=float)
-        zero = np.zeros(len(self._chain))
-        held = self._chain.inverse_dynamics(angles, zero, zero, at_rest(level))[1]
-        weight = self._plate.mass * GRAVITY * level
-        held = held + np.concatenate([weight, cross_matrix(self._plate.centre) @ weight])
-        outside = held - np.asarray(wrench, dtype=float)
+        outside = self.weight(angles, up) - np.asarray(wrench, dtype=float)
         card = self._chain.last_frame(angles) @ self._card
         moment = outside[3:] - cross_matrix(card[:3, 3]) @ outside[:3]
         turn = card[:3, :3].T

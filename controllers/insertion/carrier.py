@@ -20,6 +20,7 @@ from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, t
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
+from controllers.motion.base_lean import BaseLean
 from controllers.motion.base_motion import level_of
 from controllers.motion.chain import GRAVITY
 from controllers.motion.driving import Odometry, SkidSteer
@@ -104,6 +105,7 @@ class Carrier:
         steer: SkidSteer,
         slot_in_robot: FloatArray,
         covariance: FloatArray,
+        base: BaseLean | None = None,
     ) -> None:
         """Begin where the map says.
 
@@ -113,6 +115,8 @@ class Carrier:
             steer: Its wheels.
             slot_in_robot: (4, 4) by the map.
             covariance: (6, 6) of its xi.
+            base: How the robot leans under its arm: fed forward while force guides. None for a
+                robot that is taken to stay as it stands.
         """
         self.config = config
         self.stage, self.reason = Stage.WAIT, ""
@@ -122,7 +126,7 @@ class Carrier:
         self.belief = SlotBelief(slot_in_robot, covariance, config.belief)
         self.error = np.full(5, np.nan)
         self._arm = arm
-        self._steer = steer
+        self._steer, self._base = steer, base
         self._odometry = Odometry(steer)
         self._levelled = False
         self._time = 0.0
@@ -132,7 +136,10 @@ class Carrier:
         self._tare: list[FloatArray] = []
         self._offset = np.zeros(6)
         self._wanted: FloatArray | None = None  # joints
-        self._slot: FloatArray | None = None  # in the robot, while force guides
+        # When force began to guide: the slot in the robot, its up, and how the arm weighed on it.
+        self._slot: FloatArray | None = None
+        self._up = np.array([0.0, 0.0, 1.0])
+        self._weight = np.zeros(6)
 
     @property
     def over(self) -> bool:
@@ -233,8 +240,10 @@ class Carrier:
     def _feel(self, seen: Observation, angles: FloatArray) -> None:
         """Work out what touches the card, less what it was when nothing did."""
         felt = np.full(6, np.nan)
+        up = level_of(seen).specific_force / GRAVITY
+        if self.stage is not Stage.INSERT:
+            self._up = up
         if seen.arm_base_wrench.usable:
-            up = level_of(seen).specific_force / GRAVITY
             felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
         self._load = 0.0
         if not np.all(np.isfinite(felt)):
@@ -311,18 +320,27 @@ class Carrier:
         return rates
 
     def _hand_over(self, slot: FloatArray) -> None:
-        """Let force guide from here; the slot stays where it is believed now."""
+        """Let force guide from here; the slot stays in the world where it is believed now."""
         assert self._wanted is not None
         self._slot = slot
+        self._weight = self._arm.weight(self._wanted, self._up)
         start = to_plane(inverse(slot) @ self._arm.card_in_robot(self._wanted))
         self.guide = InsertionGuide(self.config.guide, start[:3])
         self._enter(Stage.INSERT)
+
+    def _slot_now(self) -> FloatArray:
+        """Return (4, 4) from the slot to the robot, which leans as its arm reaches on."""
+        assert self._slot is not None and self._wanted is not None
+        if self._base is None:
+            return self._slot
+        change = self._arm.weight(self._wanted, self._up) - self._weight
+        return self._base.motion(self._base.tilt(change)).inv().as_matrix() @ self._slot
 
     def _insert(self, angles: FloatArray) -> Command:
         assert self.guide is not None and self._slot is not None
         wrench = self.contact[[0, 1, 5]]
         pose = self.guide.step(wrench if np.all(np.isfinite(wrench)) else None)
-        card = self._slot @ planar(pose)
+        card = self._slot_now() @ planar(pose)
         rates = self._command_card(card[:3, 3], pitch_of(card))
         if self.guide.phase is Phase.DONE:
             self._enter(Stage.DONE)

@@ -1,10 +1,15 @@
-"""A rover that goes to a pose: it turns, drives straight, and turns again, by dead reckoning."""
+"""A rover that goes to a pose: it turns, drives straight, and turns again, by dead reckoning.
+
+A place close beside it would take a quarter turn to either side, in which skidding wheels on rocks
+lose more than the way is long. It backs off first then, and comes forward along the goal's heading.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import enum
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,6 +31,7 @@ class GoingConfig:
         turn: At most [rad/s].
         slowing: Speed over what is left of the way or turn [1/s].
         near: Left of the way [m] and of the turn [rad] that will do.
+        back_off: How far behind the goal it may come from [m].
         period: Servo tick [s].
     """
 
@@ -33,6 +39,7 @@ class GoingConfig:
     turn: float = 0.3
     slowing: float = 1.5
     near: tuple[float, float] = (0.005, 0.01)
+    back_off: float = 0.35
     period: float = 0.01
 
 
@@ -51,7 +58,11 @@ class Going:
     """
 
     def __init__(
-        self, steer: SkidSteer, goal: ArrayLike, config: GoingConfig | None = None
+        self,
+        steer: SkidSteer,
+        goal: ArrayLike,
+        config: GoingConfig | None = None,
+        free: Callable[[FloatArray], bool] = lambda place: True,
     ) -> None:
         """Begin.
 
@@ -60,24 +71,32 @@ class Going:
             goal: (3,) x (to the right), y (ahead) [m] and yaw to the left [rad], from where the
                 rover is now.
             config: How it goes.
+            free: Says whether a rover may back off to a pose (3,), given as the goal is.
 
         Raises:
             ValueError: If the goal is not finite.
         """
-        x, y, self._yaw = (float(value) for value in np.asarray(goal, dtype=float))
-        if not math.isfinite(x + y + self._yaw):
+        end = np.asarray(goal, dtype=float)
+        if not np.all(np.isfinite(end)) or end.shape != (3,):
             raise ValueError(f"goal {goal}: expected three finite numbers")
         self.odometry = Odometry(steer)
         self._steer, self._config = steer, config or GoingConfig()
-        self._goal = np.array([x, y])
         self._held: FloatArray | None = None
-        self._phase = _Phase.FACE
-        ahead = math.atan2(-x, y)
-        # Backwards where that is the smaller turn.
-        self._sign = 1.0 if abs(ahead) <= math.pi / 2.0 else -1.0
-        self._course = ahead if self._sign > 0.0 else _wrapped(ahead + math.pi)
-        if math.hypot(x, y) <= self._config.near[0]:
-            self._phase = _Phase.ALIGN
+        self._goals = [end]
+        behind = end.copy()
+        behind[:2] -= self._config.back_off * np.array([-math.sin(end[2]), math.cos(end[2])])
+        if _turns(behind) < 0.5 * _turns(end) and free(behind):
+            self._goals = [behind, end]
+        self._begin()
+
+    def _begin(self) -> None:
+        """Face the next goal."""
+        x, y, self._yaw = (float(value) for value in self._goals.pop(0))
+        self._goal = np.array([x, y])
+        way = self._goal - self.odometry.place
+        self._course, self._sign = _facing(way, self.odometry.yaw)
+        close = np.linalg.norm(way) <= self._config.near[0]
+        self._phase = _Phase.ALIGN if close else _Phase.FACE
 
     @property
     def done(self) -> bool:
@@ -125,7 +144,10 @@ class Going:
             left = _wrapped(self._yaw - self.odometry.yaw)
             if abs(left) > config.near[1]:
                 return 0.0, self._turning(left)
-            self._phase = _Phase.DONE
+            if self._goals:
+                self._begin()
+            else:
+                self._phase = _Phase.DONE
         return 0.0, 0.0
 
     def _turning(self, left: float) -> float:
@@ -133,6 +155,23 @@ class Going:
         rate = self._config.slowing * left
         size = min(max(abs(rate), _LEAST_TURN), self._config.turn)
         return math.copysign(size, left)
+
+
+def _facing(way: FloatArray, yaw: float) -> tuple[float, float]:
+    """Return the yaw [rad] in which a rover drives a way (2,) [m], and 1 for forward, else -1.
+
+    Backwards where that is the smaller turn from the yaw that it has.
+    """
+    ahead = math.atan2(-way[0], way[1])
+    if abs(_wrapped(ahead - yaw)) <= math.pi / 2.0:
+        return ahead, 1.0
+    return _wrapped(ahead + math.pi), -1.0
+
+
+def _turns(goal: FloatArray) -> float:
+    """Return the angle that a straight way to a goal (3,) takes in turns before and after it."""
+    course, _ = _facing(goal[:2], 0.0)
+    return abs(course) + abs(_wrapped(goal[2] - course))
 
 
 def _wrapped(angle: float) -> float:
