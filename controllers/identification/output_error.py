@@ -223,7 +223,7 @@ class OutputError:
         Returns:
             The best estimate, also kept as `estimate`.
         """
-        best, reached = self._descend(self._linearised_at, iterations)
+        best, reached = self._descend(self.estimate.theta, iterations)
         for attempt in range(restarts):
             if best.trustworthy:
                 break

@@ -1,4 +1,7 @@
-"""A slave without physics: it rolls and moves as commanded, and its card touches what is said."""
+"""A slave without physics: it rolls and moves as commanded, and its card touches what is said.
+
+On springs it leans under its arm, at once.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.card_arm import CardArm, inverse, to_plane
 from controllers.insertion.carrier import Carrier, CarrierConfig
 from controllers.insertion.guidance import Guidance
+from controllers.motion.base_lean import BaseLean
 from controllers.motion.chain import GRAVITY, Chain
 from controllers.motion.driving import SkidSteer
 from experiments.insertion_scene import SLAVE
@@ -44,7 +48,9 @@ class Slave:
         commands: All so far.
     """
 
-    def __init__(self, start=(0.02, -0.85, 0.04), slip: float = 1.0):
+    def __init__(
+        self, start=(0.02, -0.85, 0.04), slip: float = 1.0, springs: BaseLean | None = None
+    ):
         self.arm: CardArm = card_arm()
         self.place = np.array(start, dtype=float)
         self.angles = np.array(datasheets.ARM.home)
@@ -53,7 +59,7 @@ class Slave:
         self.time = 0.0
         known = known_arm(scene()[0], SLAVE)
         self._chain, self._plate = Chain.of_arm(known), known.base
-        self._slip = slip
+        self._slip, self._springs = slip, springs
         self._speeds, self._rates = np.zeros(4), np.zeros(4)
 
     def robot(self) -> np.ndarray:
@@ -61,7 +67,17 @@ class Slave:
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_euler("z", self.place[2]).as_matrix()
         pose[:3, 3] = [*self.place[:2], datasheets.ROVER.centre_height]
-        return pose
+        return (
+            pose if self._springs is None else pose @ self._springs.motion(self._tilt()).as_matrix()
+        )
+
+    def _tilt(self) -> np.ndarray:
+        """Return (2,) how it leans, against how it would with the arm at home."""
+        if self._springs is None:
+            return np.zeros(2)
+        up = np.array([0.0, 0.0, 1.0])
+        home = self.arm.weight(np.array(datasheets.ARM.home), up)
+        return self._springs.tilt(self.arm.weight(self.angles, up) - home)
 
     def card_in_slot(self) -> np.ndarray:
         """Return (4, 4), true."""
@@ -71,11 +87,15 @@ class Slave:
         """Return (5,) `to_plane` of the card in the slot."""
         return to_plane(self.card_in_slot())
 
-    def carrier(self, error=None, **changes) -> Carrier:
-        """Return its controller, with the map's error (6,) in its own frame."""
+    def carrier(self, error=None, base: BaseLean | None = None, **changes) -> Carrier:
+        """Return its controller, with the map's error (6,) in its own frame.
+
+        What it feeds forward of its springs is `base`.
+        """
         slot = RigidTransform.from_matrix(inverse(self.robot()) @ SLOT)
         wrong = RigidTransform.from_exp_coords(np.zeros(6) if error is None else error)
-        return Carrier(config(**changes), self.arm, STEER, (wrong * slot).as_matrix(), PRIOR)
+        believed = (wrong * slot).as_matrix()
+        return Carrier(config(**changes), self.arm, STEER, believed, PRIOR, base)
 
     def look(self) -> Guidance:
         """Return what the master sees now, without error."""
@@ -83,7 +103,7 @@ class Slave:
         return Guidance(self.time, True, True, pose, LOOK)
 
     def observe(self) -> Observation:
-        """Return what it measures, level and without noise."""
+        """Return what it measures, without noise, and as weight what it would be level."""
         held = self._chain.inverse_dynamics(self.angles, np.zeros(4), np.zeros(4))[1]
         weight = np.array([0.0, 0.0, self._plate.mass * GRAVITY])
         held = held + np.concatenate([weight, np.cross(self._plate.centre, weight)])
@@ -96,7 +116,7 @@ class Slave:
             wheel_speeds=self._channel(self._speeds),
             arm_angles=self._channel(self.angles),
             arm_rates=self._channel(self._rates),
-            inclinometer=self._channel(np.zeros(2)),
+            inclinometer=self._channel(self._tilt()),
             arm_base_wrench=self._channel(held - outside),
         )
 

@@ -11,6 +11,9 @@ import pytest
 
 from controllers.insertion.carrier import Stage
 from controllers.insertion.guidance import Guidance
+from controllers.motion.base_lean import BaseLean
+from experiments.insertion_identify import rover_springs
+from models import datasheets
 from tests.controllers.insertion.kinematic import Slave
 from twin.robot import MISSING, ArmMode, Channel, Validity, WheelMode
 
@@ -44,6 +47,24 @@ def test_card_is_brought_before_the_slot_and_in(slip, error):
     assert slave.error()[1] == pytest.approx(carrier.config.guide.depth, abs=2e-3)
     # The slot's walls are as wide as this.
     assert abs(beside) < 0.01 and abs(yaw) < 0.06
+
+
+@pytest.mark.slow
+def test_the_lean_under_the_arm_is_fed_forward():
+    """Four times softer than ours, so that the way of the card leans it by a millimetre."""
+    soft = (dataclasses.replace(axis, stiffness=axis.stiffness / 4.0) for axis in rover_springs())
+    base = BaseLean(*soft, datasheets.ROVER.arm_mount)
+    ended = {}
+    for fed in (None, base):
+        slave = Slave((0.01, -0.72, 0.04), springs=base)
+        carrier = slave.carrier(base=fed)
+        slave.run(carrier, 40.0, until=lambda carrier=carrier: carrier.stage is Stage.INSERT)
+        begun = slave.error()[0]
+        slave.run(carrier, 40.0, until=lambda carrier=carrier: carrier.over)
+        assert carrier.stage is Stage.DONE, carrier.reason
+        ended[fed is base] = slave.error()[0] - begun
+    assert abs(ended[False]) > 1e-3
+    assert abs(ended[True]) < 0.15 * abs(ended[False])
 
 
 @functools.cache

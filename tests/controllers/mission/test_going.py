@@ -41,6 +41,9 @@ def drive(going: Going, share: float, longest: float = 90.0) -> np.ndarray:
         (0.1, -0.6, 0.3),
         (0.0, 0.0, 0.7),
         (0.3, 0.0, 0.0),
+        (0.09, 0.0, 0.14),
+        (-0.1, 0.03, -0.1),
+        (0.05, -0.04, 0.0),
     ],
 )
 def test_a_rover_that_knows_its_slip_arrives(goal: tuple[float, float, float]) -> None:
@@ -53,6 +56,36 @@ def test_goals_behind_are_reached_backwards() -> None:
     going = Going(STEER, (0.0, -0.4, 0.0))
     first = going.step(seen_at(0.0)).wheels
     assert np.all(np.asarray(first) < 0.0)
+
+
+def test_a_step_aside_is_made_by_backing_off_and_not_by_turning_on_the_spot() -> None:
+    goal = (0.09, 0.0, 0.14)
+    turned = {}
+    for free in (True, False):
+        going = Going(STEER, goal, free=lambda pose, free=free: free)
+        ended = drive(going, SHARE)
+        np.testing.assert_allclose(ended, goal, atol=0.015)
+        turned[free] = going.odometry.turned
+    assert turned[False] > math.radians(160.0)
+    assert turned[True] < math.radians(80.0)
+
+
+def test_it_backs_off_along_the_heading_that_it_shall_have() -> None:
+    asked: list[np.ndarray] = []
+    Going(STEER, (0.09, 0.0, 0.14), free=lambda pose: (asked.append(pose), True)[1])
+    (behind,) = asked
+    ahead = [-math.sin(0.14), math.cos(0.14)]
+    np.testing.assert_allclose(
+        behind[:2] + GoingConfig().back_off * np.array(ahead), [0.09, 0.0], atol=1e-12
+    )
+    assert behind[2] == pytest.approx(0.14)
+
+
+@pytest.mark.parametrize("goal", [(0.0, 0.5, 0.0), (0.4, 0.3, 1.0), (0.0, 0.0, 0.7)])
+def test_where_backing_off_saves_no_turns_it_goes_straight(goal) -> None:
+    asked: list[np.ndarray] = []
+    Going(STEER, goal, free=lambda pose: (asked.append(pose), True)[1])
+    assert not asked
 
 
 def test_a_rover_that_believes_its_wheels_roll_goes_astray() -> None:

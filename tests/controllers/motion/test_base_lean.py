@@ -1,0 +1,118 @@
+"""How a base leans under its arm, against MuJoCo."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from controllers.motion.base_lean import BaseLean
+from controllers.motion.chain import GRAVITY
+from controllers.surrogate_tilt import TiltAxis
+from experiments.insertion_identify import rover_springs
+from experiments.insertion_scene import SLAVE, transform
+from models.compose import ARM_JOINTS
+from tests.controllers.insertion.scenes import card_arm, fresh
+from twin.robot import ArmMode, Command
+from twin.simulation import Simulation
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def hanging():
+    """Postures (4,) of an arm at rest on flat ground, each with the true pose of the chassis."""
+    model, data = fresh()
+    simulation = Simulation(model, [SLAVE], seed=3, data=data)
+    robot = simulation.robots[SLAVE]
+    robot.activate()
+    home = np.array(robot.observe().arm_angles.value)
+    reaching = card_arm().angles_at([0.0, 0.58, 0.09], 0.0, home)
+    poses = [home, reaching, np.array([0.8, *home[1:]]), np.array([-0.5, *reaching[1:]])]
+    seen, last = [], home
+    for pose in poses:
+        for tick in range(300):
+            part = min(1.0, tick / 150)
+            goal = last + part * (pose - last)
+            robot.command(Command(np.zeros(4), goal, arm_mode=ArmMode.POSITION))
+            simulation.step()
+        last = pose
+        seen.append(
+            (np.array(robot.observe().arm_angles.value), transform(data, f"{SLAVE}/chassis"))
+        )
+    simulation.close()
+    return seen
+
+
+def known() -> BaseLean:
+    return BaseLean(*rover_springs(), card_arm().mount)
+
+
+def leans(hanging):
+    """Yield how the base truly moved from the first posture's, and the tilt that is told."""
+    arm = card_arm()
+    first, level = hanging[0]
+    for angles, pose in hanging[1:]:
+        yield level.inv() * pose, known().tilt(arm.weight(angles, UP) - arm.weight(first, UP))
+
+
+def test_a_base_leans_as_its_springs_say(hanging):
+    pitches, rolls = [], []
+    for moved, told in leans(hanging):
+        true = moved.rotation.as_euler("XYZ")
+        assert told[0] == pytest.approx(true[0], rel=0.05, abs=np.radians(0.001))
+        # The centre joint lets the halves roll against each other: softer than eq. A-1 says, but
+        # no softer than one half's own springs.
+        assert 0.5 * abs(true[1]) - 1e-5 <= abs(told[1]) <= abs(true[1]) + 1e-5
+        pitches.append(true[0])
+        rolls.append(true[1])
+    assert np.abs(pitches).max() > np.radians(0.05)
+    assert np.abs(rolls).max() > np.radians(0.2)
+
+
+def test_what_stands_still_moves_in_the_robot_as_the_lean_says(hanging):
+    ahead = np.array([0.0, 0.6, 0.1])
+    moved, told = next(leans(hanging))  # in pitch alone
+    true = moved.inv().apply(ahead) - ahead
+    assert np.linalg.norm(true) > 4e-4
+    np.testing.assert_allclose(known().motion(told).inv().apply(ahead) - ahead, true, atol=3e-5)
+
+
+def test_the_line_about_which_it_leans_stays():
+    pitch = TiltAxis(0.1, 2.0, 300.0, (0.14, 0.18))
+    roll = TiltAxis(0.1, 2.0, 250.0, (0.03, 0.17))
+    base = BaseLean(pitch, roll, [0.01, 0.2, 0.1])
+    line = np.array([[-0.3, 0.06, -0.08], [0.5, 0.06, -0.08]])
+    np.testing.assert_allclose(base.motion([0.02, 0.0]).apply(line), line, atol=1e-15)
+    line = np.array([[0.04, -0.5, -0.07], [0.04, 0.8, -0.07]])
+    np.testing.assert_allclose(base.motion([0.0, 0.02]).apply(line), line, atol=1e-15)
+
+
+def test_a_push_at_the_line_leans_nothing_and_one_above_it_by_its_lever():
+    pitch = TiltAxis(0.1, 2.0, 300.0, (0.0, 0.2))
+    base = BaseLean(pitch, pitch, np.zeros(3))
+    # The arm is pushed forward by the rover, so the rover is pushed back, and nods up.
+    np.testing.assert_allclose(base.tilt([0.0, 3.0, 0.0, 0.0, 0.0, 0.0]), [0.2 * 3.0 / 300.0, 0.0])
+    base = BaseLean(TiltAxis(0.1, 2.0, 300.0, (0.0, 0.0)), pitch, np.zeros(3))
+    np.testing.assert_allclose(base.tilt([0.0, 3.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(2))
+
+
+def test_the_arm_weighs_what_hangs_on_its_sensor():
+    """Force and moment that hold it up, summed body by body."""
+    model, data = fresh()
+    mount, turn = data.site(f"{SLAVE}/arm_base").xpos, data.body(f"{SLAVE}/chassis").xmat
+    total = np.zeros(6)
+    for body in range(model.nbody):
+        if _hangs_on(model, body, f"{SLAVE}/arm_base_link"):
+            push = np.array([0.0, 0.0, GRAVITY * model.body_mass[body]])
+            total += np.concatenate([push, np.cross(data.xipos[body] - mount, push)])
+    angles = [float(data.joint(f"{SLAVE}/{name}_joint").qpos[0]) for name in ARM_JOINTS]
+    axes = turn.reshape(3, 3)
+    expected = np.concatenate([total[:3] @ axes, total[3:] @ axes])
+    np.testing.assert_allclose(card_arm().weight(angles, UP @ axes), expected, atol=1e-6)
+
+
+def _hangs_on(model: mujoco.MjModel, body: int, link: str) -> bool:
+    while body and model.body(body).name != link:
+        body = int(model.body_parentid[body])
+    return body != 0
