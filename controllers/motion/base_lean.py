@@ -23,7 +23,8 @@ class BaseLean:
 
         Args:
             pitch: How the base tilts about x, as identified.
-            roll: About y.
+            roll: About y. By eq. A-1 it is up to a half stiffer than a rover whose centre joint is
+                free.
             mount: (3,) the arm's base in the robot frame [m].
         """
         stiffness = np.array([[pitch.stiffness], [roll.stiffness]])
