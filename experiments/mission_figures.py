@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.mission_results import after_stage, stages_of
 
+FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
 COLOURS = {"master": "tab:blue", "slave": "tab:orange"}
 
@@ -66,16 +68,21 @@ def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def draw_worth(shares: Mapping[str, Any], stops: Mapping[str, Sequence[float]]) -> Figure:
-    """Draw what each stage is worth: cards inserted, and how far off the master stops at first.
+def draw_worth(
+    shares: Mapping[str, Any],
+    stops: Mapping[str, Sequence[float]],
+    off: Mapping[str, Sequence[float]],
+) -> Figure:
+    """Draw what each stage is worth: cards inserted, first stops of the master, cards in the slot.
 
     Args:
         shares: Fractions with intervals, by the stage that is left out; "" for the whole.
         stops: Distances of first stops from the camera's place [m], by the same; empty where the
             master goes nowhere.
+        off: Distances of inserted cards from the slot's middle [m], by the same.
     """
-    figure = Figure(figsize=(9.6, 3.8), layout="constrained")
-    inserted, stopped = figure.subplots(1, 2)
+    figure = Figure(figsize=(12.0, 3.8), layout="constrained")
+    inserted, stopped, seated = figure.subplots(1, 3)
     place = np.arange(len(shares), dtype=float)
     mean = np.array([cell["mean"] for cell in shares.values()])
     low = mean - [cell["low"] for cell in shares.values()]
@@ -85,17 +92,22 @@ def draw_worth(shares: Mapping[str, Any], stops: Mapping[str, Sequence[float]]) 
     inserted.errorbar(place, mean, [low, high], fmt="none", color="k", capsize=4)
     inserted.set(ylabel="card inserted (95 % interval)", ylim=(0.0, 1.05))
     for spot, colour, kind in zip(place, colours, shares):
-        far = 100.0 * np.asarray(stops[kind], dtype=float)
-        # Beside each other, so that equal ones are seen.
-        spread = spot + np.linspace(-0.2, 0.2, len(far))
-        stopped.plot(spread, far, "o", color=colour, alpha=0.7, markersize=4)
-        if len(far):
-            stopped.plot([spot - 0.3, spot + 0.3], [np.median(far)] * 2, "k-", linewidth=2)
-        else:
-            stopped.text(spot, 0.0, "stays", ha="center", va="bottom")
+        _scatter(stopped, spot, 100.0 * np.asarray(stops[kind], dtype=float), colour, "stays")
+        _scatter(seated, spot, 1e3 * np.asarray(off[kind], dtype=float), colour, "none is in")
     stopped.set(ylabel="first stop from the camera's place [cm]", ylim=(0.0, None))
+    seated.set(ylabel="inserted card from the slot's middle [mm]", ylim=(0.0, None))
     labels = [f"without\n{name}" if name else "whole\nmission" for name in shares]
-    for axes in (inserted, stopped):
-        axes.set_xticks(place, labels)
+    for axes in (inserted, stopped, seated):
+        axes.set_xticks(place, labels, fontsize=8)
         axes.set_xlim(-0.5, len(place) - 0.5)
     return figure
+
+
+def _scatter(axes: Axes, spot: float, values: FloatArray, colour: str, without: str) -> None:
+    """Draw values beside each other about a place, and their median; or say why there is none."""
+    spread = spot + np.linspace(-0.2, 0.2, len(values))
+    axes.plot(spread, values, "o", color=colour, alpha=0.7, markersize=4)
+    if len(values):
+        axes.plot([spot - 0.3, spot + 0.3], [np.median(values)] * 2, "k-", linewidth=2)
+    else:
+        axes.text(spot, 0.0, without, ha="center", va="bottom")

@@ -63,3 +63,15 @@ def first_stops(cells: Mapping[str, Results]) -> dict[str, list[float]]:
         kind: [float(result["misses"][0, 0]) for result in results if len(result["misses"])]
         for kind, results in cells.items()
     }
+
+
+def off_middle(cells: Mapping[str, Results]) -> dict[str, list[float]]:
+    """Return how far inserted cards ended from the slot's middle [m], by kind of mission.
+
+    Args:
+        cells: Results of `mission_trial.run_mission`, by kind.
+    """
+    return {
+        kind: [abs(float(result["across"])) for result in results if result["success"]]
+        for kind, results in cells.items()
+    }
