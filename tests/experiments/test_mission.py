@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing, lean, level_target
 from controllers.mission.going import Going
+from controllers.motion.driving import SkidSteer
 from experiments import mission
 from experiments.contract import OptionError
 from experiments.insertion_stand import Stand, best_stand, reference_arm
@@ -133,26 +134,31 @@ def test_a_leaning_rover_sees_the_slot_where_its_lean_puts_it(site: Site) -> Non
     np.testing.assert_allclose(back.as_matrix(), knowledge.slot_in_level.as_matrix(), atol=1e-12)
 
 
-def test_a_stand_is_gone_to_from_where_the_slot_is_seen(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    goals: list[np.ndarray] = []
-    told = Going.__init__
-    monkeypatch.setattr(
-        Going,
-        "__init__",
-        lambda self, steer, goal, free: (
-            goals.append(np.array(goal)),
-            told(self, steer, goal, free=free),
-        )[1],
-    )
+Ways = list[tuple[np.ndarray, typing.Callable[[np.ndarray], bool]]]
+
+
+@pytest.fixture
+def ways(monkeypatch: pytest.MonkeyPatch) -> Ways:
+    """Return a list that gets the goal of each `Going`, and what it asks whether a pose is free."""
+    told: Ways = []
+    begin = Going.__init__
+
+    def note(self: Going, steer: SkidSteer, goal: np.ndarray, free: typing.Any) -> None:
+        told.append((np.array(goal), free))
+        begin(self, steer, goal, free=free)
+
+    monkeypatch.setattr(Going, "__init__", note)
+    return told
+
+
+def test_a_stand_is_gone_to_from_where_the_slot_is_seen(site: Site, ways: Ways) -> None:
     knowledge = Knowledge.as_told(site)
     x, y, yaw = NOMINAL[MASTER]
     GoToStand(knowledge, Stand((x, y, yaw), np.zeros(4), 0.5, 0.0))
-    np.testing.assert_allclose(goals[0], np.zeros(3), atol=1e-12)
+    np.testing.assert_allclose(ways[0][0], np.zeros(3), atol=1e-12)
     GoToStand(knowledge, Stand((x - 0.3, y, yaw + 0.2), np.zeros(4), 0.5, 0.0))
     # It looks along -x: 0.3 m less of x is 0.3 m ahead.
-    np.testing.assert_allclose(goals[1], [0.0, 0.3, 0.2], atol=1e-12)
+    np.testing.assert_allclose(ways[1][0], [0.0, 0.3, 0.2], atol=1e-12)
 
 
 def test_the_slave_knows_itself_without_the_world() -> None:
@@ -292,21 +298,12 @@ def test_the_master_does_not_stand_where_the_map_has_something(site: Site) -> No
     assert math.dist(other.place[:2], (x + 0.1, y)) > 0.29
 
 
-def test_the_master_does_not_back_off_into_what_the_map_has(
-    site: Site, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[typing.Callable[[np.ndarray], bool]] = []
-    told = Going.__init__
-    monkeypatch.setattr(
-        Going,
-        "__init__",
-        lambda self, steer, goal, free: (asked.append(free), told(self, steer, goal, free=free))[1],
-    )
+def test_the_master_does_not_back_off_into_what_the_map_has(site: Site, ways: Ways) -> None:
     x, y, yaw = NOMINAL[MASTER]
     # It looks along -x: behind it is +x, and +y lies to its right.
     stake = np.array([[x + 0.4, y + 0.1, z] for z in (0.15, 0.2, 0.25, 0.3)])
     GoToStand(_with_map(site, stake), Stand((x, y, yaw), np.zeros(4), 0.5, 0.0))
-    (free,) = asked
+    ((_, free),) = ways
     assert not free(np.array([0.1, -0.4, 0.0]))
     assert not free(np.array([0.0, -0.2, 0.3]))
     assert free(np.array([-0.3, -0.4, 0.0])) and free(np.array([0.1, 0.4, 0.0]))

@@ -67,9 +67,9 @@ class Slave:
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_euler("z", self.place[2]).as_matrix()
         pose[:3, 3] = [*self.place[:2], datasheets.ROVER.centre_height]
-        return (
-            pose if self._springs is None else pose @ self._springs.motion(self._tilt()).as_matrix()
-        )
+        if self._springs is not None:
+            pose = pose @ self._springs.motion(self._tilt()).as_matrix()
+        return pose
 
     def _tilt(self) -> np.ndarray:
         """Return (2,) how it leans, against how it would with the arm at home."""
@@ -103,7 +103,7 @@ class Slave:
         return Guidance(self.time, True, True, pose, LOOK)
 
     def observe(self) -> Observation:
-        """Return what it measures, without noise, and as weight what it would be level."""
+        """Return what it measures, without noise; the wrench is that of a level robot."""
         held = self._chain.inverse_dynamics(self.angles, np.zeros(4), np.zeros(4))[1]
         weight = np.array([0.0, 0.0, self._plate.mass * GRAVITY])
         held = held + np.concatenate([weight, np.cross(self._plate.centre, weight)])
