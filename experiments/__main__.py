@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 if sys.platform == "linux":
     os.environ.setdefault("MUJOCO_GL", "egl")
 
-from experiments import catalogue
-from experiments.command_line import BAD_OPTIONS, complain, parse
-from experiments.contract import Experiment, ExperimentError, OptionError
-from experiments.output import Output
-from experiments.summary import print_summary
+from experiments.harness import catalogue
+from experiments.harness.command_line import BAD_OPTIONS, complain, parse
+from experiments.harness.contract import Experiment, ExperimentError, OptionError
+from experiments.harness.output import Output
+from experiments.harness.summary import print_summary
 
 FAILURE = 1
 INTERRUPTED = 130

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.catalogue import EXPERIMENTS
+from experiments.harness.catalogue import EXPERIMENTS
 
 HARDWARE = Path(__file__).parent / "twin" / "hardware"
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments import catalogue, command_line
-from experiments.contract import OptionError
+from experiments.harness import catalogue, command_line
+from experiments.harness.contract import OptionError
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(

@@ -6,7 +6,7 @@ python=$1
 packages="libegl1 libegl-mesa0 libopengl0 libgl1 libgl1-mesa-dri"
 
 renders() {
-    "$python" -m experiments.render_probe >/dev/null 2>&1
+    "$python" -m experiments.doctor.render_probe >/dev/null 2>&1
 }
 
 if renders; then

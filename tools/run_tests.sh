@@ -18,7 +18,7 @@ alone=$?
 # What the quick runs have written makes one page, as for all results.
 report=0
 if [ -d "$kept" ]; then
-    "$python" -m pytest -rP --keep-results="$kept" tests/experiments/check_kept_results.py
+    "$python" -m pytest -rP --keep-results="$kept" tests/experiments/harness/check_kept_results.py
     report=$?
 fi
 

@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from controllers.identification.observation_log import IdentificationError, ObservationLog
-from controllers.identification.serial_arm import BaseMotion, JointMotion
+from controllers.kinematics.serial_arm import BaseMotion, JointMotion
 
 FloatArray = NDArray[np.float64]
 

@@ -47,7 +47,7 @@ from controllers.identification.arm_sensing import (
 )
 from controllers.identification.limit_load import friction_in_use, normal_forces
 from controllers.identification.observation_log import ObservationLog
-from controllers.identification.serial_arm import (
+from controllers.kinematics.serial_arm import (
     RigidBody,
     SerialArm,
     arm_wrench,

@@ -27,7 +27,7 @@ from controllers.identification.arm_sensing import (
     read_arm,
 )
 from controllers.identification.observation_log import IdentificationError, ObservationLog
-from controllers.identification.serial_arm import (
+from controllers.kinematics.serial_arm import (
     COUNT,
     INERTIA_ELEMENTS,
     NAMES,

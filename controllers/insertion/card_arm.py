@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.identification.serial_arm import RigidBody, cross_matrix
-from controllers.mapping.camera_arm import CameraArm
-from controllers.motion.arm_model import ArmModel
-from controllers.motion.chain import GRAVITY, Chain, at_rest
+from controllers.kinematics.arm_model import ArmModel
+from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.chain import GRAVITY, Chain, at_rest
+from controllers.kinematics.serial_arm import RigidBody, cross_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -20,9 +20,9 @@ from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, t
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
+from controllers.kinematics.chain import GRAVITY
 from controllers.motion.base_lean import BaseLean
 from controllers.motion.base_motion import level_of
-from controllers.motion.chain import GRAVITY
 from controllers.motion.driving import Odometry, SkidSteer
 from twin.robot import ArmMode, Command, Observation, WheelMode
 

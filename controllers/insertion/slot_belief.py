@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guidance import Guidance
-from perception.registration_uncertainty import adjoint, composed_covariance
+from perception.registration.uncertainty import adjoint, composed_covariance
 
 FloatArray = NDArray[np.float64]
 _SIMULTANEOUS = 0.05  # Between images and joint angles that count as of one moment [s].

@@ -15,12 +15,12 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.watching import SeenParts, WatchPlan, best_angles
-from controllers.mapping.camera_arm import CameraArm
-from perception.marker_ellipses import MarkerExpectation
-from perception.marker_poses import BodyCad, BodyFit, PosePrior
-from perception.markers import find_bodies
-from perception.registration_uncertainty import composed_covariance, inverse_covariance
-from perception.stereo_geometry import StereoGeometry
+from controllers.kinematics.camera_arm import CameraArm
+from perception.markers.ellipses import MarkerExpectation
+from perception.markers.markers import find_bodies
+from perception.markers.poses import BodyCad, BodyFit, PosePrior
+from perception.registration.uncertainty import composed_covariance, inverse_covariance
+from perception.stereo.geometry import StereoGeometry
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
@@ -35,7 +35,7 @@ class WatcherConfig:
         slot: Markers of the slot.
         diameter: Of a marker [m].
         plan: How the camera is placed; None leaves it where it is.
-        detector: Name in `perception.markers.DETECTORS`.
+        detector: Name in `perception.markers.markers.DETECTORS`.
         turned: Deviation of the card's attitude from the slot's, before it is seen [rad].
         wander: Deviations of turn [rad] and place [m] by which the slot's belief is widened for a
             look: the robot has moved on its springs since the last that showed the slot.

@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.camera_arm import CameraArm
-from controllers.placement.arm_inverse import standing_views
-from controllers.placement.spatial_occluders import Occluder, TargetField, expand
-from controllers.placement.spatial_views import rate_positions
+from controllers.kinematics.arm_inverse import standing_views
+from controllers.kinematics.camera_arm import CameraArm
+from controllers.placement.spatial.occluders import Occluder, TargetField, expand
+from controllers.placement.spatial.views import rate_positions
 from controllers.placement.task import Exponents, Lens, PlacementError, Target
-from perception.marker_poses import BodyCad
-from perception.stereo_geometry import StereoGeometry
+from perception.markers.poses import BodyCad
+from perception.stereo.geometry import StereoGeometry
 
 FloatArray = NDArray[np.float64]
 _AS_GOOD = 0.95  # Ratio of ratings that do not matter.

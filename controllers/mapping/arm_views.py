@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.camera_arm import CameraArm
-from perception.view_information import (
+from controllers.kinematics.camera_arm import CameraArm
+from perception.voxels.view_information import (
     PlanningGrid,
     claimed_by_view,
     expected_occupancy,

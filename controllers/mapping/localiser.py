@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.standing import CameraPose
-from perception.fiducial_terms import FiducialConfig
-from perception.fiducials import select_fiducials
-from perception.registration_map import FiducialMap
-from perception.registration_prior import PosePrior
-from perception.stereo import StereoPoints
-from perception.stereo_geometry import StereoGeometry
-from perception.tracking import TrackerConfig, track
+from perception.registration.fiducial_terms import FiducialConfig
+from perception.registration.fiducials import select_fiducials
+from perception.registration.map import FiducialMap
+from perception.registration.prior import PosePrior
+from perception.registration.tracking import TrackerConfig, track
+from perception.stereo.geometry import StereoGeometry
+from perception.stereo.stereo import StereoPoints
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]

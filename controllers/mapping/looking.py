@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from controllers.kinematics.camera_arm import CameraArm
 from controllers.mapping.arm_views import RatedViews, ViewConfig
-from controllers.mapping.camera_arm import CameraArm
 from controllers.mapping.localiser import Correction, LocaliserConfig
 from controllers.mapping.searching import SearchConfig
 from controllers.mapping.standing import CameraPose, StandingConfig
-from perception.stereo import StereoConfig, StereoPoints
+from perception.stereo.stereo import StereoConfig, StereoPoints
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.mapping.planar_paths import Paths, shortest_paths
-from perception.planar_beams import Fan, fan
-from perception.planar_map import PlanarMap
-from perception.planar_raycast import RangeSensor
+from perception.planar.beams import Fan, fan
+from perception.planar.map import PlanarMap
+from perception.planar.raycast import RangeSensor
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]

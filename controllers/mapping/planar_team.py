@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from controllers.mapping.planar_planner import PlannerConfig, View, ViewPlanner
-from perception.planar_beams import fan
-from perception.planar_map import BoolArray, PlanarMap
-from perception.planar_raycast import expected_view
+from perception.planar.beams import fan
+from perception.planar.map import BoolArray, PlanarMap
+from perception.planar.raycast import expected_view
 
 
 @dataclasses.dataclass

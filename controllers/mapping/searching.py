@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from controllers.mapping.camera_arm import CameraArm
+from controllers.kinematics.camera_arm import CameraArm
 from controllers.mapping.standing import lean
-from perception.target import PossibleMarkers
+from perception.registration.target import PossibleMarkers
 
 FloatArray = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.camera_arm import CameraArm
+from controllers.kinematics.camera_arm import CameraArm
 from controllers.mapping.standing import (
     CameraPose,
     Standing,
@@ -15,17 +15,17 @@ from controllers.mapping.standing import (
     level_target,
     stand,
 )
-from perception.occupancy import State
-from perception.pinhole import Frustum
-from perception.registration_checks import RegistrationError
-from perception.registration_closed_form import kabsch_pose
-from perception.registration_likelihood import solve
-from perception.registration_reprojection import KnownPoints, Sighting
-from perception.registration_uncertainty import adjoint, transform_points_with_covariance
-from perception.stereo import StereoPoints
-from perception.stereo_geometry import StereoGeometry
-from perception.target import SeenTarget, TargetCad, find_target
-from perception.voxel_map import VoxelMap
+from perception.geometry.pinhole import Frustum
+from perception.registration.checks import RegistrationError
+from perception.registration.closed_form import kabsch_pose
+from perception.registration.likelihood import solve
+from perception.registration.reprojection import KnownPoints, Sighting
+from perception.registration.target import SeenTarget, TargetCad, find_target
+from perception.registration.uncertainty import adjoint, transform_points_with_covariance
+from perception.stereo.geometry import StereoGeometry
+from perception.stereo.stereo import StereoPoints
+from perception.voxels.map import VoxelMap
+from perception.voxels.occupancy import State
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.mapping.camera_arm import CameraArm
-from perception.registration_prior import PosePrior
-from perception.registration_uncertainty import adjoint
+from controllers.kinematics.camera_arm import CameraArm
+from perception.registration.prior import PosePrior
+from perception.registration.uncertainty import adjoint
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]

@@ -27,11 +27,11 @@ from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing
 from controllers.motion.arm_move import ArmMove
-from perception.stereo import StereoMatcher
-from perception.stereo_geometry import StereoGeometry
-from perception.target import TargetCad, possible_markers
-from perception.view_information import planning_grid
-from perception.voxel_map import VoxelMap
+from perception.registration.target import TargetCad, possible_markers
+from perception.stereo.geometry import StereoGeometry
+from perception.stereo.stereo import StereoMatcher
+from perception.voxels.map import VoxelMap
+from perception.voxels.view_information import planning_grid
 from twin.robot import Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]

@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from controllers.kinematics.chain import Chain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
-from controllers.motion.chain import Chain
 from twin.robot import ArmMode, Command, Observation, RobotError
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.surrogate_tilt import TiltAxis, tilting_moments
+from controllers.sensing.surrogate_tilt import TiltAxis, tilting_moments
 
 FloatArray = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.motion.chain import LEVEL, FrameState, at_rest
+from controllers.kinematics.chain import LEVEL, FrameState, at_rest
 from twin.robot import Observation
 
 FloatArray = NDArray[np.float64]

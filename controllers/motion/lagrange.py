@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.identification.serial_arm import RigidBody, SerialArm
-from controllers.motion.chain import LEVEL, Chain, Joint
+from controllers.kinematics.chain import LEVEL, Chain, Joint
+from controllers.kinematics.serial_arm import RigidBody, SerialArm
 
 FloatArray = NDArray[np.float64]
 COUNT = 9

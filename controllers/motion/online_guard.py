@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.motion.chain import FrameState
+from controllers.kinematics.chain import FrameState
 from controllers.motion.tip_over import Footing
 
 FloatArray = NDArray[np.float64]

@@ -16,9 +16,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.identification.serial_arm import RigidBody
+from controllers.kinematics.chain import Chain
+from controllers.kinematics.serial_arm import RigidBody
 from controllers.motion.base_motion import level_of
-from controllers.motion.chain import Chain
 from twin.robot import Observation
 
 FloatArray = NDArray[np.float64]

@@ -13,8 +13,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.identification.serial_arm import RigidBody, cross_matrix
-from controllers.motion.chain import LEVEL, Chain, FrameState
+from controllers.kinematics.chain import LEVEL, Chain, FrameState
+from controllers.kinematics.serial_arm import RigidBody, cross_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from controllers.placement.planar_hulls import Occluder
-from controllers.placement.planar_search import (
+from controllers.placement.planar.hulls import Occluder
+from controllers.placement.planar.search import (
     USUAL,
     Candidates,
     KnownSpace,
@@ -26,7 +26,7 @@ from controllers.placement.planar_search import (
     best_view,
     view_from,
 )
-from controllers.placement.planar_sight import OCCUPIED_ABOVE
+from controllers.placement.planar.sight import OCCUPIED_ABOVE
 from controllers.placement.task import FloatArray, PlacementError, View
 
 EMPTY = 0.04

@@ -15,8 +15,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.placement.spatial_occluders import TargetField
-from controllers.placement.spatial_search import (
+from controllers.placement.spatial.occluders import TargetField
+from controllers.placement.spatial.search import (
     DEFAULT,
     Occupancy,
     Rated,

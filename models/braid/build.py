@@ -11,7 +11,7 @@ Elements of stage k and leg j, both from 1: bodies ``stage{k}`` (its platform),
 ``stage{k}_leg{j}``; joints ``stage{k}_x_joint``, ``_y_``, ``_z_``, ``stage{k}_ball_joint``,
 ``stage{k}_leg{j}_hinge_joint``, ``stage{k}_leg{j}_joint`` (the slide, 0 in the middle, positive
 longer); actuators ``stage{k}_leg{j}_extend`` and ``_retract``; sensor ``stage{k}_leg{j}_pos``.
-Sites ``braid_base`` and ``stage{k}`` are the frames of `controllers.braid.stage`.
+Sites ``braid_base`` and ``stage{k}`` are the frames of `controllers.braid.arm.stage`.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class BraidSheet:
     disc_thickness: float = 4e-3  # Assumption
     rim: float = 6e-3  # Assumption: disc beyond the joints
     density: float = 940.0  # Ultra-high-molecular-weight polyethylene [kg/m^3] (handbook)
-    modulus: float = 0.7e9  # The same [Pa], as `controllers.braid.flexure` has it
+    modulus: float = 0.7e9  # The same [Pa], as `controllers.braid.arm.flexure` has it
     flexure: tuple[float, float, float] = (5e-3, 10e-3, 0.7e-3)
     """Length, width and thickness of a leg's hinge. Assumption, thin enough for its fatigue."""
     rod_radius: float = 3e-3  # Assumption

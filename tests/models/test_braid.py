@@ -6,8 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.braid.flexure import MATERIALS, Flexure, greatest_angle, joint_angles, stiffness
-from controllers.braid.stage import RADIAL, StageGeometry
+from controllers.braid.arm.flexure import (
+    MATERIALS,
+    Flexure,
+    greatest_angle,
+    joint_angles,
+    stiffness,
+)
+from controllers.braid.arm.stage import RADIAL, StageGeometry
 from models.braid.build import BENCH, TIMESTEP, BraidConfig, build_bench, build_rover
 from models.compose import FLAT, RobotPlacement
 from models.datasheets import BRAID, MUSCLE_WIRE

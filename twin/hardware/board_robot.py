@@ -12,12 +12,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.hardware import roboclaw_codec as codec
 from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
 from twin.hardware.board_set import BoardSet
-from twin.hardware.calibration import Calibration
+from twin.hardware.calibration.calibration import Calibration
 from twin.hardware.link import LinkError, at_rest
-from twin.hardware.roboclaw_codec import Status
+from twin.hardware.roboclaw import codec
+from twin.hardware.roboclaw.codec import Status
 from twin.robot import AXES, NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
 from twin.servo import ROVER_SERVO, Servo, ServoConfig
 

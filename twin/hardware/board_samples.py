@@ -9,11 +9,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.hardware import roboclaw_codec as codec
 from twin.hardware.board_set import BoardSet
-from twin.hardware.calibration import AngleSensor, Calibration
-from twin.hardware.camera import StereoFrame
+from twin.hardware.calibration.calibration import AngleSensor, Calibration
+from twin.hardware.cameras.camera import StereoFrame
 from twin.hardware.link import LinkError
+from twin.hardware.roboclaw import codec
 from twin.robot import MISSING, Channel, FloatArray, Observation, Validity
 
 ARM = slice(4, 8)

@@ -9,14 +9,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.hardware import roboclaw_codec as codec
-from twin.hardware.calibration import Calibration
-from twin.hardware.camera import StereoCapture, StereoFrame
-from twin.hardware.firmata import AnalogueBoard
-from twin.hardware.force_torque import NetForceTorque
+from twin.hardware.analogue.firmata import AnalogueBoard
+from twin.hardware.calibration.calibration import Calibration
+from twin.hardware.cameras.camera import StereoCapture, StereoFrame
+from twin.hardware.force_torque.net_ft import NetForceTorque
 from twin.hardware.link import LinkError
-from twin.hardware.roboclaw import RoboClawBus
-from twin.hardware.roboclaw_codec import Command, Status
+from twin.hardware.roboclaw import codec
+from twin.hardware.roboclaw.client import RoboClawBus
+from twin.hardware.roboclaw.codec import Command, Status
 
 IntArray = NDArray[np.int64]
 

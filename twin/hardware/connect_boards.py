@@ -13,23 +13,23 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.hardware.analogue.firmata import BAUD, AnalogueBoard
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_samples import SamplingConfig
 from twin.hardware.board_set import WiredBoards
-from twin.hardware.calibration import (
+from twin.hardware.calibration.calibration import (
     MOST_DAYS,
     Calibration,
     calibration_path,
     load_calibration,
 )
-from twin.hardware.camera import StereoCapture
+from twin.hardware.cameras.camera import StereoCapture
 from twin.hardware.emulator.direct import DirectBoards
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
-from twin.hardware.firmata import BAUD, AnalogueBoard
-from twin.hardware.force_torque import PORT, NetForceTorque
+from twin.hardware.force_torque.net_ft import PORT, NetForceTorque
 from twin.hardware.link import SerialLink
-from twin.hardware.roboclaw import BusTiming, RoboClawBus
+from twin.hardware.roboclaw.client import BusTiming, RoboClawBus
 
 BUS_BAUD = 460800
 """Four boards, twice a cycle, at 100 Hz need so much."""

@@ -14,12 +14,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.card_arm import CardArm, inverse, to_plane
 from controllers.insertion.carrier import Carrier, CarrierConfig
 from controllers.insertion.guidance import Guidance
+from controllers.kinematics.chain import GRAVITY, Chain
 from controllers.motion.base_lean import BaseLean
-from controllers.motion.chain import GRAVITY, Chain
 from controllers.motion.driving import SkidSteer
-from experiments.insertion_scene import SLAVE
-from experiments.insertion_setting import guide_config
-from experiments.known_arm import known_arm
+from experiments.ch2.known_arm import known_arm
+from experiments.ch5.insertion_scene import SLAVE
+from experiments.ch5.insertion_setting import guide_config
 from models import datasheets
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT
 from tests.controllers.insertion.scenes import card_arm, scene

@@ -10,10 +10,16 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.watching import SeenParts
-from controllers.motion.chain import Chain
-from experiments.insertion_scene import MASTER, SLAVE, InsertionScene, compile_insertion, transform
-from experiments.insertion_stand import best_stand, card_cad, reference_arm, slot_cad
-from experiments.known_arm import known_arm
+from controllers.kinematics.chain import Chain
+from experiments.ch2.known_arm import known_arm
+from experiments.ch5.insertion_scene import (
+    MASTER,
+    SLAVE,
+    InsertionScene,
+    compile_insertion,
+    transform,
+)
+from experiments.ch5.insertion_stand import best_stand, card_cad, reference_arm, slot_cad
 from models import datasheets
 from models.card_and_slot.stand import TIP
 from models.compose import ARM_JOINTS, FLAT, settle

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from controllers.insertion.card_arm import inverse, pitch_of, planar, to_plane
 from controllers.mapping.standing import lean
-from experiments.insertion_scene import SLAVE
+from experiments.ch5.insertion_scene import SLAVE
 from tests.controllers.insertion.scenes import arm_at, card_arm, drawn_angles, fresh, in_robot
 from twin.robot import ArmMode, Command, WheelMode
 from twin.simulation import Simulation

@@ -12,7 +12,7 @@ import pytest
 from controllers.insertion.carrier import Stage
 from controllers.insertion.guidance import Guidance
 from controllers.motion.base_lean import BaseLean
-from experiments.insertion_identify import rover_springs
+from experiments.ch5.insertion_identify import rover_springs
 from models import datasheets
 from tests.controllers.insertion.kinematic import Slave
 from twin.robot import MISSING, ArmMode, Channel, Validity, WheelMode

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.guidance import Guidance, GuidanceError, unpack
-from perception.registration_uncertainty import adjoint
+from perception.registration.uncertainty import adjoint
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
-from twin.hardware.radio import MESSAGE_LIMIT, FramedLink
+from twin.hardware.radio.framed_radio import MESSAGE_LIMIT, FramedLink
 
 PLACE_STEP, TURN_STEP = 2e-5, 1e-4
 

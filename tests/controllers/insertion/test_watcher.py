@@ -11,9 +11,15 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.watcher import Watcher, WatcherConfig
 from controllers.insertion.watching import best_angles
-from experiments.insertion_scene import MASTER, SLAVE
-from experiments.insertion_stand import best_stand, card_cad, reference_arm, slot_cad, watch_plan
-from experiments.mapping_scene import head_geometry
+from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch5.insertion_scene import MASTER, SLAVE
+from experiments.ch5.insertion_stand import (
+    best_stand,
+    card_cad,
+    reference_arm,
+    slot_cad,
+    watch_plan,
+)
 from models.datasheets import CARD_AND_SLOT
 from tests.controllers.insertion.scenes import WIDTH, arm_at, fresh, true_parts
 from twin.camera import StereoConfig, StereoRig

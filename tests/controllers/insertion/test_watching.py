@@ -15,11 +15,11 @@ from controllers.insertion.watching import (
     in_both_images,
     target_field,
 )
-from controllers.placement.arm_inverse import standing_views
-from controllers.placement.spatial_views import rate_positions
-from experiments.insertion_scene import MASTER, transform
-from experiments.insertion_stand import best_stand, reference_arm, watch_plan
-from experiments.mapping_scene import head_geometry
+from controllers.kinematics.arm_inverse import standing_views
+from controllers.placement.spatial.views import rate_positions
+from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch5.insertion_scene import MASTER, transform
+from experiments.ch5.insertion_stand import best_stand, reference_arm, watch_plan
 from tests.controllers.insertion.scenes import (
     WIDTH,
     arm_at,

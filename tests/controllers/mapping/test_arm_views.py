@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.arm_views import ArmViews, Lens, ViewConfig, ViewError
-from experiments.known_camera_arm import known_camera_arm
+from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
-from perception.occupancy import State
-from perception.view_information import PlanningGrid
+from perception.voxels.occupancy import State
+from perception.voxels.view_information import PlanningGrid
 
 PLACE = RigidTransform.from_components([0.4, -0.3, 0.1], Rotation.from_euler("z", 0.5))
 HOME = np.array(ARM.home)

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.localiser import Localiser
-from experiments.ch3_scene import RIG, SceneConfig, StereoScene, look_at
-from perception.registration_prior import PosePrior
-from perception.stereo import StereoMatcher
+from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
+from perception.registration.prior import PosePrior
+from perception.stereo.stereo import StereoMatcher
 
 pytestmark = pytest.mark.slow
 GUESS = np.diag([0.005, 0.005, 0.005, 0.004, 0.004, 0.004]) ** 2

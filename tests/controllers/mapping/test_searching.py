@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 from controllers.mapping.arm_views import ViewConfig
 from controllers.mapping.looking import MapperConfig
 from controllers.mapping.searching import SearchConfig, TargetSearch
-from experiments.known_camera_arm import known_camera_arm
+from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
-from perception.target import PossibleMarkers
+from perception.registration.target import PossibleMarkers
 
 HOME, SURVEY = np.array(ARM.home), np.array(ViewConfig().survey)
 NOTHING = PossibleMarkers(np.zeros((0, 3)), np.zeros((0, 3)))

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.standing import CameraPose, camera_in_level, lean, level_target, stand
-from experiments.known_camera_arm import known_camera_arm
+from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
 from twin.wiring import tilt

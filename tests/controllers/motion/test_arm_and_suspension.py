@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.motion.arm_model import ArmModel
+from controllers.kinematics.arm_model import ArmModel
 from controllers.motion.suspension import Corner, reduce_suspension
-from experiments.appa_control_plant import PLAIN
-from experiments.known_camera_arm import body_pose, known_camera_arm
+from experiments.appa.control_plant import PLAIN
+from experiments.ch3.stereo.known_camera_arm import body_pose, known_camera_arm
 from models.compose import ARM_JOINTS, RobotPlacement, make_model, settle
 from models.datasheets import ARM, ROVER
 

@@ -6,19 +6,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.identification.serial_arm import (
+from controllers.kinematics.chain import Chain, FrameState, Joint
+from controllers.kinematics.serial_arm import (
     BaseMotion,
     JointMotion,
     RigidBody,
     arm_wrench,
     frame_motions,
 )
-from controllers.motion.chain import Chain, FrameState, Joint
 from controllers.motion.lagrange import controllability_rank, observability_rank
-from experiments.appa_control import ranks
-from experiments.appa_control_plant import PLAIN, model_errors, planar_plant
-from experiments.known_arm import known_arm
-from experiments.known_camera_arm import body_pose
+from experiments.appa.control import ranks
+from experiments.appa.control_plant import PLAIN, model_errors, planar_plant
+from experiments.ch2.known_arm import known_arm
+from experiments.ch3.stereo.known_camera_arm import body_pose
 from models.compose import ARM_JOINTS, RobotPlacement, make_model
 
 NOTHING = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from controllers.identification.serial_arm import RigidBody
+from controllers.kinematics.chain import GRAVITY, LEVEL, Chain, FrameState, Joint
+from controllers.kinematics.serial_arm import RigidBody
 from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmGains, Reference
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
-from controllers.motion.chain import GRAVITY, LEVEL, Chain, FrameState, Joint
 from controllers.motion.tip_over import (
     Footing,
     Sweep,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from controllers.insertion.guide import GuideConfig
-from controllers.motion.arm_model import ArmModel
+from controllers.kinematics.arm_model import ArmModel
 from controllers.motion.cooperation import (
     REPORT,
     SET_POINT,
@@ -19,8 +19,8 @@ from controllers.motion.cooperation import (
 )
 from controllers.motion.master_slave import Master, PairConfig, Slave, Stage
 from controllers.motion.planar_grip import PlanarArm, Stance
-from experiments.appa_truss_trial import planar_arm
-from experiments.known_camera_arm import known_camera_arm
+from experiments.appa.truss_trial import planar_arm
+from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from twin.robot import Channel, Observation, RobotError, Validity
 

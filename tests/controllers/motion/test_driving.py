@@ -9,7 +9,7 @@ import pytest
 
 from controllers.mapping.standing import lean
 from controllers.motion.driving import Odometry, SkidSteer, identify_turn_share
-from experiments.insertion_identify import ROBOT, identify_slip, rover_steer
+from experiments.ch5.insertion_identify import ROBOT, identify_slip, rover_steer
 from models.compose import RobotPlacement
 from tests.models.scenes import make_scene
 from twin.robot import MISSING, ArmMode, Channel, Command, Observation, Validity, WheelMode

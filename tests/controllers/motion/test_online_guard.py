@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from controllers.motion.chain import GRAVITY, LEVEL, at_rest
+from controllers.kinematics.chain import GRAVITY, LEVEL, at_rest
 from controllers.motion.online_guard import OnlineConfig, OnlineGuard
 from controllers.motion.tip_over import Sweep
 from tests.controllers.motion.test_control_and_tip_over import SQUARE, footing

@@ -19,7 +19,7 @@ from controllers.placement.moving import (
     swollen,
     take_out,
 )
-from controllers.placement.planar_search import Candidates, KnownSpace, PlanarTask, best_view
+from controllers.placement.planar.search import Candidates, KnownSpace, PlanarTask, best_view
 from controllers.placement.task import Lens, PlacementError, Target
 
 PANEL = MovingObject("panel", [[-1.5, -0.5], [1.5, -0.5], [1.5, 0.5], [-1.5, 0.5]])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from controllers.placement.pairs import VisionSystem, _apart, best_pair, go_together
-from controllers.placement.spatial_occluders import expand
-from controllers.placement.spatial_search import SearchConfig, rate_directions, rate_positions
-from controllers.placement.spatial_sight import sees_all
+from controllers.placement.spatial.occluders import expand
+from controllers.placement.spatial.search import SearchConfig, rate_directions, rate_positions
+from controllers.placement.spatial.sight import sees_all
 from controllers.placement.task import Lens, PlacementError
-from tests.controllers.placement.spatial_scenes import LENS, box, disc_target, random_occluders
+from tests.controllers.placement.spatial.scenes import LENS, box, disc_target, random_occluders
 
 COARSE = SearchConfig(level=2, rings=5, refine=False)
 FIRST = VisionSystem("left", LENS)

@@ -11,15 +11,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from tests.twin.hardware.roboclaw_wire import VirtualLink, boards_on_a_line, virtual_time
-from twin.hardware import firmata_codec, force_torque
-from twin.hardware import roboclaw_codec as codec
+from tests.twin.hardware.roboclaw.wire import VirtualLink, boards_on_a_line, virtual_time
+from twin.hardware.analogue import firmata_codec
 from twin.hardware.emulator.firmata_board import FirmataBoard
 from twin.hardware.emulator.net_ft import NetFT
+from twin.hardware.force_torque import net_ft as force_torque
 from twin.hardware.link import LinkError
-from twin.hardware.radio import FramedLink, RadioError
-from twin.hardware.radio_frames import Frame, FrameParser, encode_frame
-from twin.hardware.radio_handshake import (
+from twin.hardware.radio.framed_radio import FramedLink, RadioError
+from twin.hardware.radio.frames import Frame, FrameParser, encode_frame
+from twin.hardware.radio.handshake import (
     ACKNOWLEDGE,
     END_OF_BYTE,
     END_OF_DATA,
@@ -27,9 +27,10 @@ from twin.hardware.radio_handshake import (
     TRANSMIT,
     HandshakeLink,
 )
-from twin.hardware.radio_messages import PoseMessage, WrenchMessage, pack_map_change, unpack
-from twin.hardware.roboclaw import RoboClawBus
-from twin.hardware.roboclaw_codec import Command
+from twin.hardware.radio.messages import PoseMessage, WrenchMessage, pack_map_change, unpack
+from twin.hardware.roboclaw import codec
+from twin.hardware.roboclaw.client import RoboClawBus
+from twin.hardware.roboclaw.codec import Command
 
 pytestmark = pytest.mark.virtual_time
 

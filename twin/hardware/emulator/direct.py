@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.hardware import roboclaw_codec as codec
 from twin.hardware.board_set import BoardState
-from twin.hardware.camera import StereoFrame
+from twin.hardware.cameras.camera import StereoFrame
 from twin.hardware.emulator.rover import EmulatedRover
-from twin.hardware.roboclaw_codec import Status
+from twin.hardware.roboclaw import codec
+from twin.hardware.roboclaw.codec import Status
 
 IntArray = NDArray[np.int64]
 

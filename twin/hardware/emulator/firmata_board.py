@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from twin.hardware.firmata_codec import (
+from twin.hardware.analogue.firmata_codec import (
     ANALOGUE_MAPPING_QUERY,
     ANALOGUE_MAPPING_RESPONSE,
     ANALOGUE_MESSAGE,

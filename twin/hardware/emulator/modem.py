@@ -17,7 +17,7 @@ from types import TracebackType
 import numpy as np
 
 from twin.hardware.emulator.ports import PseudoTerminal
-from twin.hardware.radio_channel import BITS_PER_BYTE
+from twin.hardware.radio.channel import BITS_PER_BYTE
 
 _MAX_WAIT = 0.05  # [s] how often an idle thread looks whether to end
 

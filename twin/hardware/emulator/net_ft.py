@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 
-from twin.hardware.force_torque import (
+from twin.hardware.force_torque.net_ft import (
     MONITOR_LATCHED,
     RECORD_SIZE,
     RESET_LATCH,

@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 
+from twin.hardware.cameras.frames import SUFFIX, FrameWriter
 from twin.hardware.emulator.faults import (
     CameraFault,
     FaultyLine,
@@ -21,8 +22,7 @@ from twin.hardware.emulator.net_ft import NetFT
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.emulator.rover import EmulatedRover
-from twin.hardware.frames import SUFFIX, FrameWriter
-from twin.hardware.roboclaw_codec import Status
+from twin.hardware.roboclaw.codec import Status
 
 LOOPBACK = "127.0.0.1"
 _SLACK = 1e-9  # [s]

@@ -8,8 +8,8 @@ import struct
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from twin.hardware import roboclaw_codec as codec
-from twin.hardware.roboclaw_codec import Command, Status
+from twin.hardware.roboclaw import codec
+from twin.hardware.roboclaw.codec import Command, Status
 
 VERSION = "USB Roboclaw 2x15a v4.3.6\n\0"
 _FIXED_POINT = 65536

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.hardware.calibration import Calibration
+from twin.hardware.calibration.calibration import Calibration
 from twin.hardware.emulator.amplifier import (
     AmplifierConfig,
     converter_codes,

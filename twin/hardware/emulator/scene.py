@@ -18,7 +18,7 @@ from models.compose import (
     settle,
 )
 from twin.camera import StereoConfig
-from twin.hardware.calibration import Calibration, calibration_path, load_calibration
+from twin.hardware.calibration.calibration import Calibration, calibration_path, load_calibration
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
 from twin.simulation import Simulation
 

@@ -1,0 +1,298 @@
+"""Joint angles of an arm whose camera stands at a point and looks straight at another.
+
+For arms as the rover's: a yaw about z, then shoulder, elbow and wrist about x. All links move in
+one vertical plane that the yaw turns; the camera may sit beside that plane and may squint out of
+it. Five numbers are asked for (the camera's place and where its axis points) and four joints are
+there, so that from a fixed base only views in a plane can be had: `standing_views` gives those.
+`arm_solutions` gives none for other views; the base must move
+(`controllers.placement.reach.reach`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from controllers.kinematics.camera_arm import CameraArm
+
+FloatArray = NDArray[np.float64]
+
+STRAIGHT = 1e-9
+"""Slack of angles [rad] and lengths [m] where rounding must not decide."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmGeometry:
+    """An arm by the numbers of its plane: y along the arm, z up, x to its right.
+
+    Attributes:
+        yaw_axis: (3,) foot of the yaw's axis [m], frame of the arm's base.
+        shoulder: (2,) y, z from there [m].
+        links: (2, 2) y, z of upper arm and forearm at angle zero [m].
+        camera: (2,) y, z of the camera from the wrist's hinge at angle zero [m].
+        beside: How far to the right of the yaw's axis the camera sits [m].
+        axis: (3,) unit vector of the view in the wrist's frame.
+        limits: (4, 2) lowest and highest angles [rad].
+    """
+
+    yaw_axis: FloatArray
+    shoulder: FloatArray
+    links: FloatArray
+    camera: FloatArray
+    beside: float
+    axis: FloatArray
+    limits: FloatArray
+
+    @classmethod
+    def of(cls, arm: CameraArm) -> ArmGeometry:
+        """Read an arm's numbers.
+
+        Raises:
+            ValueError: If it is not of this kind, naming the hinge.
+        """
+        expected = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+        if len(arm.hinges) != len(expected):
+            raise ValueError(f"arm of {len(arm.hinges)} hinges: expected yaw and three about x")
+        for number, (hinge, axis) in enumerate(zip(arm.hinges, expected, strict=True)):
+            if hinge.to_parent.rotation.magnitude() > STRAIGHT or not np.allclose(
+                hinge.axis, axis, atol=STRAIGHT
+            ):
+                raise ValueError(
+                    f"hinge {number} turns about {hinge.axis}: expected {axis}, not turned to its "
+                    "parent"
+                )
+        offsets = np.array([hinge.to_parent.translation for hinge in arm.hinges])
+        camera = arm.transform_camera_to_wrist
+        place = np.asarray(camera.translation, dtype=float)
+        return cls(
+            offsets[0],
+            offsets[1, 1:],
+            offsets[2:, 1:],
+            place[1:],
+            float(offsets[1:, 0].sum() + place[0]),
+            np.asarray(camera.rotation.apply([0.0, 0.0, 1.0]), dtype=float),
+            arm.limits,
+        )
+
+    @property
+    def upright(self) -> float:
+        """How much of the view's unit vector lies in the arm's plane."""
+        return float(np.hypot(self.axis[1], self.axis[2]))
+
+    @property
+    def length(self) -> float:
+        """Farthest that the camera can be from the shoulder, in the plane [m]."""
+        return float(np.linalg.norm(self.links, axis=1).sum() + np.linalg.norm(self.camera))
+
+    def bend(self, along: ArrayLike, height: ArrayLike, pitch: ArrayLike) -> FloatArray:
+        """Return shoulder, elbow and wrist that hold the camera somewhere in the plane.
+
+        Args:
+            along: (...) y of the camera from the yaw's axis [m].
+            height: (...) z of the camera from the foot of the yaw's axis [m].
+            pitch: (...) angle of the view's part in the plane above the y axis [rad].
+
+        Returns:
+            (..., 2, 3) angles [rad] with the elbow either way; NaN where out of reach or limits.
+        """
+        # Compiled: an arm that is steered asks for one place, many times a second.
+        given = np.broadcast_arrays(along, height, pitch)
+        y, z, turn = (np.ascontiguousarray(numbers, dtype=float).ravel() for numbers in given)
+        angles = np.empty((len(y), 2, 3))
+        squint = math.atan2(self.axis[2], self.axis[1])
+        _bend(self.shoulder, self.links, self.camera, squint, self.limits[1:], y, z, turn, angles)
+        return angles.reshape(*given[0].shape, 2, 3)
+
+    def turned(self, yaw: ArrayLike) -> FloatArray:
+        """Return yaw angles [rad] brought within the limits; NaN where they cannot be."""
+        return self._within(np.asarray(yaw, dtype=float)[..., None], self.limits[:1])[..., 0]
+
+    def _within(self, angles: FloatArray, limits: FloatArray) -> FloatArray:
+        """Bring angles between limits by whole turns; a row with one outside becomes NaN."""
+        middle = limits.mean(axis=1)
+        near = middle + np.remainder(angles - middle + np.pi, 2.0 * np.pi) - np.pi
+        fits = (near >= limits[:, 0] - STRAIGHT) & (near <= limits[:, 1] + STRAIGHT)
+        clipped = np.clip(near, limits[:, 0], limits[:, 1])
+        return np.where(fits.all(axis=-1, keepdims=True), clipped, np.nan)
+
+    def headings(self, direction: FloatArray) -> list[tuple[float, float]]:
+        """Return ways to look along a direction that is not upright, as (heading, pitch) [rad].
+
+        The heading is that of the arm's plane, from where y is ahead; the second way is with the
+        camera upside down.
+
+        Args:
+            direction: (3,) unit vector, frame of the base.
+        """
+        if abs(direction[2]) > self.upright:
+            return []
+        rise = float(np.arcsin(direction[2] / self.upright))
+        seen = np.arctan2(direction[1], direction[0])
+        return [
+            (float(seen - np.arctan2(self.upright * np.cos(pitch), self.axis[0])), pitch)
+            for pitch in (rise, np.pi - rise)
+        ]
+
+
+@numba.njit(cache=True)
+def _bend(
+    shoulder: Any,
+    links: Any,
+    camera: Any,
+    squint: float,
+    limits: Any,
+    along: Any,
+    height: Any,
+    pitch: Any,
+    angles: Any,
+) -> None:
+    """Write (N, 2, 3) angles of `ArmGeometry.bend`; the squint is the view's angle in the plane."""
+    upper = math.hypot(links[0, 0], links[0, 1])
+    fore = math.hypot(links[1, 0], links[1, 1])
+    rest_upper = math.atan2(links[0, 1], links[0, 0])
+    rest_fore = math.atan2(links[1, 1], links[1, 0])
+    for n in range(len(along)):
+        turn = pitch[n] - squint
+        cosine, sine = math.cos(turn), math.sin(turn)
+        y = along[n] - shoulder[0] - cosine * camera[0] + sine * camera[1]
+        z = height[n] - shoulder[1] - sine * camera[0] - cosine * camera[1]
+        folded = (y * y + z * z - upper * upper - fore * fore) / (2.0 * upper * fore)
+        # A stretched arm is at the edge of what acos takes.
+        if not abs(folded) <= 1.0 + STRAIGHT:
+            angles[n] = np.nan
+            continue
+        inside = math.acos(min(max(folded, -1.0), 1.0))
+        for way in range(2):
+            between = inside if way == 0 else -inside
+            lean = math.atan2(fore * math.sin(between), upper + fore * math.cos(between))
+            first = math.atan2(z, y) - lean
+            found = angles[n, way]
+            found[0] = first - rest_upper
+            found[1] = first + between - rest_fore - found[0]
+            found[2] = turn - found[0] - found[1]
+            for k in range(3):
+                low, high = limits[k]
+                middle = 0.5 * (low + high)
+                near = middle + (found[k] - middle + np.pi) % (2.0 * np.pi) - np.pi
+                if not (low - STRAIGHT <= near <= high + STRAIGHT):
+                    found[:] = np.nan
+                    break
+                found[k] = min(max(near, low), high)
+
+
+def arm_solutions(
+    arm: CameraArm, camera: ArrayLike, target: ArrayLike, tolerance: float = STRAIGHT
+) -> FloatArray:
+    """Return all joint angles with which the camera stands at a point and looks at another.
+
+    Args:
+        arm: Its kinematics.
+        camera: (3,) the left camera [m], robot frame.
+        target: (3,) on its axis [m], robot frame.
+        tolerance: How far beside the arm's plane the camera may be asked for [m]; the answer's
+            camera is in the plane.
+
+    Returns:
+        (N, 4) within the joints' limits [rad]; none if the base stands wrong or it is too far.
+
+    Raises:
+        ValueError: If camera and target are the same, or a number is not finite.
+    """
+    geometry = ArmGeometry.of(arm)
+    places = np.array([camera, target], dtype=float)
+    if places.shape != (2, 3) or not np.isfinite(places).all():
+        raise ValueError(f"camera {camera}, target {target}: expected three finite numbers each")
+    to_base = arm.transform_base_to_robot.inv()
+    eye, seen = to_base.apply(places) - geometry.yaw_axis
+    distance = np.linalg.norm(seen - eye)
+    if distance < STRAIGHT:
+        raise ValueError(f"the camera stands at the target, {camera}: it looks nowhere")
+    direction = (seen - eye) / distance
+    found = [np.zeros((0, 4))]
+    for yaw, pitch in _ways(geometry, eye, direction):
+        beside = np.cos(yaw) * eye[0] + np.sin(yaw) * eye[1]
+        along = np.cos(yaw) * eye[1] - np.sin(yaw) * eye[0]
+        turn = geometry.turned(yaw)
+        if abs(beside - geometry.beside) <= tolerance and np.isfinite(turn):
+            bends = geometry.bend(along, eye[2], pitch)
+            bends = bends[np.isfinite(bends).all(axis=1)]
+            found.append(np.column_stack([np.full(len(bends), turn), bends]))
+    solutions = np.concatenate(found)
+    # A stretched arm has one solution, not two that are alike.
+    different = [
+        row
+        for index, row in enumerate(solutions)
+        if not any(np.allclose(row, other, atol=STRAIGHT) for other in solutions[:index])
+    ]
+    return np.array(different).reshape(-1, 4)
+
+
+def _ways(
+    geometry: ArmGeometry, eye: FloatArray, direction: FloatArray
+) -> list[tuple[float, float]]:
+    """Return (yaw, pitch) with which the camera looks along a direction."""
+    if np.hypot(direction[0], direction[1]) > STRAIGHT:
+        return geometry.headings(direction)
+    if geometry.upright < 1.0 - STRAIGHT:
+        return []
+    # Straight up or down: the yaw is free to bring the camera into the plane.
+    return [
+        (yaw, float(np.copysign(np.pi / 2, direction[2])))
+        for yaw in _yaws_beside(eye, np.array(geometry.beside))
+    ]
+
+
+def _yaws_beside(point: FloatArray, beside: FloatArray) -> FloatArray:
+    """Return (2, ...) yaws at which a point is so far to the right of the yaw's axis [rad]."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        turn = np.arccos(beside / np.hypot(point[0], point[1]))
+    return np.arctan2(point[1], point[0]) + np.stack([turn, -turn])
+
+
+@dataclasses.dataclass(frozen=True)
+class StandingViews:
+    """Views of a target that a standing rover's arm can take.
+
+    Attributes:
+        positions: (N, 3) of the left camera [m], robot frame.
+        angles: (N, 4) of the arm [rad].
+    """
+
+    positions: FloatArray
+    angles: FloatArray
+
+
+def standing_views(
+    arm: CameraArm, target: ArrayLike, distances: ArrayLike, pitches: ArrayLike
+) -> StandingViews:
+    """Return the views of a target that the arm can take while the base stands.
+
+    Args:
+        arm: Its kinematics.
+        target: (3,) [m], robot frame.
+        distances: (R,) of the camera from it [m].
+        pitches: (S,) angles of the view above the horizon of the arm's base [rad], over a whole
+            turn: beyond a quarter turn the camera looks back over the arm.
+    """
+    geometry = ArmGeometry.of(arm)
+    base = arm.transform_base_to_robot
+    seen = base.inv().apply(np.asarray(target, dtype=float)) - geometry.yaw_axis
+    far = np.asarray(distances, dtype=float)
+    pitch = np.asarray(pitches, dtype=float)
+    yaws = _yaws_beside(seen, geometry.beside + far * geometry.axis[0])  # (2, R)
+    ahead = np.cos(yaws) * seen[1] - np.sin(yaws) * seen[0]
+    part = far[:, None] * geometry.upright
+    along = ahead[:, :, None] - part * np.cos(pitch)
+    height = np.broadcast_to(seen[2] - part * np.sin(pitch), along.shape)
+    bends = geometry.bend(along, height, np.broadcast_to(pitch, along.shape))
+    turns = np.broadcast_to(geometry.turned(yaws)[:, :, None, None, None], (*bends.shape[:-1], 1))
+    angles = np.concatenate([turns, bends], axis=-1).reshape(-1, 4)
+    angles = angles[np.isfinite(angles).all(axis=1)]
+    if len(angles) == 0:
+        return StandingViews(np.zeros((0, 3)), angles)
+    return StandingViews(np.asarray(arm.camera_in_robot(angles).translation), angles)

@@ -1,0 +1,151 @@
+"""Whether a camera sees the whole of a target on the plane, exactly and without hulls of sums.
+
+Lines of sight from a camera to all of a convex target fill the convex hull of both, so the target
+is wholly visible just when that hull meets no occluder. For convex occluders that is decided by
+separating axes; on a map by following lines of sight from cell to cell. It is the measure of what
+expanding the occluders gives up (figure 4-6).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.placement.planar.search import KnownSpace
+from controllers.placement.task import FloatArray, Target
+
+OCCUPIED_ABOVE = 0.5
+LINES = 33
+"""Lines of sight to each side of a target on a map."""
+
+# The compiler's decorator has no types.
+_njit: Any = numba.njit(cache=True)
+
+
+@_njit
+def sees(
+    x: float, y: float, outline: FloatArray, corners: FloatArray, starts: NDArray[np.int64]
+) -> bool:
+    """Tell whether a camera sees the whole target past convex occluders.
+
+    Args:
+        x: Of the camera [m], world.
+        y: Of the camera [m], world.
+        outline: (K, 2) corners of the convex target in order [m], world; two are a line.
+        corners: (V, 2) corners of all occluders in order [m], world; each has an area.
+        starts: (H + 1,) where each occluder's corners begin.
+    """
+    for hull in range(len(starts) - 1):
+        if not separated(x, y, outline, corners[starts[hull] : starts[hull + 1]]):
+            return False
+    return True
+
+
+@_njit
+def separated(x: float, y: float, outline: FloatArray, corners: FloatArray) -> bool:
+    """Tell whether the hull of camera and target misses a convex occluder.
+
+    Axes are the normals of the occluder's and the target's sides and of the lines from the camera
+    to the target's corners; all sides of the hull are among them.
+
+    Args:
+        x: Of the camera [m].
+        y: Of the camera [m].
+        outline: (K, 2) corners of the target in order [m].
+        corners: (V, 2) corners of the occluder in order [m].
+    """
+    sides, lines = len(corners), len(outline)
+    for axis in range(sides + 2 * lines):
+        if axis < sides:
+            ex = corners[(axis + 1) % sides, 0] - corners[axis, 0]
+            ey = corners[(axis + 1) % sides, 1] - corners[axis, 1]
+        elif axis < sides + lines:
+            i = axis - sides
+            ex = outline[(i + 1) % lines, 0] - outline[i, 0]
+            ey = outline[(i + 1) % lines, 1] - outline[i, 1]
+        else:
+            ex = outline[axis - sides - lines, 0] - x
+            ey = outline[axis - sides - lines, 1] - y
+        low = high = ex * y - ey * x
+        for i in range(lines):
+            value = ex * outline[i, 1] - ey * outline[i, 0]
+            low, high = min(low, value), max(high, value)
+        below = above = ex * corners[0, 1] - ey * corners[0, 0]
+        for i in range(1, sides):
+            value = ex * corners[i, 1] - ey * corners[i, 0]
+            below, above = min(below, value), max(above, value)
+        if high < below or above < low:
+            return True
+    return False
+
+
+def sees_on_map(
+    space: KnownSpace, position: FloatArray, target: Target, lines: int = LINES
+) -> bool:
+    """Tell whether lines of sight to a target's outline miss all occupied cells but its own.
+
+    Args:
+        space: The map; a cell hides what is behind it if P > 0.5.
+        position: (2,) of the camera [m], world.
+        target: On the plane, its outline's points in order.
+        lines: How many to each side of the outline.
+    """
+    outline = target.position + target.outline
+    step = np.linspace(0.0, 1.0, lines)[:, None]
+    ends = np.concatenate([a + step * (b - a) for a, b in zip(outline, np.roll(outline, -1, 0))])
+    opaque = (space.probability > OCCUPIED_ABOVE) & ~own_cells(space, target)
+    start = (np.asarray(position, dtype=float) - space.origin) / space.cell
+    return bool(_all_clear(opaque, start[0], start[1], (ends - space.origin) / space.cell))
+
+
+def own_cells(space: KnownSpace, target: Target) -> NDArray[np.bool_]:
+    """Return the cells (rows, columns) that the box about a target's outline touches."""
+    outline = (target.position + target.outline - space.origin) / space.cell
+    low = np.floor(outline.min(axis=0) - 1e-9).astype(int).clip(0)
+    high = np.floor(outline.max(axis=0) + 1e-9).astype(int).clip(-1) + 1
+    own = np.zeros(space.probability.shape, dtype=bool)
+    own[low[1] : high[1], low[0] : high[0]] = True
+    return own
+
+
+@_njit
+def _all_clear(opaque: NDArray[np.bool_], x: float, y: float, ends: FloatArray) -> bool:
+    """Tell whether lines, in cells, cross no opaque cell."""
+    for i in range(len(ends)):
+        if not clear_line(opaque, x, y, ends[i, 0], ends[i, 1]):
+            return False
+    return True
+
+
+@_njit
+def clear_line(opaque: NDArray[np.bool_], x: float, y: float, x_end: float, y_end: float) -> bool:
+    """Tell whether a line crosses no opaque cell; outside the map nothing is opaque.
+
+    Args:
+        opaque: (rows, columns) cells that stop it.
+        x: Its beginning, in cells.
+        y: Its beginning, in cells.
+        x_end: Its end, in cells.
+        y_end: Its end, in cells.
+    """
+    rows, columns = opaque.shape
+    column, row = math.floor(x), math.floor(y)
+    dx, dy = x_end - x, y_end - y
+    step_x, step_y = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+    next_x = (column + (dx > 0) - x) / dx if dx != 0.0 else np.inf
+    next_y = (row + (dy > 0) - y) / dy if dy != 0.0 else np.inf
+    while True:
+        if 0 <= row < rows and 0 <= column < columns and opaque[row, column]:
+            return False
+        if min(next_x, next_y) > 1.0:
+            return True
+        if next_x < next_y:
+            column += step_x
+            next_x += abs(1.0 / dx)
+        else:
+            row += step_y
+            next_y += abs(1.0 / dy)

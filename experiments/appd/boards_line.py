@@ -1,0 +1,126 @@
+"""A damaged serial line to motor boards: how long calls take, and whether a value is wrong."""
+
+from __future__ import annotations
+
+import select
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from twin.hardware.calibration.motors import ADDRESSES
+from twin.hardware.connect_boards import BUS_BAUD
+from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
+from twin.hardware.emulator.ports import PseudoTerminal
+from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
+from twin.hardware.link import LinkError, SerialLink
+from twin.hardware.roboclaw.client import RoboClawBus
+from twin.hardware.roboclaw.codec import FULL_DUTY, Command
+
+
+class _Shafts:
+    """Two counters that somebody turns by hand."""
+
+    def __init__(self) -> None:
+        self.now: tuple[int, int] = (0, 0)
+
+    def counts(self) -> tuple[int, int]:
+        """Return both encoders."""
+        return self.now
+
+    def currents(self) -> tuple[float, float]:
+        """Return no currents [A]."""
+        return 0.0, 0.0
+
+    def voltage(self) -> float:
+        """Return the battery's voltage [V]."""
+        return 12.0
+
+
+class DamagedLine:
+    """Four boards behind a line that damages a share of its exchanges, served by a thread.
+
+    Attributes:
+        shafts: By address.
+        boards: By address.
+        line: Counts what it damaged.
+        port: Of the host.
+    """
+
+    def __init__(self, rate: float, rng: np.random.Generator) -> None:
+        """Lay the line; `with` serves it."""
+        self.shafts = {address: _Shafts() for address in ADDRESSES}
+        self.boards = {a: RoboClawBoard(a, shafts) for a, shafts in self.shafts.items()}
+        device = RoboClawLine(list(self.boards.values()))
+        self.line = FaultyLine(device, LineFaultConfig(rate), rng)
+        self._terminal = PseudoTerminal()
+        self.port = self._terminal.name
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self) -> DamagedLine:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._terminal.close()
+
+    def _serve(self) -> None:
+        while not self._over.is_set():
+            ready, _, _ = select.select([self._terminal], [], [], 0.001)
+            data = self._terminal.read() if ready else b""
+            reply = self.line.feed(data, time.monotonic())
+            if reply:
+                self._terminal.write(reply)
+
+
+def call_damaged(config: dict[str, Any]) -> dict[str, Any]:
+    """Read encoders and set duties in turn; the truth jumps before each call.
+
+    Args:
+        config: ``rate`` of damage, ``calls`` and ``seed``.
+
+    Returns:
+        ``call_ms`` (calls,), and the numbers of ``wrong`` values, of ``failures`` (calls without a
+        value, told as such) and of ``damaged`` exchanges.
+    """
+    rng = np.random.default_rng(config["seed"])
+    durations = np.zeros(config["calls"])
+    wrong = failures = 0
+    with DamagedLine(config["rate"], rng.spawn(1)[0]) as wire:
+        bus = RoboClawBus(SerialLink(wire.port, BUS_BAUD))
+        for number in range(config["calls"]):
+            address = int(rng.choice(ADDRESSES))
+            begin = time.perf_counter()
+            try:
+                call = _read if number % 2 else _write
+                wrong += call(bus, wire, address, rng)
+            except LinkError:
+                failures += 1
+            durations[number] = time.perf_counter() - begin
+        bus.close()
+        damaged = sum(wire.line.counts.values())
+    return {
+        "call_ms": 1e3 * durations,
+        "wrong": wrong,
+        "failures": failures,
+        "damaged": damaged,
+        "retries": bus.statistics.retries,
+    }
+
+
+def _read(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Generator) -> bool:
+    """Turn the shafts anywhere, read them, and tell whether the reading is wrong."""
+    one, two = (int(count) for count in rng.integers(-(2**31), 2**31, 2))
+    wire.shafts[address].now = one, two
+    return bus.read(address, Command.GET_ENCODERS) != (one, two)
+
+
+def _write(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Generator) -> bool:
+    """Set two duties, and tell whether the board has others though it acknowledged."""
+    one, two = (int(code) for code in rng.integers(-FULL_DUTY, FULL_DUTY + 1, 2))
+    bus.write(address, Command.DUTY_BOTH, one, two)
+    return wire.boards[address].duties() != (one, two)

@@ -1,0 +1,201 @@
+"""The rover on boards beside the same rover without wires, and in real time at 100 Hz."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+
+from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
+from experiments.appd.boards_trial import PERIOD, ROBOT
+from experiments.ch2.rover_trial import known_swinging_arm
+from models.compose import RobotPlacement
+from twin.clock import WallClock
+from twin.connect import connect
+from twin.hardware.board_robot import BoardRobot
+from twin.hardware.board_set import WiredBoards
+from twin.hardware.connect_boards import (
+    BUS_BAUD,
+    emulated_wiring,
+    watched,
+    wired_robot,
+    without_pauses,
+)
+from twin.hardware.emulator.process import EmulatorProcess
+from twin.hardware.emulator.scene import SceneConfig
+from twin.hardware.link import SerialLink
+from twin.loop import LoopRecorder, run
+from twin.robot import ArmMode, Channel, Command, Observation, RobotError, WheelMode
+
+SPEED = 3.0  # [rad/s] of the wheels
+SWING = 0.2  # [rad] of the arm's joints
+SINKING = 1.5  # [s] until the arm, without power, lies still and can be homed
+
+_QUESTION = bytes(6)
+
+
+class _Keep(LoopRecorder):
+    """Keeps what a robot saw and did."""
+
+    def __init__(self) -> None:
+        self.ticks: list[tuple[Observation, Command]] = []
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one tick."""
+        self.ticks.append((observations[ROBOT], applied[ROBOT]))
+
+
+def compare_boards(config: dict[str, Any]) -> dict[str, Any]:
+    """Let the identification of ``ch2-rover`` run on quantised and on emulated boards.
+
+    Args:
+        config: ``faults``, the share of damaged exchanges; ``seed``; and ``approach``, ``rest``
+            and ``duration`` of the identification [s].
+
+    Returns:
+        ``identical`` cycles until observation or command differ in a bit, ``cycles``, and how many
+        exchanges were ``damaged``.
+    """
+    times = {name: config[name] for name in ("approach", "rest", "duration")}
+    identifier = RoverIdentifierConfig(ROBOT, known_swinging_arm(), **times)
+    kept: dict[str, _Keep] = {}
+    damaged = 0
+    for target, faults in (("quantised", 0.0), ("emulated", config["faults"])):
+        keep = kept[target] = _Keep()
+        controller = RoverIdentifier(identifier, np.random.default_rng(config["seed"]))
+        seed = config["seed"] % 2**31
+        placements = [RobotPlacement(ROBOT)]
+        with connect(target, robots=placements, seed=seed, line_faults=faults) as connection:
+            with contextlib.suppress(RobotError):  # Then there are fewer cycles than were wanted.
+                run(connection.robots, [controller], connection.clock, keep, identifier.total)
+            if connection.emulator is not None:
+                damaged = sum(connection.emulator.state()[ROBOT]["damage"].values())
+    pairs = zip(kept["quantised"].ticks, kept["emulated"].ticks)
+    same = [_bits(one) == _bits(other) for one, other in pairs]
+    identical = same.index(False) if False in same else len(same)
+    return {"identical": identical, "cycles": len(same), "damaged": damaged}
+
+
+def _bits(tick: tuple[Observation, Command]) -> bytes:
+    """Return all that a tick holds, to the bit."""
+    observation, applied = tick
+    parts = [np.float64(observation.time).tobytes()]
+    for channel in observation[1:]:
+        assert isinstance(channel, Channel)
+        stamp = np.float64(channel.stamp).tobytes()
+        parts += [channel.value.tobytes(), stamp, channel.validity.value.encode()]
+    return b"|".join([*parts, applied.wheels.tobytes(), applied.arm.tobytes()])
+
+
+class _Roam:
+    """Drives to and fro and swings the arm, so that all channels change."""
+
+    def __init__(self) -> None:
+        self._start: np.ndarray | None = None
+
+    def reset(self) -> None:
+        """Forget where the arm was."""
+        self._start = None
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Return speeds and angles of this time."""
+        seen = observations[ROBOT]
+        if self._start is None:
+            self._start = np.array(seen.arm_angles.value, dtype=float)
+        wave = np.sin(2.0 * seen.time)
+        arm = self._start + SWING * wave
+        return {ROBOT: Command(np.full(4, SPEED * wave), arm, WheelMode.SPEED, ArmMode.POSITION)}
+
+
+class _NotedClock(WallClock):
+    """A wall clock that notes when each cycle begins, and what the adapter has taken so far."""
+
+    def __init__(self, robot: BoardRobot) -> None:
+        super().__init__(PERIOD)
+        self._robot = robot
+        self.begun: list[float] = []
+        self.taken: list[float] = [robot.seconds]
+
+    def tick(self) -> None:
+        """Wait for the next deadline."""
+        self.taken.append(self._robot.seconds)
+        super().tick()
+        self.begun.append(time.perf_counter())
+
+
+def keep_pace(duration: float, seed: int) -> dict[str, Any]:
+    """Drive emulated boards that run in real time, on the wall clock, as a real robot is driven.
+
+    Returns:
+        ``steps`` done, ``misses``, the ``periods`` from one cycle's begin to the next [s], the
+        ``adapter`` time of each cycle [s], what the robot ``said`` if it stopped, and the
+        ``exchanges`` with motor boards in a cycle.
+    """
+    scene = SceneConfig((RobotPlacement(ROBOT),), seed=seed)
+    emulator = EmulatorProcess(scene, realtime=True)
+    with contextlib.ExitStack() as resources:
+        resources.callback(emulator.close)
+        time.sleep(SINKING)
+        robot_time = WallClock(PERIOD)
+        wiring = emulated_wiring(emulator, scene, ROBOT)
+        robot = wired_robot(wiring, lambda: robot_time.time)
+        resources.callback(robot.close)
+        boards = cast("WiredBoards", robot.boards)
+        robot.home(np.array(emulator.state()[ROBOT]["arm_angles"]))
+        robot.activate()
+        resources.enter_context(watched(robot))
+        resources.enter_context(without_pauses())
+        # Made last: what passes before the loop is no deadline missed.
+        clock = _NotedClock(robot)
+        asked = boards.bus.statistics.transactions
+        with contextlib.suppress(RobotError):
+            run({ROBOT: robot}, [_Roam()], clock, duration=duration)
+        exchanges = boards.bus.statistics.transactions - asked
+    return {
+        "steps": len(clock.begun),
+        "misses": clock.misses,
+        "periods": np.diff(clock.begun),
+        "adapter": np.diff(clock.taken),
+        "said": robot.fault,
+        "exchanges": round(exchanges / max(1, len(clock.begun))),
+    }
+
+
+def keep_bare_pace(duration: float, exchanges: int) -> dict[str, Any]:
+    """Do as many exchanges a cycle with a process that only echoes: what this machine allows.
+
+    Args:
+        duration: On the wall clock [s].
+        exchanges: Questions and answers in a cycle.
+
+    Returns:
+        ``steps``, ``misses``, and the ``exchange`` times of all cycles [s].
+    """
+    command = [sys.executable, "-m", "experiments.bench.echo_probe"]
+    steps, taken = round(duration / PERIOD), list[float]()
+    with subprocess.Popen(  # noqa: S603
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as echo:
+        assert echo.stdin is not None and echo.stdout is not None
+        with contextlib.closing(SerialLink(echo.stdout.readline().strip(), BUS_BAUD)) as link:
+            clock = WallClock(PERIOD)
+            for _ in range(steps):
+                clock.tick()
+                begin = time.perf_counter()
+                for _ in range(exchanges):
+                    link.write(_QUESTION)
+                    link.read(len(_QUESTION), time.monotonic() + 0.5)
+                taken.append(time.perf_counter() - begin)
+        echo.stdin.close()
+    return {"steps": steps, "misses": clock.misses, "exchange": np.array(taken)}

@@ -1,0 +1,233 @@
+"""One trial of ``appd-radio``: messages one way over an emulated radio, in virtual time."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from twin.hardware.emulator.modem import ModemConfig, VirtualModems
+from twin.hardware.radio.channel import BITS_PER_BYTE
+from twin.hardware.radio.framed_radio import FramedLink, Outcome, Polled
+from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
+
+LINKS = ("handshake", "framed")
+FATES = ("intact", "wrong", "vanished", "given_up")
+_PENDING = {"handshake": 1, "framed": 16}  # messages that wait in the link under full load
+_DRAIN = 1.0  # [s] after the last outcome, for what is still on its way
+
+
+@dataclasses.dataclass(frozen=True)
+class TrialConfig:
+    """What is sent over what.
+
+    Attributes:
+        link: Of `LINKS`.
+        error_rate: Probability that a byte is changed, lost or preceded by another one.
+        delay: Of the modems, one way [s].
+        messages: How many.
+        seed: Of the messages and the errors.
+        size: Of a message [bytes]: a pose.
+        period: Between messages [s]; 0 sends as fast as the link takes them.
+        poll: Of the hosts [s]; 0 lets them answer at once.
+    """
+
+    link: str
+    error_rate: float
+    delay: float
+    messages: int
+    seed: int
+    size: int = 20
+    period: float = 0.0
+    poll: float = 0.0
+
+
+class _Score:
+    """Who got what, and who was told what, of messages that are all different."""
+
+    def __init__(self) -> None:
+        self.sent: dict[bytes, int] = {}
+        self.begun: list[float] = []
+        self.arrived: dict[int, float] = {}
+        self.outcomes: dict[int, bool] = {}
+        self.spoilt: set[int] = set()
+        self.wrong_at: list[float] = []
+        self.stall_at: list[float] = []
+        self.duplicates = 0
+        self.disordered = 0
+        self._last = -1
+        self._concluded = -1
+
+    def receive(self, message: bytes, now: float) -> None:
+        """Count a message that the receiver was handed."""
+        index = self.sent.get(message)
+        if index is None:
+            self.wrong_at.append(now)
+            self.spoilt.add(self._suspect())
+        elif index in self.arrived:
+            self.duplicates += 1
+        else:
+            self.arrived[index] = now
+            self.disordered += index < self._last
+            self._last = max(index, self._last)
+
+    def conclude(self, index: int, outcome: Outcome, now: float) -> None:
+        """Count what the sender was told."""
+        self.outcomes[index] = outcome.confirmed
+        self._concluded = index
+        if not outcome.confirmed:
+            self.stall_at.append(now)
+
+    def _suspect(self) -> int:
+        """Return which message must be the wrong one: the one just sent, if it is still out."""
+        done = self._concluded
+        if self.outcomes.get(done) and done not in self.arrived and done not in self.spoilt:
+            return done
+        return len(self.sent) - 1
+
+    def fates(self) -> dict[str, int]:
+        """Return how many messages ended how; each counts once.
+
+        Intact; wrong, and nobody was told; vanished, though the sender was told that it arrived;
+        given up, and the sender was told.
+        """
+        counts: dict[str, int] = dict.fromkeys(FATES, 0)
+        for index in range(len(self.sent)):
+            if index in self.arrived:
+                counts["intact"] += 1
+            elif index in self.spoilt:
+                counts["wrong"] += 1
+            else:
+                counts["vanished" if self.outcomes.get(index) else "given_up"] += 1
+        return counts
+
+
+def clean_duration(size: int, delay: float, poll: float, baud: int) -> float:
+    """Return how long a handshake for a message takes without errors, at most [s].
+
+    Args:
+        size: Of the message [bytes].
+        delay: Of the modems, one way [s].
+        poll: Of the hosts [s].
+        baud: Of the line.
+    """
+    return (3 * size + 1) * BITS_PER_BYTE / baud + 2 * size * (delay + poll)
+
+
+def make_links(
+    config: TrialConfig, modems: VirtualModems, rng: np.random.Generator
+) -> tuple[HandshakeLink | FramedLink, HandshakeLink | FramedLink]:
+    """Return both ends of the trial's link.
+
+    The handshake's deadlines are as short as they can be, which favours it: 1.25 times what a
+    message takes without errors.
+    """
+    first, second = modems.ends
+    if config.link == "framed":
+        return FramedLink(first, rng), FramedLink(second, rng)
+    clean = clean_duration(config.size, config.delay, config.poll, ModemConfig().baud)
+    deadlines = HandshakeConfig(send_within=1.25 * clean, receive_within=1.1 * clean)
+    return HandshakeLink(first, deadlines), HandshakeLink(second, deadlines)
+
+
+class _Trial:
+    """Both hosts, their link and the virtual time."""
+
+    def __init__(self, config: TrialConfig) -> None:
+        self.score = _Score()
+        self.finished = 0.0
+        self._config = config
+        self._rng = np.random.default_rng(config.seed)
+        modems = ModemConfig(delay=config.delay, error_rate=config.error_rate)
+        self._modems = VirtualModems(modems, self._rng)
+        self._sender, self._receiver = make_links(config, self._modems, self._rng)
+        self._indices: dict[int, int] = {}  # by ticket
+
+    def run(self) -> None:
+        """Go on until all is sent and nothing happens any more."""
+        while True:
+            while self._ready_at() <= self._modems.time:
+                self._send()
+            self._poll()
+            ready = self._ready_at()
+            event = min(
+                self._modems.next_arrival(), self._sender.next_event(), self._receiver.next_event()
+            )
+            if ready == math.inf and not self._sender.pending:
+                if event == math.inf or event > self.finished + _DRAIN:
+                    return
+            self._advance(min(event, ready))
+
+    def _ready_at(self) -> float:
+        """When the next message is there and the link has room for it [s]."""
+        count = len(self.score.sent)
+        busy = self._sender.pending >= _PENDING[self._config.link]
+        if count >= self._config.messages or busy:
+            return math.inf
+        return count * self._config.period
+
+    def _send(self) -> None:
+        score, config = self.score, self._config
+        message = self._rng.bytes(config.size)
+        while message in score.sent:
+            message = self._rng.bytes(config.size)
+        index = len(score.sent)
+        score.sent[message] = index
+        score.begun.append(index * config.period if config.period > 0.0 else self._modems.time)
+        self._indices[self._sender.send(message)] = index
+
+    def _poll(self) -> None:
+        now = self._modems.time
+        sent = self._sender.poll()
+        received = Polled([], [])
+        if min(self._modems.lines[0].next_arrival(), self._receiver.next_event()) <= now:
+            received = self._receiver.poll()
+        for outcome in sent.outcomes:
+            self.score.conclude(self._indices[outcome.ticket], outcome, now)
+        for message in received.messages:
+            self.score.receive(message, now)
+        if sent.outcomes or received.messages:
+            self.finished = now
+
+    def _advance(self, event: float) -> None:
+        """Go to an event, or to the hosts' next poll after it."""
+        now, period = self._modems.time, self._config.poll
+        if period > 0.0 and event > now:
+            event = max(event, math.ceil(event / period - 1e-9) * period)
+        self._modems.time = max(now, event)
+
+
+def run_trial(config: TrialConfig) -> dict[str, Any]:
+    """Send all messages, and score what arrived; a job of the sweep.
+
+    Returns:
+        Counts of `FATES`, ``duplicates``, ``disordered``, ``wrong_received`` and ``stalls`` (the
+        sender was told that a message is not confirmed), ``duration`` [s], ``goodput`` (intact
+        payload [bytes/s]), ``latency`` (m,) of intact messages [s], and ``arrival``, ``wrong_at``
+        and ``stall_at`` [s], when those happened.
+    """
+    trial = _Trial(config)
+    trial.run()
+    score = trial.score
+    fates = score.fates()
+    arrival = np.array(list(score.arrived.values()))
+    begun = np.array([score.begun[index] for index in score.arrived])
+    return {
+        **fates,
+        "link": config.link,
+        "error_rate": config.error_rate,
+        "delay": config.delay,
+        "sent": len(score.sent),
+        "duplicates": score.duplicates,
+        "disordered": score.disordered,
+        "wrong_received": len(score.wrong_at),
+        "stalls": len(score.stall_at),
+        "duration": trial.finished,
+        "goodput": fates["intact"] * config.size / trial.finished,
+        "latency": arrival - begun,
+        "arrival": arrival,
+        "wrong_at": np.array(score.wrong_at),
+        "stall_at": np.array(score.stall_at),
+    }

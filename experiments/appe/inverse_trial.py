@@ -1,0 +1,205 @@
+"""Targets of a binary arm, each solved by every method; scenes with obstacles."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Set
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from controllers.braid.arm.chain import chain_pose, forward
+from controllers.braid.arm.exchange import exchange_from_random
+from controllers.braid.arm.inverse import EXACT_LIMIT, METHODS, BinaryArm, Solution, solve
+from controllers.braid.arm.obstacles import LinkCheck, body_points
+from controllers.braid.arm.stage import IntArray, StageGeometry, stage_pose
+from controllers.braid.arm.voxel_obstacles import VoxelObstacles
+
+FloatArray = NDArray[np.float64]
+
+KINDS = ("reachable", "random", "planted")
+"""Targets: of random leg lengths, these places with uniform orientations, of random words."""
+EQUAL_TIME, TIMED = "exchange_equal_time", "walk"
+"""The exchange heuristic again, begun anew for as long as this method takes."""
+BALLS, BALL_RADIUS, CLEARANCE = 3, 0.6, 2.0
+"""Obstacles of a scene [r]; none is within the clearance of the base's centre."""
+CLEAR_STAGES = 5
+VOXEL = 0.1
+"""Side of the voxels of a scene [r]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """Targets of one kind for one arm.
+
+    Attributes:
+        stages: Of the arm.
+        kind: One of `KINDS`.
+        seed: Of the targets and searches.
+        count: Targets.
+    """
+
+    stages: int
+    kind: str
+    seed: int
+    count: int
+
+
+@dataclasses.dataclass(frozen=True)
+class ClearTrial:
+    """Scenes with obstacles in the way of five stages.
+
+    Attributes:
+        seed: Of the scenes.
+        count: Scenes.
+        voxels: Whether the obstacles are told as a map's occupied voxels.
+    """
+
+    seed: int
+    count: int
+    voxels: bool
+
+
+def methods_for(stages: int) -> list[str]:
+    """Return the methods that can do so many stages, and the heuristic given equal time."""
+    able = [name for name in METHODS if stages <= EXACT_LIMIT.get(name, stages)]
+    return [*able, EQUAL_TIME]
+
+
+def draw_targets(
+    kind: str, stages: int, count: int, geometry: StageGeometry, rng: np.random.Generator
+) -> FloatArray:
+    """Return targets (count, 12) in the arm's base frame."""
+    if kind == "planted":
+        return forward(BinaryArm(1, geometry).stages, rng.integers(0, 8, (count, stages)))
+    lengths = rng.uniform(geometry.short, geometry.long, (count, stages, 3))
+    targets = chain_pose(stage_pose(lengths, geometry.radius))
+    if kind == "random":
+        targets[:, 3:] = Rotation.random(count, rng=rng).as_matrix().reshape(count, 9)
+    return targets
+
+
+def solve_targets(trial: Trial) -> dict[str, Any]:
+    """Solve every target by every method.
+
+    Returns:
+        ``<method>/cost``, ``/displacement`` [r], ``/angle`` [rad] and ``/ms`` (count,) of each.
+    """
+    rng = np.random.default_rng(trial.seed)
+    arm = BinaryArm(trial.stages)
+    targets = draw_targets(trial.kind, trial.stages, trial.count, arm.geometry, rng)
+    names = methods_for(trial.stages)
+    for name in names[:-1]:  # compile, and build the trees
+        solve(arm, targets[0], name, rng)
+    found: dict[str, list[list[float]]] = {name: [] for name in names}
+    for target in targets:
+        for name in names[:-1]:
+            start = time.process_time()
+            solution = solve(arm, target, name, rng)
+            milliseconds = 1e3 * (time.process_time() - start)
+            if solution is not None:
+                found[name].append(_row(solution, milliseconds))
+        found[EQUAL_TIME].append(_exchange_for(arm, target, found[TIMED][-1][3], rng))
+    return {
+        f"{name}/{what}": np.array(rows)[:, column]
+        for name, rows in found.items()
+        for column, what in enumerate(("cost", "displacement", "angle", "ms"))
+    }
+
+
+def _row(solution: Solution, milliseconds: float) -> list[float]:
+    return [solution.cost, solution.displacement, solution.angle, milliseconds]
+
+
+def _exchange_for(
+    arm: BinaryArm, target: FloatArray, milliseconds: float, rng: np.random.Generator
+) -> list[float]:
+    """Restart the exchange heuristic until it has had as much time; the last start may run over."""
+    start, best, bound = time.process_time(), np.zeros(arm.count, dtype=np.int64), np.inf
+    spent = 0.0
+    while not np.isfinite(bound) or spent < milliseconds:
+        word, cost = exchange_from_random(arm.stages, arm.count, target, arm.turn, 1, rng)
+        if cost < bound:
+            best, bound = word, cost
+        spent = 1e3 * (time.process_time() - start)
+    return _row(arm.score(best, target), spent)
+
+
+def solve_scenes(trial: ClearTrial) -> dict[str, Any]:
+    """Put balls onto the arm's best word and ask for one that keeps clear.
+
+    Returns:
+        Costs (count,) of ``exhaustive``, ``kd-tree``, ``neighbourhood`` and ``ignoring`` (obstacles
+        not regarded), NaN where none was found; ``touches``: whether the ignoring word collides;
+        ``collisions``: how many of the words found have a sampled point within an obstacle.
+    """
+    rng = np.random.default_rng(trial.seed)
+    arm = BinaryArm(CLEAR_STAGES)
+    costs: dict[str, list[float]] = {
+        name: [] for name in ("exhaustive", "kd-tree", "neighbourhood", "ignoring")
+    }
+    touches, collisions = [], 0
+    for target in draw_targets("reachable", arm.count, trial.count, arm.geometry, rng):
+        straight = solve(arm, target, "kd-tree", rng)
+        assert straight is not None
+        centres = _balls(arm, straight, rng)
+        sampled = LinkCheck(arm.geometry, lambda points, at=centres: occupied(points, at))
+        check = sampled
+        if trial.voxels:
+            voxels = voxels_of(centres)
+            check = LinkCheck(arm.geometry, voxels)
+            keys = {tuple(key) for key in _keys(voxels.centres).tolist()}
+            sampled = LinkCheck(arm.geometry, lambda points, at=keys: _in_voxels(points, at))
+        touches.append(not bool(check.free(straight.word[None])[0]))
+        costs["ignoring"].append(straight.cost)
+        for name in ("exhaustive", "kd-tree", "neighbourhood"):
+            solution = solve(arm, target, name, rng, check)
+            costs[name].append(np.nan if solution is None else solution.cost)
+            if solution is not None:
+                collisions += not bool(sampled.free(solution.word[None])[0])
+    arrays: dict[str, Any] = {name: np.array(values) for name, values in costs.items()}
+    return {**arrays, "touches": np.array(touches), "collisions": collisions}
+
+
+def occupied(points: FloatArray, centres: FloatArray) -> FloatArray:
+    """Return 1.0 for places (n, 3) within a ball around a centre (k, 3), else 0.0."""
+    inside = np.zeros(len(points), dtype=bool)
+    for centre in centres:
+        inside |= np.sum((points - centre) ** 2, axis=1) < BALL_RADIUS**2
+    return inside.astype(float)
+
+
+def voxels_of(centres: FloatArray) -> VoxelObstacles:
+    """Return the voxels whose middles are within a ball around a centre (k, 3)."""
+    low = np.floor((centres.min(axis=0) - BALL_RADIUS) / VOXEL)
+    high = np.ceil((centres.max(axis=0) + BALL_RADIUS) / VOXEL)
+    axes = [np.arange(first, end) + 0.5 for first, end in zip(low, high)]
+    middles = VOXEL * np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return VoxelObstacles(middles[occupied(middles, centres) > 0.5], VOXEL)
+
+
+def _keys(points: FloatArray) -> IntArray:
+    return np.floor(points / VOXEL).astype(np.int64)
+
+
+def _in_voxels(points: FloatArray, keys: Set[tuple[int, ...]]) -> FloatArray:
+    """Return 1.0 for places (n, 3) in one of some voxels, else 0.0."""
+    return np.array([float(tuple(key) in keys) for key in _keys(points).tolist()])
+
+
+def _balls(arm: BinaryArm, solution: Solution, rng: np.random.Generator) -> FloatArray:
+    """Return centres (k, 3) around points of the solution's body, away from the base."""
+    body = body_points(arm.geometry)
+    centres: list[FloatArray] = []
+    while len(centres) < BALLS:
+        stage = int(rng.integers(1, arm.count))
+        base = forward(arm.stages, solution.word[:stage])
+        points = body[solution.word[stage]]
+        point = points[int(rng.integers(len(points)))]
+        centre = base[3:].reshape(3, 3) @ point + base[:3] + rng.normal(0.0, BALL_RADIUS, 3)
+        if np.linalg.norm(centre) >= CLEARANCE:
+            centres.append(centre)
+    return np.array(centres)

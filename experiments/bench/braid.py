@@ -1,0 +1,67 @@
+"""Exact inverse kinematics of a binary arm beside brute force over all of its words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controllers.braid.arm.inverse import BinaryArm, solve
+from controllers.braid.arm.stage import STATES
+from experiments.appe.inverse_trial import draw_targets
+from experiments.harness.contract import Options
+from experiments.harness.output import Output
+from experiments.harness.timing import compare, repeat
+
+STAGES, QUICK_STAGES = (4, 5, 6), (4, 5)
+MET = 10
+"""Stages that brute force cannot list: its time there is that of its largest arm, times words."""
+TARGETS, QUICK_TARGETS = 20, 5
+ROUNDS, QUICK_ROUNDS = 5, 2
+SAME = 1e-9
+
+
+def bench_braid(options: Options, output: Output) -> None:
+    """Solve the same targets by the tree, by meeting in the middle and by looking at every word.
+
+    Brute force looks at poses that it listed before, one for each different pose, in NumPy; only
+    the look is timed, for both.
+
+    Args:
+        options: ``quick`` takes fewer stages, targets and rounds.
+        output: Receives ``braid_speedup/<stages>``, ``braid_ms/<stages>/<method>``,
+            ``braid_same_cost`` and ``braid_speedup/10_extrapolated``.
+    """
+    rng = np.random.default_rng(options.job_seeds(1, 1)[0])
+    count, rounds = (QUICK_TARGETS, QUICK_ROUNDS) if options.quick else (TARGETS, ROUNDS)
+    same, brute_ms, largest = 0, 0.0, 0
+    stages = QUICK_STAGES if options.quick else STAGES
+    for largest in stages:
+        arm = BinaryArm(largest)
+        targets = draw_targets("reachable", largest, count, arm.geometry, rng)
+        costs: dict[str, list[float]] = {}
+
+        def work(method: str, arm=arm, targets=targets, costs=costs) -> None:
+            costs[method] = [_cost(arm, target, method) for target in targets]
+
+        times = compare(lambda w=work: w("kd-tree"), lambda w=work: w("exhaustive"), rounds)
+        same += int(np.sum(np.abs(np.subtract(costs["kd-tree"], costs["exhaustive"])) < SAME))
+        output.measure(f"braid_speedup/{largest}", 1.0 / times["ratio"]["median"])
+        brute_ms = 1e3 * times["peer_s"]["median"] / count
+        output.measure(f"braid_ms/{largest}/exhaustive", brute_ms)
+        output.measure(f"braid_ms/{largest}/kd-tree", 1e3 * times["ours_s"]["median"] / count)
+    share = same / (count * len(stages))
+    output.measure("braid_same_cost", share)
+    output.check("braid, targets with brute force's own cost", share, "== 1", share == 1.0)
+
+    arm = BinaryArm(MET)
+    targets = draw_targets("reachable", MET, count, arm.geometry, rng)
+    seconds = repeat(lambda: [_cost(arm, target, "meet") for target in targets], rounds)
+    ms = 1e3 * seconds["median"] / count
+    output.measure(f"braid_ms/{MET}/meet", ms)
+    output.measure(f"braid_speedup/{MET}_extrapolated", brute_ms * STATES ** (MET - largest) / ms)
+
+
+def _cost(arm: BinaryArm, target: np.ndarray, method: str) -> float:
+    """Return the cost of an exact method's word; none of them uses randomness."""
+    solution = solve(arm, target, method, np.random.default_rng(0))
+    assert solution is not None  # nothing is in the way
+    return solution.cost

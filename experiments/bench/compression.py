@@ -1,0 +1,46 @@
+"""The nine predictors beside one difference of the same picture by NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from experiments.appc.pictures import SIZES, bundled_pictures, resampled
+from experiments.harness.contract import Options
+from experiments.harness.output import Output
+from experiments.harness.timing import compare
+from perception.compression.image_predictors import PREDICTORS, residuals
+
+PICTURE = "camera.png"
+CALLS = 100
+"""One call is too short to be timed."""
+ROUNDS, QUICK_ROUNDS = 101, 21
+BOUND = 3.0
+
+
+def bench_compression(options: Options, output: Output) -> None:
+    """Time each predictor against ``numpy.diff`` along the rows of a picture of 256 x 256 pixels.
+
+    Args:
+        options: ``quick`` times fewer rounds.
+        output: Receives ``predictor_ratio/<method>`` and ``predictor_us/<method>``.
+    """
+    image = resampled(bundled_pictures()[PICTURE], SIZES[-1])
+    rounds = QUICK_ROUNDS if options.quick else ROUNDS
+
+    def difference() -> None:
+        for _ in range(CALLS):
+            np.diff(image)
+
+    slowest = 0.0
+    for method in PREDICTORS:
+
+        def predict(method: int = method) -> None:
+            for _ in range(CALLS):
+                residuals(image, method)
+
+        times = compare(predict, difference, rounds)
+        output.measure(f"predictor_ratio/{method}", times["ratio"])
+        output.measure(f"predictor_us/{method}", 1e6 * float(times["ours_s"]["median"]) / CALLS)
+        slowest = max(slowest, float(times["ratio"]["median"]))
+    name = f"slowest predictor over numpy.diff, {SIZES[-1]} px, median"
+    output.check(name, slowest, f"<= {BOUND:g}", slowest <= BOUND)

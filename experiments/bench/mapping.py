@@ -1,0 +1,298 @@
+"""Our voxel maps beside OctoMap: same clouds, same resolution, one thread each, in the same run."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import itertools
+import time
+
+import numpy as np
+import pyoctomap
+from numpy.typing import NDArray
+
+from experiments.ch3.stereo.mapping_scene import (
+    HEIGHT,
+    MAX_DEPTH,
+    WIDTH,
+    Cloud,
+    Scene,
+    head_geometry,
+    random_view,
+    see,
+)
+from experiments.harness.contract import Options
+from experiments.harness.output import Output
+from experiments.harness.timing import compare
+from perception.geometry.pinhole import Frustum
+from perception.voxels.dense import DenseVoxelMap
+from perception.voxels.grid import VoxelGrid
+from perception.voxels.map import VoxelMap, VoxelMapConfig
+from perception.voxels.occupancy import State, UpdateModel
+from perception.voxels.views import RAYS, view_counts
+
+FloatArray = NDArray[np.float64]
+
+CLOUDS, QUICK_CLOUDS, FINE_CLOUDS = 20, 5, 4
+"""OctoMap gets fewer clouds at 5 mm, where each takes it seconds; so do we, for the ratio."""
+VIEWS = 20
+"""Views that are evaluated one after the other, as candidates are."""
+BOX = ((-1.5, -1.5, -0.25), (1.5, 1.5, 1.1))
+FINE_BOX = ((-0.75, -0.75, -0.2), (0.75, 0.75, 1.3))
+"""1.5 m each way, for voxels of 1 mm."""
+MEMORY = 1e9
+NOTHING = 1e-6
+"""Range of rays that end where they start [m]: what is left is the cost of the call."""
+
+
+def bench_mapping(options: Options, output: Output) -> None:
+    """Insert the same clouds into our maps and into OctoMap, and look at both from the same views.
+
+    Times are processor time. What it costs to hand the points or a ray to OctoMap from Python is
+    measured by rays of no length, and taken off its time.
+
+    Args:
+        options: ``quick`` takes fewer clouds and leaves the finer maps out.
+        output: Receives ``octomap_speedup/*``, ``surface_within_one_voxel/*`` and more.
+    """
+    generator = np.random.default_rng(options.job_seeds(1, 1)[0])
+    scene = Scene.random(generator)
+    count = QUICK_CLOUDS if options.quick else CLOUDS
+    clouds = [see(scene, random_view(generator), generator) for _ in range(count)]
+    output.measure("mapping/points", sum(len(cloud.points) for cloud in clouds))
+    rounds = 2 if options.quick else 3
+    _exact(clouds, rounds, output)
+    speedup = _fast(0.01, clouds, rounds, output, "1cm")
+    output.check("mapping, fast at 1 cm over OctoMap", speedup, ">= 40", speedup >= 40.0)
+    ours, peer = fast_map(0.01, clouds), octomap(0.01, clouds)
+    _views(ours, peer, [random_view(generator) for _ in range(VIEWS)], output)
+    _quality(ours, peer, scene, clouds, output, "1cm", 0.97)
+    if not options.quick:
+        _fast(0.005, clouds[:FINE_CLOUDS], 1, output, "5mm")
+        fine = octomap(0.005, clouds[:FINE_CLOUDS])
+        _quality(
+            fast_map(0.005, clouds[:FINE_CLOUDS]), fine, scene, clouds[:FINE_CLOUDS], output,
+            "5mm_few_views", None,
+        )  # fmt: skip
+        _quality(fast_map(0.005, clouds), None, scene, clouds, output, "5mm", 0.87)
+        _millimetre(scene, clouds, output)
+
+
+def frustum() -> Frustum:
+    """Return the field of view of the clouds."""
+    head = head_geometry()
+    view = Frustum(
+        head.width, head.height, head.fx, head.fy, head.cx, head.cy, near=0.1, far=MAX_DEPTH + 0.1
+    )
+    return view.resized(WIDTH, HEIGHT)
+
+
+def fast_map(resolution: float, clouds: list[Cloud], model: UpdateModel | None = None) -> VoxelMap:
+    """Return our sparse map of clouds, with OctoMap's update model unless said."""
+    config = VoxelMapConfig(UpdateModel() if model is None else model)
+    voxels = VoxelMap(VoxelGrid(resolution, *BOX), config)
+    view = frustum()
+    for cloud in clouds:
+        voxels.insert(cloud.transform_camera_to_world, view, cloud.points, cloud.covariances)
+    return voxels
+
+
+def exact_map(resolution: float, clouds: list[Cloud]) -> DenseVoxelMap:
+    """Return our dense map of clouds."""
+    voxels = DenseVoxelMap(VoxelGrid(resolution, *BOX))
+    for cloud in clouds:
+        voxels.insert(cloud.transform_camera_to_world.translation, cloud.points)
+    return voxels
+
+
+def octomap(resolution: float, clouds: list[Cloud], max_range: float = -1.0) -> pyoctomap.OcTree:
+    """Return OctoMap's map of clouds."""
+    tree = pyoctomap.OcTree(resolution)
+    for cloud in clouds:
+        origin = np.array(cloud.transform_camera_to_world.translation)
+        tree.insertPointCloud(cloud.points, origin, max_range)
+    return tree
+
+
+def octomap_counts(tree: pyoctomap.OcTree) -> dict[State, int]:
+    """Return how many voxels OctoMap holds as free and as occupied; larger leaves hold many."""
+    counts = {State.FREE: 0, State.OCCUPIED: 0}
+    for leaf in tree.begin_leafs():
+        state = State.OCCUPIED if tree.isNodeOccupied(leaf) else State.FREE
+        counts[state] += round(leaf.getSize() / tree.getResolution()) ** 3
+    return counts
+
+
+def octomap_occupied(tree: pyoctomap.OcTree, grid: VoxelGrid) -> NDArray[np.int64]:
+    """Return the indices in a grid (M, 3) of OctoMap's occupied voxels."""
+    found = []
+    for leaf in tree.begin_leafs():
+        if tree.isNodeOccupied(leaf):
+            side = round(leaf.getSize() / tree.getResolution())
+            steps = (np.arange(side) - (side - 1) / 2) * tree.getResolution()
+            offsets = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+            found.append(np.array(leaf.getCoordinate()) + offsets)
+    cells, inside = grid.cells(np.concatenate(found))
+    return cells[inside]
+
+
+def _speedup(name: str, times: dict, call: float, output: Output) -> float:
+    """Store how much faster we are, and both times."""
+    peer = times["peer_s"]["median"] - call
+    output.measure(f"mapping_s/{name}/ours", times["ours_s"])
+    output.measure(f"mapping_s/{name}/octomap", times["peer_s"])
+    output.measure(f"mapping_s/{name}/octomap_call", call)
+    speedup = peer / times["ours_s"]["median"]
+    output.measure(f"octomap_speedup/{name}", speedup)
+    return speedup
+
+
+def _timed(function, *arguments) -> float:
+    start = time.process_time()
+    function(*arguments)
+    return time.process_time() - start
+
+
+def _exact(clouds: list[Cloud], rounds: int, output: Output) -> None:
+    times = compare(lambda: exact_map(0.01, clouds), lambda: octomap(0.01, clouds), rounds)
+    call = _timed(octomap, 0.01, clouds, NOTHING)
+    speedup = _speedup("exact_1cm", times, call, output)
+    output.check("mapping, exact at 1 cm over OctoMap", speedup, ">= 5", speedup >= 5.0)
+    ours, peer = exact_map(0.01, clouds).counts(), octomap_counts(octomap(0.01, clouds))
+    for state in (State.OCCUPIED, State.FREE):
+        name = state.name.lower()
+        output.measure(f"exact_voxels/{name}", {"ours": ours[state], "octomap": peer[state]})
+        difference = ours[state] - peer[state]
+        output.check(f"exact: {name} voxels less OctoMap's", difference, "== 0", difference == 0)
+
+
+def _fast(resolution: float, clouds: list[Cloud], rounds: int, output: Output, name: str) -> float:
+    times = compare(
+        lambda: fast_map(resolution, clouds), lambda: octomap(resolution, clouds), rounds
+    )
+    call = _timed(octomap, resolution, clouds, NOTHING)
+    return _speedup(f"fast_{name}", times, call, output)
+
+
+def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) -> None:
+    """Evaluate views by ours and cast the same rays through OctoMap."""
+    view = frustum().resized(*RAYS)
+    rays = view.rays().reshape(-1, 3)
+    reach = np.linalg.norm(rays, axis=1)
+    end = np.zeros(3)
+
+    jobs = [
+        (np.array(pose.translation), turned, far)
+        for pose in poses
+        for turned, far in zip(pose.rotation.apply(rays), view.far * reach)
+    ]
+
+    def look() -> list[FloatArray]:
+        return [view_counts(ours, pose, view).depths.ravel() for pose in poses]
+
+    def cast() -> None:
+        for origin, direction, far in jobs:
+            peer.castRay(origin, direction, end, True, far)
+
+    def cast_nothing() -> None:
+        for origin, direction, _ in jobs:
+            peer.castRay(origin, direction, end, True, NOTHING)
+
+    times = compare(look, cast, 5)
+    speedup = _speedup("views", times, _timed(cast_nothing), output)
+    output.check("mapping, view evaluation over OctoMap's rays", speedup, ">= 20", speedup >= 20.0)
+    output.measure("views/ms_each", 1e3 * times["ours_s"]["median"] / len(poses))
+    found = np.full(len(jobs), np.inf)
+    for i, (origin, direction, far) in enumerate(jobs):
+        if peer.castRay(origin, direction, end, True, far):
+            found[i] = np.linalg.norm(end - origin) / far * view.far
+    both = np.concatenate(look()), found
+    stopped = np.isfinite(both[0]) & np.isfinite(both[1])
+    same = float(np.mean(np.isfinite(both[0]) == np.isfinite(both[1])))
+    output.measure("views/same_verdict", same)
+    output.measure(
+        "views/depth_difference_m", float(np.median(np.abs(both[0][stopped] - both[1][stopped])))
+    )
+
+
+def _quality(
+    ours: VoxelMap,
+    peer: pyoctomap.OcTree | None,
+    scene: Scene,
+    clouds: list[Cloud],
+    output: Output,
+    name: str,
+    bound: float | None,
+) -> None:
+    """Hold the occupied voxels against the true surface, both ways."""
+    grid = ours.grid
+    seen, inside = grid.cells(np.concatenate([cloud.truth for cloud in clouds]))
+    true = np.unique(seen[inside], axis=0)
+    maps = {"": ours.occupied_cells()[0]}
+    if peer is not None:
+        maps["octomap/"] = octomap_occupied(peer, grid)
+    for whose, cells in maps.items():
+        off = np.abs(scene.distance(grid.centres(cells)))
+        within = float(np.mean(off <= grid.resolution))
+        output.measure(f"surface_within_one_voxel/{whose}{name}", within)
+        strict, near = recall(true, cells, grid.shape)
+        output.measure(f"surface_recall/{whose}{name}", strict)
+        output.measure(f"surface_recall_within_one_voxel/{whose}{name}", near)
+        if bound is not None and not whose:
+            text = f"mapping, occupied within a voxel of the surface, {name}"
+            output.check(text, within, f">= {bound:g}", within >= bound)
+    _honesty(ours, scene, output, name)
+
+
+def _honesty(ours: VoxelMap, scene: Scene, output: Output, name: str) -> None:
+    """Check that surface estimates are as far off as their covariance says."""
+    error = normalised_error(ours, scene)
+    output.measure(f"surface_nees/{name}", float(np.mean(error)))
+    output.measure(f"surface_nees/{name}_over_9", float(np.mean(error > 9.0)))
+    text = f"mapping, normalised squared error of the surface, {name}"
+    output.check(text, float(np.mean(error)), "0.5 to 2", bool(0.5 <= np.mean(error) <= 2.0))
+
+
+def recall(
+    true: NDArray[np.int64], cells: NDArray[np.int64], shape: tuple[int, int, int]
+) -> tuple[float, float]:
+    """Return which fraction of true voxels is among some, and has one as itself or a neighbour."""
+    size = np.array(shape) + 2
+    found = np.ravel_multi_index(tuple((cells + 1).T), tuple(size))
+    near = np.zeros(len(true), dtype=bool)
+    for step in itertools.product((0, 1, 2), repeat=3):
+        near |= np.isin(np.ravel_multi_index(tuple((true + step).T), tuple(size)), found)
+    exact = np.isin(np.ravel_multi_index(tuple((true + 1).T), tuple(size)), found)
+    return float(exact.mean()), float(near.mean())
+
+
+def normalised_error(voxels: VoxelMap, scene: Scene) -> FloatArray:
+    """Return (M,) squared distance of each surface estimate from the truth over its variance.
+
+    Both are taken across the true surface: where along a surface an estimate lies has no truth.
+    """
+    surface = voxels.surface()
+    distance = scene.distance(surface.means)
+    steps = 1e-5 * np.eye(3)
+    ahead = np.stack([scene.distance(surface.means + step) for step in steps], axis=1)
+    behind = np.stack([scene.distance(surface.means - step) for step in steps], axis=1)
+    normal = (ahead - behind) / 2e-5
+    variance = np.einsum("ni,nij,nj->n", normal, surface.covariances, normal)
+    return distance**2 / variance
+
+
+def _millimetre(scene: Scene, clouds: list[Cloud], output: Output) -> None:
+    config = VoxelMapConfig(UpdateModel(), coarse=True, memory_limit=int(MEMORY))
+    voxels = VoxelMap(VoxelGrid(0.001, *FINE_BOX), config)
+    view = frustum()
+    start = time.process_time()
+    for cloud in clouds:
+        voxels.insert(cloud.transform_camera_to_world, view, cloud.points, cloud.covariances)
+    rate = sum(len(cloud.points) for cloud in clouds) / (time.process_time() - start)
+    output.measure("points_per_s/1mm", rate)
+    output.measure("memory_bytes/1mm", voxels.memory)
+    output.check("mapping, points a second at 1 mm", rate, ">= 1e5", rate >= 1e5)
+    output.check(
+        "mapping, memory at 1 mm over 1.5 m", voxels.memory, "<= 1e9", voxels.memory <= MEMORY
+    )
+    _honesty(voxels, scene, output, "1mm")

@@ -1,0 +1,231 @@
+"""Both marker detectors beside OpenCV's circles, and the poses that come out, on rendered pairs."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from experiments.bench.markers_figures import draw_steps
+from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation
+from experiments.harness.contract import Options
+from experiments.harness.intervals import distribution
+from experiments.harness.output import Output
+from experiments.harness.timing import compare
+from perception.markers.ellipses import MarkerExpectation
+from perception.markers.markers import DETECTORS, MarkerPairs, match_bodies, triangulate
+from perception.markers.poses import PosePrior
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+
+RANGES = (0.35, 0.5, 0.7, 0.9, 1.1)
+"""From the cameras to the middle of the markers [m]."""
+QUICK_RANGES = (0.35, 0.5, 1.1)
+SLANTS = (0.0, 20.0, 40.0, 60.0)
+"""Between the markers' normal and the line of sight [deg]."""
+VIEWS, QUICK_VIEWS = 12, 2
+"""Pairs of each range and slant."""
+HEAD_ON = (0.5, 0.0)
+TILT_SIGMA = math.radians(2.0)
+"""Deviation of the faces' normal where a prior is used: tilt sensor and the planar task."""
+_FAR = 3.0  # Farther off, a detection is another thing [px].
+
+
+def hough_peer(image: ImageArray, view: MarkerView) -> FloatArray:
+    """Return (N, 2) centres [px] by ``cv2.HoughCircles``, on square pixels and with known radii."""
+    geometry = head_geometry()
+    stretch = geometry.fy / geometry.fx
+    size = round(geometry.width * stretch), geometry.height
+    wide = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
+    least, most = expectation(view.distance).radii(geometry)
+    circles = cv2.HoughCircles(
+        wide, cv2.HOUGH_GRADIENT, 1.0, 4.0 * least, param1=150.0, param2=8.0,
+        minRadius=max(1, int(0.5 * least)), maxRadius=math.ceil(most) + 1,
+    )  # fmt: skip
+    if circles is None:
+        return np.empty((0, 2))
+    found = np.asarray(circles, dtype=float).reshape(-1, 3)[:, :2]
+    return (found + 0.5) * [geometry.width / size[0], 1.0] - 0.5
+
+
+def centre_errors(centres: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return (M,) distances of the true centres to the nearest found [px], NaN where none is."""
+    if not len(centres):
+        return np.full(len(truth), np.nan)
+    away = np.linalg.norm(truth[:, None, :2] - centres, axis=2).min(axis=1)
+    return np.where(away < _FAR, away, np.nan)
+
+
+def bench_markers(options: Options, output: Output) -> None:
+    """Detect markers in rendered pairs by both detectors and by OpenCV, and find the bodies.
+
+    Figures 5-5 to 5-10 show the steps of the thesis' detector on the first head-on image.
+
+    Args:
+        options: ``quick`` takes fewer views.
+        output: Receives ``marker_error_px/*``, ``marker_ms/*``, ``pose_error_mm/*`` and more.
+    """
+    seed = options.job_seeds(1, 1)[0]
+    scene = MarkerScene(np.random.default_rng(seed))
+    count = QUICK_VIEWS if options.quick else VIEWS
+    views = [
+        scene.view(distance, slant)
+        for distance in (QUICK_RANGES if options.quick else RANGES)
+        for slant in SLANTS
+        for _ in range(count)
+    ]
+    _draw(views, scene, output)
+    _centres(views, scene, output)
+    _times(views, scene, output)
+    _poses(views, scene, seed, output)
+
+
+def _draw(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+    """Draw the steps on the left image at half a metre, head on."""
+    view = next(view for view in views if (view.distance, view.slant) == HEAD_ON)
+    expected = expectation(view.distance)
+    found = DETECTORS["tht"](view.pair[0], scene.geometry, expected, None)
+    if not len(found):
+        return
+    for name, figure in draw_steps(view.pair[0], scene.geometry, expected, found).items():
+        output.figure(name, figure)
+
+
+def _centres(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+    """Measure how far the centres are off, and how many are missed."""
+    errors: dict[str, list[FloatArray]] = {"tht": [], "blob": [], "cv2_hough": []}
+    extra, nees = {"tht": 0, "blob": 0}, {"tht": [], "blob": []}
+    rows = []
+    for view in views:
+        expected = expectation(view.distance)
+        for image, truth in zip(view.pair, view.ellipses, strict=True):
+            for name, detect in DETECTORS.items():
+                seen = detect(image, scene.geometry, expected, None)
+                away = centre_errors(seen.centres, truth)
+                errors[name].append(away)
+                extra[name] += len(seen) - int(np.isfinite(away).sum())
+                for ellipse in truth[np.isfinite(away)]:
+                    k = np.argmin(np.linalg.norm(seen.centres - ellipse[:2], axis=1))
+                    off = seen.centres[k] - ellipse[:2]
+                    nees[name].append(off @ np.linalg.solve(seen.centre_covariances[k], off) / 2)
+            errors["cv2_hough"].append(centre_errors(hough_peer(image, view), truth))
+        rows.append((view.distance, view.slant, *(np.nanmedian(np.concatenate(e[-2:])) if
+                     np.isfinite(np.concatenate(e[-2:])).any() else np.nan
+                     for e in errors.values())))  # fmt: skip
+    output.table("marker_errors", ("range_m", "slant_deg", "tht_px", "blob_px", "cv2_px"), rows)
+    for name, lists in errors.items():
+        values = np.concatenate(lists)
+        seen = values[np.isfinite(values)]
+        output.measure(f"marker_error_px/{name}", distribution(seen))
+        output.measure(f"marker_found_fraction/{name}", float(np.mean(np.isfinite(values))))
+    for name in DETECTORS:
+        output.measure(f"marker_false_per_image/{name}", extra[name] / (2 * len(views)))
+        output.measure(f"marker_nees/{name}", float(np.mean(nees[name])))
+        median = float(np.nanmedian(np.concatenate(errors[name])))
+        output.check(f"markers, centroid error, {name} [px]", median, "<= 0.1", median <= 0.1)
+    peer = float(np.nanmedian(np.concatenate(errors["cv2_hough"])))
+    ratio = peer / float(np.nanmedian(np.concatenate(errors["tht"])))
+    output.measure("marker_error_ratio/cv2_over_tht", ratio)
+    output.check("markers, cv2.HoughCircles' error over the THT's", ratio, ">= 5", ratio >= 5.0)
+
+
+def _times(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
+    """Time both detectors and OpenCV's on the same pairs."""
+    spent: dict[str, list[float]] = {"tht": [], "blob": [], "cv2_hough": []}
+    for view in views:
+        expected = expectation(view.distance)
+
+        def peer(view: MarkerView = view) -> None:
+            for image in view.pair:
+                hough_peer(image, view)
+
+        for name, detect in DETECTORS.items():
+
+            def ours(
+                view: MarkerView = view,
+                detect=detect,
+                expected: MarkerExpectation = expected,
+            ) -> None:
+                for image in view.pair:
+                    detect(image, scene.geometry, expected, None)
+
+            times = compare(ours, peer, 1)
+            spent[name].append(1e3 * times["ours_s"]["median"])
+            spent["cv2_hough"].append(1e3 * times["peer_s"]["median"])
+    for name, values in spent.items():
+        output.measure(f"marker_ms/{name}", distribution(values))
+        median = float(np.median(values))
+        if name in DETECTORS:
+            output.check(f"markers, a pair, {name} [ms]", median, "<= 15", median <= 15.0)
+    ratio = float(np.median(spent["cv2_hough"]) / np.median(spent["tht"]))
+    output.measure("marker_time_ratio/cv2_over_tht", ratio)
+    output.check("markers, cv2.HoughCircles' time over the THT's", ratio, ">= 1", ratio >= 1.0)
+
+
+def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> PosePrior:
+    """Return what a tilt sensor tells: two turns of a body to `TILT_SIGMA`, nothing else."""
+    normal = pose.rotation.apply([0.0, 0.0, 1.0])
+    level = np.eye(3) - np.outer(normal, normal)
+    turned = Rotation.from_rotvec(level @ rng.normal(0.0, TILT_SIGMA, 3))
+    information = np.zeros((6, 6))
+    information[:3, :3] = level / TILT_SIGMA**2
+    # Roughly which way it heads: two markers look the same upside down.
+    information[:3, :3] += np.outer(normal, normal) / math.radians(30.0) ** 2
+    guess = RigidTransform.from_components(pose.translation, turned * pose.rotation)
+    return PosePrior(guess, information)
+
+
+def _poses(views: list[MarkerView], scene: MarkerScene, seed: int, output: Output) -> None:
+    """Measure the bodies' poses with and without a prior of the normal."""
+    for detector, detect in DETECTORS.items():
+        pairs = []
+        for view in views:
+            expected = expectation(view.distance)
+            left, right = (detect(image, scene.geometry, expected, None) for image in view.pair)
+            pairs.append(triangulate(left, right, scene.geometry, expected))
+        for known in ("alone", "tilt_known"):
+            # Both detectors get the same priors.
+            rng = np.random.default_rng((seed, 1))
+            _poses_of(views, pairs, scene, f"{detector}/{known}", rng, output)
+
+
+def _poses_of(
+    views: list[MarkerView],
+    pairs: list[MarkerPairs],
+    scene: MarkerScene,
+    key: str,
+    rng: np.random.Generator,
+    output: Output,
+) -> None:
+    places, turns, nees, head_on, found = [], [], [], [], 0
+    for view, seen in zip(views, pairs, strict=True):
+        priors = [
+            normal_prior(body, rng) if key.endswith("known") else None for body in view.bodies
+        ]
+        expected = expectation(view.distance)
+        fits = match_bodies(seen, scene.geometry, scene.cads, expected, priors)
+        for fit, truth, cad in zip(fits, view.bodies, scene.cads, strict=True):
+            if fit is None:
+                continue
+            found += 1
+            xi = (truth * fit.transform_body_to_camera.inv()).as_exp_coords()
+            nees.append(float(xi @ np.linalg.solve(fit.covariance, xi)) / 6.0)
+            middle = cad.points.mean(axis=0)
+            off = fit.transform_body_to_camera.apply(middle) - truth.apply(middle)
+            places.append(1e3 * float(np.linalg.norm(off)))
+            turns.append(math.degrees(float(np.linalg.norm(xi[:3]))))
+            if (view.distance, view.slant) == HEAD_ON:
+                head_on.append(places[-1])
+    output.measure(f"pose_found_fraction/{key}", found / (2 * len(views)))
+    output.measure(f"pose_error_mm/{key}", distribution(places))
+    output.measure(f"pose_turn_deg/{key}", distribution(turns))
+    output.measure(f"pose_nees/{key}", distribution(nees))
+    output.measure(f"pose_error_mm/head_on_0.5m/{key}", distribution(head_on))
+    median = float(np.median(head_on)) if head_on else math.nan
+    text = f"markers, head-on pose at 0.5 m, {key} [mm]"
+    output.check(text, median, "<= 0.2", median <= 0.2)

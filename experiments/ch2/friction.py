@@ -1,0 +1,223 @@
+"""``ch2-friction``: the arm's jerks show the friction under the wheels, and when they slip.
+
+Each seed draws the ground's friction. The arm jerks twice: hard, to break the rover loose, and
+gently, where mostly a lower bound can be given. The controller sees the arm's encoders, the
+force/torque sensor, the inclinometer and the tachometers only; the truth is for scoring alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from controllers.identification.friction import (
+    FrictionConfig,
+    FrictionEstimate,
+    FrictionProbe,
+    JerkConfig,
+)
+from controllers.identification.observation_log import IdentificationError
+from experiments.ch2.known_arm import known_arm, known_base
+from experiments.ch2.payload import sensing
+from experiments.harness import contract
+from experiments.harness.contract import ExperimentError
+from experiments.harness.intervals import distribution, fraction
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from models.compose import FieldConfig, RobotPlacement, make_model
+from twin.connect import connect
+from twin.loop import run as run_loop
+from twin.record import Recorder
+
+ROBOT = "rover1"
+FRICTIONS = (0.2, 0.9)
+EFFORTS = {"hard": JerkConfig().rates, "gentle": (0.4, 1.4)}  # first and last yaw rate [rad/s]
+DURATION = 13.0  # [s]
+ERROR_BOUND = 15.0  # [%]
+HOLDS_BOUND = 0.95
+FIELD = FieldConfig(texture_pixels=64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.SimulatedOptions):
+    """Options of the friction estimation."""
+
+    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
+
+
+def run(options: Options, output: Output) -> None:
+    """Estimate one friction for each seed and effort, and score.
+
+    Args:
+        options: ``quick`` takes 6 seeds instead of 24.
+        output: Receives ``friction_error_percent`` and ``lower_bound_holds_fraction``.
+    """
+    configs = [
+        {
+            "seed": seed,
+            "robot": options.robot,
+            "effort": effort,
+            "record": str(output.file("run.rrd"))
+            if options.record and index == 0 and effort == "hard"
+            else None,
+        }
+        for index, seed in enumerate(options.job_seeds(24, 6))
+        for effort in EFFORTS
+    ]
+    results = sweep(probe_one, configs, options, output, label="grounds")
+    _measure(results, output)
+    columns = ("seed", "effort", "friction", "slipped", "estimate", "error_percent")
+    columns = (*columns, "lower_bound", "onset", "rolled")
+    rows = [[result[key] for key in columns] for result in results]
+    output.table("friction_runs", columns, rows)
+    output.figure("friction_estimates", _estimate_figure(results))
+    output.figure("friction_in_use", _history_figure(results[0]))
+
+
+def probe(
+    friction: float, seed: int, effort: str, robot: str = "sim", record: str | None = None
+) -> FrictionEstimate:
+    """Jerk an arm on some ground, and return what was estimated.
+
+    Args:
+        friction: Of the ground.
+        seed: Of the sensor noise.
+        effort: Key of `EFFORTS`.
+        robot: Which robot.
+        record: File for a recording, if any.
+
+    Raises:
+        IdentificationError: If a sensor is missing.
+    """
+    config = FrictionConfig(
+        known_arm(make_model(FIELD, [RobotPlacement(ROBOT)]), ROBOT),
+        known_base(),
+        dataclasses.replace(sensing(), tilt_motion=False),
+        JerkConfig(rates=EFFORTS[effort]),
+    )
+    controller = FrictionProbe(ROBOT, config)
+    field = dataclasses.replace(FIELD, friction=friction)
+    placement = RobotPlacement(ROBOT)
+    with contextlib.ExitStack() as stack:
+        connection = stack.enter_context(connect(robot, robots=[placement], field=field, seed=seed))
+        recorder = None
+        if record is not None:
+            recorder = stack.enter_context(Recorder(record, connection.simulation))
+        run_loop(connection.robots, [controller], connection.clock, recorder, DURATION)
+    return controller.estimate()
+
+
+def probe_one(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Draw, estimate and score one ground; a job of the sweep.
+
+    Raises:
+        ExperimentError: If a sensor is missing.
+    """
+    draws, noise = np.random.SeedSequence(config["seed"]).spawn(2)
+    friction = float(np.random.default_rng(draws).uniform(*FRICTIONS))
+    seed = int(noise.generate_state(1)[0])
+    try:
+        estimate = probe(friction, seed, config["effort"], config["robot"], config["record"])
+    except IdentificationError as error:
+        raise ExperimentError(str(error)) from error
+    error = 100.0 * abs(estimate.friction / friction - 1.0)
+    return {
+        "seed": config["seed"],
+        "effort": config["effort"],
+        "friction": friction,
+        "slipped": estimate.slipped,
+        "estimate": None if np.isnan(error) else estimate.friction,
+        "error_percent": None if np.isnan(error) else error,
+        "lower_bound": estimate.lower_bound,
+        "onset": estimate.onset if estimate.slipped else None,
+        "rolled": estimate.rolled,
+        "times": estimate.load.times,
+        "used": estimate.load.used,
+        "yaw_rate": estimate.load.yaw_rate,
+        "slipping": estimate.slipping.astype(float),
+    }
+
+
+def _measure(results: Sequence[Mapping[str, Any]], output: Output) -> None:
+    """Store the metrics and hold them against the bars."""
+    for effort in EFFORTS:
+        chosen = [result for result in results if result["effort"] == effort]
+        slips = sum(result["slipped"] for result in chosen)
+        output.measure(f"slipped_fraction/{effort}", fraction(slips, len(chosen)))
+        estimates = sum(result["estimate"] is not None for result in chosen)
+        output.measure(f"estimated_fraction/{effort}", fraction(estimates, len(chosen)))
+    rolled = sum(result["rolled"] for result in results)
+    output.measure("wheels_rolled_fraction", fraction(rolled, len(results)))
+    told = [result for result in results if result["estimate"] is not None]
+    if told:
+        errors = np.array([result["error_percent"] for result in told])
+        summary = distribution(errors)
+        output.measure("friction_error_percent", summary)
+        median, worst = summary["median"], float(errors.max())
+        bound = f"<= {ERROR_BOUND:g}"
+        output.check(
+            "friction error where it slides, median [%]", median, bound, median <= ERROR_BOUND
+        )
+        output.check(
+            "friction error where it slides, every run [%]", worst, bound, worst <= ERROR_BOUND
+        )
+        within = fraction(int(np.sum(errors <= ERROR_BOUND)), len(errors))
+        output.measure(f"friction_error_percent/within_{ERROR_BOUND:g}", within)
+        biases = [100.0 * (r["estimate"] / r["friction"] - 1.0) for r in told]
+        output.measure("friction_bias_percent", distribution(biases))
+    held = [result for result in results if result["estimate"] is None]
+    if held:
+        holds = sum(result["lower_bound"] <= result["friction"] for result in held)
+        output.measure("lower_bound_holds_fraction", fraction(holds, len(held)))
+        share = holds / len(held)
+        output.check(
+            "lower bound holds where it does not slide",
+            share,
+            f">= {HOLDS_BOUND:g}",
+            share >= HOLDS_BOUND,
+        )
+        ratios = [result["lower_bound"] / result["friction"] for result in held]
+        output.measure("lower_bound_over_friction", distribution(ratios))
+
+
+def _estimate_figure(results: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw estimates and lower bounds over the true friction."""
+    figure = Figure(figsize=(7, 6))
+    axes = figure.add_subplot()
+    truth = np.array([0.15, 0.95])
+    axes.plot(truth, truth, "k-", linewidth=0.8, label="truth")
+    wide = ERROR_BOUND / 100.0
+    axes.fill_between(
+        truth, truth * (1 - wide), truth * (1 + wide), alpha=0.15, label=f"{ERROR_BOUND:g} %"
+    )
+    told = [(r["friction"], r["estimate"]) for r in results if r["estimate"] is not None]
+    held = [(r["friction"], r["lower_bound"]) for r in results if r["estimate"] is None]
+    for points, style, label in ((told, "o", "estimate, it slid"), (held, "^", "lower bound")):
+        if points:
+            axes.plot(*np.array(points).T, style, label=label)
+    axes.set(xlabel="friction coefficient of the ground [-]", ylabel="estimated [-]")
+    axes.legend()
+    axes.grid(alpha=0.3)
+    return figure
+
+
+def _history_figure(result: Mapping[str, Any]) -> Figure:
+    """Draw one run: the friction in use, and the yaw rate that shows the slip."""
+    figure = Figure(figsize=(10, 5))
+    upper, lower = figure.add_subplot(2, 1, 1), figure.add_subplot(2, 1, 2)
+    times, slipping = result["times"], result["slipping"] > 0.5
+    upper.plot(times, result["used"], linewidth=0.9, label="in use")
+    upper.plot(times[slipping], result["used"][slipping], "r.", markersize=3, label="slipping")
+    upper.axhline(result["friction"], color="k", linestyle="--", label="friction of the ground")
+    upper.set(ylabel="friction coefficient [-]", ylim=(0.0, 2.0 * result["friction"]))
+    upper.legend(loc="upper left")
+    lower.plot(times, result["yaw_rate"])
+    lower.set(xlabel="time [s]", ylabel="yaw rate from the wrench [rad/s]")
+    for axes in (upper, lower):
+        axes.grid(alpha=0.3)
+    return figure

@@ -1,0 +1,368 @@
+"""The part of ``ch3-stereo`` on camera motion: how its error accumulates (figure 3-24).
+
+Geometry only: fiducials are random points in view at a mean distance, their image points are
+drawn with noise, and the camera moves and turns as an arm would move it. Chained motions use fresh
+fiducials at every step, as the thesis did; the map of persistent fiducials registers every view to
+what stays in view, so that its error should stop growing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from experiments.ch3.motion.figures import error_figure
+from experiments.harness import contract
+from experiments.harness.intervals import distribution, fraction
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from models.datasheets import CAMERA
+from perception.registration.map import FiducialMap
+from perception.registration.registration import SOLVERS, RegistrationError, estimate_motion
+from perception.stereo.geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+
+STEPS = 30
+REPORTED = (1, 5, 15, 30)
+RANGES = {"1100mm": 1.1, "350mm": 0.35}  # [m], mean distance of the fiducials
+DEPTH_SPREAD = 0.2  # Depths are within this share of the mean distance.
+FEW, MANY = 6, 30
+PERSISTENT = "persistent"
+SPARE = 6  # Fiducials of the map in view beyond those measured, so that a next view has enough.
+COARSE = 0.25
+"""Image noise [px] at which the thesis' solvers are compared: what its cameras may have had."""
+FINE = 0.05
+"""Image noise [px] of the tracker here on rendered pairs, see `ch3_motion_rendered`."""
+
+COLUMNS = (
+    "range",
+    "fiducials",
+    "image_noise_px",
+    "solver",
+    "steps",
+    "median_mm",
+    "low_mm",
+    "high_mm",
+    "rms_mm",
+    "runs",
+)
+RATIO_BOUND = 0.1
+GROWTH_BOUND = 1.5
+BORDER = 10.0  # [px] that tracking needs around a fiducial
+
+HEAD = StereoGeometry(
+    CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.baseline
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmMotion:
+    """Random motion about where the arm began; each step forgets a little of the last.
+
+    Shifts scale with the range, so that successive views overlap as much far away as near.
+
+    Attributes:
+        share: Standard deviation of the camera's place along each axis, in the long run, over the
+            mean distance of the fiducials: 6 cm at 1.1 m.
+        degrees: The same of its rotation about each axis [deg].
+        memory: Correlation of one step with the last; 0.9 makes steps 0.45 of the deviations.
+    """
+
+    share: float = 0.055
+    degrees: float = 8.0
+    memory: float = 0.9
+
+    def draw(self, rng: np.random.Generator, steps: int, distance: float) -> list[RigidTransform]:
+        """Return steps + 1 poses of the camera in the first one's frame.
+
+        Args:
+            rng: Draws them.
+            steps: Number of motions.
+            distance: Mean distance of the fiducials [m].
+        """
+        scale = np.repeat([np.radians(self.degrees), self.share * distance], 3)
+        away, poses = np.zeros(6), [RigidTransform.identity()]
+        for _ in range(steps):
+            fresh = np.sqrt(1.0 - self.memory**2) * rng.standard_normal(6)
+            away = self.memory * away + fresh
+            poses.append(RigidTransform.from_exp_coords(scale * away))
+        return poses
+
+
+def measure_motion(options: contract.Options, output: Output) -> None:
+    """Sweep over ranges, numbers of fiducials, noise and seeds; measure and draw.
+
+    Args:
+        options: ``quick`` takes 6 seeds instead of 100, and the coarse noise alone.
+        output: Receives ``motion_error_mm/<solver>/<range>/<steps>`` and what hangs on them, the
+            table ``motion_error`` and the figure ``figure_3-24``.
+    """
+    cases = [(FEW, COARSE), (MANY, COARSE)] if options.quick else _all_cases()
+    configs = [
+        {"seed": seed, "range": name, "fiducials": count, "sigma": sigma}
+        for count, sigma in cases
+        for name in RANGES
+        for seed in options.job_seeds(100, 6)
+    ]
+    results = sweep(accumulate, configs, options, output, label="motions")
+    groups: dict[tuple[int, float, str], list[dict[str, Any]]] = {}
+    for config, result in zip(configs, results, strict=True):
+        key = (config["fiducials"], config["sigma"], config["range"])
+        groups.setdefault(key, []).append(result)
+    rows: list[list[Any]] = []
+    for (count, sigma, name), group in groups.items():
+        _measure_errors(group, count, sigma, name, output)
+        rows += _rows(group, (name, count, sigma))
+    output.table("motion_error", COLUMNS, rows)
+    _check(groups, output)
+    few = {name: groups[FEW, COARSE, name] for name in RANGES}
+    many = {name: groups[MANY, COARSE, name] for name in RANGES}
+    output.figure("figure_3-24", error_figure(few, many, (*SOLVERS, PERSISTENT), COARSE))
+
+
+def _all_cases() -> list[tuple[int, float]]:
+    return [(count, sigma) for sigma in (COARSE, FINE) for count in (FEW, MANY)]
+
+
+def accumulate(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Move a camera and follow it by every solver; a job of the sweep.
+
+    Args:
+        config: ``seed``, ``range`` (key of `RANGES`), ``fiducials`` a view, ``sigma`` [px], and
+            ``steps`` if not `STEPS`.
+
+    Returns:
+        For each of `SOLVERS` and for `PERSISTENT` the errors of the camera's place [mm],
+        infinite where it was lost; ``nees/ml`` and ``nees/persistent``, normalised
+        squared errors of the single motions and of the registered poses, per degree of freedom.
+    """
+    streams = np.random.SeedSequence(config["seed"]).spawn(3)
+    path, chain, world = (np.random.default_rng(stream) for stream in streams)
+    distance, count = RANGES[config["range"]], int(config["fiducials"])
+    poses = ArmMotion().draw(path, config.get("steps", STEPS), distance)
+    result = follow_by_motions(poses, distance, count, config["sigma"], chain)
+    result.update(follow_by_map(poses, distance, count, config["sigma"], world))
+    return result
+
+
+def follow_by_motions(
+    poses: Sequence[RigidTransform],
+    distance: float,
+    count: int,
+    sigma: float,
+    rng: np.random.Generator,
+) -> dict[str, FloatArray]:
+    """Chain the motions that each solver tells, all from the same image points.
+
+    Args:
+        poses: Camera to world, the first the identity.
+        distance: Mean distance of the fiducials [m].
+        count: Fresh fiducials a step.
+        sigma: Image noise [px].
+        rng: Draws fiducials and noise.
+
+    Returns:
+        As `accumulate`.
+    """
+    chained = {solver: RigidTransform.identity() for solver in SOLVERS}
+    errors = {solver: np.full(len(poses) - 1, np.inf) for solver in SOLVERS}
+    nees = np.full(len(poses) - 1, np.nan)
+    lost: set[str] = set()
+    for step, (last, pose) in enumerate(zip(poses[:-1], poses[1:], strict=True)):
+        motion = last.inv() * pose
+        points = points_in_both_views(rng, motion, distance, count)
+        before, after = HEAD.project(points), HEAD.project(motion.apply(points, inverse=True))
+        before = before + sigma * rng.standard_normal(before.shape)
+        after = after + sigma * rng.standard_normal(after.shape)
+        for solver in SOLVERS:
+            if solver in lost:
+                continue
+            try:
+                told = estimate_motion(
+                    solver, before, after, HEAD, sigma, reject=solver == "ml", rng=rng
+                )
+            except RegistrationError:
+                lost.add(solver)
+                continue
+            chained[solver] = chained[solver] * told.transform_after_to_before
+            errors[solver][step] = _millimetres(chained[solver], pose)
+            if solver == "ml":
+                nees[step] = normalised_error(
+                    told.transform_after_to_before, motion, told.covariance
+                )
+    return {**errors, "nees/ml": nees}
+
+
+def follow_by_map(
+    poses: Sequence[RigidTransform],
+    distance: float,
+    count: int,
+    sigma: float,
+    rng: np.random.Generator,
+) -> dict[str, FloatArray]:
+    """Register each view to a growing map of fiducials that stay.
+
+    Of those in the map a view measures `count` at most, those known best, to be registered; new
+    ones are added until some are to spare for the next view.
+
+    Args:
+        poses: Camera to world, the first the identity.
+        distance: Mean distance of the fiducials from the first pose [m].
+        count: Fiducials measured in a view.
+        sigma: Image noise [px].
+        rng: Draws fiducials and noise.
+
+    Returns:
+        As `accumulate`.
+    """
+    truth = _surroundings(rng, distance, 15.0 if count <= FEW else 2.5 * count)
+    fiducials = FiducialMap(HEAD, np.full(3, sigma))
+    numbers = np.full(len(truth), -1)  # Of the truth's points in the map.
+    errors, nees = np.full(len(poses) - 1, np.inf), np.full(len(poses) - 1, np.nan)
+    for step, pose in enumerate(poses):
+        image = HEAD.project(pose.apply(truth, inverse=True))
+        image = image + sigma * rng.standard_normal(image.shape)
+        visible = np.flatnonzero(_in_view(image))
+        known, new = visible[numbers[visible] >= 0], visible[numbers[visible] < 0]
+        new = new[: max(count + SPARE - len(known), 0)]
+        if step == 0:
+            numbers[new] = fiducials.add(image[new], pose)
+            continue
+        spread = np.trace(fiducials.covariances(), axis1=1, axis2=2)
+        known = known[np.argsort(spread[numbers[known]], kind="stable")][:count]
+        try:
+            seen = fiducials.observe(numbers[known], image[known], new=image[new], rng=rng)
+        except RegistrationError:
+            continue  # Too few are in view; a later view may know its place again.
+        numbers[new] = seen.added
+        told = seen.registration
+        errors[step - 1] = _millimetres(told.transform_camera_to_world, pose)
+        nees[step - 1] = normalised_error(told.transform_camera_to_world, pose, told.covariance)
+    return {PERSISTENT: errors, f"nees/{PERSISTENT}": nees}
+
+
+def points_in_both_views(
+    rng: np.random.Generator, motion: RigidTransform, distance: float, count: int
+) -> FloatArray:
+    """Return (count, 3) random points [m] in view before and after, in the frame before.
+
+    Args:
+        rng: Draws them.
+        motion: After to before.
+        distance: Mean depth [m].
+        count: How many.
+
+    Raises:
+        ValueError: If the two views hardly overlap.
+    """
+    found = np.zeros((0, 3))
+    for _ in range(100):
+        depths = distance * rng.uniform(1.0 - DEPTH_SPREAD, 1.0 + DEPTH_SPREAD, 4 * count)
+        image = np.column_stack(
+            [
+                rng.uniform(0.0, HEAD.width, 4 * count),
+                rng.uniform(0.0, HEAD.height, 4 * count),
+                HEAD.fx * HEAD.baseline / depths,
+            ]
+        )
+        points = HEAD.points(image[_in_view(image)])
+        again = _in_view(HEAD.project(motion.apply(points, inverse=True)))
+        found = np.concatenate([found, points[again]])
+        if len(found) >= count:
+            return found[:count]
+    raise ValueError(f"two views overlap too little for {count} fiducials at {distance} m")
+
+
+def normalised_error(
+    estimate: RigidTransform, truth: RigidTransform, covariance: FloatArray
+) -> float:
+    """Return the squared error over its covariance per degree of freedom; 1 is expected."""
+    xi = (truth * estimate.inv()).as_exp_coords()
+    return float(xi @ np.linalg.solve(covariance, xi)) / 6.0
+
+
+def _in_view(image: FloatArray) -> NDArray[np.bool_]:
+    """Say which points both eyes see, away from the border."""
+    columns, rows, disparities = image.T
+    inside = (columns - disparities >= BORDER) & (columns < HEAD.width - BORDER)
+    return inside & (rows >= BORDER) & (rows < HEAD.height - BORDER) & (disparities > 0.0)
+
+
+def _surroundings(rng: np.random.Generator, distance: float, in_view: float) -> FloatArray:
+    """Draw (N, 3) points around a view, so that about so many are in one view."""
+    depth = np.array([1.0 - DEPTH_SPREAD, 1.0 + DEPTH_SPREAD]) * distance
+    half = np.tan(np.radians([40.0, 35.0])) * distance + 0.1
+    view = np.array([HEAD.width / HEAD.fx, HEAD.height / HEAD.fy]) / 2.0 * distance
+    count = int(in_view * np.prod(half / view))
+    low, high = [-half[0], -half[1], depth[0]], [half[0], half[1], depth[1]]
+    return rng.uniform(low, high, (count, 3))
+
+
+def _millimetres(estimate: RigidTransform, truth: RigidTransform) -> float:
+    return 1000.0 * float(np.linalg.norm(estimate.translation - truth.translation))
+
+
+def _measure_errors(
+    group: Sequence[Mapping[str, Any]], count: int, sigma: float, name: str, output: Output
+) -> None:
+    """Store the errors of one case, with its number of fiducials and noise if not the usual."""
+    suffix = "" if count == FEW else f"_{count}"
+    prefix = "motion_error_mm" if sigma == COARSE else f"motion_error_mm_at_{sigma:g}px"
+    for solver in (*SOLVERS, PERSISTENT):
+        errors = np.array([result[solver] for result in group])
+        for steps in REPORTED:
+            key = f"{prefix}/{solver}{suffix}/{name}/{steps}"
+            output.measure(key, distribution(errors[:, steps - 1]))
+        lost = fraction(int(np.isinf(errors).sum()), errors.size)
+        output.measure(f"{prefix}/views_lost/{solver}{suffix}/{name}", lost)
+    for solver in ("ml", PERSISTENT):
+        values = np.array([result[f"nees/{solver}"] for result in group])
+        kind = prefix.replace("error_mm", "nees")
+        output.measure(f"{kind}/{solver}{suffix}/{name}", float(np.nanmean(values)))
+
+
+def _rows(group: Sequence[Mapping[str, Any]], case: tuple[Any, ...]) -> list[list[Any]]:
+    """Return one row for each solver and reported step."""
+    rows: list[list[Any]] = []
+    for solver in (*SOLVERS, PERSISTENT):
+        errors = np.array([result[solver] for result in group])
+        for steps in REPORTED:
+            told = distribution(errors[:, steps - 1])
+            square = float(np.sqrt(np.mean(errors[:, steps - 1] ** 2)))
+            row = [*case, solver, steps, told["median"], told["low"], told["high"], square]
+            rows.append([*row, told["n"]])
+    return rows
+
+
+def _check(
+    groups: Mapping[tuple[int, float, str], Sequence[Mapping[str, Any]]], output: Output
+) -> None:
+    """Hold likelihood against the linear solution, and the map against its own start."""
+
+    def median(solver: str, steps: int, name: str) -> float:
+        group = groups[FEW, COARSE, name]
+        return float(np.median([result[solver][steps - 1] for result in group]))
+
+    ratio = median("ml", 15, "1100mm") / median("linear", 15, "1100mm")
+    output.measure("motion_error_ratio/ml_over_linear", ratio)
+    output.check(
+        "error of ml over linear at 1100 mm after 15 steps",
+        ratio,
+        f"<= {RATIO_BOUND:g}",
+        ratio <= RATIO_BOUND,
+    )
+    for name in RANGES:
+        growth = median(PERSISTENT, 30, name) / median(PERSISTENT, 5, name)
+        output.measure(f"motion_error_ratio/persistent_30_over_5/{name}", growth)
+        output.check(
+            f"error with persistent fiducials at {name}, step 30 over step 5",
+            growth,
+            f"<= {GROWTH_BOUND:g}",
+            growth <= GROWTH_BOUND,
+        )

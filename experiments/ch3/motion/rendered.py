@@ -1,0 +1,318 @@
+"""Camera motion on rendered pairs: fiducials chosen, tracked and registered, as on the robots.
+
+A stereo head looks at a cluttered scene from a mean distance and moves as an arm would move it.
+What the arm's joints say of a motion is wrong by some millimetres and tenths of a degree; it only
+starts the search. The true poses serve to score.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from experiments.ch3.motion.figures import tracking_figure
+from experiments.ch3.motion.motion import RANGES, ArmMotion, normalised_error
+from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
+from experiments.harness import contract
+from experiments.harness.contract import ExperimentError
+from experiments.harness.intervals import distribution, fraction
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from perception.registration.fiducial_terms import FiducialConfig
+from perception.registration.fiducials import select_fiducials
+from perception.registration.map import FiducialMap
+from perception.registration.registration import SOLVERS, RegistrationError, estimate_motion
+from perception.registration.tracking import Tracks, track
+from perception.stereo.stereo import StereoMatcher
+
+FloatArray = NDArray[np.float64]
+
+STEPS = 15
+REPORTED = (1, 5, 15)
+USED = 6  # Fiducials of a motion, as in the thesis' figure 3-23.
+CHOSEN = 10  # A few more are chosen, since some are lost on the way.
+MAPPED = 14  # Fiducials of the map that are wanted in view.
+SHOWN = 3  # Views of figure 3-23.
+SIGMA = (0.03, 0.03, 0.05)
+"""Deviations of a column, row and disparity [px] by which sets of fiducials are judged; each match
+brings its own."""
+
+NEAREST, RANGE_TOLERANCE = 0.6, 0.15
+"""Nearest and mean depth in the first view over the range that is asked for."""
+
+PLACE_SIGMA = 0.01
+"""Deviation of the column and row of a new fiducial [px]: it is where it was chosen to be."""
+
+ARM_DEGREES, ARM_METRES = 0.3, 0.003
+"""Standard deviation of what the joints say of a step, about and along each axis."""
+
+
+@dataclasses.dataclass
+class _View:
+    """One pose of the head: what it saw, where it was, and what the joints said of the step."""
+
+    pair: NDArray[np.uint8]
+    pose: RigidTransform
+    told: RigidTransform  # To the last view, roughly.
+    measured: FloatArray  # (N, 3) columns, rows, disparities of the stereo match [px].
+    sigma: FloatArray  # (N, 3) of them.
+
+
+def measure_rendered_motion(options: contract.Options, output: Output) -> None:
+    """Follow a rendered camera over seeds and ranges; measure, and draw figure 3-23.
+
+    Args:
+        options: ``quick`` takes 1 scene instead of 8.
+        output: Receives ``motion_rendered_mm/<solver>/<range>/<steps>``, ``tracking_error_px``
+            and the figure ``figure_3-23``.
+    """
+    configs = [{"seed": seed, "range": name} for name in RANGES for seed in options.job_seeds(8, 1)]
+    results = sweep(follow_rendered, configs, options, output, label="rendered motions")
+    for name in RANGES:
+        group = [r for c, r in zip(configs, results, strict=True) if c["range"] == name]
+        for solver in (*SOLVERS, "persistent"):
+            errors = np.array([result[solver] for result in group])
+            for steps in REPORTED:
+                key = f"motion_rendered_mm/{solver}/{name}/{steps}"
+                output.measure(key, distribution(errors[:, steps - 1]))
+        for solver in ("ml", "persistent"):
+            values = np.concatenate([result[f"nees/{solver}"] for result in group])
+            output.measure(f"motion_rendered_nees/{solver}/{name}", _median(values))
+        errors = np.concatenate([result["tracking"] for result in group])
+        for axis, column in zip(("column", "row", "disparity"), errors.T, strict=True):
+            output.measure(f"tracking_error_px/{axis}/{name}", _robust_sigma(column))
+        outliers = int(np.sum(np.abs(errors).max(axis=1) > 1.0))
+        output.measure(f"tracking_outlier_fraction/{name}", fraction(outliers, len(errors)))
+        found = int(sum(result["found"] for result in group))
+        sought = int(sum(result["sought"] for result in group))
+        output.measure(f"tracked_fraction/{name}", fraction(found, sought))
+    shown = results[0]
+    counts = range(SHOWN)
+    output.figure(
+        "figure_3-23",
+        tracking_figure(
+            [np.asarray(image, dtype=np.uint8) for image in shown["images"]],
+            [np.asarray(shown[f"previous/{k}"]).reshape(-1, 3) for k in counts],
+            [np.asarray(shown[f"next/{k}"]).reshape(-1, 3) for k in counts],
+        ),
+    )
+
+
+def follow_rendered(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Move a rendered camera and follow it; a job of the sweep.
+
+    Args:
+        config: ``seed`` and ``range`` (key of `RANGES`); ``scene`` may hold further fields of
+            `SceneConfig`, ``steps`` another number of steps than `STEPS`.
+
+    Returns:
+        Errors [mm] of each solver and of the map after each step, infinite where it was lost;
+        ``nees/...`` of each step; ``tracking``, (N, 3) errors [px] of tracked columns, rows and
+        disparities; how many were sought and found; and what figure 3-23 shows.
+    """
+    steps = int(config.get("steps", STEPS))
+    views, scene = _views(config, steps)
+    chained = {solver: RigidTransform.identity() for solver in SOLVERS}
+    errors = {solver: np.full(steps, np.inf) for solver in SOLVERS}
+    nees = np.full(steps, np.nan)
+    tracks: list[Tracks] = []
+    for step, (last, view) in enumerate(zip(views[:-1], views[1:], strict=True)):
+        chosen = select_fiducials(
+            last.pair[0],
+            last.measured,
+            scene.geometry,
+            next_view=view.told,
+            config=FiducialConfig(count=CHOSEN, sigma=SIGMA),
+        )
+        found = track(last.pair, view.pair, chosen.image_points, scene.geometry, view.told)
+        tracks.append(found)
+        motion = last.pose.inv() * view.pose
+        used = _best(found)
+        for solver in SOLVERS:
+            try:
+                told = estimate_motion(
+                    solver,
+                    found.before[used],
+                    found.after[used],
+                    scene.geometry,
+                    found.sigma[used],
+                    guess=view.told if solver == "ml" else None,
+                    reject=solver == "ml",
+                )
+                moved = told.transform_after_to_before
+            except RegistrationError:
+                # Nothing better is known than what the joints say.
+                moved = view.told
+            else:
+                if solver == "ml":
+                    nees[step] = normalised_error(moved, motion, told.covariance)
+            chained[solver] = chained[solver] * moved
+            errors[solver][step] = _millimetres(views[0].pose * chained[solver], view.pose)
+    result: dict[str, Any] = {**errors, "nees/ml": nees}
+    result.update(_tracking_errors(views, tracks, scene))
+    result.update(_follow_by_map(views, scene))
+    result.update(_shown(views, tracks))
+    return result
+
+
+def _views(config: Mapping[str, Any], steps: int) -> tuple[list[_View], StereoScene]:
+    """Move the free head about a random place before the panel."""
+    scene = StereoScene(SceneConfig(seed=config["seed"], **config.get("scene", {})))
+    rng = np.random.default_rng(np.random.SeedSequence((config["seed"], 324)))
+    distance = RANGES[config["range"]]
+    first = _first_pose(scene, distance, rng)
+    matcher = StereoMatcher(scene.geometry)
+    views: list[_View] = []
+    for offset in ArmMotion().draw(rng, steps, distance):
+        scene.set_rig(first * offset)
+        seen = scene.capture(RIG)
+        points = matcher.match(seen.pair)
+        measured = np.column_stack([points.pixels, points.disparities])
+        told = RigidTransform.identity()
+        if views:
+            scale = np.repeat([np.radians(ARM_DEGREES), ARM_METRES], 3)
+            slip = RigidTransform.from_exp_coords(scale * rng.standard_normal(6))
+            told = slip * views[-1].pose.inv() * seen.transform_camera_to_world
+        spread = np.column_stack([np.full((len(points), 2), PLACE_SIGMA), points.sigmas])
+        views.append(_View(seen.pair, seen.transform_camera_to_world, told, measured, spread))
+    return views, scene
+
+
+def _first_pose(scene: StereoScene, distance: float, rng: np.random.Generator) -> RigidTransform:
+    """Draw where the free head begins: before the panel, with what it sees at the range.
+
+    Raises:
+        ExperimentError: If the scene has no such place.
+    """
+    size = (scene.geometry.width, scene.geometry.height)
+    columns, rows = np.meshgrid(*(np.linspace(20.0, n - 20.0, 7) for n in size))
+    pixels = np.column_stack([columns.ravel(), rows.ravel()])
+    panel = scene.transform_panel_to_world.translation
+    for _ in range(200):
+        aside, ahead = rng.uniform(-0.3, 0.3), rng.uniform(0.0, 0.4)
+        target = np.array([panel[0] + aside, panel[1] - ahead, 0.05])
+        bearing, height = rng.uniform(-0.5, 0.5), rng.uniform(0.5, 0.8)  # [rad]
+        flat = np.cos(height)
+        away = np.array([np.sin(bearing) * flat, -np.cos(bearing) * flat, np.sin(height)])
+        pose = look_at(target + distance * away, target)
+        scene.set_rig(pose)
+        depths = scene.true_depths(RIG, pixels)
+        if np.isnan(depths).any() or depths.min() < NEAREST * distance:
+            continue
+        if abs(float(np.mean(depths)) / distance - 1.0) < RANGE_TOLERANCE:
+            return pose
+    raise ExperimentError(f"scene {scene.config.seed}: no view of it is {distance} m away")
+
+
+def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> dict[str, FloatArray]:
+    """Register each view to fiducials that stay.
+
+    Each is tracked from the view that it was chosen in: from view to view its place would drift.
+    """
+    errors, nees = np.full(len(views) - 1, np.inf), np.full(len(views) - 1, np.nan)
+    fiducials = FiducialMap(scene.geometry, SIGMA)
+    start = select_fiducials(
+        views[0].pair[0],
+        views[0].measured,
+        scene.geometry,
+        config=FiducialConfig(count=MAPPED, sigma=SIGMA),
+    )
+    fiducials.add(start.image_points, views[0].pose, sigma=views[0].sigma[start.indices])
+    first_view = np.zeros(len(fiducials), np.intp)
+    first_seen = start.image_points
+    poses = [views[0].pose]
+    for step, view in enumerate(views[1:], start=1):
+        guess = poses[-1] * view.told
+        seen, sigma = np.full((2, len(fiducials), 3), np.nan)
+        for earlier in np.unique(first_view):
+            mine = np.flatnonzero(first_view == earlier)
+            back = poses[earlier].inv() * guess
+            found = track(views[earlier].pair, view.pair, first_seen[mine], scene.geometry, back)
+            seen[mine], sigma[mine] = found.after, found.place_sigma
+        known = np.flatnonzero(np.isfinite(seen[:, 0]))
+        new = select_fiducials(
+            view.pair[0],
+            view.measured,
+            scene.geometry,
+            taken=seen[known],
+            config=FiducialConfig(count=max(MAPPED - len(known), 1), sigma=SIGMA),
+        )
+        try:
+            told = fiducials.observe(
+                known,
+                seen[known],
+                sigma=sigma[known],
+                new=new.image_points,
+                new_sigma=view.sigma[new.indices],
+                guess=guess,
+            )
+        except RegistrationError:
+            poses.append(guess)
+            continue
+        registration = told.registration
+        poses.append(registration.transform_camera_to_world)
+        first_view = np.append(first_view, np.full(len(new.indices), step))
+        first_seen = np.concatenate([first_seen, new.image_points])
+        errors[step - 1] = _millimetres(poses[-1], view.pose)
+        nees[step - 1] = normalised_error(poses[-1], view.pose, registration.covariance)
+    return {"persistent": errors, "nees/persistent": nees}
+
+
+def _tracking_errors(
+    views: Sequence[_View], tracks: Sequence[Tracks], scene: StereoScene
+) -> dict[str, Any]:
+    """Hold tracked columns, rows and disparities against where the true surface would be."""
+    errors, sought = [np.zeros((0, 3))], 0
+    for last, view, found in zip(views[:-1], views[1:], tracks, strict=True):
+        sought += len(found.found)
+        scene.set_rig(last.pose)
+        before, after = found.before[found.found], found.after[found.found]
+        depths = scene.true_depths(RIG, before[:, :2])
+        disparities = scene.geometry.fx * scene.geometry.baseline / depths
+        points = scene.geometry.points(np.column_stack([before[:, :2], disparities]))
+        motion = last.pose.inv() * view.pose
+        if len(points):
+            expected = scene.geometry.project(motion.apply(points, inverse=True))
+            error = after - expected
+            errors.append(error[np.isfinite(error).all(axis=1)])
+    tracked = np.concatenate(errors)
+    return {"tracking": tracked, "sought": sought, "found": len(tracked)}
+
+
+def _best(found: Tracks) -> NDArray[np.intp]:
+    """Return the fiducials of a motion: those that were tracked best."""
+    there = np.flatnonzero(found.found)
+    order = np.argsort(found.sigma[there].max(axis=1), kind="stable")
+    return there[order[:USED]]
+
+
+def _shown(views: Sequence[_View], tracks: Sequence[Tracks]) -> dict[str, Any]:
+    """Return the first views and which fiducials are tracked with the view before and after."""
+    shown: dict[str, Any] = {"images": np.array([view.pair[0] for view in views[:SHOWN]])}
+    for k in range(SHOWN):
+        for name, index in (("previous", k - 1), ("next", k)):
+            shown[f"{name}/{k}"] = np.zeros((0, 3))
+            if 0 <= index < len(tracks):
+                found = tracks[index]
+                points = found.after if name == "previous" else found.before
+                shown[f"{name}/{k}"] = points[_best(found)]
+    return shown
+
+
+def _millimetres(estimate: RigidTransform, truth: RigidTransform) -> float:
+    return 1000.0 * float(np.linalg.norm(estimate.translation - truth.translation))
+
+
+def _robust_sigma(values: FloatArray) -> float:
+    """Return 1.4826 times the median absolute value; NaN without any."""
+    return 1.4826 * float(np.median(np.abs(values))) if len(values) else float("nan")
+
+
+def _median(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float("nan")

@@ -1,0 +1,110 @@
+"""Two small worked pictures: how Gaussians are merged (3-6), how a view is evaluated (3-8)."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse, Wedge
+from numpy.typing import NDArray
+
+from experiments.ch3.planar.trial import Trial, build_world
+from perception.planar.beams import fan
+from perception.planar.map import Grid, PlanarMap
+from perception.planar.raycast import RangeSensor, expected_view, scan
+from perception.voxels.information import READINGS, new_information
+
+FloatArray = NDArray[np.float64]
+
+HEADINGS = 24
+
+
+def merge(
+    mean_1: FloatArray, covariance_1: FloatArray, mean_2: FloatArray, covariance_2: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Multiply two Gaussians (Thesis eq. 3-10 as mended: C1 - C1 (C1 + C2)^-1 C1).
+
+    Args:
+        mean_1: (n,) first mean.
+        covariance_1: (n, n) of the first.
+        mean_2: (n,) second mean.
+        covariance_2: (n, n) of the second.
+
+    Returns:
+        Mean (n,) and covariance (n, n).
+    """
+    gain = np.linalg.solve(covariance_1 + covariance_2, covariance_1).T
+    return mean_1 + gain @ (mean_2 - mean_1), covariance_1 - gain @ covariance_1
+
+
+def merging_figure() -> Figure:
+    """Draw two range measurements of one point from two sides, and what both tell (figure 3-6)."""
+    figure = Figure(figsize=(6, 5))
+    axes = figure.add_subplot()
+    turned = np.radians([10.0, 80.0])
+    means = [np.array([0.0, 0.0]), np.array([0.35, 0.25])]
+    covariances = []
+    for angle in turned:
+        # Deviations along and across the line of sight, turned into the common frame (3-9).
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        covariances.append(turn @ np.diag([0.6**2, 0.12**2]) @ turn.T)
+    mean, covariance = merge(means[0], covariances[0], means[1], covariances[1])
+    shown = [(means[0], covariances[0], "C0", "first"), (means[1], covariances[1], "C1", "second")]
+    for centre, spread, colour, label in (*shown, (mean, covariance, "k", "merged")):
+        values, vectors = np.linalg.eigh(spread)
+        tilt = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
+        for scale in (1.0, 2.0):
+            width, height = 2.0 * scale * np.sqrt(values[::-1])
+            ellipse = Ellipse(
+                (float(centre[0]), float(centre[1])), width, height, angle=tilt, fill=False,
+                color=colour, label=f"{label}, 1 and 2 sigma" if scale == 1.0 else None,
+            )  # fmt: skip
+            axes.add_patch(ellipse)
+    axes.set(xlim=(-1.5, 1.8), ylim=(-1.3, 1.6), aspect="equal", xlabel="x [m]", ylabel="y [m]")
+    axes.legend()
+    return figure
+
+
+def evaluation_figure() -> Figure:
+    """Draw what a view is expected to show behind known obstacles, and its NI (figure 3-8)."""
+    world = build_world(Trial("unstructured", 5, "information"))
+    sensor, grid = RangeSensor(), world.grid
+    model = PlanarMap(grid)
+    angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
+    scans = [scan(world.occupied, grid, world.start, angle, sensor) for angle in angles]
+    facing = int(np.argmax([seen.hit.sum() for seen in scans]))
+    model.insert(scans[facing].passed, scans[facing].hit)
+    opaque = model.states() == 2
+    table = fan(sensor.depth, grid.cell, 240)
+    figure = Figure(figsize=(15, 5))
+    for index, turn in enumerate((facing, facing + 3, facing + 6)):
+        axes = figure.add_subplot(1, 3, index + 1)
+        heading = float(2.0 * np.pi * turn / HEADINGS)
+        seen = expected_view(opaque, world.start, heading, sensor.fov, table)
+        picture = np.where(model.measured, 0.65, 1.0)
+        picture[seen & ~model.measured] = 0.85
+        picture[opaque] = 0.0
+        _draw_sector(axes, picture, grid, world.start, float(np.degrees(heading)), sensor)
+        values = [
+            new_information(
+                reading, model.probability(), model.measured, opaque, np.array([world.start]),
+                table, sensor.fov, sensor.depth, HEADINGS,
+            )[0, turn % HEADINGS]
+            for reading in READINGS
+        ]  # fmt: skip
+        told = ", ".join(f"{name} {value:.2f}" for name, value in zip(READINGS, values))
+        axes.set_title(f"NI: {told}", fontsize=8)
+    return figure
+
+
+def _draw_sector(axes, picture, grid: Grid, cell, degrees: float, sensor: RangeSensor) -> None:
+    """Show the surroundings of a pose and its sector."""
+    extent = (0.0, grid.columns * grid.cell, 0.0, grid.rows * grid.cell)
+    axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=extent)
+    x, y = grid.centre(cell)
+    half = float(np.degrees(sensor.fov)) / 2.0
+    axes.add_patch(
+        Wedge((x, y), sensor.depth, degrees - half, degrees + half, fill=False, color="r")
+    )
+    reach = 1.2 * sensor.depth
+    axes.set(xlim=(x - reach, x + reach), ylim=(y - reach, y + reach))
+    axes.set(xlabel="x [m]", ylabel="y [m]")

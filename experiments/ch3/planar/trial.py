@@ -1,0 +1,223 @@
+"""One simulated mapping run: a world, one or more robots, and a method."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controllers.mapping.planar_planner import Method, PlannerConfig, Utility, View
+from controllers.mapping.planar_team import make_team
+from experiments.ch3.planar.worlds import World, image_world, indoor_world, unstructured_world
+from perception.planar.map import IntArray, PlanarMap
+from perception.planar.raycast import RangeSensor, scan
+from perception.voxels.information import Reading
+from perception.voxels.occupancy import State
+
+TARGET = 0.9
+"""Fraction mapped at which a run has got there."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """One run; a job of the sweep.
+
+    Attributes:
+        world: "unstructured", "indoor", or the file of a picture.
+        seed: Of world, start and candidates.
+        method: How poses are chosen.
+        fov_deg: Field of view [deg].
+        depth: Depth of field [m].
+        limit: Rounds after which a run ends.
+        robots: How many.
+        cooperative: Whether they claim what they will see.
+        reading: Of new information.
+        utility: Of method information.
+        noise: Deviation of a range over its square [1/m].
+        target: Fraction mapped at which a run ends.
+    """
+
+    world: str
+    seed: int
+    method: Method
+    fov_deg: float = 90.0
+    depth: float = 15.0
+    limit: int = 140
+    robots: int = 1
+    cooperative: bool = True
+    reading: Reading = "entropy"
+    utility: Utility = "going_rate"
+    noise: float = 0.0
+    target: float = 1.0
+
+    @property
+    def sensor(self) -> RangeSensor:
+        """The vision system of every robot."""
+        return RangeSensor(float(np.radians(self.fov_deg)), self.depth, self.noise)
+
+
+@dataclasses.dataclass(frozen=True)
+class Round:
+    """What an observer of a run is shown after each round.
+
+    Attributes:
+        index: Of the round, the first scan's is 0.
+        map: The common map; a live object.
+        cells: Row and column of each robot.
+        headings: Of each robot [rad].
+        views: How each robot got there; None at the start, or where nothing was left for it.
+        fraction: Mapped so far.
+        metres: Moved so far by all robots [m].
+    """
+
+    index: int
+    map: PlanarMap
+    cells: list[tuple[int, int]]
+    headings: list[float]
+    views: list[View | None]
+    fraction: float
+    metres: float
+
+
+def build_world(trial: Trial) -> World:
+    """Return the trial's world.
+
+    Raises:
+        OptionError: If its picture is bad.
+    """
+    if trial.world == "unstructured":
+        return unstructured_world(trial.seed)
+    if trial.world == "indoor":
+        return indoor_world(trial.seed)
+    return image_world(Path(trial.world), trial.seed)
+
+
+def run_trial(
+    trial: Trial, world: World, observe: Callable[[Round], None] | None = None
+) -> dict[str, Any]:
+    """Map a world until it is done or the rounds are used up.
+
+    Args:
+        trial: What to run.
+        world: The truth; only scans come out of it, and the score.
+        observe: Called after each round.
+
+    Returns:
+        ``fraction`` (rounds,) mapped after each round, ``metres`` (rounds,) moved by all robots,
+        ``states`` the final map, ``paths`` (n, 3) robot, row, column of every cell passed,
+        ``stands`` (n, 3) the same where scans were taken, ``plan_ms`` of one robot's choice in each
+        round, ``called_wrong`` the fraction of measured cells whose state is not the truth, and
+        ``bumps`` how often a way was blocked by an obstacle that the map called free.
+    """
+    generator = np.random.default_rng([trial.seed, 3])
+    config = PlannerConfig(trial.sensor, trial.method, trial.reading, trial.utility)
+    team = make_team(trial.robots, config, generator, trial.cooperative)
+    model = PlanarMap(world.grid)
+    cells = world.starts(trial.robots)
+    turns = generator.integers(config.headings, size=trial.robots)
+    headings = [2.0 * np.pi * int(turn) / config.headings for turn in turns]
+    views: list[View | None] = [None] * trial.robots
+    fractions, metres, plan_ms, bumps = [], [0.0], [], 0
+    paths: list[IntArray] = [_numbered(r, np.array([cell])) for r, cell in enumerate(cells)]
+    stands = list(paths)
+    total = int(world.visible.sum())
+    for index in range(trial.limit):
+        moving = [index == 0 or view is not None for view in views]
+        scans = [
+            scan(world.occupied, world.grid, cell, heading, config.sensor, generator)
+            for cell, heading, active in zip(cells, headings, moving)
+            if active
+        ]
+        for seen in scans:
+            model.insert(seen.passed, seen.hit)
+        fractions.append(float((model.measured & world.visible).sum() / total))
+        if observe is not None:
+            observe(Round(index, model, cells, headings, views, fractions[-1], metres[-1]))
+        if fractions[-1] >= trial.target or index == trial.limit - 1:
+            break
+        begin = time.perf_counter()
+        views = team.choose(model, cells)
+        plan_ms.append(1e3 * (time.perf_counter() - begin) / trial.robots)
+        chosen = [(r, view) for r, view in enumerate(views) if view is not None]
+        if not chosen:
+            break
+        walked = {robot: _walk(view.path, world, model) for robot, view in chosen}
+        bumps += sum(len(walked[robot]) < len(view.path) for robot, view in chosen)
+        for robot, path in walked.items():
+            cells[robot] = (int(path[-1, 0]), int(path[-1, 1]))
+        headings = [h if v is None else v.heading for h, v in zip(headings, views)]
+        metres.append(metres[-1] + sum(_length(path, world) for path in walked.values()))
+        paths += [_numbered(robot, path) for robot, path in walked.items()]
+        stands += [_numbered(robot, path[-1:]) for robot, path in walked.items()]
+    return {
+        "fraction": np.array(fractions),
+        "metres": np.array(metres[: len(fractions)]),
+        "states": model.states(),
+        "paths": np.concatenate(paths).astype(np.int16),
+        "stands": np.concatenate(stands).astype(np.int16),
+        "plan_ms": np.array(plan_ms),
+        "called_wrong": _called_wrong(model, world),
+        "bumps": bumps,
+    }
+
+
+def _walk(path: IntArray, world: World, model: PlanarMap) -> IntArray:
+    """Return the part of a path up to the first obstacle, which is felt and noted in the map.
+
+    Only noisy ranges let a map call an obstacle free.
+    """
+    blocked = world.occupied[path[:, 0], path[:, 1]]
+    if not blocked.any():
+        return path
+    first = int(np.argmax(blocked))
+    felt = np.zeros(model.grid.shape, dtype=bool)
+    felt[tuple(path[first])] = True
+    model.insert(np.zeros_like(felt), felt)
+    return path[:first]
+
+
+def _length(path: IntArray, world: World) -> float:
+    steps = np.diff(path, axis=0)
+    return float(np.hypot(steps[:, 0], steps[:, 1]).sum() * world.grid.cell)
+
+
+def _numbered(robot: int, cells: IntArray) -> IntArray:
+    return np.column_stack([np.full(len(cells), robot), cells])
+
+
+def _called_wrong(model: PlanarMap, world: World) -> float:
+    """Return the fraction of measured cells whose state is not the truth."""
+    states = model.states()
+    wrong = (states == State.FREE) & world.occupied | (states == State.OCCUPIED) & ~world.occupied
+    return float(wrong.sum() / max(int(model.measured.sum()), 1))
+
+
+@functools.lru_cache(maxsize=1)
+def warm_up() -> None:
+    """Load the compiled code, so that no choice is timed with it."""
+    for method in ("information", "max_new"):
+        trial = Trial("unstructured", 0, method, limit=3)
+        run_trial(trial, build_world(trial))
+
+
+def map_world(trial: Trial) -> dict[str, Any]:
+    """Run one trial; a job of the sweep.
+
+    Raises:
+        OptionError: If its picture is bad.
+    """
+    warm_up()
+    return run_trial(trial, build_world(trial))
+
+
+def first_at(result: Mapping[str, Any], fraction: float = TARGET) -> tuple[float, float]:
+    """Return rounds and metres when a fraction was mapped; infinite if it never was."""
+    reached = np.flatnonzero(result["fraction"] >= fraction)
+    if reached.size == 0:
+        return float("inf"), float("inf")
+    return float(reached[0] + 1), float(result["metres"][reached[0]])

@@ -1,0 +1,327 @@
+"""Depth noise of the stereo heads, a part of ``ch3-stereo``: how well eq. 3-6 holds.
+
+A free rig looks at the cluttered scenes from 0.35 to 2 m, and the rovers' arms from where they
+rest. Every matched point is held against the exact depth of its pixel.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
+from experiments.harness.contract import Options
+from experiments.harness.intervals import distribution
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from perception.stereo.geometry import StereoGeometry
+from perception.stereo.stereo import StereoConfig, StereoMatcher
+
+FloatArray = NDArray[np.float64]
+
+RANGES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # From the rig to where it looks [m]
+EDGES = np.geomspace(0.35, 2.0, 9)  # Of the bins of depth [m]
+ELEVATIONS = (np.deg2rad(35.0), np.deg2rad(60.0))  # Of the rig above where it looks
+POINTS = 1500  # Scored in each view
+GROSS = 1.0  # Errors beyond this are outliers [px]
+LEAST_IN_BIN = 30
+SLOPE_BOUNDS = (1.8, 2.2)
+NEES_BOUNDS = (0.5, 2.0)
+METHODS = ("refined", "bm", "sgbm")
+LABELS = {"refined": "ours", "bm": "StereoBM", "sgbm": "StereoSGBM"}
+
+
+@dataclasses.dataclass(frozen=True)
+class ScoredView:
+    """What one view's matches are worth; n points.
+
+    Attributes:
+        depths: (n,) true depth [m].
+        predicted: (n,) deviation of the depth by our covariance [m].
+        errors: Of the disparity by method, (n,) each [px]; NaN where that method has none.
+        matched: Fraction of the image's pixels where each method has a disparity.
+        bare: Number of points of ours that were drawn for scoring and show no surface at all.
+    """
+
+    depths: FloatArray
+    predicted: FloatArray
+    errors: Mapping[str, FloatArray]
+    matched: Mapping[str, float]
+    bare: int
+
+
+def measure_noise(options: Options, output: Output) -> None:
+    """Measure disparity and depth noise and hold them against eq. 3-6.
+
+    Args:
+        options: ``job_seeds`` gives 8 scenes, 2 when quick.
+        output: Receives ``depth_sigma_slope``, ``depth_nees``, ``disparity_sigma_px/...``,
+            ``disparity_outlier_fraction/...`` and the figure ``depth_sigma``.
+    """
+    ranges = RANGES[::2] if options.quick else 2 * RANGES
+    configs = [{"seed": seed, "ranges": ranges} for seed in options.job_seeds(8, 2)]
+    scenes = sweep(measure_scene, configs, options, output, label="stereo scenes")
+    report(scenes, output)
+
+
+def measure_scene(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Score the stereo of one scene; a job of the sweep.
+
+    Args:
+        config: ``seed``, and the ``ranges`` from which the rig looks [m].
+
+    Returns:
+        ``focal_baseline`` of the heads [px m]. Arrays over the scored points: ``depth`` [m],
+        ``predicted`` deviation of the depth [m], ``refined``, ``bm`` and ``sgbm`` errors of the
+        disparity [px], ``arm`` 1 for views of the arms. By method, the ``matched_...`` fraction;
+        and the number of ``bare`` points, which show no surface.
+    """
+    scene = StereoScene(SceneConfig(config["seed"]))
+    matcher = StereoMatcher(scene.geometry)
+    rng = np.random.default_rng(np.random.SeedSequence((config["seed"], 3)))
+    names = [RIG] * len(config["ranges"]) + list(scene.robot_names)
+    scored: list[ScoredView] = []
+    for index, name in enumerate(names):
+        if name == RIG:
+            place_rig(scene, config["ranges"][index], rng)
+        scored.append(score_view(scene, name, matcher, rng))
+    sizes = [len(view.depths) for view in scored]
+    return {
+        "seed": config["seed"],
+        "focal_baseline": scene.geometry.fx * scene.geometry.baseline,
+        "depth": np.concatenate([view.depths for view in scored]),
+        "predicted": np.concatenate([view.predicted for view in scored]),
+        "arm": np.repeat([float(name != RIG) for name in names], sizes),
+        "bare": sum(view.bare for view in scored),
+        **{m: np.concatenate([view.errors[m] for view in scored]) for m in METHODS},
+        **{f"matched_{m}": float(np.mean([v.matched[m] for v in scored])) for m in METHODS},
+    }
+
+
+def place_rig(scene: StereoScene, distance: float, rng: np.random.Generator) -> None:
+    """Put the free rig somewhere with an open view of the ground.
+
+    Args:
+        scene: Its rig is moved.
+        distance: To the point that it looks at [m].
+        rng: Source of randomness.
+
+    Raises:
+        RuntimeError: If no open view is found, which a sparse field excludes.
+    """
+    grid = np.stack(np.meshgrid(np.linspace(5, 505, 8), np.linspace(5, 487, 8)), -1).reshape(-1, 2)
+    for _ in range(200):
+        target = np.array([*rng.uniform(-0.8, 0.8, 2), 0.02])
+        elevation, azimuth = rng.uniform(*ELEVATIONS), rng.uniform(-np.pi, np.pi)
+        level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]) * np.cos(elevation)
+        eye = target + distance * (level + [0.0, 0.0, np.sin(elevation)])
+        scene.set_rig(look_at(eye, target))
+        depths = scene.true_depths(RIG, grid)
+        if np.nanmin(depths) > 0.6 * distance:
+            return
+    raise RuntimeError(f"no open view from {distance} m in scene {scene.config.seed}")
+
+
+def score_view(
+    scene: StereoScene, name: str, matcher: StereoMatcher, rng: np.random.Generator
+) -> ScoredView:
+    """Capture a pair, match it in three ways and compare with the truth.
+
+    Args:
+        scene: As it stands.
+        name: Of the robot or the rig.
+        matcher: Ours.
+        rng: Chooses the points that are scored.
+    """
+    pair = scene.capture(name).pair
+    seen = matcher.match(pair)
+    maps = {
+        "bm": matcher.disparities(pair),
+        "sgbm": semi_global_disparities(pair, scene.geometry, matcher.config),
+    }
+    chosen = rng.permutation(len(seen))[:POINTS]
+    pixels = seen.pixels[chosen]
+    depths = scene.true_depths(name, pixels)
+    visible = np.isfinite(depths)
+    pixels, depths, chosen = pixels[visible], depths[visible], chosen[visible]
+    truth = scene.geometry.fx * scene.geometry.baseline / depths
+    columns, rows = pixels.astype(int).T
+    errors = {method: disparity[rows, columns] - truth for method, disparity in maps.items()}
+    errors["refined"] = seen.disparities[chosen] - truth
+    matched = {m: float(np.isfinite(disparity).mean()) for m, disparity in maps.items()}
+    stride = matcher.config.stride
+    matched["refined"] = len(seen) * stride**2 / pair[0].size
+    predicted = np.sqrt(seen.covariances[chosen, 2, 2])
+    return ScoredView(depths, predicted, errors, matched, int(np.sum(~visible)))
+
+
+def semi_global_disparities(
+    pair: NDArray[np.uint8], geometry: StereoGeometry, config: StereoConfig
+) -> FloatArray:
+    """Return (H, W) disparities of OpenCV's semi-global matching [px], for comparison."""
+    search = 16 * int(np.ceil((geometry.fx * geometry.baseline / config.nearest + 1.0) / 16))
+    block = 5
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=0,
+        numDisparities=search,
+        blockSize=block,
+        P1=8 * block**2,
+        P2=32 * block**2,
+        disp12MaxDiff=1,
+        uniquenessRatio=config.uniqueness,
+        speckleWindowSize=config.speckle,
+        speckleRange=2,
+    )
+    padded = [cv2.copyMakeBorder(i, 0, 0, search, 0, cv2.BORDER_CONSTANT) for i in pair]
+    found = np.asarray(matcher.compute(padded[0], padded[1]), dtype=float)[:, search:] / 16.0
+    least = geometry.fx * geometry.baseline / config.farthest
+    return np.where(found > least, found, np.nan)
+
+
+def robust_sigma(errors: FloatArray) -> float:
+    """Return 1.4826 times the median absolute deviation; that of a Gaussian is its sigma."""
+    return float(1.4826 * np.median(np.abs(errors - np.median(errors))))
+
+
+def binned_sigma(depths: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return robust deviations by range.
+
+    Args:
+        depths: (n,) [m].
+        errors: (n,) any unit.
+
+    Returns:
+        (bins,) median depth [m] and (bins,) deviation; NaN where there are too few points.
+    """
+    middle, sigma = np.full((2, len(EDGES) - 1), np.nan)
+    index = np.digitize(depths, EDGES) - 1
+    for n in range(len(middle)):
+        inside = index == n
+        if inside.sum() >= LEAST_IN_BIN:
+            middle[n], sigma[n] = np.median(depths[inside]), robust_sigma(errors[inside])
+    return middle, sigma
+
+
+def log_slope(x: FloatArray, y: FloatArray) -> float:
+    """Return the least-squares slope of log y over log x, where both are known."""
+    known = np.isfinite(x) & np.isfinite(y)
+    return float(np.polyfit(np.log(x[known]), np.log(y[known]), 1)[0])
+
+
+def depth_errors(depths: FloatArray, errors: FloatArray, focal_baseline: float) -> FloatArray:
+    """Return what errors of disparity (n,) [px] do to depths (n,) [m]; [m] (eq. 3-3)."""
+    return focal_baseline / (focal_baseline / depths + errors) - depths
+
+
+def report(scenes: Sequence[Mapping[str, Any]], output: Output) -> None:
+    """Store metrics, checks, table and figure of `measure_scene`'s results.
+
+    Args:
+        scenes: One for each seed.
+        output: Where to.
+    """
+    keys = ("depth", "predicted", "arm", *METHODS)
+    pooled = {key: np.concatenate([scene[key] for scene in scenes]) for key in keys}
+    _report_disparities(scenes, pooled, output)
+    bare = sum(scene["bare"] for scene in scenes)
+    output.measure("points_without_surface_fraction", bare / (bare + len(pooled["depth"])))
+    scale = float(scenes[0]["focal_baseline"])
+    slopes = []
+    for scene in scenes:
+        errors = depth_errors(scene["depth"], scene["refined"], scale)
+        slopes.append(log_slope(*binned_sigma(scene["depth"], errors)))
+    summary = distribution(slopes)
+    output.measure("depth_sigma_slope", summary, thesis=2.0)
+    _check("slope of log depth sigma over log range", summary["median"], SLOPE_BOUNDS, output)
+    errors = depth_errors(pooled["depth"], pooled["refined"], scale)
+    squares = (errors / pooled["predicted"]) ** 2
+    output.measure("depth_nees", float(squares.mean()))
+    output.measure("depth_nees/arm", float(squares[pooled["arm"] > 0.5].mean()))
+    # The median of chi^2 with one degree of freedom is 0.4549.
+    output.measure("depth_nees_by_median", float(np.median(squares) / 0.4549))
+    output.measure("depth_beyond_4_sigma_fraction", float(np.mean(squares > 16.0)))
+    _check("squared depth error over its prediction", squares.mean(), NEES_BOUNDS, output)
+    _report_bins(pooled, scale, output)
+
+
+def _check(name: str, value: float, bounds: tuple[float, float], output: Output) -> None:
+    low, high = bounds
+    output.check(name, float(value), f"{low:g} to {high:g}", bool(low <= value <= high))
+
+
+def _report_disparities(
+    scenes: Sequence[Mapping[str, Any]], pooled: Mapping[str, FloatArray], output: Output
+) -> None:
+    """Store the three matchers beside each other, all at the pixels that ours keeps."""
+    for method in METHODS:
+        errors = pooled[method][np.isfinite(pooled[method])]
+        small = errors[np.abs(errors) <= GROSS]
+        output.measure(f"disparity_sigma_px/robust/{method}", robust_sigma(errors))
+        output.measure(f"disparity_sigma_px/rms/{method}", float(np.sqrt(np.mean(small**2))))
+        output.measure(f"disparity_bias_px/{method}", float(np.median(errors)))
+        output.measure(f"disparity_outlier_fraction/{method}", 1.0 - len(small) / len(errors))
+        share = float(np.mean([scene[f"matched_{method}"] for scene in scenes]))
+        output.measure(f"disparity_matched_fraction/{method}", share)
+
+
+def _report_bins(pooled: Mapping[str, FloatArray], scale: float, output: Output) -> None:
+    """Store, tabulate and draw the deviation of the depth over the range."""
+    depths = pooled["depth"]
+    sigma_px = robust_sigma(pooled["refined"])
+    curves = {}
+    for method in METHODS:
+        known = np.isfinite(pooled[method])
+        errors = depth_errors(depths[known], pooled[method][known], scale)
+        curves[method] = binned_sigma(depths[known], errors)
+    middle, measured = curves["refined"]
+    constant = middle**2 / scale * sigma_px  # eq. 3-6 with one sigma for all ranges
+    index = np.digitize(depths, EDGES) - 1
+    predicted = [_median(pooled["predicted"][index == n]) for n in range(len(middle))]
+    ratio = measured / constant
+    output.measure("eq_3-6_ratio/worst", float(np.nanmax(np.maximum(ratio, 1.0 / ratio))))
+    output.measure("eq_3-6_ratio/one_pixel", float(1.0 / sigma_px))
+    columns = ("range [m]", "points", "depth sigma [mm]", "predicted [mm]", "eq. 3-6 [mm]")
+    columns = (*columns, "StereoBM [mm]", "StereoSGBM [mm]")
+    counts = [int(np.sum(index == n)) for n in range(len(middle))]
+    values = [measured, np.array(predicted), constant, curves["bm"][1], curves["sgbm"][1]]
+    rows = [
+        [round(float(middle[n]), 3), counts[n], *(round(1e3 * float(v[n]), 3) for v in values)]
+        for n in range(len(middle))
+        if counts[n] >= LEAST_IN_BIN
+    ]
+    output.table("depth_sigma", columns, rows)
+    output.figure("depth_sigma", depth_figure(curves, scale, sigma_px))
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")
+
+
+def depth_figure(
+    curves: Mapping[str, tuple[FloatArray, FloatArray]], scale: float, sigma_px: float
+) -> Figure:
+    """Draw the deviation of the depth over the range.
+
+    Args:
+        curves: By method, range [m] and deviation [m].
+        scale: Focal length times baseline [px m].
+        sigma_px: Measured deviation of our disparities [px].
+    """
+    figure = Figure(figsize=(7, 5))
+    axes = figure.add_subplot()
+    for method, style in zip(METHODS, ("o", "s", "^"), strict=True):
+        middle, sigma = curves[method]
+        axes.loglog(middle, 1e3 * sigma, style, label=f"measured, {LABELS[method]}")
+    line = np.geomspace(EDGES[0], EDGES[-1], 50)
+    for sigma, style in ((sigma_px, "k-"), (1.0, "k--")):
+        axes.loglog(line, 1e3 * line**2 / scale * sigma, style, label=f"eq. 3-6, {sigma:.3g} px")
+    axes.set(xlabel="range [m]", ylabel="standard deviation of the depth [mm]")
+    axes.legend()
+    axes.grid(which="both", alpha=0.3)
+    return figure

@@ -1,0 +1,247 @@
+"""One scene of ``ch3-stereo``, mapped by two rovers; the truth only scores."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.mapping.looking import Look, MapperConfig, RobotBrief
+from controllers.mapping.shared_map import SharedMap
+from controllers.mapping.standing import level_target
+from controllers.mapping.stereo_mapper import StereoMapper
+from experiments.ch3.stereo.figures import panorama
+from experiments.ch3.stereo.known_camera_arm import camera_in_world, known_body, known_camera_arm
+from experiments.ch3.stereo.scene import SceneConfig, StereoScene
+from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
+from models import datasheets
+from perception.registration.target import TargetCad
+from perception.voxels.grid import VoxelGrid
+from perception.voxels.map import VoxelMap, VoxelMapConfig
+from twin.camera import StereoConfig
+from twin.connect import Connection, connect
+from twin.loop import run as run_loop
+from twin.robot import Command, Observation
+
+FloatArray = NDArray[np.float64]
+
+VOXEL = 0.005
+"""[m]"""
+BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
+"""Corners of the map [m], about the target."""
+MOUNT_ERROR = (0.004, 0.001)
+"""Deviations of the turn [rad] and place [m] by which a head sits differently from its drawing;
+assumed, and known to the robots as such (`StandingConfig`)."""
+IMAGE_RATE = 0.5  # [Hz]; in software a pair takes some 0.3 s to render
+LONGEST = 300.0  # [s]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trial:
+    """One run.
+
+    Attributes:
+        seed: Of the scene and of all noise.
+        method: How views are chosen.
+        scans: Looks of each robot.
+        shown: Whether the result has what its figures need.
+        robot: What is driven: sim, quantised or emulated.
+    """
+
+    seed: int
+    method: str
+    scans: int
+    shown: bool = False
+    robot: str = "sim"
+
+
+@dataclasses.dataclass
+class Scored:
+    """What a run leaves.
+
+    Attributes:
+        mapper: With map and looks.
+        scene: The same scene, for its truth.
+        curve: Looks so far, true surface mapped [fraction], occupied voxels.
+        transform_scene_to_map: True; of the frame that the robots named, see `named_frame`.
+        cameras: True, from camera to map when a pair was taken, by robot and time stamp.
+        frame_turn: How far that frame is turned from one that is truly level [rad].
+    """
+
+    mapper: StereoMapper
+    scene: StereoScene
+    curve: list[tuple[float, float, float]]
+    transform_scene_to_map: RigidTransform
+    cameras: dict[tuple[str, float], RigidTransform]
+    frame_turn: float
+
+
+def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Map a scene and score it; a job of the sweep."""
+    trial = Trial(**config)
+    scored = map_scene(trial)
+    guess, corrected = pose_errors(scored.mapper.looks, scored.cameras)
+    nees, lost = surface_errors(
+        scored.mapper.shared.voxels.surface(),
+        scored.scene,
+        scored.transform_scene_to_map,
+        np.random.default_rng((trial.seed, 6)),
+    )
+    corrections = [look.correction for look in scored.mapper.looks if look.correction]
+    result = {
+        "curve": np.array(scored.curve),
+        "guess_error": guess,
+        "corrected_error": corrected,
+        "corrected_share": sum(c.corrected for c in corrections) / max(len(corrections), 1),
+        "nees": nees,
+        "lost_share": lost,
+        "located": len(scored.mapper.standings),
+        "frame_turn": scored.frame_turn,
+    }
+    return result | (_pictures(scored) if trial.shown else {})
+
+
+def _pictures(scored: Scored) -> dict[str, Any]:
+    """Return what was seen and mapped; whole images would be too large to keep."""
+    mapper = scored.mapper
+    placed = [
+        [look for look in mapper.looks if look.robot == name and look.correction is not None]
+        for name in scored.scene.robot_names
+    ]
+    return {
+        "panoramas": np.array([panorama(looks, mapper.geometry) for looks in placed], np.float32),
+        "images": [len(looks) for looks in placed],
+        "surface": mapper.shared.voxels.surface().means,
+    }
+
+
+def map_scene(
+    trial: Trial, on_look: Callable[[StereoMapper, Look, float], None] | None = None
+) -> Scored:
+    """Let two rovers map a scene.
+
+    Args:
+        trial: Which.
+        on_look: Called after each look with the mapper, the look and the share of the true surface
+            that is mapped by now, for recording.
+    """
+    scene = StereoScene(SceneConfig(seed=trial.seed))
+    how = MapperConfig(method=trial.method, scans=trial.scans)
+    truth = true_surface(scene, how.reach, np.random.default_rng((trial.seed, 3)))
+    mount, plan = (np.random.default_rng((trial.seed, k)) for k in (4, 5))
+    curve: list[tuple[float, float, float]] = []
+
+    def score(look: Look) -> None:
+        pieces = named_frame(mapper.shared, scene).apply(truth)
+        share, cells = mapped_share(mapper.shared.voxels, pieces)
+        curve.append((len(mapper.looks), share, float(cells)))
+        if on_look is not None:
+            on_look(mapper, look, share)
+
+    with connect(
+        trial.robot,
+        robots=scene.robots,
+        field=scene.field,
+        stereo=StereoConfig(rate=IMAGE_RATE),
+        seed=trial.seed,
+    ) as connection:
+        mapper = StereoMapper(
+            {name: _brief(scene.model, name, mount) for name in scene.robot_names},
+            scene.geometry,
+            target_cad(scene),
+            VoxelMap(VoxelGrid(VOXEL, *BOX), VoxelMapConfig(correlated_points=shared_errors(how))),
+            how,
+            plan,
+            score,
+        )
+        witness = Witness(connection)
+        run_loop(
+            connection.robots,
+            [mapper],
+            connection.clock,
+            witness,
+            duration=LONGEST,
+            until=lambda: mapper.done,
+        )
+    to_map = named_frame(mapper.shared, scene)
+    cameras = {key: to_map * pose for key, pose in witness.cameras.items()}
+    level = level_target(scene.transform_panel_to_world) * scene.transform_panel_to_world.inv()
+    turn = float((to_map * level.inv()).rotation.magnitude())
+    return Scored(mapper, scene, curve, to_map, cameras, turn)
+
+
+def named_frame(shared: SharedMap, scene: StereoScene) -> RigidTransform:
+    """Return the true transform from the scene to the frame in which the robots map.
+
+    The robot that finds the target first says how it leans, and so names the frame. Its head's
+    error turns the frame by some milliradians from the level; that is no error of the map.
+
+    Args:
+        shared: The robots' map; as long as nobody has seen the target, a level frame stands in.
+        scene: The truth.
+    """
+    panel = scene.transform_panel_to_world
+    named = shared.transform_target_to_world
+    return (level_target(panel) if named is None else named) * panel.inv()
+
+
+class Witness:
+    """Notes where the cameras truly are when they look; a recorder of the loop."""
+
+    def __init__(self, connection: Connection) -> None:
+        """Watch a simulation, or one in another process behind emulated boards."""
+        self.cameras: dict[tuple[str, float], RigidTransform] = {}
+        self._connection = connection
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one tick."""
+        for name, seen in observations.items():
+            if seen.stereo.stamp == time:
+                self.cameras[name, time] = self._camera(name)
+
+    def _camera(self, name: str) -> RigidTransform:
+        simulation, emulator = self._connection.simulation, self._connection.emulator
+        if simulation is not None:
+            return camera_in_world(simulation.model, simulation.data, f"{name}/stereo_left")
+        assert emulator is not None
+        told = emulator.state()[name]["camera"]
+        turn = Rotation.from_matrix(told["rotation"])
+        return RigidTransform.from_components(told["translation"], turn)
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+
+def shared_errors(config: MapperConfig) -> float:
+    """Return how many points of a pair share one error: those whose matching windows overlap.
+
+    The errors of points a stride apart are correlated by 0.7, and by 0.04 when their windows touch:
+    over all neighbours the correlations add up to 14 (9 views), the ratio of areas is 13.4.
+    """
+    return (config.stereo.window / config.stereo.stride) ** 2
+
+
+def target_cad(scene: StereoScene) -> TargetCad:
+    """Return what robots know of the panel."""
+    marker = scene.panel.markers[0]
+    return TargetCad(scene.panel.marker_points, marker.radius, marker.dark)
+
+
+def _brief(model: mujoco.MjModel, name: str, rng: np.random.Generator) -> RobotBrief:
+    """Return what is known of a robot; its head does not sit quite as drawn."""
+    arm = known_camera_arm(model, name)
+    turn, place = (d * rng.standard_normal(3) for d in MOUNT_ERROR)
+    off = RigidTransform.from_exp_coords(np.concatenate([turn, place]))
+    arm = dataclasses.replace(arm, transform_camera_to_wrist=arm.transform_camera_to_wrist * off)
+    return RobotBrief(arm, np.array(datasheets.ARM.home), known_body(model, name))

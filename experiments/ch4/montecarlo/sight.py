@@ -1,0 +1,126 @@
+"""What a camera sees in ``ch4-montecarlo``: in focus, in view, hidden or not, and how well.
+
+Places are those of `ch4_montecarlo_scenario`: the goal is the origin, the slot faces y.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+
+from controllers.placement.planar.sight import separated
+from experiments.ch4.montecarlo.scenario import FloatArray, Scenario
+
+# The compiler's decorator has no types.
+_njit: Any = numba.njit(cache=True)
+
+
+@_njit
+def focus(scenario: Scenario, gap: float, sigma: float) -> tuple[float, float]:
+    """Return the distances between which all of the gap is in view and in focus anyhow turned.
+
+    Args:
+        scenario: The numbers.
+        gap: Between the markers [m].
+        sigma: Standard deviation of the object's place [m].
+    """
+    reach = math.hypot(0.5 * gap + scenario.marker, scenario.marker) + 2.0 * sigma
+    return max(
+        scenario.near + reach, reach / math.sin(0.5 * scenario.field_of_view)
+    ), scenario.far - reach
+
+
+@_njit
+def marker_side(scenario: Scenario, target: int) -> float:
+    """Return x of a target's markers [m]; target 0 is the primary one, 1 the secondary."""
+    x = 0.5 * scenario.width + scenario.ear
+    return x if target == 0 else -x
+
+
+@_njit
+def object_corners(scenario: Scenario, gap: float, error: float) -> FloatArray:
+    """Return the object's corners (4, 2) [m], with an error of its place across the slot [m]."""
+    low, high = error - 0.5 * scenario.width, error + 0.5 * scenario.width
+    top = gap + scenario.length
+    return np.array([[low, gap], [high, gap], [high, top], [low, top]])
+
+
+@_njit
+def sighting_variance(
+    scenario: Scenario,
+    corners: FloatArray,
+    camera: FloatArray,
+    target: int,
+    gap: float,
+    error: float,
+) -> float:
+    """Return the variance across the slot of what the camera really measures of a target [m^2].
+
+    The camera looks at the middle of the gap, where that is believed to be.
+
+    Args:
+        scenario: The numbers.
+        corners: (N, `SIDES`, 2) of the obstacles [m].
+        camera: Its place [m].
+        target: 0 primary, 1 secondary.
+        gap: Between the markers [m].
+        error: Of the object's place across the slot [m].
+
+    Returns:
+        The variance; 0 if a marker is not seen.
+    """
+    side = marker_side(scenario, target)
+    ax, ay = side - camera[0], 0.5 * gap - camera[1]
+    away = math.hypot(ax, ay)
+    body = object_corners(scenario, gap, error)
+    widest = math.cos(0.5 * scenario.field_of_view)
+    variance = 0.0
+    marker = np.empty((2, 2))
+    for which in range(2):
+        x, y = (side, 0.0) if which == 0 else (side + error, gap)
+        dx, dy = x - camera[0], y - camera[1]
+        distance = math.hypot(dx, dy)
+        upright = -dy / distance
+        if upright <= 0.0 or not scenario.near <= distance <= scenario.far:
+            return 0.0
+        for end in range(2):
+            marker[end, 0], marker[end, 1] = x + (2 * end - 1) * scenario.marker, y
+            ex, ey = marker[end, 0] - camera[0], y - camera[1]
+            if ax * ex + ay * ey < widest * away * math.hypot(ex, ey):
+                return 0.0
+        if _hidden(scenario, camera, marker, corners, body):
+            return 0.0
+        across = scenario.pixel * distance / scenario.focal * dy / distance
+        along = scenario.disparity * distance**2 / (scenario.focal * scenario.baseline)
+        along *= dx / distance
+        variance += (across**2 + along**2) / upright
+    return variance
+
+
+@_njit
+def _hidden(
+    scenario: Scenario,
+    camera: FloatArray,
+    marker: FloatArray,
+    corners: FloatArray,
+    body: FloatArray,
+) -> bool:
+    """Tell whether an obstacle or the object hides any part of a marker, exactly."""
+    if not separated(camera[0], camera[1], marker, body):
+        return True
+    x, y = 0.5 * (marker[0, 0] + marker[1, 0]), marker[0, 1]
+    dx, dy = x - camera[0], y - camera[1]
+    square = dx * dx + dy * dy
+    for i in range(len(corners)):
+        # Most are too far from the line of sight: their circle about a corner tells at once.
+        px, py = corners[i, 0, 0] - camera[0], corners[i, 0, 1] - camera[1]
+        t = min(max((px * dx + py * dy) / square, 0.0), 1.0)
+        reach = 2.0 * scenario.largest + scenario.marker
+        if (px - t * dx) ** 2 + (py - t * dy) ** 2 > reach * reach:
+            continue
+        if not separated(camera[0], camera[1], marker, corners[i]):
+            return True
+    return False

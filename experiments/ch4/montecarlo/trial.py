@@ -1,0 +1,312 @@
+"""One test of ``ch4-montecarlo``: an object guided to its goal by a camera, compiled.
+
+`ch4_montecarlo` tells the scenario. All random numbers are drawn before, from the test's own seed:
+a test is the same whoever runs it, beside whichever others.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.placement.planar.field import hull_around
+from controllers.placement.planar.hulls import convex_sum
+from controllers.placement.planar.kernels import probability_at, search_arcs
+from controllers.placement.task import FREE_BELOW
+from experiments.ch4.montecarlo.scenario import (
+    CANDIDATES,
+    DENSITIES,
+    SCENARIO,
+    SIDES,
+    FloatArray,
+    Scenario,
+    draw_world,
+)
+from experiments.ch4.montecarlo.sight import (
+    focus,
+    marker_side,
+    object_corners,
+    sighting_variance,
+)
+
+PLACEMENTS = ("optimal", "random", "fixed")
+OPTIMAL, RANDOM, FIXED = range(3)
+TARGETS = ("primary", "secondary")
+PERIODS = 48  # More than the longest approach has.
+DRAWS = 256
+"""Places drawn until one is free, in focus and on the visible side."""
+RINGS, DIRECTIONS = 32, 720
+TRACK = ("gap", "camera_x", "camera_y", "seen", "error", "sigma")
+"""Columns of a track: gap [m]; camera [m], NaN if there is none; 0, or 1 or 2 for the target that
+was seen; error across the slot before the sighting [m]; its predicted standard deviation [m]."""
+
+# The compiler's decorator has no types.
+_njit: Any = numba.njit(cache=True)
+
+
+class Chance(NamedTuple):
+    """All random numbers of one test.
+
+    Attributes:
+        candidates: (`CANDIDATES`, 4 + `SIDES`) of `draw_world`.
+        places: (`PERIODS`, `DRAWS`, 2) uniform in [0, 1): places for random cameras.
+        slopes: (`PERIODS` + 1,) standard normal: drift after each sighting.
+        noise: (`PERIODS`,) standard normal: errors of sightings.
+        constants: (2,) standard normal: error at first, error of the secondary's relation.
+    """
+
+    candidates: FloatArray
+    places: FloatArray
+    slopes: FloatArray
+    noise: FloatArray
+    constants: FloatArray
+
+
+class World(NamedTuple):
+    """One test's obstacles and map.
+
+    Attributes:
+        corners: (N, `SIDES`, 2) of the obstacles [m].
+        occupied: (rows, columns) probability that a camera cannot be there.
+    """
+
+    corners: FloatArray
+    occupied: FloatArray
+
+
+def draw_chance(seed: int) -> Chance:
+    """Draw a test's random numbers, each kind from a stream of its own."""
+    streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
+    return Chance(
+        streams[0].random((CANDIDATES, 4 + SIDES)),
+        streams[1].random((PERIODS, DRAWS, 2)),
+        streams[2].standard_normal(PERIODS + 1),
+        streams[3].standard_normal(PERIODS),
+        streams[4].standard_normal(2),
+    )
+
+
+def worlds(
+    chance: Chance, scenario: Scenario = SCENARIO, densities: Sequence[float] = DENSITIES
+) -> tuple[list[World], FloatArray]:
+    """Return a test's worlds and what part of the work space their obstacles cover.
+
+    Args:
+        chance: Of the test.
+        scenario: The numbers.
+        densities: [%], ascending.
+
+    Raises:
+        ValueError: If a density cannot be reached with the obstacles drawn.
+    """
+    asked = np.array(densities, dtype=float) / 100.0
+    corners, counts, parts, occupied = draw_world(scenario, chance.candidates, asked)
+    for density, count in zip(densities, counts):
+        if count < 0:
+            raise ValueError(f"density {density} %: not reached by {CANDIDATES} obstacles")
+    made = [World(corners[: counts[i]], occupied[i]) for i in range(len(counts))]
+    return made, parts
+
+
+def run_tests(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Run tests by all placements at all densities, with and without secondary target; a job.
+
+    Args:
+        config: ``seeds``, one for each test; ``changes``, of `SCENARIO`'s numbers by name.
+
+    Returns:
+        (n, densities, placements, targets): ``error`` at arrival [m]; ``sightings``, how many;
+        ``last_gap``, how far off the object was last seen [m], and ``last_view``, from how far off
+        the goal [m], both infinite if it never was. ``covered`` and ``free`` (n, densities), the
+        parts of the work space that obstacles cover and that cameras can reach; ``seconds`` that
+        the tests took, without compiling.
+    """
+    scenario = SCENARIO._replace(**config["changes"])
+    seeds = config["seeds"]
+    run_test(seeds[0], scenario)  # compiles
+    begin = time.process_time()
+    results = [run_test(seed, scenario) for seed in seeds]
+    seconds = time.process_time() - begin
+    joined = {name: np.stack([result[name] for result in results]) for name in results[0]}
+    return {**joined, "seconds": seconds}
+
+
+def run_test(seed: int, scenario: Scenario = SCENARIO) -> dict[str, FloatArray]:
+    """Run one test of `run_tests`; the same entries, without the first axis."""
+    chance = draw_chance(seed)
+    made, covered = worlds(chance, scenario)
+    shape = (len(DENSITIES), len(PLACEMENTS), len(TARGETS))
+    names = ("error", "sightings", "last_gap", "last_view")
+    result = {name: np.full(shape, np.inf) for name in names}
+    track = np.empty((PERIODS, len(TRACK)))
+    for density, placement, target in np.ndindex(*shape):
+        index = density, placement, target
+        result["error"][index], steps = guide(
+            scenario, made[density], chance, placement, target == 1, track
+        )
+        seen = np.flatnonzero(track[:steps, 3])
+        result["sightings"][index] = len(seen)
+        if len(seen):
+            last = track[seen[-1]]
+            result["last_gap"][index] = last[0]
+            result["last_view"][index] = math.hypot(last[1], last[2])
+    free = np.array([1.0 - float(world.occupied.mean()) for world in made])
+    return {**result, "covered": covered, "free": free}
+
+
+@_njit
+def guide(
+    scenario: Scenario,
+    world: World,
+    chance: Chance,
+    placement: int,
+    secondary: bool,
+    track: FloatArray,
+) -> tuple[float, int]:
+    """Guide the object to the goal.
+
+    Args:
+        scenario: The numbers.
+        world: Obstacles and map.
+        chance: All random numbers.
+        placement: `OPTIMAL`, `RANDOM` or `FIXED`.
+        secondary: Whether the left-hand pair of markers may be watched, too.
+        track: (`PERIODS`, 6) takes what happened, see `TRACK`.
+
+    Returns:
+        Error across the slot at arrival [m], and the number of periods.
+    """
+    gap, steps, since = scenario.start, 0, 0.0
+    error_then, variance_then = scenario.prior * chance.constants[0], scenario.prior**2
+    slope = scenario.drift * chance.slopes[0]
+    camera, placed, lost = np.full(2, np.nan), False, True
+    while gap > 2.0 * scenario.marker:
+        error = error_then + slope * since
+        variance = variance_then + (scenario.drift * since) ** 2
+        near, far = focus(scenario, gap, math.sqrt(variance))
+        first = 0
+        if placement == OPTIMAL:
+            found, best = _place(scenario, world, gap, near, far, secondary, camera)
+            if found:
+                placed, first = True, best
+        elif steps == 0 or (placement == RANDOM and (lost or scenario.stays == 0.0)):
+            placed = _draw(scenario, world, chance.places[steps], gap, near, far, camera) or placed
+        seen, sighting = 0, 0.0
+        if placed:
+            for turn in range(2 if secondary else 1):
+                target = (first + turn) % 2
+                sighting = sighting_variance(scenario, world.corners, camera, target, gap, error)
+                if sighting > 0.0:
+                    seen = 1 + target
+                    break
+        sigma = math.sqrt(variance)
+        track[steps] = np.array([gap, camera[0], camera[1], float(seen), error, sigma])
+        lost = seen == 0
+        if not lost:
+            wrong = math.sqrt(sighting) * chance.noise[steps]
+            if seen == 2:
+                sighting += scenario.relation**2
+                wrong += scenario.relation * chance.constants[1]
+            weight = variance / (variance + sighting)
+            error_then = error - weight * (error + wrong)
+            variance_then, since = variance * (1.0 - weight), 0.0
+            slope = scenario.drift * chance.slopes[steps + 1]
+        step = scenario.period * min(scenario.speed, scenario.gain * gap)
+        gap, since, steps = gap - step, since + step, steps + 1
+    return error_then + slope * (since + gap), steps
+
+
+@_njit
+def expanded(
+    scenario: Scenario, corners: FloatArray, target: int, gap: float
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return all occluders expanded by the gap, from its middle, as `planar_field` takes them.
+
+    Args:
+        scenario: The numbers.
+        corners: (N, `SIDES`, 2) of the obstacles [m].
+        target: 0 primary, 1 secondary.
+        gap: Between the markers [m].
+
+    Returns:
+        Corners (V, 2) [m] and where each hull's begin (N + 2,); the object is the last.
+    """
+    x, y = scenario.marker, 0.5 * gap + scenario.marker
+    outline = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])  # its own mirror image
+    place = np.array([marker_side(scenario, target), 0.5 * gap])
+    points = np.empty((len(corners) * (SIDES + 4) + 8, 2))
+    starts = np.zeros(len(corners) + 2, dtype=np.int64)
+    for i in range(len(corners) + 1):
+        occluder = object_corners(scenario, gap, 0.0) if i == len(corners) else corners[i]
+        starts[i + 1] = starts[i] + convex_sum(occluder - place, outline, points[starts[i] :])
+    return points[: starts[-1]], starts
+
+
+@_njit
+def _place(
+    scenario: Scenario,
+    world: World,
+    gap: float,
+    near: float,
+    far: float,
+    secondary: bool,
+    camera: FloatArray,
+) -> tuple[bool, int]:
+    """Put the camera where the rating is best.
+
+    Returns:
+        Whether any pose sees a target, and which it is to watch; ``camera`` takes the pose.
+    """
+    if near > far:
+        return False, 0
+    rings = np.linspace(near, far, RINGS)
+    floor, watch, half = 0.0, -1, 0.5 * scenario.side
+    for target in range(2 if secondary else 1):
+        points, starts = expanded(scenario, world.corners, target, gap)
+        if hull_around(points, starts) >= 0:
+            continue
+        error = scenario.relation if target == 1 else 0.0
+        place = np.array([marker_side(scenario, target), 0.5 * gap, 0.5 * math.pi, error])
+        rating, angle, radius, _, _ = search_arcs(
+            points, starts, place, rings, DIRECTIONS, world.occupied, scenario.cell, -half, -half,
+            scenario.spread, (1.0, 1.0, 1.0, 1.0), floor,
+        )  # fmt: skip
+        if rating > floor:
+            floor, watch = rating, target
+            camera[0] = place[0] + radius * math.cos(place[2] + angle)
+            camera[1] = place[1] + radius * math.sin(place[2] + angle)
+    return watch >= 0, max(watch, 0)
+
+
+@_njit
+def _draw(
+    scenario: Scenario,
+    world: World,
+    places: FloatArray,
+    gap: float,
+    near: float,
+    far: float,
+    camera: FloatArray,
+) -> bool:
+    """Draw a pose that is free, in focus and on the visible side of the primary target.
+
+    Returns:
+        Whether there was one among the draws; ``camera`` takes it.
+    """
+    half = 0.5 * scenario.side
+    for draw in places:
+        dx, dy = far * (2.0 * draw[0] - 1.0), far * draw[1]
+        if not near <= math.hypot(dx, dy) <= far:
+            continue
+        x, y = marker_side(scenario, 0) + dx, 0.5 * gap + dy
+        p = probability_at(world.occupied, scenario.cell, -half, -half, x, y)
+        if p < FREE_BELOW:
+            camera[0], camera[1] = x, y
+            return True
+    return False

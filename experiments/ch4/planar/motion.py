@@ -1,0 +1,277 @@
+"""A panel of known CAD is carried to the primary target while a camera watches (figure 4-11).
+
+The site is mapped first, by chapter 3's planner with few scans. The panel's cells leave that map.
+Then at every step the carrier moves by its command and an error, the camera measures the panel's
+pose where it sees any of it, the panel is put back into the map, and the camera is placed again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.placement.moving import (
+    MovingObject,
+    PlanarPose,
+    fit_outline,
+    put_back,
+    replace_camera,
+    swollen,
+    take_out,
+)
+from controllers.placement.planar.clusters import occluders_of_map
+from controllers.placement.planar.search import KnownSpace, PlanarTask
+from controllers.placement.planar.sight import clear_line, sees, sees_on_map
+from controllers.placement.task import PlacementError, View
+from experiments.ch3.planar.trial import Round, Trial, run_trial
+from experiments.ch3.planar.worlds import World
+from experiments.ch4.planar.scenes import make_lens, work_site, work_targets
+from perception.planar.raycast import scan
+
+Floats = NDArray[np.float64]
+
+PANEL = MovingObject("panel", np.array([[-1.5, -5.0], [1.5, -5.0], [1.5, 5.0], [-1.5, 5.0]]))
+START, END, STEP = 88.0, 52.0, 1.5
+"""Of the panel's middle along x, at y = 50; at 52 it is half a metre before the target [m]."""
+STEPS = round((START - END) / STEP) + 1
+SLIP = 0.05
+"""Deviation of a step's length and drift over its length: wheels on loose ground."""
+TURN_SLIP = math.radians(1.0)
+"""Deviation of the heading after a step [rad]."""
+START_SPREAD = np.diag([0.3, 0.3, math.radians(3.0)]) ** 2
+"""Of the panel's pose when the map is made: about its cells' width."""
+DEPTH_NOISE = 1.5e-3
+"""Deviation of a measured point over its squared distance [1/m]; measured with the stereo pair:
+1.8 mm at 1.1 m."""
+SPACING = 0.25
+"""Between the points that are measured on the panel [m]."""
+SIGMAS = 3.0
+SCAN_ROUNDS, SCANNERS = 20, 2
+LOOKS = ((59.0, 50.0), (59.0, 75.0))
+"""Where they look at the targets from [m]."""
+LENS = make_lens(near=15.0)
+"""Focused so that the panel of 10 m fits into the field of view: 5 m / tan(20.6 deg) = 13.3 m."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionTrial:
+    """One approach of the panel; a job of the sweep.
+
+    Attributes:
+        seed: Of the site, the scans and all errors.
+        factor: Of the hysteresis.
+    """
+
+    seed: int
+    factor: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Moment:
+    """What an observer of an approach is shown after each step.
+
+    Attributes:
+        step: Of the approach.
+        task: Targets, occluders and map as believed.
+        view: Of the camera; None where nothing is seen.
+        moved: Whether the camera had to move.
+        panel: (4, 2) corners where the panel truly is [m].
+        believed: Where it is believed to be.
+        watched: Whether the target is truly seen whole.
+    """
+
+    step: int
+    task: PlanarTask
+    view: View | None
+    moved: bool
+    panel: Floats
+    believed: PlanarPose
+    watched: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Site:
+    """A mapped site.
+
+    Attributes:
+        world: The truth, with the panel where it begins.
+        solid: (rows, columns) the truth without the panel.
+        mapped: What the scans made of it.
+    """
+
+    world: World
+    solid: NDArray[np.bool_]
+    mapped: KnownSpace
+
+
+def map_site(seed: int) -> Site:
+    """Draw a site and map it by few scans of two robots, so that much stays uncertain.
+
+    Each also looks once at a target, as the algorithm begins by identifying them (4.2.2).
+    """
+    world, solid = work_site(PlanarPose(START, 50.0, 0.0).to_world(PANEL.outline), seed)
+    trial = Trial(
+        "unstructured", seed, "information", limit=SCAN_ROUNDS, robots=SCANNERS
+    )  # fmt: skip
+    seen: list[Round] = []
+    run_trial(trial, world, seen.append)
+    mapped = seen[-1].map
+    for place in LOOKS:
+        row, column = world.grid.cell_at(place)
+        look = scan(world.occupied, world.grid, (int(row), int(column)), math.pi, trial.sensor)
+        mapped.insert(look.passed, look.hit)
+    return Site(world, solid, KnownSpace(mapped.probability(), world.grid.cell))
+
+
+def approach(
+    trial: MotionTrial,
+    site: Site,
+    observe: Callable[[Moment], None] | None = None,
+    steps: int = STEPS,
+) -> dict[str, Any]:
+    """Carry the panel to the target and keep watching.
+
+    Args:
+        trial: Seed and hysteresis.
+        site: From `map_site`.
+        observe: Called after each step.
+        steps: How many.
+
+    Returns:
+        ``moves`` of the camera after its first placement, ``steps``, ``placed`` how many of them
+        had a view, ``watched`` how many of these truly saw the whole target, ``target`` (steps,)
+        0 primary, 1 secondary, -1 none, ``replan_ms`` (steps,) processor time, ``pose_error``
+        (steps,) [m], and ``metres`` that the camera moved.
+    """
+    generator = np.random.default_rng([trial.seed, 5])
+    true = PlanarPose(START, 50.0, 0.0)
+    error = generator.multivariate_normal(np.zeros(3), START_SPREAD)
+    believed = PlanarPose(START + error[0], 50.0 + error[1], error[2], START_SPREAD)
+    static = take_out(site.mapped, PANEL, believed, SIGMAS)
+    present: Floats | None = None
+    view: View | None = None
+    rows: list[list[float]] = []
+    moves, metres = -1, 0.0
+    for step in range(steps):
+        if step > 0:
+            true, believed = _carry(true, believed, generator)
+        if present is not None:
+            believed = _measure(true, believed, present, site, generator)
+        begin = time.process_time()
+        space = put_back(static, PANEL, believed, generator)
+        occluders = (*occluders_of_map(static, work_targets()), swollen(PANEL, believed, SIGMAS))
+        task = PlanarTask(work_targets(), LENS, occluders, space)
+        try:
+            view, moved = replace_camera(task, present, trial.factor)
+        except PlacementError:
+            view, moved = None, False
+        replan = 1e3 * (time.process_time() - begin)
+        if view is not None:
+            moves += moved
+            metres += 0.0 if present is None else float(np.hypot(*(view.position - present)))
+            present = view.position
+        panel = true.to_world(PANEL.outline)
+        watched = view is not None and _truly_seen(view, panel, site)
+        index = -1 if view is None else int(view.target == "secondary")
+        off = math.hypot(true.x - believed.x, true.y - believed.y)
+        rows.append([index, watched, replan, off])
+        if observe is not None:
+            observe(Moment(step, task, view, moved, panel, believed, watched))
+    target, watched_at, replans, errors = np.array(rows, dtype=float).T
+    return {
+        "moves": max(moves, 0),
+        "steps": len(rows),
+        "placed": int(np.sum(target >= 0)),
+        "watched": int(watched_at.sum()),
+        "target": target.astype(int),
+        "replan_ms": replans,
+        "pose_error": errors,
+        "metres": metres,
+    }
+
+
+def watch_approach(trial: MotionTrial) -> dict[str, Any]:
+    """Map a site, then watch the panel with hysteresis and without; a job of the sweep.
+
+    Returns:
+        `approach`'s results, those without hysteresis under names that begin with ``plain_``.
+    """
+    site = map_site(trial.seed)
+    approach(trial, site, steps=2)  # Loads the compiled code, so that no plan is timed with it.
+    plain = approach(dataclasses.replace(trial, factor=1.0), site)
+    return approach(trial, site) | {f"plain_{name}": value for name, value in plain.items()}
+
+
+def _carry(
+    true: PlanarPose, believed: PlanarPose, generator: np.random.Generator
+) -> tuple[PlanarPose, PlanarPose]:
+    """Move the panel by a step: the carrier heads for where it believes the goal to be."""
+    spread = np.diag([SLIP * STEP, SLIP * STEP, TURN_SLIP]) ** 2
+    slip = generator.multivariate_normal(np.zeros(3), spread)
+    # It brings itself back to the line and to the right heading as far as it knows.
+    command = np.array([-STEP, 50.0 - believed.y, -believed.heading])
+    real = command + slip
+    return (
+        PlanarPose(true.x + real[0], true.y + real[1], true.heading + real[2]),
+        PlanarPose(
+            believed.x + command[0], believed.y + command[1], believed.heading + command[2],
+            believed.covariance + spread,
+        ),
+    )  # fmt: skip
+
+
+def _measure(
+    true: PlanarPose,
+    prior: PlanarPose,
+    camera: Floats,
+    site: Site,
+    generator: np.random.Generator,
+) -> PlanarPose:
+    """Fit the CAD to what the camera sees of the panel; nothing seen leaves the prior."""
+    points = _seen_points(true.to_world(PANEL.outline), prior, camera, site)
+    if len(points) == 0:
+        return prior
+    squared = np.sum((points - camera) ** 2, axis=1)
+    noise = DEPTH_NOISE * squared[:, None] * generator.standard_normal(points.shape)
+    deviation = DEPTH_NOISE * math.sqrt(float(np.mean(squared**2)))
+    return fit_outline(PANEL, points + noise, deviation, prior)
+
+
+def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: Site) -> Floats:
+    """Return points on the panel's sides that face the camera, in its field of view and in sight.
+
+    For this the camera turns for a moment from the target to where it believes the panel to be.
+    """
+    ahead = np.array([prior.x, prior.y]) - camera
+    ahead = ahead / np.linalg.norm(ahead)
+    cell = site.world.grid.cell
+    points: list[Floats] = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0)):
+        edge = b - a
+        if edge[1] * (camera[0] - a[0]) - edge[0] * (camera[1] - a[1]) <= 0.0:
+            continue
+        along = np.arange(0.5 * SPACING, float(np.hypot(*edge)), SPACING) / np.hypot(*edge)
+        for point in a + along[:, None] * edge:
+            ray = point - camera
+            distance = float(np.hypot(*ray))
+            in_view = ray @ ahead >= distance * math.cos(0.5 * LENS.field_of_view)
+            if in_view and distance <= LENS.far and clear_line(
+                site.solid, *(camera / cell), *(point / cell)
+            ):  # fmt: skip
+                points.append(point)
+    return np.array(points).reshape(-1, 2)
+
+
+def _truly_seen(view: View, panel: Floats, site: Site) -> bool:
+    """Tell whether the whole of the watched target is seen past the true panel and obstacles."""
+    goal = next(target for target in work_targets() if target.name == view.target)
+    starts = np.array([0, len(panel)])
+    truth = KnownSpace(site.solid.astype(float), site.world.grid.cell)
+    past_panel = sees(*view.position, goal.position + goal.outline, panel, starts)
+    return bool(past_panel) and sees_on_map(truth, view.position, goal)

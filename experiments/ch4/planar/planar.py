@@ -1,0 +1,218 @@
+"""``ch4-planar``: cameras are placed on the plane (figures 4-6, 4-8, 4-10 and 4-11).
+
+The exact search is compared with rating every candidate, hulls with exact sight, and a camera
+watches a panel of known shape on its way to the target, with hysteresis and without.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from controllers.placement.planar.search import Candidates, best_view
+from experiments.ch4.planar.figures import (
+    draw_hull_cost,
+    draw_instances,
+    draw_searches,
+    draw_site,
+    draw_steps,
+    write_film,
+)
+from experiments.ch4.planar.motion import Moment, MotionTrial, approach, map_site, watch_approach
+from experiments.ch4.planar.record import record_approach
+from experiments.ch4.planar.scenes import two_instances
+from experiments.ch4.planar.trials import (
+    HullTrial,
+    SearchTrial,
+    compare_searches,
+    compare_sights,
+    occluded_angles,
+)
+from experiments.harness import contract
+from experiments.harness.contract import OptionError
+from experiments.harness.intervals import distribution, fraction
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+
+SPEEDUPS = {5: 20.0, 20: 3.0, 35: 3.0}
+"""Density [%] and how many times faster than the exhaustive search the fast one must be."""
+SCENES = 10
+"""Of a job."""
+CASES, QUICK_CASES = 1000, 500
+"""Of a job about hulls."""
+VISION_PERIOD = 250.0
+"""A plan must be ready within it [ms]."""
+WATCHED = ("primary", "secondary")
+RADIUS = 40.0
+"""Of the cameras in figure 4-6 [m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of ch4-planar.
+
+    Attributes:
+        rings: Distances at which camera poses are looked for.
+        directions: Directions about a target in which they are looked for.
+        factor: The camera moves only to a view that rates so many times the present one.
+    """
+
+    rings: int = 64
+    directions: int = 1024
+    factor: float = 1.2
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be searched or would chatter.
+
+        Raises:
+            OptionError: Naming the option.
+        """
+        super().__post_init__()
+        try:
+            Candidates(self.rings, self.directions)
+        except ValueError as error:
+            raise OptionError(f"--rings, --directions: {error}") from None
+        if not (np.isfinite(self.factor) and self.factor >= 1.0):
+            raise OptionError(f"--factor {self.factor}: expected 1 or more")
+
+
+def run(options: Options, output: Output) -> None:
+    """Compare searches, hulls and hysteresis, and draw the chapter's planar figures.
+
+    Args:
+        options: ``quick`` takes 2 seeds instead of 17; each is 10 scenes a density, up to 10 of
+            them 1000 cases of hulls (500), and up to 10 of them an approach of the panel (1).
+        output: Receives ``search_match_fraction``, ``search_speedup/<density>``,
+            ``hull_false_visible``, ``replacements`` and more.
+    """
+    seeds = options.job_seeds(17, 2)
+    _searches(options, output, seeds)
+    _hulls(options, output, seeds[:10])
+    tasks = two_instances()
+    for name, task in zip(("first", "second"), tasks):
+        view = best_view(task)
+        expected = WATCHED[name == "second"]
+        output.measure(f"watched/{name}_instance", view.target, thesis=expected)
+        agrees = view.target == expected
+        output.check(f"{name} instance: watches the {expected} target", agrees, 1, agrees)
+    output.figure("figure_4-8", draw_instances(tasks))
+    _motion(options, output, seeds[: 1 if options.quick else 10])
+
+
+def _searches(options: Options, output: Output, seeds: Sequence[int]) -> None:
+    """Measure the searches on random scenes of all densities."""
+    trials = [
+        SearchTrial(density / 100.0, seed, SCENES, options.rings, options.directions)
+        for density in SPEEDUPS
+        for seed in seeds
+    ]
+    results = sweep(compare_searches, trials, options, output, label="searches")
+    rows: list[list[Any]] = []
+    matches: list[float] = []
+    for index, (density, bound) in enumerate(SPEEDUPS.items()):
+        chosen = results[index * len(seeds) : (index + 1) * len(seeds)]
+        joined = {key: np.concatenate([np.asarray(r[key], float) for r in chosen])
+                  for key in chosen[0]}  # fmt: skip
+        matches += joined["matches"].tolist()
+        speedup = float(joined["exhaustive_s"].sum() / joined["fast_s"].sum())
+        output.measure(f"search_speedup/{density}", speedup)
+        output.check(f"search speedup at {density} %", speedup, f">= {bound:g}", speedup >= bound)
+        output.measure(f"search_us/{density}", distribution(1e6 * joined["fast_s"]))
+        output.measure(f"placement_ms/{density}", distribution(1e3 * joined["placement_s"]))
+        seen = np.isfinite(joined["gain"])
+        output.measure(f"scenes_with_a_view/{density}", fraction(int(seen.sum()), seen.size))
+        beyond = int(np.sum(joined["distance"][seen] > 5.0 + 1e-6))  # noqa: PLR2004
+        output.measure(f"optimum_beyond_nearest/{density}", fraction(beyond, max(seen.sum(), 1)))
+        if seen.any():
+            output.measure(f"climb_gain/{density}", distribution(joined["gain"][seen]))
+            output.measure(f"cells_rating_fraction/{density}", distribution(joined["cells"][seen]))
+        rows += [[density, *values] for values in zip(*joined.values())]
+    share = float(np.mean(matches))
+    output.measure("search_match_fraction", share)
+    output.check("fast search matches the exhaustive one", share, "== 1", share == 1.0)
+    output.table("searches", ("density [%]", *results[0]), rows)
+    output.figure("searches", draw_searches(rows, list(results[0])))
+
+
+def _hulls(options: Options, output: Output, seeds: Sequence[int]) -> None:
+    """Measure whether hulls are safe, and what they give up."""
+    cases = QUICK_CASES if options.quick else CASES
+    trials = [HullTrial(seed, cases) for seed in seeds]
+    results = sweep(compare_sights, trials, options, output, label="hulls")
+    counts = {key: np.sum([r[key] for r in results], axis=0) for key in results[0]}
+    wrong = int(np.sum(counts["false_visible"]))
+    output.measure("hull_false_visible", wrong)
+    output.measure("hull_cases", cases * len(seeds))
+    output.check("hulls see what is hidden", wrong, "== 0", wrong == 0)
+    for index, kind in enumerate(("convex", "map")):
+        visible, given_up = int(counts["visible"][index]), int(counts["given_up"][index])
+        if visible > 0:
+            output.measure(f"hull_given_up_fraction/{kind}", fraction(given_up, visible))
+    distances = np.geomspace(1.0, 30.0, 40)
+    angles = occluded_angles(distances, RADIUS)
+    rows = np.degrees(angles)
+    output.table(
+        "figure_4-6",
+        ("distance [m]", "occluded [deg]", "by the hull [deg]"),
+        [[d, *row] for d, row in zip(distances, rows)],
+    )
+    output.measure("hull_extra_deg/near", float(rows[0, 1] - rows[0, 0]))
+    output.measure("hull_extra_deg/far", float(rows[-1, 1] - rows[-1, 0]))
+    output.figure("figure_4-6", draw_hull_cost(distances, angles))
+
+
+def _motion(options: Options, output: Output, seeds: Sequence[int]) -> None:
+    """Watch the panel approach, and draw and film the first seed's."""
+    trials = [MotionTrial(seed, options.factor) for seed in seeds]
+    results = sweep(watch_approach, trials, options, output, label="approaches")
+    for ending, prefix in (("", ""), ("/without_hysteresis", "plain_")):
+        output.measure(
+            f"replacements{ending}", distribution([r[f"{prefix}moves"] for r in results])
+        )
+        output.measure(f"camera_metres{ending}",
+                       distribution([r[f"{prefix}metres"] for r in results]))  # fmt: skip
+        placed, watched, steps = (
+            sum(int(r[prefix + key]) for r in results) for key in ("placed", "watched", "steps")
+        )
+        output.measure(f"placed_fraction{ending}", fraction(placed, steps))
+        output.measure(f"watched_fraction{ending}", fraction(watched, max(placed, 1)))
+    fewer = sum(int(r["moves"]) for r in results)
+    more = sum(int(r["plain_moves"]) for r in results)
+    output.check("moves with hysteresis against without", fewer, f"<= {more}", fewer <= more)
+    orders = [_order(r["target"]) for r in results]
+    turned = sum(order == "primary, secondary" for order in orders)
+    output.measure("primary_then_secondary", fraction(turned, len(orders)))
+    replan = distribution(np.concatenate([r["replan_ms"] for r in results]))
+    output.measure("replan_ms", replan)
+    p95 = float(replan["p95"])
+    output.check("processor time of a replan in ms, 95th percentile", p95, f"<= {VISION_PERIOD:g}",
+                 p95 <= VISION_PERIOD)  # fmt: skip
+    rows = [
+        [seed, r["moves"], r["plain_moves"], r["placed"], r["watched"], r["steps"], order]
+        for seed, r, order in zip(seeds, results, orders)
+    ]
+    columns = ("seed", "moves", "without hysteresis", "placed", "watched", "steps", "targets")
+    output.table("approaches", columns, rows)
+    _pictures(trials[0], options, output)
+
+
+def _order(targets: Any) -> str:
+    """Return the targets in the order that they were watched in, each change once."""
+    seen = np.asarray(targets, int)
+    changes = seen[np.r_[True, np.diff(seen) != 0]]
+    return ", ".join("none" if index < 0 else WATCHED[index] for index in changes)
+
+
+def _pictures(trial: MotionTrial, options: Options, output: Output) -> None:
+    """Draw, film and record one approach."""
+    site = map_site(trial.seed)
+    moments: list[Moment] = []
+    approach(trial, site, moments.append)
+    output.figure("figure_4-10", draw_site(site, moments[0]))
+    output.figure("figure_4-11", draw_steps(site, moments))
+    write_film(site, moments, output.file("approach.gif"))
+    if options.record:
+        record_approach(site, moments, output.file("run.rrd"))

@@ -1,0 +1,235 @@
+"""What ``ch4-planar`` repeats over random scenes: the searches, and the cost of hulls."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.placement.moving import cell_centres
+from controllers.placement.planar.clusters import occluders_of_map
+from controllers.placement.planar.field import blocked_interval, free_cap, hull_around
+from controllers.placement.planar.hulls import Hulls, Occluder, expand
+from controllers.placement.planar.kernels import search_arcs, search_rings
+from controllers.placement.planar.search import (
+    Candidates,
+    KnownSpace,
+    PlanarTask,
+    best_view,
+    place_of,
+    rating_field,
+    space_of,
+)
+from controllers.placement.planar.sight import sees, sees_on_map
+from controllers.placement.task import PlacementError, Target
+from experiments.ch4.planar.scenes import BOX, convex_obstacle, face, random_task
+from experiments.harness import timing
+
+Floats = NDArray[np.float64]
+
+REPEATS = 20
+"""How often the fast search runs for each timing; a single run is too short for the clock."""
+ROUNDS = 2
+MAP_SHARE = 0.2
+"""Share of the hulls' cases that are on maps, with occluders of any shape."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchTrial:
+    """Scenes of one density to search; a job of the sweep.
+
+    Attributes:
+        density: Share of the area that is covered.
+        seed: Of the scenes.
+        scenes: How many.
+        rings: Distances of candidates.
+        directions: Directions of candidates.
+    """
+
+    density: float
+    seed: int
+    scenes: int
+    rings: int
+    directions: int
+
+
+@dataclasses.dataclass(frozen=True)
+class HullTrial:
+    """Cases of camera, occluders and target; a job of the sweep.
+
+    Attributes:
+        seed: Of the cases.
+        cases: How many.
+    """
+
+    seed: int
+    cases: int
+
+
+def compare_searches(trial: SearchTrial) -> dict[str, Any]:
+    """Search scenes both ways, over all targets; a job of the sweep.
+
+    Both take the same hulls, and each target's best bounds the next target's search.
+
+    Returns:
+        By scene: ``matches`` whether the fast search is as good, ``exhaustive_s`` and ``fast_s``
+        times of the searches, ``placement_s`` processor time of a whole placement with its hulls,
+        ``gain`` of the climb between candidates, ``cells`` the best cell centre's rating over the
+        optimum (NaN where no target is seen), ``hulls`` how many occluders, and ``distance`` the
+        optimum's [m].
+    """
+    candidates = Candidates(trial.rings, trial.directions)
+    rows: list[list[float]] = []
+    for index in range(trial.scenes):
+        root = [trial.seed, index, round(1e3 * trial.density)]
+        task = random_task(trial.density, np.random.default_rng(root))
+        expanded = [task.hulls(target) for target in task.targets]
+        every = _search(search_rings, task, expanded, candidates)
+        fast = _search(search_arcs, task, expanded, candidates)
+        times = timing.compare(
+            functools.partial(_repeat, search_arcs, task, expanded, candidates),
+            functools.partial(_search, search_rings, task, expanded, candidates),
+            ROUNDS,
+        )
+        fresh = dataclasses.replace(task)
+        begin = time.process_time()
+        try:
+            view = best_view(fresh, candidates)
+            rating, distance = view.rating, view.distance
+        except PlacementError:
+            rating, distance = 0.0, np.nan
+        whole = time.process_time() - begin
+        of_cells = float(rating_field(task, cell_centres(task.space)).max())
+        seen = rating > 0.0
+        rows.append([
+            fast >= every * (1.0 - 1e-12), times["peer_s"]["median"],
+            times["ours_s"]["median"] / REPEATS, whole, rating / every if seen else np.nan,
+            of_cells / rating if seen else np.nan, len(task.occluders), distance,
+        ])  # fmt: skip
+    names = ("matches", "exhaustive_s", "fast_s", "placement_s", "gain", "cells", "hulls",
+             "distance")  # fmt: skip
+    return dict(zip(names, np.array(rows, dtype=float).T))
+
+
+def _search(kernel: Any, task: PlanarTask, expanded: list[Hulls], candidates: Candidates) -> float:
+    """Return the best rating by one of the searches [1/m]."""
+    rings, settings, best = candidates.distances(task.lens), space_of(task), 0.0
+    for target, hulls in zip(task.targets, expanded):
+        if hull_around(hulls.points, hulls.starts) < 0:
+            best = kernel(
+                hulls.points, hulls.starts, place_of(target), rings, candidates.directions,
+                *settings, best,
+            )[0]  # fmt: skip
+    return best
+
+
+def _repeat(kernel: Any, task: PlanarTask, expanded: list[Hulls], candidates: Candidates) -> None:
+    """Search `REPEATS` times."""
+    for _ in range(REPEATS):
+        _search(kernel, task, expanded, candidates)
+
+
+def compare_sights(trial: HullTrial) -> dict[str, Any]:
+    """Ask hulls and exact sight whether cameras see targets; a job of the sweep.
+
+    Convex occluders are judged by separating axes. On maps the occluders are clusters of any shape
+    and sight is by lines from cell to cell.
+
+    Returns:
+        ``false_visible`` how often hulls see what is hidden, ``visible`` how often the target is
+        truly visible, ``given_up`` how often of these the hulls say hidden; each for convex
+        occluders and for maps.
+    """
+    generator = np.random.default_rng(trial.seed)
+    counts = np.zeros((2, 3), dtype=int)
+    for _ in range(trial.cases):
+        kind = int(generator.random() < MAP_SHARE)
+        hulls_see, truly = (_case_on_map if kind else _case_of_polygons)(generator)
+        counts[kind] += [hulls_see and not truly, truly, truly and not hulls_see]
+    return dict(zip(("false_visible", "visible", "given_up"), counts.T))
+
+
+def _case_of_polygons(generator: np.random.Generator) -> tuple[bool, bool]:
+    """Draw up to six convex occluders and a target with any convex outline."""
+    target = _random_target(generator)
+    occluders = [
+        Occluder(f"obstacle {i}", convex_obstacle(
+            generator.uniform(0.0, 20.0, 2), generator.uniform(0.5, 3.0), generator))
+        for i in range(int(generator.integers(1, 7)))
+    ]  # fmt: skip
+    camera = generator.uniform(0.0, 20.0, 2)
+    corners = np.concatenate([occluder.points for occluder in occluders])
+    starts = np.cumsum([0, *(len(occluder.points) for occluder in occluders)])
+    truly = sees(*camera, target.position + target.outline, corners, starts)
+    return hulls_see(occluders, target, camera), bool(truly)
+
+
+def _case_on_map(generator: np.random.Generator) -> tuple[bool, bool]:
+    """Scatter occupied cells in lumps of any shape."""
+    target = face("target", (10.0, 10.0), generator.uniform(-np.pi, np.pi))
+    values = np.full((40, 40), 0.02)
+    for _ in range(int(generator.integers(1, 9))):
+        row, column = generator.integers(0, 40, 2)
+        for _ in range(int(generator.integers(1, 25))):
+            values[row, column] = 0.9
+            row, column = np.clip([row, column] + generator.integers(-1, 2, 2), 0, 39)
+    values[17:23, 17:23] = 0.02
+    space = KnownSpace(values, 0.5)
+    camera = generator.uniform(0.0, 20.0, 2)
+    return hulls_see(occluders_of_map(space), target, camera), sees_on_map(space, camera, target)
+
+
+def _random_target(generator: np.random.Generator) -> Target:
+    direction = generator.uniform(-np.pi, np.pi)
+    if generator.random() < 0.5:  # noqa: PLR2004
+        return face("target", (10.0, 10.0), direction)
+    outline = convex_obstacle(np.zeros(2), generator.uniform(0.1, 1.5), generator)
+    normal = np.array([math.cos(direction), math.sin(direction)])
+    return Target("target", np.array([10.0, 10.0]), normal, outline)
+
+
+def hulls_see(occluders: Any, target: Target, camera: Floats) -> bool:
+    """Tell whether the line to the reduced target misses all expanded occluders."""
+    hulls = expand(occluders, target)
+    offset = camera - target.position
+    angle = math.atan2(offset[1], offset[0])
+    cap = free_cap(hulls.points, hulls.starts, angle, 0.0, float(np.hypot(*offset)))
+    return bool(cap > 0.0)
+
+
+def occluded_angles(distances: Floats, radius: float) -> Floats:
+    """Return figure 4-6's angles for a box at distances before the target.
+
+    The true one is found by bisection on the exact sight, the other is the hull's interval.
+
+    Args:
+        distances: (N,) from the target to the box's near side [m].
+        radius: Of the cameras [m].
+
+    Returns:
+        (N, 2) true and hull's occluded angle [rad].
+    """
+    target = face("target", (0.0, 0.0), 0.0)
+    outline = target.position + target.outline
+    angles = np.empty((len(distances), 2))
+    for i, distance in enumerate(distances):
+        corners = BOX + [distance - BOX[:, 0].min(), 0.0]
+        starts = np.array([0, len(corners)])
+
+        def hidden(angle: float) -> bool:
+            x, y = radius * math.cos(angle), radius * math.sin(angle)
+            return not sees(x, y, outline, corners, starts)  # noqa: B023
+
+        low, high = 0.0, 0.5 * math.pi
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if hidden(middle) else (low, middle)
+        hulls = expand([Occluder("box", corners)], target)
+        _, begin, end = blocked_interval(hulls.points, 0, len(hulls.points), radius)
+        angles[i] = 2.0 * low, end - begin
+    return angles

@@ -1,0 +1,190 @@
+"""Blocks about a work-piece: plan on an uncertain CAD model, then look at what is really seen.
+
+The planner is given every block with an error of its pose, and expands the hulls by three standard
+deviations of it. What a camera truly sees of the hole is counted in rendered images of the true
+scene: the hole's pixels with the blocks there, over those with the blocks taken away.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from controllers.placement.spatial.directions import direction_tree
+from controllers.placement.spatial.occluders import Occluder, TargetField, expand
+from controllers.placement.spatial.search import best_view, rate_positions, spherical
+from controllers.placement.task import PlacementError, Target
+from experiments.ch4.spatial.search import LENS, disc
+from models.blocks import (
+    CAMERA_NAME,
+    Arrangement,
+    Block,
+    build_blocks,
+    draw_arrangement,
+    place_camera,
+)
+from models.datasheets import CAMERA
+from twin.camera import ImageArray, renderer
+
+FloatArray = NDArray[np.float64]
+
+SIGMA = 1e-3
+"""Standard deviation of a block's place along x and y, as the planner knows it [m]."""
+SIGMA_YAW = np.deg2rad(1.0)
+"""That of its rotation about the vertical [rad]."""
+DEVIATIONS = 3.0
+CLEARANCE = 0.04
+"""Between the lens' principal node and anything: half the housing's length and more [m]."""
+RANDOM_VIEWS = 5
+
+
+@dataclasses.dataclass(frozen=True)
+class BlocksTrial:
+    """One drawn arrangement.
+
+    Attributes:
+        seed: Of all of it.
+        blocks: How many.
+    """
+
+    seed: int
+    blocks: int
+
+
+def hole_of(arrangement: Arrangement, index: int = 0) -> Target:
+    """Return a hole of the work-piece as a target."""
+    place = np.array([*arrangement.holes[index], 0.0])
+    return disc(f"hole{index}", arrangement.hole_radius, place, np.array([0.0, 0.0, 1.0]))
+
+
+def occluders_of(blocks: tuple[Block, ...]) -> list[Occluder]:
+    """Return blocks as occluders."""
+    return [Occluder(block.name, block.corners) for block in blocks]
+
+
+def believed_blocks(blocks: Sequence[Block], rng: np.random.Generator) -> tuple[Block, ...]:
+    """Return blocks as the planner is told: each pose with an error.
+
+    Args:
+        blocks: As they are.
+        rng: Of the errors.
+    """
+    told: list[Block] = []
+    for block in blocks:
+        x, y, z = block.centre
+        dx, dy = rng.normal(scale=SIGMA, size=2)
+        yaw = block.yaw + rng.normal(scale=SIGMA_YAW)
+        told.append(Block(block.name, (x + dx, y + dy, z), block.half, yaw))
+    return tuple(told)
+
+
+def margins_of(blocks: tuple[Block, ...]) -> list[float]:
+    """Return how far each block's surface may be from where it is believed [m]."""
+    return [DEVIATIONS * (SIGMA + SIGMA_YAW * block.reach) for block in blocks]
+
+
+def occupancy_of(
+    blocks: tuple[Block, ...], margins: list[float]
+) -> Callable[[FloatArray], FloatArray]:
+    """Return P of a camera's place: 1 within the clearance of a block or the face, else 0."""
+    planes = [ConvexHull(block.corners).equations for block in blocks]
+
+    def occupancy(points: FloatArray) -> FloatArray:
+        taken = points[:, 2] < CLEARANCE
+        for faces, margin in zip(planes, margins):
+            # The largest distance to a face's plane is no more than that to the block.
+            gap = (points @ faces[:, :3].T + faces[:, 3]).max(axis=1)
+            taken |= gap < CLEARANCE + margin
+        return taken.astype(float)
+
+    return occupancy
+
+
+class Rendered:
+    """The true scene, as pictures and as counts of the hole's pixels."""
+
+    def __init__(self, arrangement: Arrangement) -> None:
+        """Compile it: as it looks, as a mask, and as a mask without blocks."""
+        empty = dataclasses.replace(arrangement, blocks=())
+        self._models = [
+            build_blocks(arrangement).compile(),
+            build_blocks(arrangement, mask=True).compile(),
+            build_blocks(empty, mask=True).compile(),
+        ]
+        self._data = [mujoco.MjData(model) for model in self._models]
+
+    def picture(self, position: FloatArray, aim: FloatArray, which: int = 0) -> ImageArray:
+        """Return (height, width, 3) what a camera at a place that looks at `aim` sees."""
+        model, data = self._models[which], self._data[which]
+        place_camera(model, data, position, aim)
+        return renderer().render(model, data, CAMERA_NAME, CAMERA.width, CAMERA.height)
+
+    def seen(self, position: FloatArray, aim: FloatArray) -> tuple[float, float]:
+        """Return which part of the hole's pixels is visible, and how many there are unhidden."""
+        there, all_of_it = (
+            float(self.picture(position, aim, which)[..., 0].sum()) / 255.0 for which in (1, 2)
+        )
+        return (there / all_of_it if all_of_it > 0.0 else 0.0), all_of_it
+
+
+def random_places(
+    field: TargetField, occupancy: Callable[[FloatArray], FloatArray], rng: np.random.Generator,
+    count: int,
+) -> FloatArray:  # fmt: skip
+    """Return (count, 3) places before the target, in focus and free, drawn evenly by direction."""
+    found = np.empty((0, 3))
+    while len(found) < count:
+        way = rng.normal(size=(50, 3))
+        way[:, 2] = np.abs(way[:, 2])
+        way /= np.linalg.norm(way, axis=1, keepdims=True)
+        places = field.to_world(way * rng.uniform(LENS.near, LENS.far, (50, 1)))
+        found = np.concatenate([found, places[occupancy(places) < 0.05]])  # noqa: PLR2004
+    return found[:count]
+
+
+def run_blocks(trial: BlocksTrial) -> dict[str, Any]:
+    """Plan in one arrangement and score the plan and random views by rendering.
+
+    Returns:
+        ``placed``; if so ``optimal`` and (n,) ``random``: visible parts of the hole; ``pixels`` and
+        (n,) ``random_pixels``: how many of its pixels are seen; ``cap`` [rad] and ``elevation``.
+    """
+    rng = np.random.default_rng(trial.seed)
+    arrangement = draw_arrangement(rng, trial.blocks)
+    told = believed_blocks(arrangement.blocks, rng)
+    margins = margins_of(told)
+    target, occupancy = hole_of(arrangement), occupancy_of(told, margins)
+    try:
+        field = expand(target, occluders_of(told), margins)
+        view = best_view([field], LENS, occupancy)
+    except PlacementError as error:
+        return {"placed": False, "reason": str(error)}
+    rendered = Rendered(arrangement)
+    places = [view.position, *random_places(field, occupancy, rng, RANDOM_VIEWS)]
+    scores = np.array([rendered.seen(place, target.position) for place in places])
+    return {
+        "placed": True,
+        "optimal": float(scores[0, 0]),
+        "random": scores[1:, 0],
+        "pixels": float(scores[0].prod()),
+        "random_pixels": scores[1:].prod(axis=1),
+        "cap": view.free_cap,
+        "elevation": spherical(field, view.position)[2],
+    }
+
+
+def rating_cloud(
+    field: TargetField, occupancy: Callable[[FloatArray], FloatArray] | None, level: int = 4
+) -> tuple[FloatArray, FloatArray]:
+    """Return (N, 3) places [m], world, on five shells about the target, and their ratings (N,)."""
+    shells = np.geomspace(LENS.near, 2.0 * LENS.near, 5)
+    ways = direction_tree(level).leaves
+    places = field.to_world((ways[:, None] * shells[:, None]).reshape(-1, 3))
+    views = rate_positions(field, LENS, places, occupancy)
+    return places, np.array([view.rating for view in views])

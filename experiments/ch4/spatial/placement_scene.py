@@ -1,0 +1,112 @@
+"""The scene of chapter 3 as a voxel map and with targets, for placing cameras in it.
+
+The map is of depths cast into the compiled scene from a free stereo head all about, with
+the noise of stereo; the rovers are left out of it, as mapping robots leave each other out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.placement.task import Lens, Target
+from experiments.ch3.stereo.mapping_scene import PIXEL_SIGMA
+from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
+from models.datasheets import CAMERA, INCH
+from perception.geometry.pinhole import Frustum
+from perception.voxels.grid import VoxelGrid
+from perception.voxels.map import VoxelMap
+
+FloatArray = NDArray[np.float64]
+
+BOX = ((-1.5, -1.5, -0.2), (1.5, 1.5, 0.9))
+"""Corners of the map [m], world."""
+REACH = (0.25, 2.0)
+"""Nearest and farthest depth that enters the map [m]; that of the mapping robots."""
+COLUMNS, ROWS = 170, 164
+"""Rays of a view: every third pixel."""
+EYES, SEEN = (-1.1, 1.1), (-0.9, 0.9)
+"""Where the head is and what it looks at, along x and y [m]."""
+NOT_DOWN = 0.3
+"""The head does not look at what is nearer on the ground [m]."""
+SIDES = 16
+"""Corners that stand for a round target."""
+
+
+def map_scene(
+    scene: StereoScene, views: int, rng: np.random.Generator, resolution: float = 0.01
+) -> VoxelMap:
+    """Return a map of a scene.
+
+    Args:
+        scene: What is mapped.
+        views: How many.
+        rng: Draws the views and the noise.
+        resolution: Side of a voxel [m].
+    """
+    voxels = VoxelMap(VoxelGrid(resolution, *BOX))
+    for _ in range(views):
+        add_view(voxels, scene, rng)
+    return voxels
+
+
+def add_view(voxels: VoxelMap, scene: StereoScene, rng: np.random.Generator) -> None:
+    """Add one view from anywhere to a map.
+
+    Args:
+        voxels: The map.
+        scene: What is seen.
+        rng: Draws the view and the noise.
+    """
+    eye = np.append(rng.uniform(*EYES, 2), rng.uniform(0.4, 0.85))
+    while np.linalg.norm(seen_at := rng.uniform(*SEEN, 2) - eye[:2]) < NOT_DOWN:
+        pass
+    scene.set_rig(look_at(eye, [*(eye[:2] + seen_at), 0.05]))
+    g = scene.geometry
+    u, v = np.meshgrid(
+        (np.arange(COLUMNS) + 0.5) * g.width / COLUMNS - 0.5,
+        (np.arange(ROWS) + 0.5) * g.height / ROWS - 0.5,
+    )
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    depth, geoms = scene.true_hits(RIG, pixels)
+    rovers = [scene.model.body(f"{name}/chassis").id for name in scene.robot_names]
+    of_rover = np.isin(scene.model.body_rootid[scene.model.geom_bodyid[geoms]], rovers)
+    seen = np.isfinite(depth) & ~of_rover
+    normalised = (pixels - [g.cx, g.cy]) / [g.fx, g.fy]
+    true = np.column_stack([normalised, np.ones(len(depth))])[seen] * depth[seen, None]
+    sigma = np.array(PIXEL_SIGMA)
+    noisy = g.points(g.project(true) + sigma * rng.standard_normal(true.shape))
+    kept = (noisy[:, 2] > REACH[0]) & (noisy[:, 2] < REACH[1])
+    pose = scene.transform_camera_to_world(RIG)
+    turn = pose.rotation.as_matrix()
+    frustum = Frustum(g.width, g.height, g.fx, g.fy, g.cx, g.cy, near=0.1, far=REACH[1] + 0.1)
+    voxels.insert(
+        pose,
+        frustum.resized(COLUMNS, ROWS),
+        pose.apply(noisy[kept]),
+        turn @ g.covariance(noisy[kept], sigma) @ turn.T,
+    )
+
+
+def panel_targets(scene: StereoScene) -> list[Target]:
+    """Return the panel's markers as targets, where they truly are."""
+    to_world = scene.transform_panel_to_world
+    normal = to_world.rotation.apply([0.0, 0.0, 1.0])
+    turn = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    found = []
+    for number, (marker, point) in enumerate(
+        zip(scene.panel.markers, scene.panel.marker_points, strict=True)
+    ):
+        # The corners of the polygon lie outside of the circle, so that it holds all of it.
+        radius = marker.radius / np.cos(np.pi / SIDES)
+        ring = radius * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(SIDES)])
+        found.append(
+            Target(f"marker {number}", to_world.apply(point), normal, to_world.rotation.apply(ring))
+        )
+    return found
+
+
+def head_lens(near: float = 5.0 * INCH, far: float = 0.6) -> Lens:
+    """Return the stereo head's left camera as a lens; near is the thesis' 5 inches."""
+    field = 2.0 * np.arctan(CAMERA.width / (2.0 * CAMERA.fx))
+    return Lens(float(field), CAMERA.width, near, far)

@@ -1,0 +1,158 @@
+"""Random scenes in space: the fast search beside the exhaustive one, and the hulls beside sight.
+
+Solids of all kinds stand about a round target. In every second scene places for the camera are
+partly unknown or doubtful, as in a map.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from controllers.placement.spatial.field import free_caps
+from controllers.placement.spatial.occluders import Occluder, TargetField, expand
+from controllers.placement.spatial.search import (
+    Occupancy,
+    SearchConfig,
+    best_view,
+    best_view_of_all,
+)
+from controllers.placement.spatial.sight import sees_all
+from controllers.placement.task import Lens, PlacementError, Target, View
+from models.datasheets import CAMERA, INCH
+
+FloatArray = NDArray[np.float64]
+
+LENS = Lens(CAMERA.field_of_view[0], CAMERA.width, 5.0 * INCH, 24.0 * INCH)
+"""Nearest distance in focus as the thesis' answer of 5 inches says; the farthest is a choice."""
+PLAIN = SearchConfig(refine=False)
+SIDES = 12
+SIGHT_CASES = 50
+"""Cameras whose sight is judged in each scene."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SearchTrial:
+    """One random scene.
+
+    Attributes:
+        seed: Of all of it.
+        occluders: How many solids, 3 to 20.
+        patchy: Whether places for the camera are partly unknown.
+    """
+
+    seed: int
+    occluders: int
+    patchy: bool
+
+
+def disc(name: str, radius: float, position: FloatArray, normal: FloatArray) -> Target:
+    """Return a round flat target as a regular polygon about it, which touches it on all axes."""
+    unit = normal / np.linalg.norm(normal)
+    side = np.cross(unit, np.eye(3)[int(np.argmin(np.abs(unit)))])
+    side /= np.linalg.norm(side)
+    turn = 2.0 * np.pi * (np.arange(SIDES) + 0.5) / SIDES
+    wide = radius / np.cos(np.pi / SIDES)
+    outline = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(unit, side)
+    return Target(name, position, unit, wide * outline)
+
+
+def draw_solids(rng: np.random.Generator, count: int, target: Target) -> list[Occluder]:
+    """Draw solids before a target: turned boxes and hulls of points, half of each kind.
+
+    They are 2 cm to 24 cm in size and up to 35 cm off, so most stand where they matter for a
+    camera that works from 5 inches on.
+    """
+    made: list[Occluder] = []
+    for index in range(count):
+        size = rng.uniform(0.02, 0.12)
+        place = rng.normal(size=3)
+        place *= rng.uniform(0.05, 0.35) / np.linalg.norm(place)
+        place += max(0.0, -2.0 * float(place @ target.normal)) * target.normal
+        if rng.random() < 0.5:  # noqa: PLR2004
+            corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, 8).T
+            corners = Rotation.random(rng=rng).apply(corners * size * rng.uniform(0.2, 1.0, 3))
+        else:
+            corners = size * rng.uniform(-1.0, 1.0, (8, 3))
+        made.append(Occluder(f"solid {index}", target.position + place + corners))
+    return made
+
+
+def make_scene(
+    trial: SearchTrial, rng: np.random.Generator
+) -> tuple[TargetField, list[Occluder], Occupancy | None]:
+    """Draw a target that something leaves in view, its solids, and the map."""
+    while True:
+        target = disc("hole", 0.008, rng.normal(size=3), rng.normal(size=3))
+        solids = draw_solids(rng, trial.occluders, target)
+        try:
+            field = expand(target, solids)
+        except PlacementError:
+            continue  # A solid lies over the target: drawn again.
+        waves = rng.normal(scale=25.0, size=(3, 3))
+        return field, solids, _patches(target.position, waves) if trial.patchy else None
+
+
+def _patches(middle: FloatArray, waves: FloatArray) -> Occupancy:
+    """Return a map of free, doubtful and unknown places in turn."""
+
+    def occupancy(points: FloatArray) -> FloatArray:
+        level = np.sin((points - middle) @ waves).sum(axis=1)
+        return np.where(level > 0.8, np.nan, 0.012 * (level + 3.0))  # noqa: PLR2004
+
+    return occupancy
+
+
+def run_search(trial: SearchTrial) -> dict[str, Any]:
+    """Search one scene both ways and compare; also ask the hulls and exact sight.
+
+    Args:
+        trial: Which scene.
+
+    Returns:
+        ``match`` (1 if the fast search is as good or better, or both found nothing), the processor
+        times ``slow_s`` and ``fast_s``, ``gain`` (refined over exhaustive rating), ``seen``, and
+        for the cases of sight (n,) ``hull``, ``exact`` and ``distance``.
+    """
+    rng = np.random.default_rng(trial.seed)
+    field, solids, occupancy = make_scene(trial, rng)
+    slow, slow_s = _timed(best_view_of_all, field, occupancy)
+    fast, fast_s = _timed(best_view, field, occupancy)
+    result: dict[str, Any] = {"slow_s": slow_s, "fast_s": fast_s, "seen": slow is not None}
+    if slow is None or fast is None:
+        result |= {"match": slow is None and fast is None, "gain": 1.0}
+    else:
+        refined = best_view([field], LENS, occupancy)
+        result["match"] = fast.rating >= slow.rating * (1.0 - 1e-12)
+        result["match"] = bool(result["match"] and refined.rating >= fast.rating)
+        result["gain"] = refined.rating / slow.rating
+    way = rng.normal(size=(SIGHT_CASES, 3))
+    way *= np.sign(way @ field.target.normal)[:, None]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    distance = rng.uniform(LENS.near, LENS.far, SIGHT_CASES)
+    places = field.target.position + distance[:, None] * way
+    result["hull"] = (free_caps(field, places) > 0.0).astype(np.int8)
+    result["exact"] = sees_all(field.target, solids, places).astype(np.int8)
+    result["distance"] = distance
+    return result
+
+
+def _timed(
+    search: Any, field: TargetField, occupancy: Occupancy | None
+) -> tuple[View | None, float]:
+    start = time.process_time()
+    try:
+        view = search([field], LENS, occupancy, config=PLAIN)
+    except PlacementError:
+        view = None
+    return view, time.process_time() - start
+
+
+def warm_up() -> None:
+    """Let everything compile, so that no trial's time counts it."""
+    run_search(SearchTrial(0, 3, True))

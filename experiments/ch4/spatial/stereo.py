@@ -1,0 +1,235 @@
+"""``ch4-stereo``: where to put a camera among blocks, in space (figures 4-12, 4-13).
+
+A work-piece with round holes lies among simple blocks. A CAD model of it with a stated uncertainty
+is given, the rating is optimised in space, and the camera's view from there is rendered.
+
+1. The check with a closed form: a long wall whose edge, expanded by the hole, stands at 60 deg of
+   elevation behind the hole. The thesis' answer (5 in, 0, pi/3) is its exact optimum.
+2. Arrangements of blocks drawn at random: what part of the hole is really seen, by rendering, from
+   the planned pose and from random free poses in focus.
+3. Random scenes: the fast search beside the exhaustive one, expanded hulls beside exact sight.
+4. Two cameras placed at once.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from controllers.placement.pairs import SEPARATION, VisionSystem, best_pair, go_together
+from controllers.placement.spatial.occluders import TargetField, expand
+from controllers.placement.spatial.search import best_view, rate_positions, spherical
+from controllers.placement.task import View
+from experiments.ch4.spatial import figures
+from experiments.ch4.spatial.blocks import (
+    BlocksTrial,
+    Rendered,
+    believed_blocks,
+    hole_of,
+    margins_of,
+    occluders_of,
+    occupancy_of,
+    random_places,
+    rating_cloud,
+    run_blocks,
+)
+from experiments.ch4.spatial.record import record_placement
+from experiments.ch4.spatial.search import LENS, SearchTrial, run_search, warm_up
+from experiments.harness import contract
+from experiments.harness.contract import OptionError
+from experiments.harness.intervals import distribution, fraction
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from models.blocks import FIGURE_4_12
+from models.datasheets import INCH
+
+SCENES, QUICK_SCENES = 200, 24
+ARRANGEMENTS, QUICK_ARRANGEMENTS = 60, 8
+BLOCKS = 8
+SYSTEMS = (VisionSystem("first", LENS), VisionSystem("second", LENS))
+COUNTS = (3, 20)
+"""Fewest and most solids of a random scene."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of ch4-stereo.
+
+    Attributes:
+        scenes: Random scenes in which the searches are compared (unless said, 200; with --quick,
+            24). --seeds sets the number of rendered arrangements.
+        blocks: Blocks of a rendered arrangement.
+        target: The hole to watch in the scene of figure 4-12: hole0, hole1 or hole2.
+    """
+
+    scenes: int | None = None
+    blocks: int = BLOCKS
+    target: str = "hole0"
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run.
+
+        Raises:
+            OptionError: Naming the option.
+        """
+        super().__post_init__()
+        if self.scenes is not None and self.scenes < 1:
+            raise OptionError(f"--scenes {self.scenes}: expected at least 1")
+        if not 1 <= self.blocks <= 12:  # noqa: PLR2004
+            raise OptionError(f"--blocks {self.blocks}: expected 1 to 12")
+        names = [f"hole{index}" for index in range(len(FIGURE_4_12.holes))]
+        if self.target not in names:
+            raise OptionError(f"--target {self.target}: the work-piece has {', '.join(names)}")
+
+
+def run(options: Options, output: Output) -> None:
+    """Run all four parts.
+
+    Args:
+        options: ``quick`` takes fewer scenes and arrangements.
+        output: Receives ``optimum_...``, ``search_match_fraction``, ``search_speedup/spatial``,
+            ``hull_false_visible``, ``hull_given_up_fraction``, ``visible_fraction/...`` and more.
+    """
+    warm_up()
+    _wall(output)
+    _figure_scene(options, output)
+    _searches(options, output)
+    _rendered(options, output)
+
+
+def _wall(output: Output) -> None:
+    """Find the optimum of the scene that has a closed form."""
+    field = expand(hole_of(FIGURE_4_12), occluders_of(FIGURE_4_12.blocks))
+    view = best_view([field], LENS)
+    distance, azimuth, elevation = spherical(field, view.position)
+    values = (distance / INCH, np.rad2deg(azimuth), np.rad2deg(elevation))
+    units = (("r_inch", 5.0, 0.05), ("theta_deg", 0.0, 0.5), ("phi_deg", 60.0, 0.5))
+    for value, (name, thesis, bound) in zip(values, units):
+        output.measure(f"optimum_{name}", float(value), thesis=thesis)
+        off = abs(float(value) - thesis)
+        output.check(f"optimum {name} off the thesis'", off, f"<= {bound:g}", off <= bound)
+    output.figure("figure_4-12_wall", figures.wall_curve(field, LENS, view))
+
+
+def _figure_scene(options: Options, output: Output) -> None:
+    """Plan in the scene of figure 4-12 from an uncertain model; render what is seen from there."""
+    rng = np.random.default_rng(options.seed)
+    told = believed_blocks(FIGURE_4_12.blocks, rng)
+    margins = margins_of(told)
+    target = hole_of(FIGURE_4_12, int(options.target.removeprefix("hole")))
+    field = expand(target, occluders_of(told), margins)
+    occupancy = occupancy_of(told, margins)
+    view = best_view([field], LENS, occupancy)
+    distance, azimuth, elevation = spherical(field, view.position)
+    output.measure("uncertain_r_inch", distance / INCH)
+    output.measure("uncertain_theta_deg", np.rad2deg(azimuth))
+    output.measure("uncertain_phi_deg", np.rad2deg(elevation))
+    output.measure("uncertain_free_cap_deg", np.rad2deg(view.free_cap))
+    rendered = Rendered(FIGURE_4_12)
+    cloud = rating_cloud(field, occupancy)
+    output.figure("figure_4-12", figures.scene(field, view, cloud, FIGURE_4_12))
+    output.figure("figure_4-4_sphere", figures.sphere(field, view, LENS))
+    others = random_places(field, occupancy, rng, 3)
+    rated = rate_positions(field, LENS, others, occupancy)
+    views = [view, *rated]
+    images = [rendered.picture(v.position, target.position) for v in views]
+    output.figure("figure_4-13", figures.pictures(views, images))
+    pair = _pair(field, occupancy, output)
+    shots = [rendered.picture(v.position, target.position) for v in pair]
+    output.figure("two_cameras", figures.pictures(pair, shots, ("first camera", "second camera")))
+    if options.record:
+        record_placement(output.file("run.rrd"), field, told, cloud, views, images, target.position)
+
+
+def _pair(field: TargetField, occupancy: Any, output: Output) -> tuple[View, View]:
+    """Place two cameras at once."""
+    pair = best_pair([field], SYSTEMS, occupancy)
+    alone = best_view([field], LENS, occupancy)
+    ways = [(v.position - field.target.position) / v.distance for v in pair]
+    apart = float(np.rad2deg(np.arccos(np.clip(ways[0] @ ways[1], -1.0, 1.0))))
+    output.measure("pair_separation_deg", apart)
+    product = pair[0].rating * pair[1].rating / alone.rating**2
+    output.measure("pair_product_over_best_squared", product)
+    fits = go_together([field], SYSTEMS, pair) and apart >= np.rad2deg(SEPARATION) - 1e-9
+    output.check("two cameras keep clear of each other, deg apart", apart, ">= 30", fits)
+    return pair
+
+
+def _searches(options: Options, output: Output) -> None:
+    """Compare searches, and hulls with exact sight, on random scenes."""
+    count = options.scenes or (QUICK_SCENES if options.quick else SCENES)
+    words = np.random.SeedSequence((options.seed, 1)).generate_state(count)
+    span = COUNTS[1] - COUNTS[0] + 1
+    trials = [SearchTrial(int(w), COUNTS[0] + i % span, i % 2 == 1) for i, w in enumerate(words)]
+    # What is timed runs alone, one scene after the other.
+    results = [run_search(trial) for trial in trials]
+    matches = sum(bool(result["match"]) for result in results)
+    output.measure("search_match_fraction", matches / count)
+    output.measure("search_scenes", count)
+    output.check("fast search as good as all candidates", matches / count, "= 1", matches == count)
+    slow, fast = (np.array([r[key] for r in results]) for key in ("slow_s", "fast_s"))
+    ratio = float(slow.sum() / fast.sum())
+    output.measure("search_speedup/spatial", ratio)
+    output.check("exhaustive over fast search, processor time", ratio, ">= 3", ratio >= 3.0)  # noqa: PLR2004
+    output.measure("search_ms/fast", distribution(1e3 * fast))
+    output.measure("search_ms/exhaustive", distribution(1e3 * slow))
+    output.measure("refined_over_exhaustive", distribution([r["gain"] for r in results]))
+    hull, exact, far = (
+        np.concatenate([r[key] for r in results]) for key in ("hull", "exact", "distance")
+    )
+    wrong = int(np.count_nonzero((hull == 1) & (exact == 0)))
+    output.measure("hull_false_visible", wrong)
+    output.measure("hull_cases", len(hull))
+    output.check(f"false visibles in {len(hull)} views", wrong, "= 0", wrong == 0)
+    lost = int(np.count_nonzero((hull == 0) & (exact == 1)))
+    output.measure("hull_given_up_fraction", fraction(lost, int(exact.sum())))
+    rows = [
+        [t.seed, t.occluders, int(t.patchy), int(r["seen"]), int(r["match"]), r["gain"],
+         1e3 * r["slow_s"], 1e3 * r["fast_s"], float(r["exact"].mean()), float(r["hull"].mean())]
+        for t, r in zip(trials, results)
+    ]  # fmt: skip
+    columns = ("seed", "occluders", "partly unknown", "seen", "match", "refined / exhaustive",
+               "exhaustive [ms]", "fast [ms]", "visible", "visible by hulls")  # fmt: skip
+    output.table("searches", columns, rows)
+    output.figure("searches", figures.searches(trials, results, hull, exact, far))
+
+
+def _rendered(options: Options, output: Output) -> None:
+    """Score planned and random views by rendering."""
+    seeds = options.job_seeds(ARRANGEMENTS, QUICK_ARRANGEMENTS)
+    trials = [BlocksTrial(seed, options.blocks) for seed in seeds]
+    results = sweep(run_blocks, trials, options, output, label="arrangements")
+    placed = [result for result in results if result["placed"]]
+    output.measure("placed_fraction", fraction(len(placed), len(results)))
+    if not placed:
+        return
+    optimal = np.array([result["optimal"] for result in placed])
+    others = np.concatenate([np.asarray(result["random"]) for result in placed])
+    output.measure("visible_fraction/optimal", distribution(optimal))
+    output.measure("visible_fraction/random", distribution(others))
+    pixels = distribution([result["pixels"] for result in placed])
+    output.measure("target_pixels/optimal", pixels)
+    drawn = np.concatenate([np.asarray(result["random_pixels"]) for result in placed])
+    output.measure("target_pixels/random", distribution(drawn))
+    least = float(optimal.min())
+    output.check("least part of the hole seen from a planned pose", least, ">= 0.98", least >= 0.98)  # noqa: PLR2004
+    output.table("arrangements", *_arrangement_rows(seeds, results))
+    output.figure("seen", figures.seen(optimal, others, placed, drawn))
+
+
+def _arrangement_rows(
+    seeds: Sequence[int], results: Sequence[dict[str, Any]]
+) -> tuple[tuple[str, ...], list[list[Any]]]:
+    columns = ("seed", "placed", "seen from the plan", "mean seen at random", "free cap [deg]",
+               "elevation [deg]")  # fmt: skip
+    rows: list[list[Any]] = []
+    for seed, result in zip(seeds, results):
+        if not result["placed"]:
+            rows.append([seed, 0, "", "", "", ""])
+            continue
+        angles = [float(np.rad2deg(result[key])) for key in ("cap", "elevation")]
+        rows.append([seed, 1, result["optimal"], float(np.mean(result["random"])), *angles])
+    return columns, rows

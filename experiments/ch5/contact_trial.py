@@ -1,0 +1,229 @@
+"""The jobs of ch5-contact: contact states pressed and classified, and insertions."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.insertion.contact import (
+    CardInSlot,
+    contact_point,
+    contacts_of,
+    pose_in_state,
+    wrench_cone,
+)
+from controllers.insertion.contact_states import WrenchNoise, classify
+from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
+from experiments.ch5.contact_bench import Bench, press, shape_of
+from models.datasheets import CARD_AND_SLOT, DEGREE, FORCE_TORQUE, HAND
+
+Floats = NDArray[np.float64]
+
+NOISES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.10)
+"""Sensor noise of figure A-7, fraction of the force."""
+CLASSIFIED_NOISES = (0.05, 0.10)
+"""Besides `NOISE`, at which states are classified."""
+NOISE = 0.02
+POSE_SIGMA = 0.5
+"""Standard deviation of the believed pose [mm and deg]; the eye at half a metre does as well."""
+OTHER_SIGMAS = (1.0, 2.0, 4.0)
+OFFSET, TILT = 4e-3, 6.0 * DEGREE
+"""Widest misalignment."""
+RINGS = (1, 2, 3)
+"""Thirds of the widest misalignment."""
+STAND_OFF = 0.015
+"""Of the leading edge before the mouth at the start [m]."""
+LIMIT = 50.0
+"""Longest insertion [s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StateJob:
+    """One state in one slot.
+
+    Attributes:
+        state: 1 to 6.
+        width: Of the slot [m].
+        seed: Of poses, loads and noise.
+        poses: How many different ones.
+        samples: Noisy wrenches of each.
+    """
+
+    state: int
+    width: float
+    seed: int
+    poses: int = 10
+    samples: int = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class InsertionJob:
+    """One insertion.
+
+    Attributes:
+        width: Of the slot [m].
+        ring: Which third of the widest misalignment, 1 to 3.
+        guided: By force, or straight ahead.
+        seed: Of misalignment and noise; both ways of insertion get the same.
+        trace: Return the course as well.
+    """
+
+    width: float
+    ring: int
+    guided: bool
+    seed: int
+    trace: bool = False
+
+
+def run_states(job: StateJob) -> dict[str, Any]:
+    """Press the card into a state again and again, and classify what the hand feels.
+
+    Truth is what touches in MuJoCo; poses where other features came to touch are drawn again.
+
+    Returns:
+        ``classified`` (6,) how often each state was named at 2 % noise; ``by_noise`` and
+        ``by_sigma`` fractions right; ``location_mm`` (noises, n) errors of the contact point, of
+        one-contact states; ``drawn`` how many poses it took; ``off_mm`` the largest distance of the
+        pressed card from the constructed pose.
+    """
+    rng = np.random.default_rng([job.seed, job.state, round(job.width * 1e6)])
+    bench, shape = Bench(job.width), shape_of(job.width)
+    named = np.zeros(6, dtype=int)
+    by_noise = np.zeros(len(CLASSIFIED_NOISES))
+    by_sigma = np.zeros(len(OTHER_SIGMAS))
+    located: list[list[float]] = [[] for _ in NOISES]
+    drawn, off = 0, 0.0
+    for _ in range(job.poses):
+        while True:
+            drawn += 1
+            side = int(rng.choice([-1, 1]))
+            pose = draw_pose(shape, job.state, side, rng)
+            press(bench, pose, _draw_load(shape, pose, job.state, side, rng))
+            if bench.true_state() == (job.state, side):
+                break
+        true, load = bench.pose, bench.sensed
+        off = max(off, float(np.linalg.norm(true[:2] - pose[:2])))
+        for _ in range(job.samples):
+            named[_named(shape, load, true, NOISE, POSE_SIGMA, rng) - 1] += 1
+        for index, noise in enumerate(CLASSIFIED_NOISES):
+            right = _named(shape, load, true, noise, POSE_SIGMA, rng) == job.state
+            by_noise[index] += right / job.poses
+        for index, sigma in enumerate(OTHER_SIGMAS):
+            right = _named(shape, load, true, NOISE, sigma, rng) == job.state
+            by_sigma[index] += right / job.poses
+        if job.state not in (4, 5):
+            point = bench.touched()[0]
+            for index, noise in enumerate(NOISES):
+                for _ in range(job.samples):
+                    felt = _felt(load, WrenchNoise(noise), rng)
+                    error = np.linalg.norm(contact_point(shape, felt) - point)
+                    located[index].append(1e3 * float(error))
+    return {
+        "classified": named,
+        "by_noise": by_noise,
+        "by_sigma": by_sigma,
+        "location_mm": np.array(located),
+        "drawn": drawn,
+        "off_mm": 1e3 * off,
+    }
+
+
+def draw_pose(shape: CardInSlot, state: int, side: int, rng: np.random.Generator) -> Floats:
+    """Draw a constructed pose of a state: tilts and places where it exists."""
+    steepest = math.acos(shape.card_width / shape.slot_width)
+    while True:
+        tilt = rng.uniform(1.5, 8.0) * DEGREE
+        if state == 4:
+            tilt = steepest + rng.uniform(1.0, 10.0) * DEGREE
+        elif state == 5:
+            tilt = rng.uniform(2.0 * DEGREE, steepest)
+        place = rng.uniform(1e-3, 10e-3) if state in (1, 3) else rng.uniform(4e-3, 30e-3)
+        try:
+            return pose_in_state(shape, state, side, tilt, place)
+        except ValueError:
+            continue  # not there: the card would overlap the slot elsewhere
+
+
+def _draw_load(
+    shape: CardInSlot, pose: Floats, state: int, side: int, rng: np.random.Generator
+) -> Floats:
+    """Draw a wrench of 1 to 3 N at each contact, up to 90 % of the friction either way."""
+    contacts = contacts_of(shape, pose, state, side)
+    shares: list[float] = []
+    for _ in contacts:
+        normal, used = rng.uniform(1.0, 3.0), rng.uniform(-0.9, 0.9)
+        shares += [normal * (1.0 - used) / 2.0, normal * (1.0 + used) / 2.0]
+    return wrench_cone(contacts, shape.friction) @ shares
+
+
+def _felt(load: Floats, noise: WrenchNoise, rng: np.random.Generator) -> Floats:
+    return load + rng.normal(size=3) * noise.sigma(load)
+
+
+def _named(
+    shape: CardInSlot,
+    load: Floats,
+    pose: Floats,
+    noise: float,
+    sigma: float,
+    rng: np.random.Generator,
+) -> int:
+    """Return the state that one noisy wrench and one believed pose tell of."""
+    sensor = WrenchNoise(noise)
+    sigmas = sigma * np.array([1e-3, 1e-3, DEGREE])
+    believed = pose + rng.normal(size=3) * sigmas
+    return classify(shape, _felt(load, sensor, rng), sensor, believed, np.diag(sigmas**2)).state
+
+
+def run_insertion(job: InsertionJob) -> dict[str, Any]:
+    """Insert the card once from a drawn misalignment.
+
+    Returns:
+        ``success`` (the card is truly seated, within 1 mm of the depth), ``peak`` true contact
+        force [N], ``seconds``, ``reason`` of a failure, ``tries``, ``offset`` [m] and ``tilt``
+        [rad]; with ``trace`` also ``course`` (n, 11): time, command, true pose, true contact
+        wrench, phase.
+    """
+    rng = np.random.default_rng([job.seed, job.ring, round(job.width * 1e6)])
+    low, high = (job.ring - 1) / len(RINGS), job.ring / len(RINGS)
+    sizes = rng.uniform(low, high, 2) * rng.choice([-1.0, 1.0], 2)
+    wrong = np.array([sizes[0] * OFFSET, 0.0, sizes[1] * TILT])
+    bench = Bench(job.width)
+    config = guide_config()
+    start = np.array([0.0, -STAND_OFF, 0.0])
+    guide = (InsertionGuide if job.guided else StraightInsertion)(config, start)
+    sensor = WrenchNoise(NOISE, FORCE_TORQUE.force_noise, FORCE_TORQUE.torque_noise)
+    bench.command(start + wrong)
+    peak, course = 0.0, []
+    for tick in range(round(LIMIT / config.period)):
+        command = guide.step(_felt(bench.sensed, sensor, rng))
+        bench.command(command + wrong)
+        peak = max(peak, bench.step(config.period))
+        if job.trace:
+            phase = list(Phase).index(guide.phase)
+            row = [tick * config.period, *(command + wrong), *bench.pose, *bench.contact_wrench()]
+            course.append([*row, phase])
+        if guide.over:
+            break
+    seated = bench.pose[1] >= config.depth - 1e-3
+    result: dict[str, Any] = {
+        "success": bool(guide.phase is Phase.DONE and seated),
+        "peak": peak,
+        "seconds": bench.data.time,
+        "reason": guide.reason,
+        "tries": guide.tries,
+        "offset": wrong[0],
+        "tilt": wrong[2],
+        "finite": bool(np.all(np.isfinite(bench.data.qpos))),
+    }
+    return result | ({"course": np.array(course)} if job.trace else {})
+
+
+def guide_config() -> GuideConfig:
+    """Return what the guide knows of card, friction and hand."""
+    sheet = CARD_AND_SLOT
+    return GuideConfig(sheet.card_width, sheet.friction, HAND.stiffness)

@@ -1,0 +1,136 @@
+"""Figures of ch5-insertion: Table 5-1, and figures 5-11 to 5-14."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from controllers.insertion.carrier import Stage
+from experiments.ch5.insertion_trial import COURSE, STAGES
+from models.datasheets import INCH
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+
+COLOURS = {"optimal": "tab:green", "random": "tab:orange"}
+
+
+def draw_table(
+    shares: Mapping[tuple[str, float], Any],
+    widths: Sequence[float],
+    thesis: Mapping[str, Sequence[float]],
+) -> Figure:
+    """Draw success by slot width and placement, the thesis' as crosses (Thesis Table 5-1).
+
+    Args:
+        shares: Fractions with intervals by placement and width.
+        widths: Of the slots [m].
+        thesis: Its fractions by placement.
+    """
+    figure = Figure(figsize=(6.5, 4.0))
+    axes = figure.add_subplot()
+    place = np.arange(len(widths), dtype=float)
+    for offset, placement in ((-0.18, "optimal"), (0.18, "random")):
+        cells = [shares[placement, width] for width in widths]
+        mean = np.array([cell["mean"] for cell in cells])
+        low = mean - [cell["low"] for cell in cells]
+        high = np.array([cell["high"] for cell in cells]) - mean
+        axes.bar(place + offset, mean, 0.34, color=COLOURS[placement], label=placement)
+        axes.errorbar(place + offset, mean, [low, high], fmt="none", color="k", capsize=3)
+        axes.plot(
+            place + offset,
+            thesis[placement][-len(widths) :],
+            "x",
+            color="k",
+            label="thesis, of 10" if placement == "random" else None,
+        )
+    axes.set_xticks(place, [f"{width / INCH:g} in" for width in widths])
+    axes.set(xlabel="slot", ylabel="inserted (95 % interval)", ylim=(0.0, 1.05))
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    figure.tight_layout()
+    return figure
+
+
+def draw_steps(steps: Sequence[tuple[float, ImageArray]]) -> Figure:
+    """Draw intermediate steps of an insertion (Thesis figure 5-11).
+
+    Args:
+        steps: Times [s] and colour pictures.
+    """
+    figure = Figure(figsize=(10.0, 7.2))
+    for index, (time, picture) in enumerate(steps):
+        axes = figure.add_subplot(2, 2, index + 1)
+        _show(axes, picture)
+        axes.set_title(f"{time:.1f} s", fontsize=10)
+    figure.tight_layout()
+    return figure
+
+
+def draw_pairs(pairs: Mapping[str, tuple[ImageArray, Sequence[FloatArray]]]) -> Figure:
+    """Draw what the master saw, with the ellipses that were fitted (Thesis figure 5-12).
+
+    Args:
+        pairs: By moment: the stereo pair (2, H, W), and for each image (N, 5) ellipses.
+    """
+    figure = Figure(figsize=(8.0, 3.9 * max(len(pairs), 1)))
+    for row, (moment, (pair, ellipses)) in enumerate(pairs.items()):
+        for side in range(2):
+            axes = figure.add_subplot(len(pairs), 2, 2 * row + side + 1)
+            _show(axes, pair[side])
+            for u, v, suu, suv, svv in ellipses[side]:
+                axes.plot(*_outline(u, v, suu, suv, svv), color="tab:red", linewidth=1.2)
+            axes.set_title(f"{moment}, {('left', 'right')[side]}", fontsize=10)
+    figure.tight_layout()
+    return figure
+
+
+def _outline(u: float, v: float, suu: float, suv: float, svv: float) -> FloatArray:
+    """Return (2, 60) points on an ellipse."""
+    root = np.linalg.cholesky(np.array([[suu, suv], [suv, svv]]) + 1e-9 * np.eye(2))
+    angle = np.linspace(0.0, 2.0 * np.pi, 60)
+    return np.array([[u], [v]], dtype=float) + np.asarray(root, dtype=float) @ np.stack(
+        [np.cos(angle), np.sin(angle)]
+    )
+
+
+def _show(axes: Axes, picture: ImageArray) -> None:
+    axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
+    axes.set(xticks=[], yticks=[])
+
+
+def draw_course(course: FloatArray, title: str) -> Figure:
+    """Draw errors and forces over time (Thesis figures 5-13, 5-14).
+
+    Args:
+        course: (n, k) rows of `COURSE`.
+        title: Of the figure.
+    """
+    columns = {name: course[:, index] for index, name in enumerate(COURSE)}
+    time, stage = columns["time"], columns["stage"]
+    figure = Figure(figsize=(9.0, 6.4))
+    (place, turn), (across, ahead) = figure.subplots(2, 2, sharex=True)
+    place.plot(time, 1e3 * columns["across"], label="across, true")
+    place.plot(time, 1e3 * (columns["ahead"]), label="ahead, true")
+    place.plot(time, 1e3 * columns["seen_across"], ":", color="tab:blue", label="across, last seen")
+    place.set_ylabel("from the mouth [mm]")
+    turn.plot(time, np.degrees(columns["turn"]), label="true")
+    turn.plot(time, np.degrees(columns["seen_turn"]), ":", color="tab:blue", label="last seen")
+    turn.set_ylabel("angle [deg]")
+    for axes, direction in ((across, "across"), (ahead, "ahead")):
+        axes.plot(time, columns[f"force_{direction}"], color="0.7", label="measured")
+        axes.plot(time, columns[f"true_{direction}"], color="tab:red", label="true")
+        axes.set(ylabel=f"force {direction} [N]", xlabel="time [s]")
+    begun = time[stage >= STAGES.index(Stage.INSERT)]
+    for axes in (place, turn, across, ahead):
+        axes.grid(alpha=0.3)
+        if begun.size:
+            axes.axvline(begun[0], color="k", linestyle="--", linewidth=0.8)
+        axes.legend(fontsize=8)
+    figure.suptitle(f"{title}; dashed: force takes over")
+    figure.tight_layout()
+    return figure

@@ -1,0 +1,111 @@
+"""Scene of ``ch5-insertion``: a slave rover with the card, the slot on its post, a master rover.
+
+The slot's mouth lies above the world's origin; the card goes in along +y, and the faces of card and
+slot look along +x, where the master stands. So the insertion's plane is the upright plane of the
+slave's arm, in which it can move the card across, ahead and in pitch (thesis assumption 1).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from experiments.ch3.stereo.known_camera_arm import body_pose
+from models.card_and_slot.stand import CARD_FORCE
+from models.compose import (
+    ARM_JOINTS,
+    FieldConfig,
+    RobotPlacement,
+    arm_hold_voltage,
+    build_scene,
+    compile_scene,
+)
+
+FloatArray = NDArray[np.float64]
+
+MASTER, SLAVE = "rover1", "rover2"
+
+
+@dataclasses.dataclass(frozen=True)
+class InsertionScene:
+    """Where everything stands.
+
+    Attributes:
+        width: Between the slot's walls [m].
+        slave: (3,) x, y [m] and yaw [rad] of the slave's chassis.
+        master: (3,) the same of the master's.
+        field: The ground.
+    """
+
+    width: float
+    slave: tuple[float, float, float]
+    master: tuple[float, float, float]
+    field: FieldConfig
+
+
+def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:
+    """Compile the scene.
+
+    Args:
+        scene: Where everything stands.
+
+    Raises:
+        ValueError: If the slot's width or a start is impossible.
+    """
+    robots = placements(scene)
+    field = dataclasses.replace(scene.field, slot_width=scene.width, shadows=False)
+    spec = build_scene(field, robots)
+    return compile_scene(spec)
+
+
+def placements(scene: InsertionScene) -> list[RobotPlacement]:
+    """Return the robots of a scene; only the master has cameras."""
+    return [
+        RobotPlacement(MASTER, scene.master[:2], scene.master[2], stereo=True),
+        RobotPlacement(SLAVE, scene.slave[:2], scene.slave[2], stereo=False, card=True),
+    ]
+
+
+def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:
+    """Let the master's arm begin where its camera was taken before, in the key frame ``home``.
+
+    Args:
+        model: From `compile_insertion`; its key frame is changed.
+        angles: (4,) of the joints [rad].
+    """
+    home = model.key("home").id
+    for name, angle in zip(ARM_JOINTS, angles, strict=True):
+        model.key_qpos[home, model.joint(f"{MASTER}/{name}_joint").qposadr[0]] = angle
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, home)
+    mujoco.mj_forward(model, data)
+    voltages = arm_hold_voltage(model, data, MASTER)
+    for name, voltage in zip(ARM_JOINTS, voltages, strict=True):
+        model.key_ctrl[home, model.actuator(f"{MASTER}/{name}").id] = voltage
+
+
+def card_in_slot(data: mujoco.MjData) -> FloatArray:
+    """Return the card's true pose in the slot: (6,) across, ahead, beside [m], and turns [rad].
+
+    The turns are pitch (about the normal) and those about the slot's x and y axes.
+    """
+    slot, card = data.body("slot"), data.body(f"{SLAVE}/card")
+    turn = slot.xmat.reshape(3, 3)
+    relative = Rotation.from_matrix(turn.T @ card.xmat.reshape(3, 3)).as_rotvec()
+    return np.array([*(turn.T @ (card.xpos - slot.xpos)), relative[2], relative[0], relative[1]])
+
+
+def contact_force(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Return (3,) what truly touches the card [N], card frame, but for the card's inertia."""
+    body = model.body(f"{SLAVE}/card").id
+    weight = data.xmat[body].reshape(3, 3).T @ model.opt.gravity * model.body_mass[body]
+    return -data.sensor(CARD_FORCE).data - weight
+
+
+def transform(data: mujoco.MjData, body: str) -> RigidTransform:
+    """Return the true transform from a body to the world."""
+    return body_pose(data, data.body(body).id)

@@ -1,0 +1,150 @@
+"""Card and slot with their markers over a field, seen by a free stereo head, with the truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch5.insertion_stand import card_cad, slot_cad
+from models.card_and_slot.build import add_card, add_slot
+from models.compose import FieldConfig, build_scene, compile_scene, load_part
+from models.datasheets import CARD_AND_SLOT
+from perception.markers.ellipses import MarkerExpectation, project_discs
+from perception.markers.poses import BodyCad
+from twin.camera import StereoConfig, StereoRig, camera_pose
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+
+TABLE_HEIGHT = 0.4  # Of card and slot over the ground [m].
+RANGE_KNOWN = 0.2
+"""How well the range is known before, as a part of it: map and dead reckoning are better."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MarkerView:
+    """A pair with its truth.
+
+    Attributes:
+        pair: (2, H, W) uint8.
+        bodies: Card and slot to the left camera.
+        ellipses: (2, 4, 5) of the card's, then the slot's markers, as they truly are.
+        distance: Of the view [m].
+        slant: Of the view [deg].
+    """
+
+    pair: ImageArray
+    bodies: tuple[RigidTransform, RigidTransform]
+    ellipses: FloatArray
+    distance: float
+    slant: float
+
+
+def marker_cads(width: float) -> tuple[BodyCad, BodyCad]:
+    """Return the CAD of the card and of a slot, whichever way up they are.
+
+    Args:
+        width: Of the slot [m].
+    """
+    return BodyCad(card_cad().points), BodyCad(slot_cad(width).points)
+
+
+def expectation(distance: float) -> MarkerExpectation:
+    """Return what is expected of a view whose range is known to a fifth."""
+    return MarkerExpectation(distance * (1.0 - RANGE_KNOWN), distance * (1.0 + RANGE_KNOWN))
+
+
+class MarkerScene:
+    """Card and slot over textured ground with rocks, before a free stereo head."""
+
+    def __init__(self, rng: np.random.Generator, noise_db: float | None = 46.0) -> None:
+        """Build.
+
+        Args:
+            rng: Of the views and of the noise.
+            noise_db: Of the images.
+        """
+        self.width = CARD_AND_SLOT.slot_widths[1]
+        self.geometry = head_geometry()
+        self.cads = marker_cads(self.width)
+        self._rng = rng
+        seed = int(rng.integers(2**31))
+        scene = build_scene(FieldConfig(size=(3.0, 3.0), rocks=150, blocks=10, seed=seed), ())
+        stands = [
+            scene.worldbody.add_body(name=f"{name}_stand", mocap=True) for name in ("card", "slot")
+        ]
+        add_card(scene, stands[0])
+        add_slot(scene, stands[1], self.width)
+        head = load_part("stereo_head")
+        for geom in list(head.geoms):
+            head.delete(geom)
+        rig = scene.worldbody.add_body(name="rig", mocap=True)
+        scene.attach(head, frame=rig.add_frame(), prefix="rig/")
+        self._model = compile_scene(scene)
+        self._data = mujoco.MjData(self._model)
+        self._rig = StereoRig(self._model, "rig/", StereoConfig(noise_db=noise_db), rng)
+
+    def view(self, distance: float, slant: float) -> MarkerView:
+        """Draw a pair.
+
+        Args:
+            distance: From the cameras to the middle of card and slot [m].
+            slant: Of their faces [deg].
+        """
+        rng = self._rng
+        level = [0.0, 0.0, TABLE_HEIGHT]
+        turn = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3))
+        slot = RigidTransform.from_components(level, turn)
+        gap = [rng.uniform(-0.01, 0.01), rng.uniform(-0.03, -0.005), rng.uniform(-0.004, 0.004)]
+        bend = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3))
+        card = slot * RigidTransform.from_components(gap, bend)
+        around, lean = rng.uniform(-1.0, 1.0) - math.pi / 2.0, math.radians(slant) + 1e-3
+        away = [math.sin(lean) * math.cos(around), math.sin(lean) * math.sin(around)]
+        middle = slot.apply([0.0, 0.0, CARD_AND_SLOT.wall_height / 2.0])
+        eye = middle + distance * turn.apply([*away, math.cos(lean)])
+        ahead = middle + rng.uniform(-0.02, 0.02, 3) * distance - eye
+        roll = rng.uniform(-0.4, 0.4)
+        upward = turn.apply([math.sin(roll), math.cos(roll), 0.0])
+        right = np.cross(ahead, upward) / np.linalg.norm(np.cross(ahead, upward))
+        ahead /= np.linalg.norm(ahead)
+        axes = np.column_stack([right, np.cross(ahead, right), ahead])
+        camera = RigidTransform.from_components(eye, Rotation.from_matrix(axes))
+        for name, pose in (("slot_stand", slot), ("card_stand", card)):
+            self._put(name, pose)
+        mount = self._model.camera("rig/stereo_left")
+        self._put("rig", camera * RigidTransform.from_translation(mount.pos * [-1, 1, 1]))
+        mujoco.mj_forward(self._model, self._data)
+        return self._seen(distance, slant)
+
+    def _put(self, name: str, pose: RigidTransform) -> None:
+        if name == "rig":
+            # The camera looks along the head's y, its rows run along -z.
+            flip = Rotation.from_matrix([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+            pose = pose * RigidTransform.from_rotation(flip)
+        index = self._model.body(name).mocapid[0]
+        self._data.mocap_pos[index] = pose.translation
+        self._data.mocap_quat[index] = pose.rotation.as_quat(scalar_first=True)
+
+    def _seen(self, distance: float, slant: float) -> MarkerView:
+        rotation, place = camera_pose(self._data, self._model.camera("rig/stereo_left").id)
+        back = RigidTransform.from_components(place, Rotation.from_matrix(rotation)).inv()
+        bodies, discs, normals = [], [], []
+        for name, cad in zip(("card", "slot"), self.cads, strict=True):
+            body = self._data.body(name)
+            turn = Rotation.from_matrix(body.xmat.reshape(3, 3))
+            pose = back * RigidTransform.from_components(body.xpos, turn)
+            bodies.append(pose)
+            discs.append(pose.apply(cad.points))
+            normals.append(np.tile(pose.rotation.apply(cad.normal), (len(cad.points), 1)))
+        centres = np.concatenate(discs)
+        eyes = np.stack([centres, centres - [self.geometry.baseline, 0.0, 0.0]])
+        radius = CARD_AND_SLOT.marker_diameter / 2.0
+        ellipses = project_discs(eyes, np.concatenate(normals)[None], radius, self.geometry)
+        pair = self._rig.capture(self._data)
+        return MarkerView(pair, (bodies[0], bodies[1]), ellipses, distance, slant)

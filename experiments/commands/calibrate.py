@@ -1,0 +1,185 @@
+"""``python -m experiments calibrate``: a person calibrates a real robot's inclinometer (D-1)."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import datetime
+import threading
+import time
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from rich.progress import track
+
+from experiments.doctor.robot import wiring_of
+from experiments.harness.command_line import parse
+from experiments.harness.contract import ExperimentError, OptionError
+from twin.clock import Clock, WallClock
+from twin.hardware.board_robot import BoardRobot
+from twin.hardware.calibration.calibration import (
+    CalibrationError,
+    calibration_path,
+    calibration_text,
+    read_calibration,
+    write_calibration,
+)
+from twin.hardware.calibration.procedure import (
+    ProcedureConfig,
+    ProcedureError,
+    run_procedure,
+    tilt_procedure,
+)
+from twin.hardware.calibration.tilt_fit import Sample, sample
+from twin.hardware.connect_boards import open_boards
+from twin.hardware.link import LinkError
+from twin.robot import ArmMode, Command, RobotError
+from twin.servo import SERVO_PERIOD
+
+MEASURING = 2.0
+"""For which a reading is averaged [s]."""
+SUMMARY = "calibrate a real robot's inclinometer by weighing it on wedges (Table D-1)"
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of the calibration of a real robot.
+
+    Attributes:
+        robot: Its boards: serial:PORT,analogue=PORT,wrench=HOST[,robot=NAME][,calibration=FILE]
+            [,home=YAW:SHOULDER:ELBOW:WRIST]. With home [rad] the motors hold the arm there;
+            without, it must hold itself.
+        weight: Mass that is hung on the gripper [kg].
+        output: Where to write the new calibration; the file that was read unless given.
+    """
+
+    robot: str
+    weight: float = 0.5
+    output: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse robots without the sensors, and weights that are none.
+
+        Raises:
+            OptionError: Naming the option.
+        """
+        wiring = wiring_of(self.robot)
+        if not (wiring.analogue and wiring.wrench):
+            raise OptionError(f"--robot {self.robot}: needs analogue=PORT and wrench=HOST")
+        if not 0.05 <= self.weight <= 5.0:
+            raise OptionError(f"--weight: expected 0.05 to 5 kg, got {self.weight}")
+        if self.output is not None and not self.output.parent.is_dir():
+            raise OptionError(f"--output {self.output}: there is no folder {self.output.parent}")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Lead a person through the weighings, and write the file.
+
+    Raises:
+        OptionError: If the options are bad.
+        ExperimentError: If robot or readings do not allow it; the file is as it was.
+    """
+    options = parse(Options, "calibrate", SUMMARY, arguments)
+    wiring = wiring_of(options.robot)
+    path = wiring.calibration or calibration_path(wiring.robot)
+    try:
+        # Its age does not matter: it is made new.
+        calibration = read_calibration(path)
+        with contextlib.closing(open_boards(wiring, calibration)) as boards:
+            robot = BoardRobot(wiring.robot, boards, calibration, time.monotonic)
+            robot.configure()
+            config = ProcedureConfig(weight=options.weight)
+            steps = tilt_procedure(calibration, config, datetime.date.today())
+            with held(robot, wiring.home, WallClock(SERVO_PERIOD)):
+                result = run_procedure(
+                    steps, lambda: measure(robot, WallClock(SERVO_PERIOD), MEASURING), input, print
+                )
+    except (CalibrationError, LinkError, RobotError, ProcedureError) as error:
+        raise ExperimentError(str(error)) from error
+    except EOFError:
+        raise ExperimentError("nobody answers; the calibration is as it was") from None
+    target = options.output or path
+    try:
+        write_calibration(target, result.calibration)
+    except OSError as error:
+        # An hour of a person's work must not be lost.
+        print(calibration_text(result.calibration))
+        raise ExperimentError(f"{target}: {error.strerror}; the file is printed above") from None
+    print(f"written: {target}")
+    return 0
+
+
+@contextlib.contextmanager
+def held(robot: BoardRobot, home: Sequence[float], clock: Clock) -> Generator[None]:
+    """Let the motors hold the arm while a person works at the robot.
+
+    Args:
+        robot: It stands still.
+        home: Joint angles (4,) in which the arm is [rad]; empty to leave the motors alone.
+        clock: Paces the servo.
+
+    Raises:
+        RobotError: If the robot is not well.
+    """
+    if not home:
+        yield
+        return
+    robot.home(np.array(home))
+    robot.activate()
+    over = threading.Event()
+
+    def hold() -> None:
+        command = Command(arm=np.array(home), arm_mode=ArmMode.POSITION)
+        # A robot that stopped says why at the next reading.
+        with contextlib.suppress(RobotError):
+            while not over.is_set():
+                clock.tick()
+                robot.observe()
+                robot.command(command)
+
+    thread = threading.Thread(target=hold, name=f"holds the arm of {robot.name}", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        robot.deactivate()
+
+
+def measure(robot: BoardRobot, clock: Clock, duration: float) -> Sample:
+    """Return the means of the inclinometer's voltages and the arm's force at rest.
+
+    Args:
+        robot: It stands still.
+        clock: Paces the readings.
+        duration: Over which is averaged [s].
+
+    Raises:
+        RobotError: If the robot has stopped, or inclinometer or force/torque sensor say nothing
+            for half of that time.
+    """
+    tilts = robot.calibration.inclinometer
+    sensors = (tilts.pitch, tilts.roll)
+    volts: dict[float, list[float]] = {}
+    force: dict[float, list[float]] = {}
+    ticks = round(duration / clock.period)
+    for _ in track(range(ticks), "measuring", transient=True):
+        clock.tick()
+        seen = robot.observe()
+        if robot.fault:
+            raise RobotError(f"robot {robot.name!r}: {robot.fault}")
+        tilt, wrench = seen.inclinometer, seen.arm_base_wrench
+        # A sample that is held is the same reading, not another one.
+        if tilt.usable:
+            angles = np.asarray(tilt.value)
+            volts[tilt.stamp] = [float(s.volts(a)) for s, a in zip(sensors, angles, strict=True)]
+        if wrench.usable:
+            force[wrench.stamp] = np.asarray(wrench.value)[:3].tolist()
+    for name, found, per_tick in (("inclinometer", volts, 0.25), ("arm base wrench", force, 1.0)):
+        if len(found) < max(2.0, 0.5 * per_tick * ticks):
+            raise RobotError(f"robot {robot.name!r}: {name} gave {len(found)} readings in {ticks}")
+    return sample(list(volts.values()), list(force.values()))

@@ -1,0 +1,173 @@
+"""``python -m experiments doctor``: is everything here that the experiments need?"""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from experiments.doctor.robot import examine_robot, wiring_of
+from experiments.harness import provenance
+from experiments.harness.command_line import parse
+from experiments.harness.contract import OptionError
+from experiments.harness.findings import Finding
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+PROBE_TIMEOUT = 60.0  # [s]
+OLDEST_PYTHON = (3, 11)
+
+# Shared library that software rendering opens -> Debian/Ubuntu package that has it.
+GL_LIBRARIES = {
+    "libEGL.so.1": "libegl1",
+    "libEGL_mesa.so.0": "libegl-mesa0",
+    "libOpenGL.so.0": "libopengl0",
+    "libGL.so.1": "libgl1",
+}
+MESA_DRIVERS = "libgl1-mesa-dri"
+
+
+@dataclasses.dataclass(frozen=True)
+class DoctorOptions:
+    """Options of the doctor.
+
+    Attributes:
+        robot: Look at this robot too, before it moves: serial:PORT[,NAME=VALUE...], or emulated.
+        patience: How long to wait for a person at the e-stop [s].
+    """
+
+    robot: str = ""
+    patience: float = 30.0
+
+    def __post_init__(self) -> None:
+        """Refuse a wait that is none, and robots without boards.
+
+        Raises:
+            OptionError: Naming the option.
+        """
+        if not 0.0 < self.patience <= 3600.0:
+            raise OptionError(f"--patience: expected 0 to 3600 s, got {self.patience}")
+        if self.robot not in ("", "emulated"):
+            wiring_of(self.robot)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the findings; return 1 if something required is missing, else 0."""
+    options = parse(DoctorOptions, "doctor", "What is here and what is missing.", arguments)
+    failed = 0
+    for finding in _findings(options):
+        print(finding.line, flush=True)
+        failed += finding.fatal
+    print(f"{failed} required things are missing or not well" if failed else "all required is here")
+    return 1 if failed else 0
+
+
+def _findings(options: DoctorOptions) -> Iterator[Finding]:
+    """Look at the machine, then at the robot if there is one."""
+    yield from examine_python()
+    yield from examine_packages(pins(CHECKOUT))
+    yield from examine_rendering()
+    if options.robot:
+        yield from examine_robot(options.robot, options.patience)
+
+
+def examine_python() -> list[Finding]:
+    """Look at the interpreter and the machine."""
+    old = sys.version_info[:2] < OLDEST_PYTHON
+    return [
+        Finding("python", platform.python_version(), "needs python 3.11 or newer" if old else ""),
+        Finding("system", platform.platform()),
+        Finding("processor", f"{provenance.cpu_name()}, {provenance.free_cores()} cores free"),
+        Finding("commit", str(provenance.commit()["commit"] or "unknown")),
+    ]
+
+
+def pins(checkout: Path) -> dict[str, str]:
+    """Return the pinned version of each package that the project needs to run.
+
+    Args:
+        checkout: Folder of pyproject.toml.
+    """
+    with (checkout / "pyproject.toml").open("rb") as stream:
+        project = tomllib.load(stream)["project"]
+    pairs = (re.split(r"\[.*\]==|==", line, maxsplit=1) for line in project["dependencies"])
+    return {name: version for name, version in pairs}
+
+
+def examine_packages(wanted: Mapping[str, str]) -> list[Finding]:
+    """Compare the installed packages with the pinned ones.
+
+    Args:
+        wanted: Version by package name.
+    """
+    findings = []
+    for name, version in wanted.items():
+        try:
+            found = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            findings.append(Finding(name, "not installed", "make setup"))
+            continue
+        remedy = "" if found == version else f"make setup (pinned to {version})"
+        findings.append(Finding(name, found, remedy))
+    return findings
+
+
+def examine_rendering() -> list[Finding]:
+    """Look for the GL libraries and render a frame."""
+    backend = os.environ.get("MUJOCO_GL", "")
+    findings = [Finding("MUJOCO_GL", backend or "unset")]
+    frame = examine_frame()
+    if frame[0].fatal and backend == "egl":
+        findings += [
+            Finding(library, "not found", f"apt install {package}")
+            for library, package in GL_LIBRARIES.items()
+            if not can_load(library)
+        ]
+    return findings + frame
+
+
+def examine_frame() -> list[Finding]:
+    """Render a test frame in a process of its own."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "experiments.doctor.render_probe"],
+            cwd=CHECKOUT,
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=PROBE_TIMEOUT,
+        )
+    except subprocess.TimeoutExpired:
+        return [Finding("test frame", f"not rendered in {PROBE_TIMEOUT:g} s", _frame_remedy())]
+    if done.returncode != 0:
+        last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
+        return [Finding("test frame", last, _frame_remedy())]
+    found = json.loads(done.stdout.splitlines()[-1])
+    return [
+        Finding("GL renderer", f"{found['renderer']}, {found['version']}"),
+        Finding("test frame", f"sha256 {found['checksum']}"),
+    ]
+
+
+def can_load(library: str) -> bool:
+    """Return whether the system has a shared library."""
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+def _frame_remedy() -> str:
+    if os.environ.get("MUJOCO_GL") == "osmesa":
+        return "apt install libosmesa6, or MUJOCO_GL=egl"
+    packages = " ".join([*dict.fromkeys(GL_LIBRARIES.values()), MESA_DRIVERS])
+    return f"apt install {packages}"

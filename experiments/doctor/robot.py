@@ -1,0 +1,277 @@
+"""``doctor --robot``: is a robot on its boards well, before anything moves?"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from experiments.harness.contract import OptionError
+from experiments.harness.findings import Finding
+from twin.clock import WallClock
+from twin.connect import TARGETS
+from twin.hardware.board_robot import BoardRobot
+from twin.hardware.board_set import WiredBoards
+from twin.hardware.calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    calibration_path,
+    read_calibration,
+)
+from twin.hardware.connect_boards import Wiring, emulated_wiring, open_boards
+from twin.hardware.emulator.faults import RobotFault
+from twin.hardware.emulator.process import EmulatorProcess
+from twin.hardware.emulator.scene import SceneConfig
+from twin.hardware.link import LinkError
+from twin.hardware.roboclaw.codec import Command, Status
+from twin.robot import Channel, Observation, RobotError
+from twin.servo import SERVO_PERIOD
+
+WATCHING = 2.0
+"""For which the sensors are watched [s]."""
+FRESH = 0.95
+"""Share of the cycles in which a channel must be usable."""
+MISSED = 0.01
+STILL = 0.02
+"""Speed of a shaft above which it is not at rest [rad/s]."""
+POLL = 0.05  # [s]
+
+
+@dataclasses.dataclass(frozen=True)
+class Patient:
+    """What is looked at.
+
+    Attributes:
+        wiring: Where its boards are.
+        press: Presses the e-stop of emulated boards; a person does it on real ones.
+        patience: How long to wait for that [s].
+    """
+
+    wiring: Wiring
+    press: Callable[[], None]
+    patience: float
+
+
+def examine_robot(target: str, patience: float) -> Iterator[Finding]:
+    """Look at a robot's calibration, boards, limits, sensors and e-stop; nothing is driven.
+
+    Args:
+        target: ``serial:PORT[,NAME=VALUE...]`` or ``emulated``.
+        patience: How long to wait for a person at the e-stop [s].
+
+    Raises:
+        OptionError: If the target is unknown or misspelt.
+    """
+    if target == "emulated":
+        yield from _examine_emulated(patience)
+    else:
+        yield from _examine(Patient(wiring_of(target), _ask_person, patience))
+
+
+def wiring_of(target: str) -> Wiring:
+    """Return where the boards of a real robot are.
+
+    Args:
+        target: ``serial:PORT[,NAME=VALUE...]``.
+
+    Raises:
+        OptionError: If it is something else.
+    """
+    word, colon, wiring = target.partition(":")
+    if word != "serial" or not colon:
+        boards = ", ".join(name for name in TARGETS if name.startswith("serial"))
+        raise OptionError(f"--robot {target}: no real boards; expected {boards}")
+    try:
+        return Wiring.parse(wiring)
+    except ValueError as error:
+        raise OptionError(f"--robot {error}") from None
+
+
+def _ask_person() -> None:
+    print("        press the e-stop, wait for this to go on, then release it", flush=True)
+
+
+def _examine_emulated(patience: float) -> Iterator[Finding]:
+    scene = SceneConfig()
+    name = scene.robots[0].name
+    with contextlib.closing(EmulatorProcess(scene, realtime=True)) as emulator:
+        wiring = emulated_wiring(emulator, scene, name)
+
+        def press() -> None:
+            for address in {axis.address for axis in scene.calibration(name).drive.axes}:
+                emulator.inject(name, RobotFault.E_STOP.value, address=address)
+
+        yield from _examine(Patient(wiring, press, patience))
+
+
+def _examine(patient: Patient) -> Iterator[Finding]:
+    """Look at one thing after the other, until one is needed that is not there."""
+    wiring = patient.wiring
+    yield _calibration_finding(wiring)
+    try:
+        # Whatever its age, it is good enough to look at the boards.
+        calibration = read_calibration(wiring.calibration or calibration_path(wiring.robot))
+    except CalibrationError:
+        return
+    try:
+        boards = open_boards(wiring, calibration)
+    except LinkError as error:
+        yield Finding("ports", str(error), "check cable, name and permissions of the port")
+        return
+    with contextlib.closing(boards):
+        absent = False
+        for address in boards.addresses:
+            finding = _board_finding(boards, address)
+            absent = absent or "no answer" in finding.value
+            yield finding
+        if absent:
+            return
+        robot = BoardRobot(wiring.robot, boards, calibration, time.monotonic)
+        try:
+            robot.configure()
+        except RobotError as error:
+            yield Finding("limits", str(error), "switch the boards off and on, then try again")
+            return
+        yield Finding("limits", _limits(calibration))
+        yield from _sensor_findings(robot)
+        yield _stop_finding(boards, patient)
+
+
+def _calibration_finding(wiring: Wiring) -> Finding:
+    try:
+        wiring.load_calibration()
+    except CalibrationError as error:
+        return Finding("calibration", str(error), "calibrate, or name another file")
+    return Finding("calibration", f"of {wiring.robot}, not too old")
+
+
+def _board_finding(boards: WiredBoards, address: int) -> Finding:
+    """Ask a motor board for all that it says of itself."""
+    what = f"motor board {address:#x}"
+    try:
+        version = boards.bus.version(address)
+        state = boards.state(address)
+        logic = 0.1 * boards.bus.read(address, Command.GET_LOGIC_VOLTAGE)[0]
+        warmth = 0.1 * boards.bus.read(address, Command.GET_TEMPERATURE)[0]
+    except LinkError as error:
+        return Finding(what, f"no answer ({error})", "check power, address and baud rate 460800")
+    status = (state.status.name or hex(state.status)).lower()
+    value = f"{version}, {state.battery:.1f} V, logic {logic:.1f} V, {warmth:.0f} C, {status}"
+    return Finding(what, value, "see the status" if state.status.errors else "")
+
+
+def _limits(calibration: Calibration) -> str:
+    currents = ", ".join(f"{axis.current_limit:g}" for axis in calibration.drive.axes)
+    timeout = calibration.limits.serial_timeout
+    return f"set and read back: serial timeout {timeout:g} s, motor currents {currents} A"
+
+
+def _sensor_findings(robot: BoardRobot) -> Iterator[Finding]:
+    """Watch the robot at rest for a while, at the servo's pace."""
+    clock = WallClock(SERVO_PERIOD)
+    seen: list[Observation] = []
+    while clock.time < WATCHING:
+        clock.tick()
+        seen.append(robot.observe())
+    battery = {a: robot.boards.state(a).battery for a in robot.boards.addresses}
+    yield _battery_finding(battery, robot.calibration)
+    last = seen[-1]
+    tilt, wrench = last.inclinometer, last.arm_base_wrench
+    yield _fresh("inclinometer", [o.inclinometer for o in seen], _tilt_text(tilt))
+    yield _fresh("centre angle", [o.centre_angle for o in seen], _angle_text(last.centre_angle))
+    yield _fresh("arm base wrench", [o.arm_base_wrench for o in seen], _wrench_text(wrench))
+    yield _rest_finding(seen)
+    share = clock.misses / (clock.misses + len(seen))
+    slow = "other programs, or an adapter with a long latency timer" if share > MISSED else ""
+    value = f"{100.0 * share:.1f} % of the 10 ms cycles missed"
+    yield Finding("100 Hz", value, slow, required=False)
+
+
+def _battery_finding(volts: dict[int, float], calibration: Calibration) -> Finding:
+    low, high = calibration.limits.least_battery, calibration.limits.most_battery
+    well = all(low <= value <= high for value in volts.values())
+    text = ", ".join(f"{value:.1f}" for value in volts.values())
+    return Finding("battery", f"{text} V", "" if well else f"needs {low:g} to {high:g} V")
+
+
+def _fresh(what: str, channels: list[Channel], text: str) -> Finding:
+    """Tell in how many cycles a channel could be used."""
+    usable = sum(channel.usable for channel in channels)
+    value = f"{text}, fresh in {usable} of {len(channels)} cycles"
+    if usable >= FRESH * len(channels):
+        return Finding(what, value)
+    if not usable:
+        value = f"{channels[-1].validity.value} in all cycles"
+    return Finding(what, value, "check its wiring and its name in --robot")
+
+
+def _tilt_text(channel: Channel) -> str:
+    if not channel.usable:
+        return channel.validity.value
+    pitch, roll = np.degrees(channel.value.astype(float))
+    return f"pitch {pitch:+.2f}, roll {roll:+.2f} degrees"
+
+
+def _angle_text(channel: Channel) -> str:
+    if not channel.usable:
+        return channel.validity.value
+    return f"{np.degrees(float(channel.value[0])):+.2f} degrees"
+
+
+def _wrench_text(channel: Channel) -> str:
+    if not channel.usable:
+        return channel.validity.value
+    force = channel.value[:3].astype(float)
+    return f"force {force[0]:+.2f}, {force[1]:+.2f}, {force[2]:+.2f} N"
+
+
+def _rest_finding(seen: list[Observation]) -> Finding:
+    """Tell whether the encoders are at rest."""
+    speeds = [
+        float(np.max(np.abs(channel.value)))
+        for o in seen
+        for channel in (o.wheel_speeds, o.arm_rates)
+        if channel.usable
+    ]
+    if not speeds:
+        return Finding("encoders", "no sample", "check the motor boards")
+    fastest = float(np.median(speeds))
+    moves = "hold the robot still; nothing drives it" if fastest > STILL else ""
+    return Finding("encoders", f"at {fastest:.3f} rad/s", moves, required=False)
+
+
+def _stop_finding(boards: WiredBoards, patient: Patient) -> Finding:
+    """See whether every board notices the e-stop, and lets go of it again."""
+    patient.press()
+    deaf = _await_stop(boards, pressed=True, patience=patient.patience)
+    if deaf:
+        remedy = "press it; set S3 of each board to e-stop and wire the switch to all"
+        return Finding("e-stop", f"not seen by {deaf}", remedy)
+    stuck = _await_stop(boards, pressed=False, patience=patient.patience)
+    if stuck:
+        remedy = "release it; some firmware wants its power switched off and on"
+        return Finding("e-stop", f"still pressed, says {stuck}", remedy)
+    return Finding("e-stop", "seen and released on every board")
+
+
+def _await_stop(boards: WiredBoards, pressed: bool, patience: float) -> str:
+    """Wait until all boards say that it is pressed, or not; return the names of the others."""
+    end = time.monotonic() + patience
+    while True:
+        others = [a for a in boards.addresses if _stopped(boards, a, pressed) != pressed]
+        if not others or time.monotonic() >= end:
+            return ", ".join(f"{address:#x}" for address in others)
+        time.sleep(POLL)
+
+
+def _stopped(boards: WiredBoards, address: int, pressed: bool) -> bool:
+    """Tell whether a board is stopped; one that is silent is not as it should be."""
+    try:
+        if not pressed:
+            boards.reset_e_stop()
+        return bool(boards.status(address) & Status.E_STOP)
+    except LinkError:
+        return not pressed

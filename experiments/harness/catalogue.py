@@ -1,0 +1,180 @@
+"""All experiments and commands by name; modules are imported only when asked for."""
+
+from __future__ import annotations
+
+from experiments.harness.contract import Experiment
+
+_ALL: tuple[Experiment, ...] = (
+    Experiment(
+        name="ch2-simulation",
+        summary="the simplified rover identifies itself by swinging its arm",
+        thesis="Table 2-1, figures 2-4 to 2-7",
+        module="experiments.ch2.simulation",
+    ),
+    Experiment(
+        name="ch2-rover",
+        summary="the complete rover identifies how it pitches, by inclinometer and arm wrench",
+        thesis="Table 2-2, figures 2-9 to 2-12",
+        module="experiments.ch2.rover",
+    ),
+    Experiment(
+        name="ch2-payload",
+        summary="an unknown payload is identified by swinging the arm that holds it",
+        thesis="section 6.2 (c), suggested only",
+        module="experiments.ch2.payload",
+    ),
+    Experiment(
+        name="ch2-friction",
+        summary="the arm's jerks show the friction under the wheels and when they slip",
+        thesis="section 6.2 (b), suggested only",
+        module="experiments.ch2.friction",
+    ),
+    Experiment(
+        name="ch3-planar",
+        summary="planar worlds are mapped, each next view chosen by any of seven methods",
+        thesis="figures 3-6, 3-8, 3-12 to 3-21",
+        module="experiments.ch3.planar.planar",
+    ),
+    Experiment(
+        name="ch3-stereo",
+        summary="two rovers map a cluttered field with stereo heads on their arms",
+        thesis="figures 3-22 to 3-27, section 6.2 (a)",
+        module="experiments.ch3.stereo.stereo",
+    ),
+    Experiment(
+        name="ch3-swarm",
+        summary="one to fifty robots map an indoor world together",
+        thesis="section 6.2 (d), suggested only",
+        module="experiments.ch3.planar.swarm",
+    ),
+    Experiment(
+        name="ch4-planar",
+        summary="cameras are placed on the plane, and watch a panel on its way to the target",
+        thesis="figures 4-6, 4-8, 4-10, 4-11",
+        module="experiments.ch4.planar.planar",
+    ),
+    Experiment(
+        name="ch4-montecarlo",
+        summary="a camera guides an object to its goal among obstacles, placed by three methods",
+        thesis="Table 4-1",
+        module="experiments.ch4.montecarlo.montecarlo",
+    ),
+    Experiment(
+        name="ch4-stereo",
+        summary="a camera is placed among blocks in space, and what it sees is rendered",
+        thesis="figures 4-12, 4-13",
+        module="experiments.ch4.spatial.stereo",
+    ),
+    Experiment(
+        name="ch5-insertion",
+        summary="two rovers insert a card: the master watches, the slave brings it",
+        thesis="chapter 5, Table 5-1, figures 5-11 to 5-14",
+        module="experiments.ch5.insertion",
+    ),
+    Experiment(
+        name="ch5-contact",
+        summary="a card is inserted by what the hand feels, and contact states are told apart",
+        thesis="figures A-5 to A-7, section 5.4 (forces)",
+        module="experiments.ch5.contact",
+    ),
+    Experiment(
+        name="mission",
+        summary="two rovers identify themselves, map, place a camera and insert a card in one run",
+        thesis="figure 1-5, chapters 2 to 5 together",
+        module="experiments.mission.mission",
+    ),
+    Experiment(
+        name="appa-control",
+        summary="the arm's control laws on soft, middle and stiff bases that are pushed",
+        thesis="figure A-1, equations A-1 to A-4",
+        module="experiments.appa.control",
+    ),
+    Experiment(
+        name="appa-tipover",
+        summary="arm motions that would tip the rover are slowed or cut short",
+        thesis="figure A-4, equation A-5",
+        module="experiments.appa.tipover",
+    ),
+    Experiment(
+        name="appa-truss",
+        summary="two rovers hold one segment and insert it in a truss stage, master and slave",
+        thesis="figures A-8 to A-12",
+        module="experiments.appa.truss",
+    ),
+    Experiment(
+        name="appc-compression",
+        summary="pictures are compressed in ten ways, and their information chooses views",
+        thesis="Table C-1, figure C-2",
+        module="experiments.appc.compression",
+    ),
+    Experiment(
+        name="appd-calibration",
+        summary="the inclinometers are calibrated by weighing on a tilting table",
+        thesis="Table D-1",
+        module="experiments.appd.calibration",
+    ),
+    Experiment(
+        name="appd-boards",
+        summary="the rover through emulated boards with all their faults, and at 100 Hz",
+        thesis="figure D-3",
+        module="experiments.appd.boards",
+    ),
+    Experiment(
+        name="appd-radio",
+        summary="the thesis' radio handshake beside a link in frames, under byte errors",
+        thesis="appendix D, inter-robot communication",
+        module="experiments.appd.radio",
+    ),
+    Experiment(
+        name="appe-workspace",
+        summary="all words of five BRAID stages, the poses they reach, and the stage itself",
+        thesis="figure E-5, equations E-1 to E-34",
+        module="experiments.appe.workspace",
+    ),
+    Experiment(
+        name="appe-inverse",
+        summary="words of a binary arm for target poses by seven searches, also among obstacles",
+        thesis="section E.3.2",
+        module="experiments.appe.inverse",
+    ),
+    Experiment(
+        name="appe-mechanism",
+        summary="BRAID in physics: settled states, detents, sag, and words by its muscle wires",
+        thesis="figures E-1, E-2, E-9",
+        module="experiments.appe.mechanism",
+    ),
+    Experiment(
+        name="appe-placement",
+        summary="a camera placement that BRAID takes on a rover, seen by what is rendered then",
+        thesis="appendix E with chapter 4, suggested only",
+        module="experiments.appe.placement",
+    ),
+    Experiment(
+        name="appe-bus",
+        summary="pulses on BRAID's power line address its actuators, despite noise and lost pulses",
+        thesis="figures E-7, E-8",
+        module="experiments.appe.bus",
+    ),
+    Experiment(
+        name="bench",
+        summary="speed and accuracy measured against a named peer in the same run",
+        thesis="beyond the thesis",
+        module="experiments.bench.bench",
+    ),
+)
+
+EXPERIMENTS: dict[str, Experiment] = {experiment.name: experiment for experiment in _ALL}
+
+# name -> (module with main(arguments) -> exit status, summary)
+COMMANDS: dict[str, tuple[str, str]] = {
+    "doctor": (
+        "experiments.doctor.doctor",
+        "versions, renderer, and what is missing on this machine",
+    ),
+    "calibrate": (
+        "experiments.commands.calibrate",
+        "a person calibrates a real robot's inclinometer",
+    ),
+    "report": ("experiments.report.report", "all results beside the thesis' in OUT/report.html"),
+    "bench-table": ("experiments.bench.table", "README's table of benchmarks, from OUT/bench"),
+}

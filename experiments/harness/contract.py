@@ -1,0 +1,143 @@
+"""What every experiment shares: its options, its entry in the catalogue and its errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+import tyro
+
+if TYPE_CHECKING:
+    from experiments.harness.output import Output
+
+
+class ExperimentError(RuntimeError):
+    """The experiment cannot go on; told in one line, exit status 1."""
+
+
+class OptionError(ValueError):
+    """An option, or a file that an option names, is bad; told in one line, exit status 2."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of every experiment; an experiment extends them with its own.
+
+    Attributes:
+        quick: A smaller, honest run (less than a minute on two cores).
+        seeds: Number of random repetitions (unless said, the experiment's own number).
+        jobs: Number of processes that share a sweep (unless said, one for each core).
+        seed: Root of all randomness; the same seed gives the same run.
+        out: Folder of results; this experiment writes to OUT/NAME/.
+        record: Also write a recording for the rerun viewer, OUT/NAME/run.rrd.
+        resume: Keep the finished jobs of an interrupted sweep; the code must be the same.
+        backend: Where a sweep runs: local processes (loky) or a Dask cluster (dask).
+        scheduler: Address of the Dask scheduler, for instance tcp://10.0.0.1:8786.
+    """
+
+    quick: bool = False
+    seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    seed: int = 0
+    out: Path = Path("results")
+    record: bool = False
+    resume: bool = False
+    backend: Literal["loky", "dask"] = "loky"
+    scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse what no experiment could run with.
+
+        An experiment with rules of its own calls this from its own ``__post_init__``.
+
+        Raises:
+            OptionError: If a number is out of range or the scheduler does not suit the backend.
+        """
+        for name in ("seeds", "jobs"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise OptionError(f"--{name}: expected at least 1, got {value}")
+        if self.seed < 0:
+            raise OptionError(f"--seed: expected 0 or more, got {self.seed}")
+        if self.backend == "dask" and self.scheduler is None:
+            raise OptionError("--backend dask: give the cluster's address with --scheduler")
+        if self.backend != "dask" and self.scheduler is not None:
+            raise OptionError("--scheduler: only used with --backend dask")
+
+    def job_seeds(self, full: int, quick: int) -> list[int]:
+        """Return one seed for each repetition, all derived from ``seed``.
+
+        More repetitions extend the list and leave its beginning as it was.
+
+        Args:
+            full: Number of repetitions unless ``--seeds`` says another.
+            quick: The same, with ``--quick``.
+        """
+        count = self.seeds if self.seeds is not None else (quick if self.quick else full)
+        return [int(word) for word in np.random.SeedSequence(self.seed).generate_state(count)]
+
+
+@dataclasses.dataclass(frozen=True)
+class SimulatedOptions(Options):
+    """Options of an experiment that sets or scores by what only a simulation knows.
+
+    Attributes:
+        targets: What the experiment runs on.
+        robot: Which robot: sim or, where boards serve as well, quantised or emulated.
+    """
+
+    targets: ClassVar[tuple[str, ...]] = ("sim",)
+    robot: str = "sim"
+
+    def __post_init__(self) -> None:
+        """Refuse robots whose payload, ground or tilt could not be set.
+
+        Raises:
+            OptionError: If the robot is not simulated, or as `Options`.
+        """
+        super().__post_init__()
+        if self.robot not in self.targets:
+            raise OptionError(
+                f"--robot {self.robot}: what this experiment sets is known of simulated robots "
+                f"only; available: {', '.join(self.targets)}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """An experiment's entry in the catalogue.
+
+    The module holds a frozen dataclass ``Options``, derived from `Options`, and a function
+    ``run(options, output)``. It is imported only when the experiment is asked for, so that the
+    list of experiments appears at once.
+
+    Attributes:
+        name: Name on the command line and of the result folder.
+        summary: One line for the list.
+        thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
+        module: Import path of the module.
+    """
+
+    name: str
+    summary: str
+    thesis: str
+    module: str
+
+    def load(self) -> tuple[type[Options], Callable[[Any, Output], None]]:
+        """Import the module and return its options type and its run function.
+
+        Raises:
+            TypeError: If the module lacks one of them.
+        """
+        module = importlib.import_module(self.module)
+        options_type = getattr(module, "Options", None)
+        run: Any = getattr(module, "run", None)
+        if not (isinstance(options_type, type) and issubclass(options_type, Options)):
+            raise TypeError(f"{self.module}: no class Options that extends contract.Options")
+        if run is None:
+            raise TypeError(f"{self.module}: no function run(options, output)")
+        return options_type, run

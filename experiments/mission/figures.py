@@ -1,0 +1,113 @@
+"""Figures of ``mission``: how it went, what was known when, and what each stage is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from experiments.mission.results import after_stage, stages_of
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+COLOURS = {"master": "tab:blue", "slave": "tab:orange"}
+
+
+def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
+    """Draw the site at the end of each stage.
+
+    Args:
+        steps: Names of the stages, times [s] and colour pictures.
+    """
+    columns = 2 if len(steps) > 1 else 1
+    rows = max(1, -(-len(steps) // columns))
+    figure = Figure(figsize=(5.2 * columns, 4.1 * rows))
+    for index, (name, time, picture) in enumerate(steps):
+        axes = figure.add_subplot(rows, columns, index + 1)
+        axes.imshow(picture)
+        axes.set_axis_off()
+        axes.set_title(f"{name}, {time:.1f} s", fontsize=10)
+    figure.tight_layout()
+    return figure
+
+
+def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
+    """Draw by how much robots err in the slot's place after each stage, and what they expect.
+
+    Args:
+        results: Of `mission_trial.run_mission`.
+    """
+    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    names = [name for name in stages_of(results) if name != "insert"]
+    place = np.arange(len(names), dtype=float)
+    for offset, robot in ((-0.12, "master"), (0.12, "slave")):
+        for stage, name in enumerate(names):
+            known = after_stage(results, name)
+            errors = [np.linalg.norm(error) for error in known[f"{robot}_errors"]]
+            sigmas = [np.linalg.norm(sigma) for sigma in known[f"{robot}_sigmas"]]
+            spots = np.full(len(errors), place[stage] + offset)
+            axes.plot(
+                spots, 1e3 * np.array(errors), "o", color=COLOURS[robot], alpha=0.6, markersize=4,
+                label=f"{robot}: true error" if stage == 0 else None,
+            )  # fmt: skip
+            axes.plot(
+                [spots[0] - 0.1, spots[0] + 0.1], [1e3 * float(np.median(sigmas))] * 2, "-",
+                color=COLOURS[robot], linewidth=2,
+                label=f"{robot}: r.m.s. that it expects" if stage == 0 else None,
+            )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_xticks(place, [f"after {name}" for name in names])
+    axes.set(ylabel="place of the slot [mm]", title="What the robots know of the slot")
+    figure.legend(fontsize=8, ncols=2, loc="outside lower center")
+    axes.grid(visible=True, axis="y", alpha=0.3)
+    return figure
+
+
+def draw_worth(
+    shares: Mapping[str, Any],
+    stops: Mapping[str, Sequence[float]],
+    off: Mapping[str, Sequence[float]],
+) -> Figure:
+    """Draw what each stage is worth: cards inserted, first stops of the master, cards in the slot.
+
+    Args:
+        shares: Fractions with intervals, by the stage that is left out; "" for the whole.
+        stops: Distances of first stops from the camera's place [m], by the same; empty where the
+            master goes nowhere.
+        off: Distances of inserted cards from the slot's middle [m], by the same.
+    """
+    figure = Figure(figsize=(12.0, 3.8), layout="constrained")
+    inserted, stopped, seated = figure.subplots(1, 3)
+    place = np.arange(len(shares), dtype=float)
+    mean = np.array([cell["mean"] for cell in shares.values()])
+    low = mean - [cell["low"] for cell in shares.values()]
+    high = np.array([cell["high"] for cell in shares.values()]) - mean
+    colours = ["tab:green", *["tab:orange"] * (len(shares) - 1)]
+    inserted.bar(place, mean, 0.6, color=colours)
+    inserted.errorbar(place, mean, [low, high], fmt="none", color="k", capsize=4)
+    inserted.set(ylabel="card inserted (95 % interval)", ylim=(0.0, 1.05))
+    for spot, colour, kind in zip(place, colours, shares):
+        _scatter(stopped, spot, 100.0 * np.asarray(stops[kind], dtype=float), colour, "stays")
+        _scatter(seated, spot, 1e3 * np.asarray(off[kind], dtype=float), colour, "none is in")
+    stopped.set(ylabel="first stop from the camera's place [cm]", ylim=(0.0, None))
+    seated.set(ylabel="inserted card from the slot's middle [mm]", ylim=(0.0, None))
+    labels = [f"without\n{name}" if name else "whole\nmission" for name in shares]
+    for axes in (inserted, stopped, seated):
+        axes.set_xticks(place, labels, fontsize=8)
+        axes.set_xlim(-0.5, len(place) - 0.5)
+    return figure
+
+
+def _scatter(axes: Axes, spot: float, values: FloatArray, colour: str, without: str) -> None:
+    """Draw values beside each other about a place, and their median; or say why there is none."""
+    spread = spot + np.linspace(-0.2, 0.2, len(values))
+    axes.plot(spread, values, "o", color=colour, alpha=0.7, markersize=4)
+    if len(values):
+        axes.plot([spot - 0.3, spot + 0.3], [np.median(values)] * 2, "k-", linewidth=2)
+    else:
+        axes.text(spot, 0.0, without, ha="center", va="bottom")

@@ -1,0 +1,239 @@
+"""``mission``: two rovers are dropped before a slot, and insert a card by what they find out.
+
+One continuous run: both swing their arms and learn how they pitch on their springs (chapter 2); the
+master finds the panel and maps the place (chapter 3); it finds the card in the slave's gripper, and
+the slave learns from what the master sees how far it turns when its wheels roll; the master goes
+where card and slot are seen best (chapter 4), finds the panel again, and guides the slave, which
+feeds forward how its arm will lean it on the springs (chapter 5). Each stage uses what the stages
+before it have estimated. The ablation leaves a stage out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.harness import contract
+from experiments.harness.contract import OptionError
+from experiments.harness.intervals import distribution, fraction, mcnemar
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from experiments.mission.figures import draw_knowledge, draw_steps, draw_worth
+from experiments.mission.film import film_mission
+from experiments.mission.results import (
+    after_stage,
+    first_stops,
+    off_middle,
+    stage_seconds,
+    stages_of,
+)
+from experiments.mission.team import STAGES
+from experiments.mission.trial import MissionTrial, run_mission
+
+ROBOTS = ("sim", "quantised", "emulated")
+WANTED = 0.9
+_TELLS_SLIP = "identification"
+"""What dead reckoning rests on."""
+Results = list[dict[str, Any]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of mission.
+
+    Attributes:
+        robot: What is driven: sim, quantised (counts as the boards do) or emulated (over the
+            boards' own protocols).
+        without: Knowledge that further missions do without: identification, mapping, placement
+            (unless said, each of them in a full run and none in a quick one; "none" for none), one
+            at a time and with the same seeds.
+    """
+
+    robot: str = "sim"
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse unknown robots and stages.
+
+        Raises:
+            OptionError: Naming it and the known ones.
+        """
+        super().__post_init__()
+        if self.robot not in ROBOTS:
+            raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}")
+        for stage in self.without:
+            if stage not in (*STAGES, "none"):
+                known = ", ".join((*STAGES, "none"))
+                raise OptionError(f"--without {stage}: expected some of {known}")
+
+    @property
+    def ablations(self) -> tuple[str, ...]:
+        """Stages that are left out, one at a time."""
+        if "none" in self.without:
+            return ()
+        return self.without or (() if self.quick else STAGES)
+
+
+def run(options: Options, output: Output) -> None:
+    """Run the missions.
+
+    Args:
+        options: ``quick`` runs one mission (about a minute), else there are 20, and as many
+            without each stage.
+        output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
+            ``mcnemar_p/without_<stage>``, ``stage_longer_by_s/without_<stage>/<stage>``,
+            ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``stops`` and ``card_off_middle_mm`` of
+            whole missions and without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
+            ``card_off_middle_more_by_mm/without_<stage>`` (where both inserted),
+            ``wall_over_sim_time`` and what each stage knew.
+    """
+    seeds = options.job_seeds(20, 1)
+    kinds = ("", *options.ablations)
+    jobs = [
+        MissionTrial(seed, without=kind, robot=options.robot) for kind in kinds for seed in seeds
+    ]
+    if len(jobs) == 1:
+        film = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
+        results = [film.result]
+        if film.steps:
+            output.figure("mission_steps", draw_steps(film.steps))
+    else:
+        results = sweep(run_mission, jobs, options, output, label="missions")
+        if options.record:
+            film_mission(jobs[0], output.file("run.rrd"))
+    cells = {
+        kind: [r for j, r in zip(jobs, results, strict=True) if j.without == kind] for kind in kinds
+    }
+    _measure(cells, output)
+    _tabulate(jobs, results, output)
+    _tell_stages(cells[""], output)
+    output.figure("mission_knowledge", draw_knowledge(cells[""]))
+    if not any(result["success"] for result in cells[""]):
+        output.failure = f"no card was inserted: {cells[''][0]['reason'] or 'not seated'}"
+    if len(kinds) > 1:
+        shares = {kind: _share(results) for kind, results in cells.items()}
+        output.figure("mission_ablation", draw_worth(shares, first_stops(cells), off_middle(cells)))
+
+
+def _share(results: Results) -> Any:
+    return fraction(sum(bool(result["success"]) for result in results), len(results))
+
+
+def _measure(cells: dict[str, Results], output: Output) -> None:
+    whole = cells[""]
+    share = _share(whole)
+    output.measure("success_fraction", share)
+    output.check(
+        "missions that end with an inserted card", share["mean"], f">= {WANTED}",
+        share["mean"] >= WANTED,
+    )  # fmt: skip
+    output.measure("seconds", distribution(r["seconds"] for r in whole))
+    pace = [r["wall_over_sim"] for r in whole if np.isfinite(r["wall_over_sim"])]
+    if pace:
+        output.measure("wall_over_sim_time", distribution(pace))
+    forces = [r["peak"] for r in whole if np.isfinite(r["peak"])]
+    if forces:
+        output.measure("largest_force", max(forces))
+        output.check("largest force on the card [N]", max(forces), "<= 10", max(forces) <= 10.0)  # noqa: PLR2004
+    for kind, off in off_middle(cells).items():
+        if off:
+            suffix = f"/without_{kind}" if kind else ""
+            output.measure(f"card_off_middle_mm{suffix}", distribution(1e3 * far for far in off))
+    for kind, results in cells.items():
+        _tell_stops(kind, results, output)
+        if kind:
+            _compare(kind, whole, results, output)
+
+
+def _compare(kind: str, whole: Results, results: Results, output: Output) -> None:
+    """Measure what a stage is worth: the same seeds with and without it."""
+    share, without = _share(whole), _share(results)
+    output.measure(f"success_fraction/without_{kind}", without)
+    with_it, left_out = ([bool(r["success"]) for r in each] for each in (whole, results))
+    lost = sum(a and not b for a, b in zip(with_it, left_out))
+    won = sum(b and not a for a, b in zip(with_it, left_out))
+    output.measure(f"lost_and_won/without_{kind}", [lost, won])
+    output.measure(f"mcnemar_p/without_{kind}", mcnemar(with_it, left_out))
+    output.measure(f"seconds/without_{kind}", distribution(r["seconds"] for r in results))
+    pairs = [(stage_seconds(a), stage_seconds(b)) for a, b in zip(whole, results)]
+    for stage in pairs[0][0]:
+        longer = [b[stage] - a[stage] for a, b in pairs if stage in a and stage in b]
+        if longer:
+            output.measure(f"stage_longer_by_s/without_{kind}/{stage}", distribution(longer))
+    _compare_places(kind, whole, results, output)
+    fewer = without["mean"] < share["mean"]
+    output.check(
+        f"without {kind}: fewer cards inserted", without["mean"], f"< {share['mean']:.2f}", fewer
+    )
+
+
+def _compare_places(kind: str, whole: Results, results: Results, output: Output) -> None:
+    """Measure by how much master and card miss their places by more without a stage."""
+    more = {
+        "first_stop_miss_more_by_mm": [
+            1e3 * (b["misses"][0, 0] - a["misses"][0, 0])
+            for a, b in zip(whole, results)
+            if len(a["misses"]) and len(b["misses"])
+        ],
+        "card_off_middle_more_by_mm": [
+            1e3 * (abs(b["across"]) - abs(a["across"]))
+            for a, b in zip(whole, results)
+            if a["success"] and b["success"]
+        ],
+    }
+    for name, values in more.items():
+        if values:
+            output.measure(f"{name}/without_{kind}", distribution(values))
+    farther = more["first_stop_miss_more_by_mm"]
+    if kind == _TELLS_SLIP and farther:
+        low = distribution(farther)["low"]
+        output.check(
+            f"without {kind}: first stop farther from the camera's place [mm]", low,
+            "> 0 within its interval", low > 0.0,
+        )  # fmt: skip
+
+
+def _tell_stops(kind: str, results: Results, output: Output) -> None:
+    """Store how often the master stopped on its way, and how far off it was the first time."""
+    stops = [result["misses"] for result in results if len(result["misses"])]
+    if not stops:
+        return
+    suffix = f"/without_{kind}" if kind else ""
+    output.measure(f"stops{suffix}", distribution(len(misses) for misses in stops))
+    output.measure(f"first_stop_miss_mm{suffix}", distribution(1e3 * m[0, 0] for m in stops))
+    turns = distribution(float(np.degrees(misses[0, 1])) for misses in stops)
+    output.measure(f"first_stop_miss_deg{suffix}", turns)
+
+
+def _tell_stages(results: Results, output: Output) -> None:
+    """Store what is known after each stage, over the missions that have ended it."""
+    rows: list[list[Any]] = []
+    for name in stages_of(results):
+        if name == "insert":
+            continue
+        known = after_stage(results, name)
+        master, slave = (
+            [1e3 * float(np.linalg.norm(error)) for error in known[f"{robot}_errors"]]
+            for robot in ("master", "slave")
+        )
+        output.measure(f"slot_error_mm/master/{name}", distribution(master))
+        output.measure(f"slot_error_mm/slave/{name}", distribution(slave))
+        values = (known["ends"], master, slave, known["turn_shares"])
+        rows.append([name, *(float(np.median(each)) for each in values)])
+    columns = ["after", "time [s]", "slot from the master, error [mm]",
+               "slot from the slave, error [mm]", "share of a turn"]  # fmt: skip
+    output.table("stages", columns, rows)
+
+
+def _tabulate(jobs: Sequence[MissionTrial], results: Results, output: Output) -> None:
+    columns = ["without", "seed", "success", "reason", "time [s]", "peak [N]", "across [mm]",
+               "ahead [mm]", "wall/time", "stops"]  # fmt: skip
+    rows = [
+        [j.without or "-", j.seed, r["success"], r["reason"], r["seconds"], r["peak"],
+         1e3 * r["across"], 1e3 * r["ahead"], r["wall_over_sim"], len(r["misses"])]
+        for j, r in zip(jobs, results)
+    ]  # fmt: skip
+    output.table("missions", columns, rows)

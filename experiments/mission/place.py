@@ -1,0 +1,230 @@
+"""Where the master of ``mission`` stands for the insertion, by the map, and how it gets there."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from controllers.mapping.looking import MapperConfig
+from controllers.mapping.searching import TargetSearch, aim
+from controllers.mapping.shared_map import SharedMap
+from controllers.mission.going import Going
+from controllers.motion.arm_move import ArmMove
+from controllers.placement.spatial.occluders import Occluder, occluders_of_voxels
+from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch5.insertion_stand import Stand, reference_arm, search_stand
+from experiments.mission.knowledge import SLOT_IN_SITE, Knowledge, tilt_of
+from experiments.mission.scene import MASTER, SLAVE
+from experiments.mission.stages import HOME, VOXEL, Observations, take_standing
+from perception.registration.target import possible_markers
+from perception.registration.uncertainty import adjoint
+from twin.robot import Command, Observation
+
+FloatArray = NDArray[np.float64]
+
+_NEAR_STAND = (0.06, 0.12)  # From the stand [m] and its heading [rad] where it will do.
+_MOST_GOES = 4  # Until it stands there, or stays where it is.
+_OUTLINE = 0.30  # Radius about the middle of a rover that holds it, wheels and all [m].
+_LOW = 0.08  # Above the ground [m]: a rover drives over what is lower.
+_HIGH = 0.45  # What is higher does not touch the chassis [m].
+_BEFORE = 0.05  # Out of the faces' plane [m]: nearer is card and slot.
+_AROUND_TARGET = 0.9  # From the slot, within which mapped things may hide it [m].
+_TOUCHES = 3  # Occupied voxels in a rover's outline that are no noise.
+
+
+class MappedSite:
+    """What the map says of the ground before the slot.
+
+    Attributes:
+        points: (N, 3) middles of occupied voxels above the ground [m], level ground below the slot.
+    """
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        """Bring the map to where stands are given.
+
+        Args:
+            knowledge: With a map; without one nothing is known to stand anywhere.
+        """
+        self.points = np.zeros((0, 3))
+        if knowledge.shared is None or knowledge.standing is None:
+            return
+        site = knowledge.slot_in_level * SLOT_IN_SITE.inv()
+        to_site = (knowledge.standing.transform_level_to_world * site).inv()
+        surface = knowledge.shared.voxels.surface()
+        if len(surface.means):
+            places = to_site.apply(surface.means)
+            # What the map is not sure of by a voxel does not count as standing out of the ground.
+            sigma = np.sqrt(np.einsum("nii->n", surface.covariances))
+            self.points = places[places[:, 2] - sigma > _LOW]
+
+    def blocks(self, stand: Stand) -> bool:
+        """Say whether something stands where a rover would.
+
+        Args:
+            stand: Its place.
+        """
+        low = self.points[self.points[:, 2] < _HIGH]
+        off = np.hypot(low[:, 0] - stand.place[0], low[:, 1] - stand.place[1])
+        return int(np.sum(off < _OUTLINE)) >= _TOUCHES
+
+    def occluders(self) -> list[Occluder]:
+        """Return what stands before card and slot, as convex pieces."""
+        away = self.points - SLOT_IN_SITE.translation
+        near = (np.linalg.norm(away, axis=1) < _AROUND_TARGET) & (away[:, 0] > _BEFORE)
+        cells = np.unique(np.floor(self.points[near] / VOXEL), axis=0)
+        return occluders_of_voxels((cells + 0.5) * VOXEL, VOXEL, name="mapped")
+
+
+def choose_stand(knowledge: Knowledge, width: float) -> Stand:
+    """Return where the master sees card and slot best of all places that the map leaves free.
+
+    Args:
+        knowledge: With the map.
+        width: Of the slot [m].
+
+    Raises:
+        PlacementError: If there is no place.
+    """
+    site = MappedSite(knowledge)
+    return search_stand(width, occluders=site.occluders(), blocked=site.blocks)
+
+
+class GoToStand:
+    """Chapter 4: the master goes where it sees card and slot best, and finds the panel again.
+
+    What it finds there tells how far dead reckoning has missed; if that is too far, it goes on.
+
+    Attributes:
+        done: Whether it stands there, or will get no nearer.
+        found: Whether it has found the panel from there.
+        stand: Where it shall stand.
+        stops: How often it has driven and stopped by dead reckoning.
+    """
+
+    name = "place"
+
+    def __init__(self, knowledge: Knowledge, stand: Stand) -> None:
+        """Begin.
+
+        Args:
+            knowledge: Gets where the slot is from the new place.
+            stand: Where to go, on the level ground below the slot.
+        """
+        self.done = False
+        self.found = False
+        self.stand, self.stops = stand, 0
+        self._knowledge = knowledge
+        self._rest = ArmMove(HOME)
+        self._set_off()
+
+    def _set_off(self) -> None:
+        """Go to the stand from where the slot is seen now."""
+        self._going = Going(self._knowledge.steer(), self._way(), free=self._free)
+        self._fold = ArmMove(HOME)
+        self._folded = False
+        self._search: TargetSearch | None = None
+        self._look: ArmMove | None = None
+
+    def _way(self) -> FloatArray:
+        """Return (3,) x to the right, y ahead [m] and turn [rad] to the stand from here."""
+        site = self._knowledge.slot_in_level * SLOT_IN_SITE.inv()
+        x, y, yaw = self.stand.place
+        place = site.apply([x, y, 0.0])
+        ahead = site.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
+        return np.array([place[0], place[1], math.atan2(-ahead[0], ahead[1])])
+
+    def _free(self, pose: FloatArray) -> bool:
+        """Say whether the map has nothing at a pose (3,) given as `_way` is."""
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        site = SLOT_IN_SITE * self._knowledge.slot_in_level.inv()
+        x, y, _ = site.apply([pose[0], pose[1], 0.0])
+        ahead = site.rotation.apply([-s, c, 0.0])
+        place = (float(x), float(y), math.atan2(-ahead[0], ahead[1]))
+        blocked = MappedSite(self._knowledge).blocks(dataclasses.replace(self.stand, place=place))
+        return not blocked
+
+    def _missed(self) -> bool:
+        """Say whether it stands too far from where it shall."""
+        x, y, turn = self._way()
+        return math.hypot(x, y) > _NEAR_STAND[0] or abs(turn) > _NEAR_STAND[1]
+
+    def step(self, observations: Observations) -> Mapping[str, Command]:
+        """Fold the arm, drive, look for the panel."""
+        seen = observations[MASTER]
+        rest = self._rest.command(observations[SLAVE])
+        if not self._folded:
+            self._folded = self._fold.is_there(seen)
+            return {MASTER: self._fold.command(seen), SLAVE: rest}
+        if not self._going.done:
+            return {MASTER: self._going.step(seen), SLAVE: rest}
+        if self._look is None:
+            self.stops += 1
+            self._reckon()
+            if self._knowledge.shared is None:
+                self.done = True
+                return {MASTER: self._fold.command(seen), SLAVE: rest}
+            self._begin_search()
+        assert self._look is not None
+        command = self._look.command(seen)
+        if self._look.sees(seen):
+            self._take(seen)
+        return {MASTER: command, SLAVE: rest}
+
+    def _reckon(self) -> None:
+        """Bring the slot into the new frame by dead reckoning."""
+        odometry, knowledge = self._going.odometry, self._knowledge
+        x, y = odometry.place
+        moved = RigidTransform.from_matrix(_planar_pose(x, y, odometry.yaw))
+        knowledge.slot_in_level = moved.inv() * knowledge.slot_in_level
+        turn = adjoint(moved.inv())
+        way, turned = odometry.way, odometry.turned
+        spread = np.diag(
+            np.square(
+                [0.02, 0.02, 0.03 + 0.05 * turned, 0.02 + 0.05 * way, 0.02 + 0.05 * way, 0.01]
+            )
+        )
+        knowledge.slot_covariance = turn @ knowledge.slot_covariance @ turn.T + spread
+
+    def _begin_search(self) -> None:
+        """Look first where the panel should be."""
+        knowledge, arm = self._knowledge, reference_arm()
+        config = MapperConfig()
+        survey = np.array(config.views.survey)
+        extent = knowledge.site.target.extent
+        self._search = TargetSearch(arm, HOME, survey, extent, config.search)
+        panel = knowledge.slot_in_level * knowledge.site.transform_slot_to_panel.inv()
+        self._look = ArmMove(aim(arm, panel.translation, survey))
+
+    def _take(self, seen: Observation) -> None:
+        shared, config, arm = self._knowledge.shared, MapperConfig(), reference_arm()
+        assert isinstance(shared, SharedMap) and self._search is not None
+        angles = np.asarray(seen.arm_angles.value, dtype=float)
+        tilt = tilt_of(seen, MASTER)
+        pair = np.asarray(seen.stereo.value, dtype=np.uint8)
+        standing = shared.locate(arm, angles, tilt, pair, config.marker_sigma, config.standing)
+        if standing is not None:
+            take_standing(self._knowledge, standing)
+            self.found = True
+            if self._missed() and self.stops < _MOST_GOES:
+                self._set_off()
+            else:
+                self.done = True
+            return
+        hints = possible_markers(pair, head_geometry(), self._knowledge.site.target)
+        goal = self._search.after(angles, hints, tilt)
+        if goal is None:
+            self.done = True
+        else:
+            self._look = ArmMove(goal)
+
+
+def _planar_pose(x: float, y: float, yaw: float) -> FloatArray:
+    pose = np.eye(4)
+    c, s = math.cos(yaw), math.sin(yaw)
+    pose[:2] = [[c, -s, 0.0, x], [s, c, 0.0, y]]
+    return pose

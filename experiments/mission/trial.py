@@ -1,0 +1,296 @@
+"""One mission, from the drop to the seated card, and what the truth says of it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.placement.task import PlacementError
+from experiments.ch5.insertion_scene import contact_force, transform
+from experiments.ch5.insertion_stand import Stand
+from experiments.mission.knowledge import SLOT_IN_SITE
+from experiments.mission.place import GoToStand
+from experiments.mission.scene import MASTER, SLAVE, MissionScene, draw_scene, survey
+from experiments.mission.team import MissionTeam
+from models.datasheets import CARD_AND_SLOT
+from twin.camera import StereoConfig
+from twin.connect import Connection, connect
+from twin.loop import LoopRecorder, Recorders, run
+from twin.robot import Command, Observation, RobotError
+
+FloatArray = NDArray[np.float64]
+
+LIMIT = 300.0
+"""Longest mission [s]."""
+RATE = 4.0
+"""Pairs of images a second."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MissionTrial:
+    """What one mission is.
+
+    Attributes:
+        seed: Of ground, drops, drawing, sensors and radio.
+        without: Stage that is left out; empty for none.
+        robot: What is driven: sim, quantised or emulated.
+        width: Between the slot's walls [m].
+        scans: Looks of the master alone, and of each robot when both have met.
+    """
+
+    seed: int
+    without: str = ""
+    robot: str = "sim"
+    width: float = CARD_AND_SLOT.slot_widths[-1]
+    scans: tuple[int, int] = (4, 3)
+
+
+@dataclasses.dataclass
+class Mission:
+    """A mission, ready to run.
+
+    Attributes:
+        trial: What is tried.
+        scene: As built.
+        team: Both rovers' controllers.
+        connection: To the robots.
+    """
+
+    trial: MissionTrial
+    scene: MissionScene
+    team: MissionTeam
+    connection: Connection
+
+    def poses(self, robot: str) -> dict[str, RigidTransform]:
+        """Return true poses, for scoring alone: chassis, slot, and card of the slave.
+
+        Args:
+            robot: Name of the robot.
+        """
+        simulation, emulator = self.connection.simulation, self.connection.emulator
+        if emulator is not None:
+            told = emulator.state()[robot]["bodies"]
+            return {
+                name: RigidTransform.from_components(
+                    pose["translation"], Rotation.from_matrix(pose["rotation"])
+                )
+                for name, pose in told.items()
+            }
+        assert simulation is not None
+        names = {"chassis": f"{robot}/chassis", "slot": "slot"}
+        if robot == SLAVE:
+            names["card"] = f"{SLAVE}/card"
+        return {name: transform(simulation.data, body) for name, body in names.items()}
+
+
+@dataclasses.dataclass(frozen=True)
+class StageResult:
+    """What a stage has led to.
+
+    Attributes:
+        name: Of the stage.
+        ended: [s].
+        master_error: Of the slot's place as the master believes it, (3,) slot frame [m].
+        master_sigma: Its standard deviations, (3,) robot frame [m].
+        slave_error: The same of the slave.
+        slave_sigma: The same of the slave.
+        turn_share: As identified by then.
+    """
+
+    name: str
+    ended: float
+    master_error: FloatArray
+    master_sigma: FloatArray
+    slave_error: FloatArray
+    slave_sigma: FloatArray
+    turn_share: float
+
+
+class MissionScorer:
+    """Keeps what a mission is scored by: truth, which no controller sees.
+
+    Attributes:
+        peak: Largest true force on the card during the insertion [N]; before, nothing touches it.
+            NaN where it is not known.
+        stages: As they ended.
+        misses: How far from its stand [m] and its heading [rad] the master stood at each stop.
+    """
+
+    def __init__(self, mission: Mission) -> None:
+        """Begin."""
+        self.peak = 0.0 if mission.connection.simulation is not None else float("nan")
+        self.stages: list[StageResult] = []
+        self.misses: list[tuple[float, float]] = []
+        self._mission = mission
+
+    def record(
+        self,
+        step: int,
+        time: float,
+        observations: Mapping[str, Observation],
+        applied: Mapping[str, Command],
+    ) -> None:
+        """Take one tick."""
+        mission = self._mission
+        simulation = mission.connection.simulation
+        if simulation is not None and mission.team.insertion is not None:
+            force = contact_force(simulation.model, simulation.data)
+            self.peak = max(self.peak, float(np.linalg.norm(force)))
+        going = mission.team.stage
+        if isinstance(going, GoToStand) and going.stops > len(self.misses):
+            self.misses.append(_miss(mission.poses(MASTER), going.stand))
+        for name, ended in mission.team.ended[len(self.stages) :]:
+            tilt = np.asarray(observations[MASTER].inclinometer.value, dtype=float)
+            self.stages.append(self._result(name, ended, tilt))
+
+    def _result(self, name: str, ended: float, tilt: FloatArray) -> StageResult:
+        knowledge = self._mission.team.knowledge
+        master, slave = self._mission.poses(MASTER), self._mission.poses(SLAVE)
+        believed, spread = knowledge.slot_in_master(tilt)
+        told = RigidTransform.from_matrix(knowledge.slot_in_slave)
+        return StageResult(
+            name,
+            ended,
+            _offset(master, believed),
+            _sigma(believed, spread),
+            _offset(slave, told),
+            _sigma(told, knowledge.slave_covariance),
+            knowledge.turn_share,
+        )
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
+
+
+@contextlib.contextmanager
+def prepared(trial: MissionTrial):  # noqa: ANN201
+    """Yield a mission, ready to run, and take its robots down afterwards.
+
+    Args:
+        trial: What is tried.
+    """
+    # The simulation draws its noise from children of the seed itself.
+    scene_rng, site_rng, team_rng = np.random.default_rng((trial.seed, 1)).spawn(3)
+    scene = draw_scene(trial.width, scene_rng)
+    site = survey(scene, site_rng)
+    team = MissionTeam(scene, site, trial.width, team_rng, trial.without, trial.scans)
+    with connect(
+        trial.robot,
+        robots=scene.robots,
+        field=scene.field,
+        stereo=StereoConfig(RATE),
+        seed=trial.seed,
+    ) as connection:
+        yield Mission(trial, scene, team, connection)
+
+
+def perform(
+    mission: Mission,
+    recorders: Sequence[LoopRecorder] = (),
+    after: Callable[[], None] | None = None,
+) -> dict[str, Any]:
+    """Run a mission.
+
+    Args:
+        mission: From `prepared`.
+        recorders: Beside the scorer.
+        after: Called after each tick.
+
+    Returns:
+        See `run_mission`.
+    """
+    scorer = MissionScorer(mission)
+    team, reason, wall = mission.team, "", float("nan")
+
+    def over() -> bool:
+        if after is not None:
+            after()
+        return team.over
+
+    try:
+        summary = run(
+            mission.connection.robots,
+            [team],
+            mission.connection.clock,
+            Recorders([scorer, *recorders]),
+            LIMIT,
+            until=over,
+        )
+        wall = summary.wall / max(summary.duration, 1e-9)
+        reason = "" if team.over else f"out of time in {team.stage.name}"
+    except (RobotError, PlacementError) as error:
+        reason = str(error)
+    return _result(mission, scorer, reason, wall)
+
+
+def run_mission(trial: MissionTrial) -> dict[str, Any]:
+    """Run one mission; a job of the sweep.
+
+    Returns:
+        ``success`` (the slave says so and the card is truly seated), ``reason`` if not,
+        ``seconds`` of robot time, ``wall_over_sim``, ``peak`` force on the card during the
+        insertion [N], ``across`` and ``ahead`` of the card in the slot at the end [m], and of each
+        stage the ``stage_names``, ``stage_ends`` [s], ``master_errors``, ``master_sigmas``,
+        ``slave_errors``, ``slave_sigmas`` [m] and ``turn_shares``; ``misses`` (stops, 2), how far
+        from its stand [m] and its heading [rad] the master stood when it stopped.
+    """
+    with prepared(trial) as mission:
+        return perform(mission)
+
+
+def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -> dict[str, Any]:
+    poses = mission.poses(SLAVE)
+    card = poses["slot"].inv() * poses["card"]
+    insertion = mission.team.insertion
+    if insertion is not None and not reason:
+        reason = insertion.carrier.reason
+    depth = insertion.carrier.config.guide.depth if insertion is not None else np.inf
+    seated = card.translation[1] >= depth - 2e-3 and abs(card.translation[2]) < 0.01  # noqa: PLR2004
+    said = insertion is not None and insertion.carrier.stage.value == "done"
+    stages = scorer.stages
+    return {
+        "success": bool(said and seated),
+        "reason": reason,
+        "seconds": mission.connection.clock.time,
+        "wall_over_sim": wall,
+        "peak": scorer.peak,
+        "across": float(card.translation[0]),
+        "ahead": float(card.translation[1]),
+        "stage_names": [stage.name for stage in stages],
+        "stage_ends": [stage.ended for stage in stages],
+        "master_errors": np.array([stage.master_error for stage in stages]),
+        "master_sigmas": np.array([stage.master_sigma for stage in stages]),
+        "slave_errors": np.array([stage.slave_error for stage in stages]),
+        "slave_sigmas": np.array([stage.slave_sigma for stage in stages]),
+        "turn_shares": [stage.turn_share for stage in stages],
+        "misses": np.array(scorer.misses).reshape(-1, 2),
+    }
+
+
+def _miss(poses: Mapping[str, RigidTransform], stand: Stand) -> tuple[float, float]:
+    """Return how far a robot is from a stand [m] and from its heading [rad]."""
+    robot = SLOT_IN_SITE * poses["slot"].inv() * poses["chassis"]
+    x, y, yaw = stand.place
+    ahead = robot.rotation.apply([0.0, 1.0, 0.0])
+    turn = math.remainder(math.atan2(-ahead[0], ahead[1]) - yaw, 2.0 * math.pi)
+    return math.hypot(robot.translation[0] - x, robot.translation[1] - y), abs(turn)
+
+
+def _offset(poses: Mapping[str, RigidTransform], believed: RigidTransform) -> FloatArray:
+    true = poses["chassis"].inv() * poses["slot"]
+    return np.asarray((true.inv() * believed).translation)
+
+
+def _sigma(believed: RigidTransform, covariance: FloatArray) -> FloatArray:
+    """Return (3,) deviations of the place of a pose with a covariance of its xi."""
+    x, y, z = believed.translation
+    lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    motion = np.hstack([lever, np.eye(3)])
+    return np.sqrt(np.diag(motion @ covariance @ motion.T))

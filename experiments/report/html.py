@@ -1,0 +1,95 @@
+"""Pieces of HTML that all parts of the report are made of."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from experiments.harness.summary import format_number
+
+if TYPE_CHECKING:
+    from experiments.report.report import Result
+
+LONG = 24  # characters of a cell; longer ones are broken into lines
+LONGEST = 200  # characters; what is longer is cut, the files have it all
+WIDE = 10  # columns of a table; with more it is printed small
+_LOCAL = {"--out": True, "--jobs": True, "--scheduler": True, "--backend": True, "--resume": False}
+"""Options that change no result, and whether a word follows them."""
+
+
+def table(headings: Sequence[str], rows: str) -> str:
+    """Return a table in a box that scrolls by itself.
+
+    Args:
+        headings: Of the columns; may be empty.
+        rows: HTML of the rows.
+    """
+    heads = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
+    head = f"<thead><tr>{heads}</tr></thead>" if headings else ""
+    kind = ' class="wide"' if len(headings) > WIDE else ""
+    return f'<div class="scroll"><table{kind}>{head}<tbody>{rows}</tbody></table></div>'
+
+
+def numbers(cells: Sequence[str]) -> str:
+    """Return cells of numbers, and of text, where it is long enough to need lines."""
+    return "".join(
+        f'<td class="{"number" if len(cell) <= LONG else "text"}">{escape(cut(cell))}</td>'
+        for cell in cells
+    )
+
+
+def cut(text: str) -> str:
+    """Return a text, cut where it is too long to be read in a table."""
+    return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
+
+
+def check_cells(check: dict[str, Any]) -> str:
+    """Return name, value and bound of a check as cells."""
+    cells = numbers((format_number(check["value"]), format_number(check["bound"])))
+    return f"<td>{escape(str(check['name']))}</td>{cells}"
+
+
+def folded(summary: str, body: str, *, unfolded: bool = False, extra: bool = False) -> str:
+    """Return what is folded under a line.
+
+    Args:
+        summary: Text of the line.
+        body: HTML.
+        unfolded: Whether it begins unfolded.
+        extra: Whether it is for the screen only; all else is unfolded on paper.
+    """
+    state = (' class="extra"' if extra else "") + (" open" if unfolded else "")
+    return f"<details{state}><summary>{escape(summary)}</summary>{body}</details>"
+
+
+def link(target: str, text: str) -> str:
+    """Return a link to a place in the page."""
+    return f'<a href="#{escape(target)}">{escape(text)}</a>'
+
+
+def anchor(experiment: str, stem: str) -> str:
+    """Return the name of the place of a picture or table in the page."""
+    return f"{experiment}/{stem}"
+
+
+def command(result: Result) -> str:
+    """Return the command that makes a result, without what only says where and on what.
+
+    Results of versions that did not keep their command tell its common options.
+    """
+    config, words = result.config, result.run.get("command")
+    if not isinstance(words, list):
+        words = [result.name, *(["--quick"] if config.get("quick") else [])]
+        for name in ("seeds", "seed"):
+            words += [f"--{name}", str(config[name])] if config.get(name) else []
+    kept: list[str] = []
+    rest = iter(str(word) for word in words)
+    for word in rest:
+        name, equals, _ = word.partition("=")
+        if name not in _LOCAL:
+            kept.append(word)
+        elif _LOCAL[name] and not equals:
+            next(rest, None)
+    return shlex.join(["python", "-m", "experiments", *kept])

@@ -1,0 +1,340 @@
+"""A marker detector of today: bright blobs, a first ellipse, and its rim fitted to the grey levels.
+
+The fit models what each pixel should hold if an ellipse of one grey level lies on another, so its
+covariance follows from the pixels' noise, and its residuals tell what is no ellipse.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.markers.ellipses import (
+    ImageArray,
+    MarkerExpectation,
+    Markers,
+    check_image,
+    keep_plausible,
+)
+from perception.stereo.geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+
+_BAND = 2.5  # Pixels farther than this outside the first ellipse are left out of the fit [px].
+_ITERATIONS = 12
+_STEP, _HALT = 2e-3, 0.05  # A fit's last change, and that of one that gets no better [px].
+
+
+def find_blobs(
+    image: ImageArray, geometry: StereoGeometry, expected: MarkerExpectation
+) -> FloatArray:
+    """Return bright spots that may be markers, by their second moments.
+
+    A top hat takes away all that is wider than a marker at its nearest; what stays and stands out
+    by six tenths of the least contrast is grouped.
+
+    Args:
+        image: (H, W) uint8.
+        geometry: Of the camera.
+        expected: Sizes and contrast.
+
+    Returns:
+        (N, 5) ellipses, rough.
+    """
+    smallest, largest = expected.radii(geometry)
+    narrow = geometry.fx / geometry.fy
+    window = math.ceil(2.0 * largest * narrow) + 3, math.ceil(2.0 * largest) + 3
+    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, window)
+    hat = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, kernel)
+    bright = np.asarray(cv2.threshold(hat, 0.6 * expected.contrast, 255, cv2.THRESH_BINARY)[1])
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
+    width, height, area = np.asarray(stats[1:count, 2:]).T
+    across, down = width / (2.0 * narrow), height / 2.0
+    longest = np.maximum(across, down)
+    may_be = (longest > 0.6 * smallest) & (longest < 1.2 * largest + 1.5)
+    filled = area / (width * height)
+    # An ellipse fills pi/4 of its box when upright, less when it leans.
+    may_be &= (area >= 4) & ((filled > 0.4) | (area < 12))
+    chosen = np.flatnonzero(may_be) + 1
+    # Again at half the height: the low threshold joins a marker with faint neighbours.
+    sums = _blob_sums(hat, labels, chosen, np.asarray(stats)[chosen, :4])
+    pixels = np.maximum(sums[:, 1], 1.0)
+    u, v = sums[:, 2] / pixels, sums[:, 3] / pixels
+    suu = 4.0 * (sums[:, 4] / pixels - u * u) + 0.1
+    suv = 4.0 * (sums[:, 5] / pixels - u * v)
+    svv = 4.0 * (sums[:, 6] / pixels - v * v) + 0.1
+    area = math.pi * np.sqrt(np.maximum(suu * svv - suv * suv, 1e-9))
+    keep = (sums[:, 0] >= expected.contrast) & (pixels >= 3) & (np.abs(area - pixels - 2.0) < area)
+    keep &= (np.maximum(suu / narrow**2, svv) > 0.4 * smallest**2) & (area > 2.0)
+    keep &= (suv**2 < 0.9 * suu * svv) & (pixels > 0.75 * area)
+    return np.stack([u, v, suu, suv, svv], axis=1)[keep]
+
+
+def fit_ellipse(
+    image: ImageArray, start: FloatArray, expected: MarkerExpectation
+) -> FloatArray | None:
+    """Fit an ellipse of one grey level on another to an image, by weighted least squares.
+
+    Args:
+        image: (H, W) uint8.
+        start: (5,) ellipse, rough.
+        expected: Noise of the pixels.
+
+    Returns:
+        (32,) the ellipse (5), its covariance (25), its contrast [grey levels] and the r.m.s.
+        misfit over that; None if the fit fails or leaves the image.
+    """
+    found = np.empty(32)
+    good = _fit(image, np.asarray(start, dtype=float), expected.noise, expected.sampling, found)
+    return found if good else None
+
+
+def detect_blobs(
+    image: NDArray[Any],
+    geometry: StereoGeometry,
+    expected: MarkerExpectation,
+    rng: np.random.Generator | None = None,
+) -> Markers:
+    """Find bright markers as blobs that an ellipse fits.
+
+    Args:
+        image: (H, W) uint8, rectified.
+        geometry: Of the camera.
+        expected: Size and range of markers, and the image's noise.
+        rng: Not used; detectors share a signature.
+
+    Raises:
+        ValueError: If the image is not grey of 8 bits or not of the geometry's size.
+    """
+    del rng
+    grey = check_image(image, geometry)
+    rows: list[FloatArray] = []
+    for start in find_blobs(grey, geometry, expected):
+        if not _stands_alone(grey, start, expected.contrast):
+            continue
+        found = fit_ellipse(grey, start, expected)
+        if found is not None and found[31] < expected.misfit:
+            rows.append(found)
+    return keep_plausible(rows, geometry, expected)
+
+
+@numba.njit(cache=True)
+def _blob_sums(hat: Any, labels: Any, chosen: Any, boxes: Any) -> Any:
+    """Return of each group its peak, and of its pixels above half of that: sums for moments."""
+    sums = np.zeros((len(chosen), 7))
+    for k in range(len(chosen)):
+        left, top, width, height = boxes[k]
+        s = sums[k]
+        for y in range(top, top + height):
+            for x in range(left, left + width):
+                if labels[y, x] == chosen[k]:
+                    s[0] = max(s[0], float(hat[y, x]))
+        for y in range(top, top + height):
+            for x in range(left, left + width):
+                if labels[y, x] == chosen[k] and hat[y, x] > 0.5 * s[0]:
+                    s[1] += 1.0
+                    s[2] += x
+                    s[3] += y
+                    s[4] += x * x
+                    s[5] += x * y
+                    s[6] += y * y
+    return sums
+
+
+@numba.njit(cache=True)
+def _stands_alone(image: Any, p: Any, contrast: float) -> bool:
+    """Return whether all is darker two pixels outside an ellipse; textures have neighbours."""
+    height, width = image.shape
+    peak, around, low = 0.0, 0.0, 255.0
+    for y in range(-1, 2):
+        for x in range(-1, 2):
+            u, v = int(round(p[0])) + x, int(round(p[1])) + y
+            if 0 <= u < width and 0 <= v < height:
+                peak = max(peak, float(image[v, u]))
+    bound = math.sqrt(p[2] * p[4] - p[3] * p[3])
+    for k in range(16):
+        cos, sin = math.cos(k * math.pi / 8.0), math.sin(k * math.pi / 8.0)
+        # The rim along this direction.
+        inverse = (p[4] * cos * cos - 2.0 * p[3] * cos * sin + p[2] * sin * sin) / bound**2
+        reach = 1.0 / math.sqrt(inverse) + 2.0
+        u, v = int(round(p[0] + reach * cos)), int(round(p[1] + reach * sin))
+        if not (0 <= u < width and 0 <= v < height):
+            return False
+        low = min(low, float(image[v, u]))
+        around = max(around, float(image[v, u]))
+    return peak - around > 0.5 * (peak - low) and peak - around > 0.7 * contrast
+
+
+@numba.njit(cache=True)
+def _covered(p: Any, dx: float, dy: float, slopes: Any) -> float:
+    """Return the part of a pixel that an ellipse covers, and its slopes by the ellipse.
+
+    Args:
+        p: (5,) or longer, an ellipse.
+        dx: Columns from its centre [px].
+        dy: Rows from its centre [px].
+        slopes: (5,), is filled.
+    """
+    scale = 1.0 / (p[2] * p[4] - p[3] * p[3])
+    iuu, iuv, ivv = p[4] * scale, -p[3] * scale, p[2] * scale
+    slopes[:] = 0.0
+    gx, gy = iuu * dx + iuv * dy, iuv * dx + ivv * dy
+    rho = math.sqrt(dx * gx + dy * gy)
+    distance = (rho - 1.0) * rho / (math.sqrt(gx * gx + gy * gy) + 1e-12)
+    if distance > 1.5:
+        return 0.0
+    if distance < -1.5:
+        return 1.0
+    part = 0.0
+    for j in range(-1, 2):
+        for i in range(-1, 2):
+            x, y = dx + i / 3.0, dy + j / 3.0
+            gx, gy = iuu * x + iuv * y, iuv * x + ivv * y
+            rho = math.sqrt(x * gx + y * gy)
+            slope = math.sqrt(gx * gx + gy * gy) + 1e-12
+            # A third of a pixel is as wide as its projection on the rim's normal.
+            wide = (abs(gx) + abs(gy)) / (3.0 * slope) + 1e-6
+            share = 0.5 - (rho - 1.0) * rho / (slope * wide)
+            if share >= 1.0:
+                part += 1.0
+            elif share > 0.0:
+                part += share
+                slopes[0] += gx / (slope * wide)
+                slopes[1] += gy / (slope * wide)
+                slopes[2] += gx * gx / (2.0 * slope * wide)
+                slopes[3] += gx * gy / (slope * wide)
+                slopes[4] += gy * gy / (2.0 * slope * wide)
+    slopes /= 9.0
+    return part / 9.0
+
+
+@numba.njit(cache=True)
+def _sums(image: Any, p: Any, trial: Any, box: Any, noise: float, sampling: float,
+          normal: Any, gradient: Any, sums: Any, own: bool) -> None:  # fmt: skip
+    """Sum up the squares of a trial with the weights of p; if they are one, normal equations too.
+
+    p and trial are an ellipse, the background and the contrast.
+    """
+    normal[:] = 0.0
+    gradient[:] = 0.0
+    sums[:] = 0.0
+    jac, slopes = np.empty(7), np.empty(5)
+    for y in range(int(box[1]), int(box[3]) + 1):
+        for x in range(int(box[0]), int(box[2]) + 1):
+            dx, dy = x - box[4], y - box[5]
+            gx, gy = box[6] * dx + box[7] * dy, box[7] * dx + box[8] * dy
+            rho = math.sqrt(dx * gx + dy * gy)
+            if (rho - 1.0) * rho > _BAND * math.sqrt(gx * gx + gy * gy):
+                continue
+            part = _covered(p, x - p[0], y - p[1], slopes)
+            weight = 1.0 / (noise**2 + (sampling * p[6]) ** 2 * 4.0 * part * (1.0 - part))
+            if not own:
+                part = _covered(trial, x - trial[0], y - trial[1], slopes)
+            error = image[y, x] - trial[5] - trial[6] * part
+            sums[0] += weight * error * error
+            sums[1] += error * error
+            sums[2] += 1.0
+            if own:
+                jac[:5] = p[6] * slopes
+                jac[5], jac[6] = 1.0, part
+                for i in range(7):
+                    gradient[i] += weight * jac[i] * error
+                    for j in range(7):
+                        normal[i, j] += weight * jac[i] * jac[j]
+
+
+@numba.njit(cache=True)
+def _inverse(matrix: Any) -> Any:
+    """Return the inverse of a positive matrix by elimination; LAPACK takes seconds to compile."""
+    size = len(matrix)
+    left, right = matrix.copy(), np.eye(size)
+    for k in range(size):
+        pivot = left[k, k]
+        left[k] /= pivot
+        right[k] /= pivot
+        for i in range(size):
+            if i != k:
+                factor = left[i, k]
+                left[i] -= factor * left[k]
+                right[i] -= factor * right[k]
+    return right
+
+
+@numba.njit(cache=True)
+def _proper(trial: Any, start: Any) -> bool:
+    """Return whether a trial is an ellipse, and not far from where the fit started."""
+    if min(trial[2], trial[4]) < 0.3 or trial[6] < 1.0:
+        return False
+    if trial[2] * trial[4] - trial[3] * trial[3] < 0.1:
+        return False
+    if max(trial[2] - 4.0 * start[2], trial[4] - 4.0 * start[4]) > 4.0:
+        return False
+    return math.hypot(trial[0] - start[0], trial[1] - start[1]) < _BAND
+
+
+@numba.njit(cache=True)
+def _fit(image: Any, start: Any, noise: float, sampling: float, found: Any) -> bool:
+    height, width = image.shape
+    p = np.empty(7)
+    p[:5] = start
+    determinant = p[2] * p[4] - p[3] * p[3]
+    box = np.empty(9)
+    reach_x, reach_y = math.sqrt(p[2]) + _BAND, math.sqrt(p[4]) + _BAND
+    box[0], box[2] = math.floor(p[0] - reach_x), math.ceil(p[0] + reach_x)
+    box[1], box[3] = math.floor(p[1] - reach_y), math.ceil(p[1] + reach_y)
+    box[4], box[5] = p[0], p[1]
+    box[6], box[7], box[8] = p[4] / determinant, -p[3] / determinant, p[2] / determinant
+    if box[0] < 0 or box[1] < 0 or box[2] >= width or box[3] >= height:
+        return False
+    high, low = 0.0, 255.0
+    for y in range(int(box[1]), int(box[3]) + 1):
+        for x in range(int(box[0]), int(box[2]) + 1):
+            high, low = max(high, float(image[y, x])), min(low, float(image[y, x]))
+    p[5], p[6] = low, max(high - low, 1.0)
+    normal, gradient, sums = np.empty((7, 7)), np.empty(7), np.empty(3)
+    spare, unused = np.empty((7, 7)), np.empty(7)
+    trial, damping, done, change = np.empty(7), 1e-3, False, np.inf
+    for _ in range(_ITERATIONS):
+        _sums(image, p, p, box, noise, sampling, normal, gradient, sums, True)
+        cost, better = sums[0], False
+        for _ in range(4):
+            damped = normal.copy()
+            for i in range(7):
+                damped[i, i] = damped[i, i] * (1.0 + damping) + 1e-9
+            step = np.sum(_inverse(damped) * gradient, axis=1)
+            change = np.max(np.abs(step[:2]))
+            trial[:] = p + step
+            if _proper(trial, start):
+                _sums(image, p, trial, box, noise, sampling, spare, unused, sums, False)
+                if sums[0] < cost:
+                    better = True
+                    break
+            damping *= 10.0
+        if better:
+            p[:] = trial
+            damping = max(damping * 0.1, 1e-6)
+        # The model has kinks where a part of a pixel is just covered: there a fit may halt.
+        if change < (_STEP if better else _HALT):
+            done = True
+        if done or not better:
+            break
+    if not done and change > _HALT:
+        return False
+    _sums(image, p, p, box, noise, sampling, normal, gradient, sums, True)
+    for i in range(7):
+        normal[i, i] += 1e-9
+    covariance = _inverse(normal)
+    # What the weights do not explain, the background's texture or a rim that is no ellipse.
+    excess = max(sums[0] / max(sums[2] - 7.0, 1.0), 1.0)
+    found[:5] = p[:5]
+    for i in range(5):
+        for j in range(5):
+            found[5 + 5 * i + j] = excess * covariance[i, j]
+    found[30] = p[6]
+    found[31] = math.sqrt(sums[1] / sums[2]) / p[6]
+    return True

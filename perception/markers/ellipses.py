@@ -1,0 +1,366 @@
+"""Circular markers as cameras see them: ellipses, measured to hundredths of a pixel.
+
+An ellipse is (column, row, Suu, Suv, Svv): its centre [px] and the symmetric matrix S [px^2] with
+``(x - centre)^T S^-1 (x - centre) = 1`` on its rim, so that the roots of the eigenvalues of S are
+its semi-axes. A disc's grey levels have the second moments S/4, plus 1/12 for the pixels' squares.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from perception.stereo.geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+
+QUARTER_INCH = 0.25 * 0.0254
+"""Diameter of the thesis' markers [m] (figure 5-10)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MarkerExpectation:
+    """What is known of bright markers before looking, and how good the images are.
+
+    Attributes:
+        nearest: Least range [m].
+        farthest: Largest range [m].
+        diameter: Of a marker [m].
+        count: Most markers in view.
+        slant: Largest angle between a marker's normal and the line of sight [rad].
+        contrast: Least grey levels between a marker and what is around it.
+        noise: Standard deviation of a pixel [grey levels]; 46 dB under full scale.
+        sampling: Standard deviation of the part of a pixel on the rim that a marker seems to
+            cover; what four samples a pixel leave, more than sensor noise does.
+        misfit: Largest r.m.s. difference from an ellipse, over the contrast.
+    """
+
+    nearest: float
+    farthest: float
+    diameter: float = QUARTER_INCH
+    count: int = 4
+    slant: float = math.radians(66.0)
+    contrast: float = 30.0
+    noise: float = 255.0 * 10.0 ** (-46.0 / 20.0)
+    sampling: float = 0.15
+    misfit: float = 0.15
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be expected.
+
+        Raises:
+            ValueError: Naming it.
+        """
+        if not 0.0 < self.nearest <= self.farthest < math.inf:
+            reach = (self.nearest, self.farthest)
+            raise ValueError(f"marker range: got {reach}, needs 0 < nearest <= farthest")
+        for name in ("diameter", "count", "contrast", "noise", "misfit"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"marker {name}: got {getattr(self, name)}, needs above 0")
+        if not 0.0 <= self.slant < math.pi / 2.0:
+            raise ValueError(f"marker slant: got {self.slant}, needs 0 to below pi/2 rad")
+        if not 0.0 <= self.sampling < 1.0:
+            raise ValueError(f"marker sampling: got {self.sampling}, needs 0 to below 1")
+
+    def radii(self, geometry: StereoGeometry) -> tuple[float, float]:
+        """Return the least and the largest radius of a marker seen head on [px of the rows]."""
+        size = 0.5 * self.diameter * geometry.fy
+        return size / self.farthest, size / self.nearest
+
+
+@dataclasses.dataclass(frozen=True)
+class Markers:
+    """Bright ellipses in an image; N may be 0.
+
+    Attributes:
+        ellipses: (N, 5) column, row [px], Suu, Suv, Svv [px^2].
+        covariances: (N, 5, 5) of them.
+        contrasts: (N,) of the ellipse over what is around it [grey levels].
+    """
+
+    ellipses: FloatArray
+    covariances: FloatArray
+    contrasts: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.ellipses)
+
+    @property
+    def centres(self) -> FloatArray:
+        """(N, 2) column and row of the ellipses' centres [px]."""
+        return self.ellipses[:, :2]
+
+    @property
+    def centre_covariances(self) -> FloatArray:
+        """(N, 2, 2) of the centres [px^2]."""
+        return self.covariances[:, :2, :2]
+
+    @property
+    def axes(self) -> FloatArray:
+        """(N, 2) semi-axes, the longer first [px]."""
+        values = np.linalg.eigvalsh(shape_matrices(self.ellipses))
+        return np.sqrt(np.maximum(values[:, ::-1], 0.0))
+
+    @property
+    def angles(self) -> FloatArray:
+        """(N,) from the columns' direction to the longer axis, towards growing rows [rad]."""
+        suu, suv, svv = self.ellipses[:, 2:].T
+        return 0.5 * np.arctan2(2.0 * suv, suu - svv)
+
+
+def shape_matrices(ellipses: ArrayLike) -> FloatArray:
+    """Return (..., 2, 2) matrices S of ellipses (..., 5) [px^2]."""
+    values = np.asarray(ellipses, dtype=float)
+    return values[..., [2, 3, 3, 4]].reshape(*values.shape[:-1], 2, 2)
+
+
+def project_discs(
+    centres: ArrayLike, normals: ArrayLike, radius: float, geometry: StereoGeometry
+) -> FloatArray:
+    """Return the ellipses that discs make in the left image: their dual conics, in closed form.
+
+    An ellipse's centre is not the image of the disc's: it lies towards the disc's near side, by
+    0.03 px for a quarter of an inch at 0.35 m.
+
+    Args:
+        centres: (..., 3) [m], camera.
+        normals: (..., 3) unit vectors, camera.
+        radius: Of the discs [m].
+        geometry: Of the camera.
+
+    Returns:
+        (..., 5) ellipses; NaN where a disc is not wholly ahead.
+    """
+    c, n = np.asarray(centres, dtype=float), np.asarray(normals, dtype=float)
+    # A line l is tangent to the rim if l^T D l = 0.
+    flat = np.eye(3) - n[..., :, None] * n[..., None, :]
+    dual = c[..., :, None] * c[..., None, :] - radius**2 * flat
+    scale = np.where((dual[..., 2, 2] > 0.0) & (c[..., 2] > 0.0), dual[..., 2, 2], np.nan)
+    x, y = dual[..., 0, 2] / scale, dual[..., 1, 2] / scale
+    sxx = x * x - dual[..., 0, 0] / scale
+    sxy = x * y - dual[..., 0, 1] / scale
+    syy = y * y - dual[..., 1, 1] / scale
+    fx, fy = geometry.fx, geometry.fy
+    column, row = fx * x + geometry.cx, fy * y + geometry.cy
+    return np.stack([column, row, fx * fx * sxx, fx * fy * sxy, fy * fy * syy], axis=-1)
+
+
+def check_image(image: NDArray[Any], geometry: StereoGeometry) -> ImageArray:
+    """Return an image, contiguous.
+
+    Raises:
+        ValueError: If it is not grey of 8 bits or not as large as the geometry says.
+    """
+    expected = (geometry.height, geometry.width)
+    if image.dtype != np.uint8 or image.shape != expected:
+        raise ValueError(
+            f"marker image: got shape {image.shape}, {image.dtype}; needs {expected}, uint8"
+        )
+    return np.ascontiguousarray(image)
+
+
+def keep_plausible(
+    rows: list[FloatArray], geometry: StereoGeometry, expected: MarkerExpectation
+) -> Markers:
+    """Return those measured ellipses that a marker in range may give, each place once.
+
+    Args:
+        rows: Of each (32,): the ellipse, its covariance, contrast and misfit (`measure_region`).
+        geometry: Of the camera.
+        expected: Sizes, slants and contrasts.
+    """
+    smallest, largest = expected.radii(geometry)
+    kept: list[FloatArray] = []
+    for row in sorted(rows, key=lambda r: float(r[31])):
+        square = row[2:5] * np.array([1.0, geometry.fx / geometry.fy, 1.0])
+        square[0] *= (geometry.fy / geometry.fx) ** 2
+        square[1] *= (geometry.fy / geometry.fx) ** 2
+        middle, half = (square[0] + square[2]) / 2.0, (square[0] - square[2]) / 2.0
+        span = math.hypot(half, square[1])
+        if not middle > span:
+            continue
+        major, minor = math.sqrt(middle + span), math.sqrt(middle - span)
+        if not (0.85 * smallest - 0.2 <= major <= 1.15 * largest + 0.2):
+            continue
+        if minor < math.cos(expected.slant) * major - 0.3 or row[30] < expected.contrast:
+            continue
+        if all(math.hypot(*(row[:2] - other[:2])) > 0.5 * major for other in kept):
+            kept.append(row)
+    table = np.array(kept).reshape(-1, 32)
+    return Markers(table[:, :5], table[:, 5:30].reshape(-1, 5, 5), table[:, 30])
+
+
+@numba.njit(cache=True)
+def grow_region(
+    image: Any, column: int, row: int, half: int, fewest: int, most: int, stamp: Any
+) -> float:
+    """Grow a bright region on the grey image from a seed (the last step of section 5.3).
+
+    Neighbours join if they are brighter than midway between the seed and what is around. The
+    pixels that a rim may cross follow as two layers, and as a third those that tell the background.
+
+    Args:
+        image: (H, W) uint8.
+        column: Of the seed [px].
+        row: Of the seed [px].
+        half: Half the edge of the window about the seed [px].
+        fewest: Pixels of a region.
+        most: Pixels of a region.
+        stamp: (2 half + 1, 2 half + 1) uint8, is filled: 1 region, 2 and 3 layers, 4 background.
+
+    Returns:
+        Grey level of the background; NaN if too little or too much grows, or out of the window.
+    """
+    height, width = image.shape
+    size = 2 * half + 1
+    if column < half or row < half or column + half >= width or row + half >= height:
+        return np.nan
+    top, left = row - half, column - half
+    peak, seed_x, seed_y = -1, half, half
+    for y in range(half - 1, half + 2):
+        for x in range(half - 1, half + 2):
+            if image[top + y, left + x] > peak:
+                peak, seed_x, seed_y = int(image[top + y, left + x]), x, y
+    ring = np.empty(4 * size)
+    for i in range(size):
+        ring[4 * i] = image[top, left + i]
+        ring[4 * i + 1] = image[top + size - 1, left + i]
+        ring[4 * i + 2] = image[top + i, left]
+        ring[4 * i + 3] = image[top + i, left + size - 1]
+    background = np.median(ring)
+    stack = np.empty((size * size, 2), np.int32)
+    around = np.empty(size * size)
+    # Twice: the region's own surroundings tell the background better than the window's border.
+    for _ in range(2):
+        level = 0.5 * (peak + background)
+        if peak - background < 4.0:
+            return np.nan
+        stamp[:] = 0
+        stamp[seed_y, seed_x] = 1
+        stack[0, 0], stack[0, 1] = seed_x, seed_y
+        used, grown = 1, 1
+        x0, x1, y0, y1 = seed_x, seed_x, seed_y, seed_y
+        while used > 0:
+            used -= 1
+            x, y = stack[used, 0], stack[used, 1]
+            if x < 4 or y < 4 or x >= size - 4 or y >= size - 4 or grown > most:
+                return np.nan
+            x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
+            for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                if stamp[y + dy, x + dx] == 0 and image[top + y + dy, left + x + dx] > level:
+                    stamp[y + dy, x + dx] = 1
+                    stack[used, 0], stack[used, 1] = x + dx, y + dy
+                    used += 1
+                    grown += 1
+        if grown < fewest:
+            return np.nan
+        count = 0
+        for layer in (1, 2, 3):
+            for y in range(y0 - layer + 1, y1 + layer):
+                for x in range(x0 - layer + 1, x1 + layer):
+                    if stamp[y, x] == layer:
+                        for dy in range(-1, 2):
+                            for dx in range(-1, 2):
+                                if stamp[y + dy, x + dx] == 0:
+                                    stamp[y + dy, x + dx] = layer + 1
+                                    if layer == 3:
+                                        around[count] = image[top + y + dy, left + x + dx]
+                                        count += 1
+        background = np.median(around[:count])
+    return background
+
+
+@numba.njit(cache=True)
+def measure_region(image: Any, column: int, row: int, half: int, fewest: int, most: int,
+                   noise: float, sampling: float, found: Any) -> bool:  # fmt: skip
+    """Measure a grown region by the moments of its grey levels over the background.
+
+    Args:
+        image: (H, W) uint8.
+        column: Of the seed [px].
+        row: Of the seed [px].
+        half: Half the edge of the window [px].
+        fewest: Pixels of a region.
+        most: Pixels of a region.
+        noise: Standard deviation of a pixel [grey levels].
+        sampling: Standard deviation of a rim pixel's covered part.
+        found: (32,), is filled: the ellipse (5), its covariance (25), the contrast, and the
+            relative difference of the area from that of the ellipse.
+
+    Returns:
+        Whether there is such a region.
+    """
+    size = 2 * half + 1
+    stamp = np.zeros((size, size), np.uint8)
+    background = grow_region(image, column, row, half, fewest, most, stamp)
+    if np.isnan(background):
+        return False
+    total, su, sv, bright, top = 0.0, 0.0, 0.0, 0.0, 0.0
+    inside, reached = 0, 0
+    for y in range(size):
+        for x in range(size):
+            if stamp[y, x] == 1 or stamp[y, x] == 2 or stamp[y, x] == 3:
+                w = image[row - half + y, column - half + x] - background
+                total += w
+                su += w * x
+                sv += w * y
+                reached += 1
+                top = max(top, w)
+                if stamp[y, x] == 1:
+                    inside += 1
+                    bright += w
+    u, v = su / total, sv / total
+    muu, muv, mvv = 0.0, 0.0, 0.0
+    core, cores = 0.0, 0
+    for y in range(size):
+        for x in range(size):
+            if stamp[y, x] == 1 or stamp[y, x] == 2 or stamp[y, x] == 3:
+                w = image[row - half + y, column - half + x] - background
+                muu += w * (x - u) * (x - u)
+                muv += w * (x - u) * (y - v)
+                mvv += w * (y - v) * (y - v)
+                # Whole neighbourhoods inside: no rim crosses these, they tell the contrast.
+                if stamp[y, x] == 1 and (
+                    stamp[y - 1, x] + stamp[y + 1, x] + stamp[y, x - 1] + stamp[y, x + 1] == 4
+                ):
+                    core += w
+                    cores += 1
+    muu, muv, mvv = muu / total, muv / total, mvv / total
+    contrast = core / cores if cores > 0 else top
+    suu, suv, svv = 4.0 * (muu - 1.0 / 12.0), 4.0 * muv, 4.0 * (mvv - 1.0 / 12.0)
+    if suu <= 0.0 or svv <= 0.0 or suu * svv <= suv * suv:
+        return False
+    covariance = np.zeros((5, 5))
+    gain, drift = np.empty(5), np.zeros(5)
+    for y in range(size):
+        for x in range(size):
+            if stamp[y, x] == 1 or stamp[y, x] == 2 or stamp[y, x] == 3:
+                w = (image[row - half + y, column - half + x] - background) / contrast
+                rim = min(max(4.0 * w * (1.0 - w), 0.0), 1.0)
+                variance = noise * noise + (sampling * contrast) ** 2 * rim
+                gain[0], gain[1] = (x - u) / total, (y - v) / total
+                gain[2] = 4.0 * ((x - u) * (x - u) - muu) / total
+                gain[3] = 4.0 * ((x - u) * (y - v) - muv) / total
+                gain[4] = 4.0 * ((y - v) * (y - v) - mvv) / total
+                for i in range(5):
+                    drift[i] += gain[i]
+                    for j in range(5):
+                        covariance[i, j] += variance * gain[i] * gain[j]
+    # The background comes from a ring of about as many pixels as the region's own root.
+    unsure = noise * noise / max(4.0 * math.sqrt(reached), 1.0)
+    found[0], found[1] = column - half + u, row - half + v
+    found[2], found[3], found[4] = suu, suv, svv
+    for i in range(5):
+        for j in range(5):
+            found[5 + 5 * i + j] = covariance[i, j] + unsure * drift[i] * drift[j]
+    found[30] = contrast
+    area = math.pi * math.sqrt(suu * svv - suv * suv)
+    found[31] = abs(math.log(total / contrast / area))
+    return True

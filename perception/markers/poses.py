@@ -1,0 +1,258 @@
+"""The pose of a body with disc markers, fitted to the ellipses that both cameras of a pair saw.
+
+Centres of two markers leave the turn about the line through them open. The ellipses' shapes close
+it: a disc foreshortens, and a slanted one is not as wide in the left image as in the right, which
+tells to which side it leans. Both are weak for a small marker seen head on; the covariance says so.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from perception.markers.fit import solve_pose, write_residuals
+from perception.stereo.geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+
+_TURNS = 61  # Of the grid about the line through two markers.
+_SCAN = np.linspace(-1.6, 1.6, 2 * _TURNS + 1)  # Turns about it, from a fit [rad].
+_STEPS = np.repeat([1e-5, 1e-6], 3)  # Of finite differences [rad, m].
+_NUDGES = RigidTransform.from_exp_coords(
+    np.concatenate([np.zeros((1, 6)), np.diag(_STEPS), -np.diag(_STEPS)])
+).as_matrix()
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyCad:
+    """Markers of a body, all on faces of one direction.
+
+    Attributes:
+        points: (N, 3) centres, two or more [m], body frame.
+        normal: (3,) unit, out of their faces.
+        up: (3,) direction that points upward in the image, as long as no prior says otherwise;
+            two equal markers look the same upside down.
+    """
+
+    points: FloatArray
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no pose.
+
+        Raises:
+            ValueError: Naming it.
+        """
+        points = np.asarray(self.points, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+            raise ValueError(f"body markers: got shape {points.shape}, needs (N, 3), N >= 2")
+        apart = np.linalg.norm(points[:, None] - points, axis=2) + np.eye(len(points))
+        if not np.all(np.isfinite(points)) or apart.min() < 1e-4:
+            raise ValueError(f"body markers: got {points.tolist()}, needs distinct finite points")
+        if not abs(np.linalg.norm(self.normal) - 1.0) < 1e-6:
+            raise ValueError(f"body markers: got normal {self.normal}, needs a unit vector")
+
+
+@dataclasses.dataclass(frozen=True)
+class PosePrior:
+    """What is known of a pose before it is measured.
+
+    Attributes:
+        transform_body_to_camera: The pose.
+        information: (6, 6) inverse covariance of xi, rotation then translation, in
+            ``true = from_exp_coords(xi) * transform_body_to_camera``; zeros for what is unknown.
+    """
+
+    transform_body_to_camera: RigidTransform
+    information: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class SeenDiscs:
+    """Markers of a body as the two cameras saw them, in the order of its CAD.
+
+    Attributes:
+        ellipses: (2, N, 5) left and right.
+        covariances: (2, N, 5, 5) of them.
+        points: (N, 3) triangulated centres [m], left camera.
+    """
+
+    ellipses: FloatArray
+    covariances: FloatArray
+    points: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyFit:
+    """A body's pose.
+
+    Attributes:
+        transform_body_to_camera: To the left camera.
+        covariance: (6, 6) of xi, rotation [rad] then translation [m], in
+            ``true = from_exp_coords(xi) * transform_body_to_camera``.
+        misfit: Squared error of the fit over its degrees of freedom; about 1.
+        turn_sigma: Standard deviation of the turn about the line through the two markers that are
+            farthest apart [rad].
+        ellipses: (2, N, 5) what was fitted, left and right.
+    """
+
+    transform_body_to_camera: RigidTransform
+    covariance: FloatArray
+    misfit: float
+    turn_sigma: float
+    ellipses: FloatArray
+
+
+def fit_body(
+    discs: SeenDiscs,
+    geometry: StereoGeometry,
+    cad: BodyCad,
+    radius: float,
+    prior: PosePrior | None = None,
+) -> BodyFit | None:
+    """Fit a body's pose by maximum likelihood.
+
+    Where the likelihood over the turn about the markers' line is wider than its curvature says, or
+    has two peaks, the covariance grows by what it lacks.
+
+    Args:
+        discs: What was seen.
+        geometry: Of the pair.
+        cad: Of the body.
+        radius: Of its markers [m].
+        prior: What is known before.
+
+    Returns:
+        The fit; None if no pose faces the cameras the right way up.
+    """
+    problem = _Problem(discs, geometry, cad, radius, prior)
+    starts, axis = _starts(discs.points, cad)
+    facing = problem.allowed(starts)
+    if not facing.any():
+        return None
+    starts = starts[facing]
+    costs = np.sum(problem.residuals(starts) ** 2, axis=1)
+    # The grid's points are not at the optimum of the other five; the fit of the best two is.
+    order = np.argsort(costs)
+    peaks = [i for i in order if costs[i] <= costs[max(i - 1, 0) : i + 2].min()][:2]
+    solved = [problem.solve(starts[i]) for i in peaks]
+    pose, cost, normal = min(solved, key=lambda entry: entry[1])
+    # A turn from where the fit ended may lead to a better valley than the grid's.
+    middle = pose[:3, :3] @ cad.points.mean(axis=0) + pose[:3, 3]
+    twist = np.concatenate([axis, np.cross(middle, axis)])
+    turned, costs = _turned(problem, pose, twist)
+    if costs.min() < cost:
+        pose, cost, normal = min(
+            (pose, cost, normal), problem.solve(turned[int(np.argmin(costs))]), key=lambda e: e[1]
+        )
+        costs = _turned(problem, pose, twist)[1]
+    if not bool(problem.allowed(pose[None])[0]):
+        return None
+    freedom = discs.ellipses.size - 6 + (0 if prior is None else 6)
+    covariance = np.linalg.inv(normal)
+    curvature = 1.0 / float(twist @ normal @ twist)
+    weights = np.exp(-0.5 * (costs - min(float(costs.min()), cost)))
+    spread = float(np.sum(weights * _SCAN**2) / weights.sum())
+    covariance = covariance + max(spread - curvature, 0.0) * np.outer(twist, twist)
+    # A disc that leans one way looks almost as one that leans the other: both count by likelihood.
+    weights = [float(np.exp(-0.5 * max(entry[1] - cost, 0.0))) for entry in solved]
+    for weight, (other, _, _) in zip(weights, solved, strict=True):
+        if bool(problem.allowed(other[None])[0]):
+            away = np.asarray(
+                RigidTransform.from_matrix(other @ np.linalg.inv(pose)).as_exp_coords()
+            )
+            covariance = covariance + weight / (1.0 + weight) * np.outer(away, away)
+    turn = float(np.sqrt(axis @ covariance[:3, :3] @ axis))
+    estimate = RigidTransform.from_matrix(pose)
+    return BodyFit(estimate, covariance, cost / freedom, turn, discs.ellipses)
+
+
+class _Problem:
+    """Whitened differences between what poses would show and what was seen."""
+
+    def __init__(self, discs: SeenDiscs, geometry: StereoGeometry, cad: BodyCad, radius: float,
+                 prior: PosePrior | None) -> None:  # fmt: skip
+        self._discs, self._geometry, self._cad, self._radius = discs, geometry, cad, radius
+        self._prior = prior
+        self._whiten = np.linalg.inv(np.linalg.cholesky(discs.covariances))
+        self._points = np.array(cad.points, dtype=float)
+        self._normal = np.array(cad.normal, dtype=float)
+        self._root, self._back = np.zeros((6, 6)), np.eye(4)
+        if prior is not None:
+            values, vectors = np.linalg.eigh(prior.information)
+            self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+            self._back = prior.transform_body_to_camera.inv().as_matrix()
+
+        lens = np.array([geometry.fx, geometry.fy, geometry.cx, geometry.cy, geometry.baseline])
+        self._count = discs.ellipses[..., 0].size * 5 + (0 if prior is None else 6)
+        self._numbers = (
+            self._points,
+            self._normal,
+            radius,
+            lens,
+            np.ascontiguousarray(discs.ellipses),
+            np.ascontiguousarray(self._whiten),
+            np.ascontiguousarray(self._back),
+            np.ascontiguousarray(self._root),
+        )
+
+    def residuals(self, poses: FloatArray) -> FloatArray:
+        """Return (P, R) of poses (P, 4, 4)."""
+        rows = np.empty((len(poses), self._count))
+        write_residuals(np.ascontiguousarray(poses), *self._numbers, rows)
+        return rows
+
+    def allowed(self, poses: FloatArray) -> NDArray[np.bool_]:
+        """Return (P,) which poses show the markers' faces, the right way up."""
+        normals = poses[:, :3, :3] @ np.asarray(self._cad.normal)
+        centres = poses[:, :3, :3] @ self._cad.points.mean(axis=0) + poses[:, :3, 3]
+        facing = np.einsum("pi,pi->p", normals, centres) < 0.0
+        if self._prior is None:
+            # Rows grow downward.
+            facing &= (poses[:, :3, :3] @ np.asarray(self._cad.up))[:, 1] < 0.0
+        return facing
+
+    def solve(self, start: FloatArray) -> tuple[FloatArray, float, FloatArray]:
+        """Return pose (4, 4), cost and normal equations (6, 6) after damped Gauss-Newton steps."""
+        pose, normal = np.array(start), np.eye(6)
+        cost = solve_pose(pose, normal, _NUDGES, _STEPS, *self._numbers, self._count)
+        return pose, cost, normal + 1e-9 * np.eye(6)
+
+
+def _starts(points: FloatArray, cad: BodyCad) -> tuple[FloatArray, FloatArray]:
+    """Return poses (P, 4, 4) that lay the two farthest markers on their points, and their axis."""
+    between = np.linalg.norm(cad.points[:, None] - cad.points, axis=2)
+    first, second = np.unravel_index(int(np.argmax(between)), between.shape)
+    axis = points[second] - points[first]
+    axis /= np.linalg.norm(axis)
+    along = cad.points[second] - cad.points[first]
+    along = along / np.linalg.norm(along)
+    normal = np.asarray(cad.normal, dtype=float)
+    normal = normal - (normal @ along) * along
+    across = np.cross(along, normal / np.linalg.norm(normal))
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    side /= np.linalg.norm(side)
+    lay = (
+        np.column_stack([axis, side, np.cross(axis, side)])
+        @ np.column_stack([along, np.cross(across, along), across]).T
+    )
+    angles = np.linspace(-np.pi, np.pi, 2 * _TURNS, endpoint=False)
+    turns = Rotation.from_rotvec(angles[:, None] * axis).as_matrix() @ lay
+    poses = np.tile(np.eye(4), (len(angles), 1, 1))
+    poses[:, :3, :3] = turns
+    middle = (points[first] + points[second]) / 2.0
+    poses[:, :3, 3] = middle - turns @ ((cad.points[first] + cad.points[second]) / 2.0)
+    return poses, axis
+
+
+def _turned(
+    problem: _Problem, pose: FloatArray, twist: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return poses turned about the markers' line and their costs, infinite where not allowed."""
+    poses = RigidTransform.from_exp_coords(_SCAN[:, None] * twist).as_matrix() @ pose
+    costs = np.sum(problem.residuals(poses) ** 2, axis=1)
+    return poses, np.where(problem.allowed(poses), costs, np.inf)

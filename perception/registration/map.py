@@ -1,0 +1,352 @@
+"""Persistent fiducials: a small map to register to, so that the camera's error stops growing.
+
+All that was seen from one uncertain pose is wrong together. So the map keeps the covariance of all
+fiducials jointly: an update by a view takes the pose's error for what it is, fixed by the very
+fiducials that it moves, and fiducials first seen there are correlated with the rest through it.
+Positions are fused as in eq. 3-10 and 3-20, for all fiducials at once. What several looks err by
+together, such as the place of the robot that took them, may be kept jointly with them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from perception.registration.checks import (
+    RegistrationError,
+    check_strength,
+    checked_image_points,
+    checked_pose_covariance,
+    checked_sigma,
+)
+from perception.registration.consensus import agreeing
+from perception.registration.likelihood import Solution, innovation
+from perception.registration.prior import PosePrior, fit
+from perception.registration.registration import Registration
+from perception.registration.reprojection import KnownPoints, Pose, Sighting, linearise
+from perception.registration.uncertainty import point_motion
+from perception.stereo.geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
+
+
+@dataclasses.dataclass(frozen=True)
+class Observation:
+    """What a view of the map gave.
+
+    Attributes:
+        registration: Where the camera was.
+        added: Numbers of the fiducials that are new.
+    """
+
+    registration: Registration
+    added: IndexArray
+
+
+class FiducialMap:
+    """Fiducials that stay, by number.
+
+    Attributes:
+        positions: (M, 3) [m], world.
+        offsets: (K,) most likely values of the offsets that looks share.
+    """
+
+    def __init__(self, geometry: StereoGeometry, sigma: ArrayLike) -> None:
+        """Start empty.
+
+        Args:
+            geometry: Of the cameras.
+            sigma: (3,) standard deviations of column, row and disparity [px], where a view does
+                not say others.
+
+        Raises:
+            RegistrationError: If a deviation is not positive.
+        """
+        self._geometry = geometry
+        self._sigma = checked_sigma(sigma, 1)[0]
+        self.positions: FloatArray = np.zeros((0, 3))
+        self.offsets: FloatArray = np.zeros(0)
+        self._placed: FloatArray = np.zeros((0, 3))  # Positions when they were added.
+        self._joint: FloatArray = np.zeros((0, 0))  # Offsets first, then fiducials.
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(3M, 3M) of all fiducials [m^2]."""
+        return self._joint[len(self.offsets) :, len(self.offsets) :]
+
+    @property
+    def offset_covariance(self) -> FloatArray:
+        """(K, K) of the shared offsets."""
+        return self._joint[: len(self.offsets), : len(self.offsets)]
+
+    def covariances(self) -> FloatArray:
+        """Return (M, 3, 3) [m^2], the covariance of each fiducial alone."""
+        return KnownPoints(self.positions, self.covariance).blocks()
+
+    def share(self, covariance: ArrayLike) -> IndexArray:
+        """Add offsets that looks will share, of which zero is expected.
+
+        Args:
+            covariance: (K, K) of them.
+
+        Returns:
+            (K,) their numbers, for `PosePrior`.
+
+        Raises:
+            RegistrationError: If it is not a covariance.
+        """
+        spread = np.asarray(covariance, dtype=float)
+        if spread.ndim != 2 or spread.shape[0] != spread.shape[1]:
+            raise RegistrationError(f"offsets' covariance of shape {spread.shape}: expected (K, K)")
+        if not np.isfinite(spread).all() or np.any(np.diag(spread) < 0.0):
+            raise RegistrationError("offsets' covariance: a value is not finite, or negative")
+        first, count = len(self.offsets), len(spread)
+        grown = np.zeros((len(self._joint) + count,) * 2)
+        old = np.delete(np.arange(len(grown)), np.arange(first, first + count))
+        grown[np.ix_(old, old)] = self._joint
+        grown[first : first + count, first : first + count] = spread
+        self.offsets, self._joint = np.append(self.offsets, np.zeros(count)), grown
+        return np.arange(first, first + count)
+
+    def expected(self, prior: PosePrior) -> tuple[RigidTransform, FloatArray]:
+        """Return where a camera is, by what earlier looks say of the offsets, and (6, 6) of it.
+
+        Args:
+            prior: Of its pose.
+
+        Raises:
+            RegistrationError: If it names an unknown offset, or its covariance is none.
+        """
+        self._check_offsets(prior)
+        own = checked_pose_covariance(prior.covariance)
+        spread = self._joint[np.ix_(prior.offsets, prior.offsets)]
+        shared = prior.by_offsets @ spread @ prior.by_offsets.T
+        return prior.at(self.offsets[prior.offsets]), shared + own
+
+    def observe_from(
+        self,
+        prior: PosePrior,
+        numbers: Sequence[int] | IndexArray,
+        image_points: ArrayLike,
+        *,
+        sigma: ArrayLike | None = None,
+        new: ArrayLike | None = None,
+        new_sigma: ArrayLike | None = None,
+    ) -> Observation:
+        """Improve a pose of which something is known, the map and the offsets, all together.
+
+        Any number of fiducials will do, none also. Wrong matches are left out; if none is believed
+        the pose is the expected one, whose error its new fiducials share.
+
+        Args:
+            prior: What is known of the pose.
+            numbers: (N,) of the fiducials seen, each once.
+            image_points: (N, 3) where they appear: columns, rows, disparities [px].
+            sigma: (3,) or (N, 3) deviations of the image points [px].
+            new: (K, 3) image points of new fiducials in the same view.
+            new_sigma: (3,) or (K, 3) of them.
+
+        Raises:
+            RegistrationError: If a number is unknown or given twice, or a value not finite.
+        """
+        start, pose = self.expected(prior)
+        index, seen, spread, fresh, new_spread = self._checked(
+            numbers, image_points, sigma, new, new_sigma
+        )
+        count = len(self.offsets)
+        moved = prior.by_offsets @ self._joint[prior.offsets]
+        state = np.block([[pose, moved], [moved.T, self._joint]])
+        told = fit(
+            start,
+            state,
+            6 + count + _rows(index),
+            self.positions[index],
+            self._placed[index],
+            Sighting(seen, spread, self._geometry),
+        )
+        self.offsets = self.offsets + told.shift[6 : 6 + count]
+        self.positions = self.positions + told.shift[6 + count :].reshape(-1, 3)
+        self._joint = told.covariance[6:, 6:]
+        transform, pose, crossed = (
+            told.transform_camera_to_world,
+            told.covariance[:6, :6],
+            told.covariance[:6, 6:],
+        )
+        added = self._append(fresh, new_spread, transform, pose, crossed)
+        return Observation(Registration(transform, pose, told.believed, told.chi_square), added)
+
+    def add(
+        self,
+        image_points: ArrayLike,
+        transform_camera_to_world: RigidTransform,
+        covariance: ArrayLike | None = None,
+        *,
+        sigma: ArrayLike | None = None,
+    ) -> IndexArray:
+        """Add fiducials from a view whose pose was not told by this map, such as the first.
+
+        Args:
+            image_points: (N, 3) columns, rows, disparities [px].
+            transform_camera_to_world: Of the left camera.
+            covariance: (6, 6) of it; known exactly by default, which fixes the world there.
+            sigma: (3,) or (N, 3) deviations of the image points [px].
+
+        Returns:
+            (N,) their numbers.
+
+        Raises:
+            RegistrationError: If a number is not finite, a disparity not positive or the pose's
+                covariance none.
+        """
+        pose = checked_pose_covariance(np.zeros((6, 6)) if covariance is None else covariance)
+        crossed = np.zeros((6, len(self._joint)))
+        seen = checked_image_points("image points", image_points)
+        spread = self._checked_sigma(sigma, len(seen))
+        return self._append(seen, spread, transform_camera_to_world, pose, crossed)
+
+    def observe(
+        self,
+        numbers: Sequence[int] | IndexArray,
+        image_points: ArrayLike,
+        *,
+        sigma: ArrayLike | None = None,
+        new: ArrayLike | None = None,
+        new_sigma: ArrayLike | None = None,
+        guess: RigidTransform | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Observation:
+        """Register a view to the map, improve the map by it, and add what is new.
+
+        Wrong matches are left out of all three. If the view cannot be registered the map stays as
+        it was.
+
+        Args:
+            numbers: (N,) of the fiducials seen, each once.
+            image_points: (N, 3) where they appear: columns, rows, disparities [px].
+            sigma: (3,) or (N, 3) deviations of the image points [px].
+            new: (K, 3) image points of new fiducials in the same view.
+            new_sigma: (3,) or (K, 3) of them.
+            guess: Camera to world, as the arm's joints say, if they do.
+            rng: Draws minimal sets when matches are wrong; the same ones each time by default.
+
+        Raises:
+            RegistrationError: If a number is unknown or given twice, or as `register`.
+        """
+        index, seen, spread, fresh, new_spread = self._checked(
+            numbers, image_points, sigma, new, new_sigma
+        )
+        check_strength(seen, spread)
+        rows = len(self.offsets) + _rows(index)
+        known = KnownPoints(self.positions[index], self._joint[np.ix_(rows, rows)])
+        sight = Sighting(seen, spread, self._geometry)
+        start = Pose.of(guess) if guess is not None else None
+        solution, agreed = agreeing(known, sight, start, rng or np.random.default_rng(0))
+        check_strength(seen[agreed], spread[agreed])
+        crossed = self._update(index[agreed], solution, known.chosen(agreed), sight.chosen(agreed))
+        transform = solution.pose.transform()
+        added = self._append(fresh, new_spread, transform, solution.covariance, crossed)
+        chi_square = solution.cost / (3 * int(agreed.sum()) - 6)
+        registration = Registration(transform, solution.covariance, agreed, chi_square)
+        return Observation(registration, added)
+
+    def _update(
+        self, index: IndexArray, solution: Solution, known: KnownPoints, sight: Sighting
+    ) -> FloatArray:
+        """Fuse a view in; return (6, K + 3M), its pose's covariance with offsets and map."""
+        count = len(self.offsets)
+        rows = count + _rows(index)
+        look = linearise(solution.pose, solution.coordinates, known, sight.geometry)
+        by_pose = look.by_pose.reshape(-1, 6)
+        inverse = np.linalg.inv(innovation(look, known, sight))
+        gain = solution.covariance @ by_pose.T @ inverse
+        weight = inverse - inverse @ by_pose @ gain
+        # How the view's image points move with every fiducial of the map.
+        blocks = self._joint[rows].reshape(-1, 3, len(self._joint))
+        carried = (look.by_coordinates @ blocks).reshape(len(rows), -1)
+        shift = self._joint[:, rows] @ solution.weights.ravel()
+        self.offsets = self.offsets + shift[:count]
+        self.positions = self.positions + shift[count:].reshape(-1, 3)
+        updated = self._joint - carried.T @ weight @ carried
+        self._joint = 0.5 * (updated + updated.T)
+        return -gain @ carried
+
+    def _append(
+        self,
+        image_points: FloatArray,
+        sigma: FloatArray,
+        transform: RigidTransform,
+        pose: FloatArray,
+        crossed: FloatArray,
+    ) -> IndexArray:
+        first, count = len(self), len(image_points)
+        local = self._geometry.points(image_points)
+        places = transform.apply(local) if count else local
+        by_pose = point_motion(places).reshape(-1, 6)
+        old = len(self._joint)
+        grown = np.zeros((old + 3 * count, old + 3 * count))
+        grown[:old, :old] = self._joint
+        grown[old:, :old] = by_pose @ crossed
+        grown[:old, old:] = grown[old:, :old].T
+        grown[old:, old:] = by_pose @ pose @ by_pose.T
+        rotation = transform.rotation.as_matrix()
+        own = rotation @ self._geometry.covariance(local, sigma) @ rotation.T
+        for k in range(count):
+            here = slice(old + 3 * k, old + 3 * k + 3)
+            grown[here, here] += own[k]
+        self.positions = np.concatenate([self.positions, places])
+        self._placed = np.concatenate([self._placed, places])
+        self._joint = 0.5 * (grown + grown.T)
+        return np.arange(first, first + count)
+
+    def _checked_sigma(self, sigma: ArrayLike | None, count: int) -> FloatArray:
+        return checked_sigma(self._sigma if sigma is None else sigma, count)
+
+    def _checked(
+        self,
+        numbers: Sequence[int] | IndexArray,
+        image_points: ArrayLike,
+        sigma: ArrayLike | None,
+        new: ArrayLike | None,
+        new_sigma: ArrayLike | None,
+    ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return numbers, image points and deviations, and those of new fiducials."""
+        index = self._checked_numbers(numbers)
+        seen = checked_image_points("image points", image_points)
+        fresh = checked_image_points("new image points", np.zeros((0, 3)) if new is None else new)
+        if len(index) != len(seen):
+            raise RegistrationError(f"{len(index)} numbers for {len(seen)} image points")
+        spread, new_spread = (
+            self._checked_sigma(s, len(p)) for s, p in ((sigma, seen), (new_sigma, fresh))
+        )
+        return index, seen, spread, fresh, new_spread
+
+    def _check_offsets(self, prior: PosePrior) -> None:
+        if prior.by_offsets.shape != (6, len(prior.offsets)):
+            raise RegistrationError(
+                f"by_offsets of shape {prior.by_offsets.shape}: expected (6, {len(prior.offsets)})"
+            )
+        unknown = [int(n) for n in prior.offsets if not 0 <= n < len(self.offsets)]
+        if unknown:
+            raise RegistrationError(f"offsets {unknown}: the map has {len(self.offsets)}")
+
+    def _checked_numbers(self, numbers: Sequence[int] | IndexArray) -> IndexArray:
+        index = np.asarray(numbers, dtype=np.intp)
+        unknown = [int(n) for n in index if not 0 <= n < len(self)]
+        if unknown:
+            raise RegistrationError(f"fiducials {unknown}: the map has 0 to {len(self) - 1}")
+        if len(np.unique(index)) != len(index):
+            raise RegistrationError(f"fiducials {index.tolist()}: one was given twice")
+        return index
+
+
+def _rows(index: IndexArray) -> IndexArray:
+    """Return the rows of the covariance that belong to fiducials."""
+    return (3 * index[:, None] + np.arange(3)).ravel()

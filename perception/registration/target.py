@@ -1,0 +1,329 @@
+"""Find a target by the markers on it: discs with a dark centre, placed as its CAD says.
+
+Thesis section 3.2.2: the target gives the robots a common frame. Rings are found in both images,
+triangulated, and matched with the CAD by the distances between them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from perception.stereo.geometry import StereoGeometry
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+_opencv: Any = cv2  # Its stub leaves contours untyped.
+_FEWEST = 3  # Markers that fix a pose.
+
+
+@dataclasses.dataclass(frozen=True)
+class TargetCad:
+    """Markers of a target.
+
+    Attributes:
+        points: (N, 3) centres [m], target frame; no two of their distances alike.
+        radius: Of the bright disc [m].
+        dark: Radius of the dark centre over that of the disc.
+    """
+
+    points: FloatArray
+    radius: float
+    dark: float
+
+    @property
+    def extent(self) -> float:
+        """Greatest distance between two markers [m]."""
+        return float(np.linalg.norm(self.points[:, None] - self.points, axis=2).max())
+
+
+@dataclasses.dataclass(frozen=True)
+class MarkerSearch:
+    """When a dark spot counts as the centre of a marker.
+
+    Attributes:
+        levels: Grey levels at which dark spots are looked for.
+        diameter: Smallest and largest diameter of a spot [px].
+        roundness: Least area of a spot over that of its ellipse, and its inverse.
+        flatness: Least minor over major axis.
+        contrast: Least grey levels from a spot to the darkest place of the disc about it.
+        row: Greatest difference of the rows of a marker in a pair [px].
+        size: Factor within which a spot's size must agree with its distance.
+        distance: Greatest error of a distance between two markers [m], beside thrice its deviation.
+    """
+
+    levels: tuple[int, ...] = (70, 100, 130, 160)
+    diameter: tuple[float, float] = (4.0, 80.0)
+    roundness: float = 0.85
+    flatness: float = 0.4
+    contrast: float = 50.0
+    row: float = 1.5
+    size: float = 1.5
+    distance: float = 0.004
+
+
+@dataclasses.dataclass(frozen=True)
+class SeenTarget:
+    """Markers of a target in a view.
+
+    Attributes:
+        indices: (M,) which of the CAD's.
+        image_points: (M, 3) column, row, disparity [px].
+    """
+
+    indices: NDArray[np.int64]
+    image_points: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class PossibleMarkers:
+    """Places where markers may be, though they do not make a target.
+
+    Attributes:
+        paired: (P, 3) that both images show [m], left camera frame.
+        alone: (A, 3) that one image shows, as far away as their size says [m], left camera frame.
+    """
+
+    paired: FloatArray
+    alone: FloatArray
+
+
+def find_spots(image: ImageArray, cad: TargetCad, search: MarkerSearch) -> FloatArray:
+    """Return (N, 3) column, row and diameter of the dark centres of markers [px].
+
+    Args:
+        image: (height, width) uint8.
+        cad: Proportions of a marker.
+        search: When a spot counts.
+
+    Raises:
+        ValueError: If the image is empty or not grey of 8 bits.
+    """
+    if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
+        raise ValueError(f"image of shape {image.shape}, {image.dtype}: expected grey of 8 bits")
+    found: list[tuple[float, float, float]] = []
+    for level in search.levels:
+        for contour in _round_contours(image <= level, search):
+            spot = _spot(image, contour, cad, search)
+            if spot is not None and all(np.hypot(*np.subtract(spot, o)[:2]) > 2.0 for o in found):
+                found.append(spot)
+    return np.array(found).reshape(-1, 3)
+
+
+def find_target(
+    pair: ImageArray,
+    geometry: StereoGeometry,
+    cad: TargetCad,
+    sigma: ArrayLike,
+    search: MarkerSearch | None = None,
+) -> SeenTarget | None:
+    """Return the markers of a target in a rectified pair; None if fewer than three are seen.
+
+    Args:
+        pair: (2, height, width) uint8, left and right.
+        geometry: Of the pair.
+        cad: Its markers.
+        sigma: (3,) standard deviations of column, row and disparity [px].
+        search: When a spot counts.
+
+    Raises:
+        ValueError: If an image is empty or not grey of 8 bits.
+    """
+    how = search or MarkerSearch()
+    left, right = (find_spots(image, cad, how) for image in pair)
+    one, two = _paired(left, right, geometry, cad, how)
+    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
+    points = geometry.points(seen)
+    return _matched(seen, points, geometry, cad, np.asarray(sigma, dtype=float), how)
+
+
+def possible_markers(
+    pair: ImageArray,
+    geometry: StereoGeometry,
+    cad: TargetCad,
+    search: MarkerSearch | None = None,
+) -> PossibleMarkers:
+    """Return where markers may be: hints of a target of which too little is in view.
+
+    Args:
+        pair: (2, height, width) uint8, left and right.
+        geometry: Of the pair.
+        cad: Its markers.
+        search: When a spot counts.
+
+    Raises:
+        ValueError: If an image is empty or not grey of 8 bits.
+    """
+    how = search or MarkerSearch()
+    left, right = (find_spots(image, cad, how) for image in pair)
+    one, two = _paired(left, right, geometry, cad, how)
+    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
+    alone: list[FloatArray] = []
+    for spots, taken, eye in ((left, one, 0.0), (right, two, geometry.baseline)):
+        single = np.delete(spots, taken, axis=0)
+        depths = 2.0 * cad.radius * cad.dark * geometry.fx / single[:, 2]
+        disparities = geometry.fx * geometry.baseline / depths
+        points = geometry.points(np.column_stack([single[:, :2], disparities]))
+        alone.append(points + [eye, 0.0, 0.0])
+    return PossibleMarkers(geometry.points(seen), np.concatenate(alone))
+
+
+def _paired(
+    left: FloatArray,
+    right: FloatArray,
+    geometry: StereoGeometry,
+    cad: TargetCad,
+    search: MarkerSearch,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return (P,) which spots of the left and of the right image may be one marker."""
+    one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
+    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
+    # A spot's size tells its distance as well, which settles most wrong pairings.
+    expected = 2.0 * cad.radius * cad.dark * geometry.fx / geometry.points(seen)[:, 2]
+    fits = np.abs(left[one, 1] - right[two, 1]) < search.row
+    for sizes in (left[one, 2], right[two, 2]):
+        fits &= (sizes < search.size * expected) & (expected < search.size * sizes)
+    return one[fits], two[fits]
+
+
+def _round_contours(dark: NDArray[np.bool_], search: MarkerSearch) -> Iterator[NDArray[Any]]:
+    """Yield the contours (n, 2) of dark areas that may be ellipses; textures have thousands."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8))
+    # The first one is all that is not dark.
+    left, top, width, height, area = np.asarray(stats[1:count]).T
+    smallest, largest = search.diameter
+    longest = np.maximum(width, height)
+    filled = area / (width * height)
+    # An ellipse fills pi / 4 of its box when upright, and less when it leans.
+    may_be = (longest >= smallest - 1.0) & (longest <= largest) & (filled > 0.4) & (filled < 0.95)
+    for label in np.flatnonzero(may_be):
+        rows = slice(top[label], top[label] + height[label])
+        columns = slice(left[label], left[label] + width[label])
+        part = (np.asarray(labels)[rows, columns] == label + 1).astype(np.uint8)
+        outlines = _opencv.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+        yield np.asarray(outlines[0]).reshape(-1, 2) + (left[label], top[label])
+
+
+def _spot(
+    image: ImageArray, contour: NDArray[Any], cad: TargetCad, search: MarkerSearch
+) -> tuple[float, float, float] | None:
+    """Return centre and diameter of a dark ellipse within a bright one, None for anything else."""
+    smallest, largest = search.diameter
+    if len(contour) < 2.0 * smallest:
+        return None
+    (column, row), axes, angle = cv2.fitEllipse(contour.reshape(-1, 1, 2))
+    minor, major = sorted(axes)
+    # A contour runs through the middle of the border pixels.
+    minor, major = minor + 1.0, major + 1.0
+    if not (smallest <= major <= largest and minor >= search.flatness * major):
+        return None
+    area = cv2.contourArea(contour.reshape(-1, 1, 2)) + len(contour) / 2.0 + 1.0
+    filled = area / (np.pi / 4.0 * minor * major)
+    if not search.roundness <= filled <= 1.0 / search.roundness:
+        return None
+    wide = (axes[0] + 1.0) / 2.0, (axes[1] + 1.0) / 2.0
+    scales = np.linspace(1.35, 0.8 / cad.dark, 3)
+    disc = _on_ellipses(image, (column, row), wide, angle, scales)
+    inside = _on_ellipses(image, (column, row), wide, angle, np.array([0.0, 0.4]))
+    if disc is None or inside is None or disc.min() - inside.max() < search.contrast:
+        return None
+    window = 1.4 * wide[0], 1.4 * wide[1]
+    centre = _centroid(image, (column, row), window, angle, float(disc.mean()))
+    return (*centre, float(major))
+
+
+def _on_ellipses(
+    image: ImageArray,
+    centre: tuple[float, float],
+    half_axes: tuple[float, float],
+    angle_deg: float,
+    scales: FloatArray,
+) -> FloatArray | None:
+    """Return the grey levels around ellipses of several scales; None if one leaves the image."""
+    turn = np.deg2rad(angle_deg)
+    around = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    along = np.outer(scales, half_axes[0] * np.cos(around)).ravel()
+    across = np.outer(scales, half_axes[1] * np.sin(around)).ravel()
+    columns = np.rint(centre[0] + along * np.cos(turn) - across * np.sin(turn)).astype(int)
+    rows = np.rint(centre[1] + along * np.sin(turn) + across * np.cos(turn)).astype(int)
+    height, width = image.shape
+    if columns.min() < 0 or rows.min() < 0 or columns.max() >= width or rows.max() >= height:
+        return None
+    return image[rows, columns].astype(float)
+
+
+def _centroid(
+    image: ImageArray,
+    centre: tuple[float, float],
+    half_axes: tuple[float, float],
+    angle_deg: float,
+    bright: float,
+) -> tuple[float, float]:
+    """Return the centre of darkness within an ellipse, to a few hundredths of a pixel."""
+    height, width = image.shape
+    reach = max(half_axes)
+    low_row, low_column = (max(0, int(c - reach)) for c in (centre[1], centre[0]))
+    high_row = min(height, int(centre[1] + reach) + 2)
+    high_column = min(width, int(centre[0] + reach) + 2)
+    rows, columns = np.mgrid[low_row:high_row, low_column:high_column]
+    x, y, turn = columns - centre[0], rows - centre[1], np.deg2rad(angle_deg)
+    along = (x * np.cos(turn) + y * np.sin(turn)) / half_axes[0]
+    across = (y * np.cos(turn) - x * np.sin(turn)) / half_axes[1]
+    darkness = np.maximum(bright - image[low_row:high_row, low_column:high_column], 0.0)
+    # The disc's own noise would pull the centre towards the middle of the window.
+    darkness[(np.hypot(along, across) > 1.0) | (darkness < 0.1 * bright)] = 0.0
+    total = darkness.sum()
+    return float((columns * darkness).sum() / total), float((rows * darkness).sum() / total)
+
+
+def _matched(
+    seen: FloatArray,
+    points: FloatArray,
+    geometry: StereoGeometry,
+    cad: TargetCad,
+    sigma: FloatArray,
+    search: MarkerSearch,
+) -> SeenTarget | None:
+    """Return the largest set of points whose mutual distances are those of the CAD."""
+    between = np.linalg.norm(cad.points[:, None] - cad.points, axis=2)
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    spread = np.sqrt(np.trace(geometry.covariance(points, sigma), axis1=1, axis2=2))
+    allowed = search.distance + 3.0 * np.hypot(spread[:, None], spread)
+    best: list[tuple[int, int]] = []
+    for matches in _assignments(between, apart, allowed, []):
+        if len(matches) > len(best) or (
+            len(matches) == len(best)
+            and _misfit(between, apart, matches) < _misfit(between, apart, best)
+        ):
+            best = matches
+    if len(best) < _FEWEST:
+        return None
+    markers, chosen = np.array(best).T
+    return SeenTarget(markers, seen[chosen])
+
+
+def _assignments(
+    between: FloatArray, apart: FloatArray, allowed: FloatArray, matches: list[tuple[int, int]]
+) -> Iterator[list[tuple[int, int]]]:
+    """Yield all ways to match markers in order with points whose distances agree."""
+    first = matches[-1][0] + 1 if matches else 0
+    for marker in range(first, len(between)):
+        for point in range(len(apart)):
+            if all(
+                point != other
+                and abs(apart[point, other] - between[marker, earlier]) <= allowed[point, other]
+                for earlier, other in matches
+            ):
+                longer = [*matches, (marker, point)]
+                yield longer
+                yield from _assignments(between, apart, allowed, longer)
+
+
+def _misfit(between: FloatArray, apart: FloatArray, matches: list[tuple[int, int]]) -> float:
+    markers, points = np.array(matches).T
+    return float(np.abs(apart[np.ix_(points, points)] - between[np.ix_(markers, markers)]).sum())

@@ -1,0 +1,352 @@
+"""Surface estimates of a sparse map: measured points are fused along the ray, not voxel by voxel.
+
+A voxel may be far smaller than the noise. Merging only what falls into one takes the truncated
+part of the noise for all of it, and is over-confident. Here a group of points looks along its ray,
+as far as its own uncertainty reaches, for estimates of the same surface; what agrees is merged into
+one, which stands in the voxel where it then lies.
+"""
+
+# pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
+# pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
+# pyright: reportUnknownParameterType=false, reportArgumentType=false
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from perception.geometry.gaussians import copy, merge, variance_along
+from perception.voxels.bricks import (
+    DROPPED,
+    NEVER,
+    NOWHERE,
+    POINTS,
+    SCAN,
+    Bricks,
+    dense_brick,
+    new_record,
+    record_at,
+    release_record,
+    room_left,
+    slot_block,
+)
+from perception.voxels.raycast import KERNEL, whole
+from perception.voxels.scan import FLAT, GONE, TILE, Camera, Scan
+
+FloatArray = NDArray[np.float64]
+
+Work = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+Fusing = tuple[float, int, int, int, float, int, bool, int, int, int]
+
+WEAK = -1
+"""Log-odds of a voxel just before a surface: measured, hardly decided."""
+GATE = 9.0
+"""Squared deviations within which two estimates are of one surface."""
+REACH, MOST_STEPS = 3.0, 24
+"""Deviations that a group looks along its ray, and voxels at most to each side."""
+TOUCH = 0.25
+"""Deviation, in voxels, up to which a voxel is taken as occupied for the points that it holds."""
+FLOOR = 0.02
+"""Deviation that a voxel's surface keeps, in voxels: it is no point."""
+
+
+def workspace() -> Work:
+    """Return room for the estimates that `fuse_scan` works on."""
+    a, b, c = (np.empty(3) for _ in range(3))
+    d, e, f = (np.empty(6) for _ in range(3))
+    return a, d, b, e, c, f, np.empty(3)
+
+
+@numba.njit(**KERNEL, inline="always")
+def _effective(points: float, correlated: float) -> float:
+    """Return how many independent points so many are worth."""
+    return 0.0 if points <= 0.0 else max(1.0, points / correlated)
+
+
+@numba.njit(**KERNEL)
+def fuse_scan(
+    store: Bricks, scan: Scan, camera: Camera, settings: Fusing, work: Work, first: int
+) -> int:
+    """Add the points of a scan tile by tile.
+
+    Args:
+        store: The map.
+        scan: The images of the scan; points taken are crossed out.
+        camera: Where it was taken from.
+        settings: (resolution, hit, lowest, highest, correlated points, number of this scan,
+            whether to go on without room, voxels on each axis).
+        work: What `workspace` returns.
+        first: Tile to begin with.
+
+    Returns:
+        The tile before which room is needed, or the number of tiles.
+    """
+    resolution = settings[0]
+    downs, acrosses = scan.high.shape
+    focal = math.sqrt(camera.fx * camera.fy)
+    mean, covariance, normal = work[0], work[1], work[6]
+    most = TILE * TILE
+    for tile in range(first, downs * acrosses):
+        down, across = tile // acrosses, tile % acrosses
+        high = scan.high[down, across]
+        if high == 0.0:
+            continue
+        if not room_left(store, most, most, most) and not settings[6]:
+            return tile
+        # Groups of about half a voxel's width (0.35 to 0.7), so that a slanted surface has no gaps.
+        side = 1
+        while side < TILE and 2.0 * side * high <= 1.4 * focal * resolution:
+            side *= 2
+        for v0 in range(down * TILE, min(down * TILE + TILE, camera.height), side):
+            for u0 in range(across * TILE, min(across * TILE + TILE, camera.width), side):
+                v1, u1 = min(v0 + side, camera.height), min(u0 + side, camera.width)
+                corner = (v0, v1, u0, u1)
+                for turn in range(1 + side * side):
+                    # First what lies on the tile's plane, then the rest, the nearest first.
+                    flat = turn == 0
+                    count = _gather(scan, corner, flat, resolution, mean, covariance)
+                    if count > 0:
+                        for axis in range(3):
+                            normal[axis] = scan.normal[down, across, axis] if flat else 0.0
+                        _fuse_group(
+                            store, camera.origin, mean, covariance, count, normal, settings, work
+                        )
+                    elif not flat:
+                        break
+    return downs * acrosses
+
+
+@numba.njit(**KERNEL, inline="always")
+def _gather(
+    scan: Scan,
+    corner: tuple[int, int, int, int],
+    flat: bool,
+    thickness: float,
+    mean: FloatArray,
+    covariance: FloatArray,
+) -> int:
+    """Take some pixels' points out of a scan: their number, mean and mean covariance.
+
+    Args:
+        scan: The images; points taken are crossed out.
+        corner: First and end row, first and end column.
+        flat: Whether to take those on the tile's plane, or the nearest of the others.
+        thickness: What depth counts as nearest [m].
+        mean: (3,) written.
+        covariance: (6,) written.
+    """
+    kind, depth, place, spread = scan.kind, scan.depth, scan.place, scan.spread
+    nearest = np.float32(np.inf)
+    if not flat:
+        for v in range(corner[0], corner[1]):
+            for u in range(corner[2], corner[3]):
+                if kind[v, u] != GONE:
+                    nearest = min(nearest, depth[v, u])
+        nearest += np.float32(thickness)
+    x, y, z, count = 0.0, 0.0, 0.0, 0
+    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for v in range(corner[0], corner[1]):
+        for u in range(corner[2], corner[3]):
+            if kind[v, u] == FLAT if flat else kind[v, u] != GONE and depth[v, u] <= nearest:
+                kind[v, u] = GONE
+                count += scan.count[v, u]
+                x += place[v, u, 0]
+                y += place[v, u, 1]
+                z += place[v, u, 2]
+                xx += spread[v, u, 0]
+                xy += spread[v, u, 1]
+                xz += spread[v, u, 2]
+                yy += spread[v, u, 3]
+                yz += spread[v, u, 4]
+                zz += spread[v, u, 5]
+    mean[0], mean[1], mean[2] = x, y, z
+    covariance[0], covariance[1], covariance[2] = xx, xy, xz
+    covariance[3], covariance[4], covariance[5] = yy, yz, zz
+    scale = 1.0 / max(count, 1)
+    for axis in range(3):
+        mean[axis] *= scale
+    for k in range(6):
+        covariance[k] *= scale
+    return count
+
+
+@numba.njit(**KERNEL, inline="always")
+def _fuse_group(
+    store: Bricks,
+    origin: FloatArray,
+    mean: FloatArray,
+    covariance: FloatArray,
+    count: int,
+    normal: FloatArray,
+    settings: Fusing,
+    work: Work,
+) -> None:
+    """Merge a group with the estimates along its ray, and put the result where it lies."""
+    resolution, _, _, _, correlated, now, _, nx, ny, nz = settings
+    rx, ry, rz = mean[0] - origin[0], mean[1] - origin[1], mean[2] - origin[2]
+    length = math.sqrt(rx * rx + ry * ry + rz * rz)
+    rx, ry, rz = rx / length, ry / length, rz / length
+    sigma = math.sqrt(variance_along(covariance, rx, ry, rz) / _effective(count, correlated))
+    sure = normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0
+    ax, ay, az = (normal[0], normal[1], normal[2]) if sure else (rx, ry, rz)
+    reach = REACH * sigma
+    steps = min(int(reach / resolution) + 1, MOST_STEPS)
+    stride = reach / steps
+    own, own_covariance = mean, covariance
+    carried, before, merged = NEVER, 0, False
+    fused_mean, fused, other_mean, other = work[2], work[3], work[4], work[5]
+    floor = (FLOOR * resolution) ** 2
+    spread = resolution * resolution / 12.0
+    gate_group = variance_along(covariance, ax, ay, az) / _effective(count, correlated)
+    gate_group += floor + (0.0 if sure else spread)
+    lx, ly, lz = -1, -1, -1
+    scale = 1.0 / resolution
+    for j in range(2 * steps + 1):
+        # Nearest first: 0, -1, 1, -2, 2 ...
+        t = stride * ((j + 1) // 2) * (-1.0 if j % 2 == 1 else 1.0)
+        x = whole((own[0] + t * rx) * scale)
+        y = whole((own[1] + t * ry) * scale)
+        z = whole((own[2] + t * rz) * scale)
+        if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz) or (x == lx and y == ly and z == lz):
+            continue
+        lx, ly, lz = x, y, z
+        record = record_at(store, x, y, z)
+        if record < 0:
+            continue
+        for axis in range(3):
+            other_mean[axis] = store.records[record, axis]
+        for k in range(6):
+            other[k] = store.records[record, 3 + k]
+        dx, dy, dz = other_mean[0] - own[0], other_mean[1] - own[1], other_mean[2] - own[2]
+        off = ax * dx + ay * dy + az * dz
+        beside = dx * dx + dy * dy + dz * dz - off * off
+        # Another voxel's estimate is of the same patch only if it lies before or behind it.
+        if j > 0 and beside > 0.25 * resolution * resolution:
+            continue
+        if off * off > GATE * (gate_group + variance_along(other, ax, ay, az)):
+            continue
+        if store.records[record, SCAN] == now:
+            before = max(before, int(store.records[record, POINTS]))
+        brick = store.index[x >> 3, y >> 3, z >> 3]
+        cell = ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)
+        carried = max(carried, int(store.values[brick, cell]))
+        store.values[brick, cell] = WEAK
+        release_record(store, store.block[brick], cell)
+        if merged:
+            merge(fused_mean, fused, other_mean, other)
+        else:
+            copy(fused_mean, fused, other_mean, other)
+            merged = True
+    # What points of one scan have in common is counted once.
+    worth = _effective(before + count, correlated) - _effective(before, correlated)
+    if worth > 0.0 or not merged:
+        worth = max(worth, 1e-3)
+        for k in range(6):
+            own_covariance[k] /= worth
+        # Which point of the voxel's patch was measured is not known; it lies in the surface.
+        own_covariance[0] += spread * (1.0 - (ax * ax if sure else 0.0))
+        own_covariance[1] -= spread * (ax * ay if sure else 0.0)
+        own_covariance[2] -= spread * (ax * az if sure else 0.0)
+        own_covariance[3] += spread * (1.0 - (ay * ay if sure else 0.0))
+        own_covariance[4] -= spread * (ay * az if sure else 0.0)
+        own_covariance[5] += spread * (1.0 - (az * az if sure else 0.0))
+        if merged:
+            merge(fused_mean, fused, own, own_covariance)
+        else:
+            copy(fused_mean, fused, own, own_covariance)
+    _put_down(store, fused_mean, fused, carried, before, count, settings)
+
+
+@numba.njit(**KERNEL)
+def touch_scan(store: Bricks, scan: Scan, settings: Fusing, first: int) -> int:
+    """Take voxels as occupied where points are in them, unless they are known to be free.
+
+    Estimates stand where a patch has its middle. Voxels of which a slanted surface cuts a corner
+    only would stay open, and views would leak through. Points that are less certain than a voxel
+    is large are left out. To be called after `fuse_scan`, with the same arguments.
+
+    Returns:
+        The row of the image before which room is needed, or the number of rows.
+    """
+    resolution, hit, _, _, _, _, go_on, nx, ny, nz = settings
+    height, width = scan.depth.shape
+    lx, ly, lz = -1, -1, -1
+    for v in range(first, height):
+        if not go_on and not room_left(store, width, 0, 0):
+            return v
+        for u in range(width):
+            if scan.count[v, u] == 0 or scan.sigma[v, u] > TOUCH * resolution:
+                continue
+            scale = 1.0 / (resolution * scan.count[v, u])
+            x, y = whole(scan.place[v, u, 0] * scale), whole(scan.place[v, u, 1] * scale)
+            z = whole(scan.place[v, u, 2] * scale)
+            if x == lx and y == ly and z == lz:
+                continue
+            lx, ly, lz = x, y, z
+            if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz):
+                continue
+            brick = store.index[x >> 3, y >> 3, z >> 3]
+            if brick < NOWHERE:
+                continue
+            if brick < 0 and not room_left(store, 1, 0, 0):
+                store.used[DROPPED] += 1
+                continue
+            brick = dense_brick(store, x >> 3, y >> 3, z >> 3)
+            cell = ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)
+            value = store.values[brick, cell]
+            if value == NEVER or WEAK <= value < hit:
+                store.values[brick, cell] = hit
+    return height
+
+
+@numba.njit(**KERNEL, inline="always")
+def _put_down(
+    store: Bricks,
+    mean: FloatArray,
+    covariance: FloatArray,
+    carried: int,
+    before: int,
+    count: int,
+    settings: Fusing,
+) -> None:
+    """Store an estimate in the voxel where it lies, and let the voxel be hit once a scan."""
+    resolution, hit, lowest, highest, _, now, _, nx, ny, nz = settings
+    scale = 1.0 / resolution
+    x, y, z = whole(mean[0] * scale), whole(mean[1] * scale), whole(mean[2] * scale)
+    if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz):
+        return
+    if not room_left(store, 1, 1, 1):
+        store.used[DROPPED] += 1
+        return
+    brick = dense_brick(store, x >> 3, y >> 3, z >> 3)
+    block = slot_block(store, brick)
+    cell = ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)
+    record = store.slots[block, cell]
+    seen = before > 0
+    if record >= 0:
+        # Two surfaces in a voxel that do not agree: one estimate that is as unsure as both.
+        seen = seen or store.records[record, SCAN] == now
+        k = 0
+        for i in range(3):
+            for j in range(i, 3):
+                apart = (store.records[record, i] - mean[i]) * (store.records[record, j] - mean[j])
+                covariance[k] = (covariance[k] + store.records[record, 3 + k]) / 2.0 + apart / 4.0
+                k += 1
+        for i in range(3):
+            mean[i] = (mean[i] + store.records[record, i]) / 2.0
+    else:
+        record = new_record(store)
+        store.slots[block, cell] = record
+    for axis in range(3):
+        store.records[record, axis] = mean[axis]
+    for k in range(6):
+        store.records[record, 3 + k] = covariance[k]
+    store.records[record, SCAN] = now
+    store.records[record, POINTS] = before + count
+    value = max(int(store.values[brick, cell]), carried)
+    if not seen:
+        value = (0 if value == NEVER else value) + hit
+    store.values[brick, cell] = min(max(value, lowest), highest)

@@ -1,0 +1,84 @@
+"""Pseudo-inverse and Kalman filter: right where A is exact, over-confident where it is measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controllers.identification.arm_motion import MODES
+from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse
+from controllers.identification.parameters import COUNT, LEVER, Prior
+from controllers.identification.regressor import regressor
+from tests.controllers.identification.recorded import ARMS, TRUTH, fit, motion, noisy
+
+
+def test_pseudo_inverse_is_numpys_and_solves_the_normal_equations():
+    generator = np.random.default_rng(0)
+    matrix, right = generator.normal(size=(300, COUNT)), generator.normal(size=300)
+    found = pseudo_inverse(matrix, right)
+    np.testing.assert_allclose(found, np.linalg.pinv(matrix) @ right, rtol=1e-9)
+    np.testing.assert_allclose(found, np.linalg.solve(matrix.T @ matrix, matrix.T @ right))
+
+
+def test_pseudo_inverse_gives_the_least_norm_where_nothing_is_seen():
+    matrix = np.random.default_rng(1).normal(size=(300, COUNT))
+    matrix[:, 5] = 0
+    assert pseudo_inverse(matrix, matrix @ TRUTH)[5] == pytest.approx(0, abs=1e-9)
+
+
+def test_kalman_filter_equals_weighted_least_squares_with_the_same_prior():
+    generator = np.random.default_rng(2)
+    matrix = generator.normal(size=(50, 6, COUNT))
+    sigma = generator.uniform(0.5, 3, 6)
+    right = matrix @ TRUTH + generator.normal(size=(50, 6)) * sigma
+    kalman = KalmanFilter.from_prior(Prior())
+    guess, precision = kalman.estimate.copy(), np.diag(1 / np.diag(kalman.covariance))
+    kalman.update(matrix[:20], right[:20], sigma)
+    kalman.update(matrix[20:], right[20:], sigma)
+    rows = (matrix / sigma[:, None]).reshape(-1, COUNT)
+    information = precision + rows.T @ rows
+    pull = precision @ guess + rows.T @ (right / sigma).ravel()
+    np.testing.assert_allclose(kalman.estimate, np.linalg.solve(information, pull), rtol=1e-6)
+    covariance = np.linalg.inv(information)
+    scale = np.sqrt(np.diag(covariance))
+    error = (kalman.covariance - covariance) / np.outer(scale, scale)
+    assert np.abs(error).max() < 1e-6
+
+
+def test_kalman_filter_starts_where_the_prior_does_and_as_vague():
+    kalman, prior = KalmanFilter.from_prior(Prior()), Prior()
+    sigma = np.sqrt(np.diag(kalman.covariance))
+    assert kalman.estimate[0] == pytest.approx(prior.mass)
+    np.testing.assert_allclose(sigma[LEVER], prior.lever_sigma)
+    # 1.5 in the logarithm: up to 4.5 times the guess.
+    assert sigma[0] == pytest.approx(prior.mass * (np.exp(1.5) - 1))
+    assert np.all(sigma[1:7] == sigma[1])
+
+
+def test_kalman_filter_refuses_another_number_of_columns():
+    with pytest.raises(ValueError, match="expected 22 columns, got 21"):
+        KalmanFilter.from_prior(Prior()).update(np.ones((3, 6, 21)), np.ones((3, 6)), np.ones(6))
+
+
+@pytest.mark.slow
+def test_kalman_filter_is_over_confident_where_a_is_measured_and_ours_is_calibrated():
+    ours, kalmans, errors = [], [], []
+    paths = {mode: motion(mode, windows=3) for mode in MODES}
+    for seed in range(4):
+        outputs, sigma = noisy(seed, windows=3, part=0.2)
+        estimate = fit(outputs, paths, sigma, restarts=0)
+        kalman = KalmanFilter.from_prior(Prior())
+        for mode in MODES:
+            matrix, right = regressor(outputs[mode], ARMS[mode])
+            kalman.update(matrix, right, sigma[18:24])
+        for found, covariance, nees in (
+            (estimate.parameters, estimate.covariance, ours),
+            (kalman.estimate, kalman.covariance, kalmans),
+        ):
+            nees.append(np.mean((found - TRUTH) ** 2 / np.diag(covariance)))
+        errors.append(estimate.chi_square)
+    # 88 squares of standard normals, mostly independent: 0.7 to 1.3 in 95 % of cases.
+    assert 0.5 < np.mean(ours) < 1.5
+    assert np.mean(kalmans) > 10
+    # 17280 measurements vary by 0.7 %.
+    np.testing.assert_allclose(errors, 1, atol=0.03)

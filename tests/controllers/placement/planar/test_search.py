@@ -1,0 +1,165 @@
+"""The search on the plane, against rating every candidate and against closed forms."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from controllers.placement.planar.field import free_cap
+from controllers.placement.planar.hulls import Occluder, expand
+from controllers.placement.planar.kernels import arc_optimum
+from controllers.placement.planar.search import (
+    Candidates,
+    KnownSpace,
+    PlanarTask,
+    best_view,
+    exhaustive_view,
+    place_of,
+    view_from,
+)
+from controllers.placement.task import Exponents, Lens, PlacementError, Target, rate_view
+from experiments.ch4.planar.scenes import random_task
+
+LENS = Lens(0.72, 510, 1.0, 5.0)
+HOLE = Target("hole", [0.0, 0.0], [0.0, 1.0], [[-0.1, 0.0], [0.1, 0.0]])
+FREE = KnownSpace(np.full((240, 240), 0.0), 0.05, (-6.0, -6.0))
+FEW = Candidates(12, 128)
+EVEN = Exponents()
+
+
+def task(occluders=(), space=FREE, exponents=EVEN, targets=(HOLE,)):
+    return PlanarTask(tuple(targets), LENS, tuple(occluders), space, exponents)
+
+
+def wall_at(elevation):
+    """A thick wall whose expanded edge stands at an elevation behind the hole, and goes far."""
+    edge = 0.5 * np.array([math.cos(math.pi - elevation), math.sin(math.pi - elevation)])
+    edge -= [0.1, 0.0]
+    return Occluder("wall", [edge, edge + [-9.0, 0.0], [-9.5, -0.1], [edge[0], -0.1]])
+
+
+def test_wall_behind_the_hole_puts_the_camera_at_60_degrees_and_nearest():
+    """RF ~ sin(phi) min(phi, 2 pi / 3 - phi) has its only peak at phi = pi / 3."""
+    view = best_view(task([wall_at(math.pi / 3)]), Candidates(64, 1000))
+    offset = view.position - HOLE.position
+    assert math.degrees(math.atan2(offset[1], offset[0])) == pytest.approx(60.0, abs=0.01)
+    assert view.distance == pytest.approx(LENS.near)
+    assert view.free_cap == pytest.approx(math.pi / 3, abs=1e-4)
+
+
+def test_nothing_in_the_way_puts_the_camera_head_on_and_nearest():
+    view = best_view(task())
+    np.testing.assert_allclose(view.position, [0.0, 1.0], atol=1e-9)
+    assert view.rating == pytest.approx(1.0 / (LENS.spread * 1.0) * math.pi / 2)
+
+
+@pytest.mark.parametrize("density", [0.05, 0.2, 0.35])
+def test_fast_search_finds_the_best_of_all_candidates(density):
+    for seed in range(8):
+        scene = random_task(density, np.random.default_rng([seed, 7]))
+        every = exhaustive_view(scene, FEW)
+        fast = best_view(scene, FEW, refine=False)
+        assert fast.rating == pytest.approx(every.rating, rel=1e-12)
+        assert best_view(scene, FEW).rating >= every.rating * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize("values", [(1, 1, 0, 1), (1, 0.5, 2, 0), (1, 0, 1, 3), (0, 2, 0.5, 0.5)])
+def test_fast_search_is_exact_under_any_exponents(values):
+    for seed in range(4):
+        scene = random_task(0.2, np.random.default_rng([seed, 8]))
+        scene = dataclasses.replace(scene, exponents=Exponents(*values))
+        every, fast = exhaustive_view(scene, FEW), best_view(scene, FEW, refine=False)
+        assert fast.rating == pytest.approx(every.rating, rel=1e-12)
+
+
+def test_exhaustive_search_is_the_plain_loop_over_equation_4_1():
+    scene = random_task(0.2, np.random.default_rng(5))
+    target, few = scene.targets[0], Candidates(6, 64)
+    hulls, place = expand(scene.occluders, target), place_of(target)
+    best = 0.0
+    for radius in few.distances(scene.lens):
+        for k in range(64):
+            angle = 2.0 * math.pi * k / 64
+            direction = np.array([math.cos(place[2] + angle), math.sin(place[2] + angle)])
+            column, row = np.floor(target.position + radius * direction).astype(int)
+            if not (0 <= row < 100 and 0 <= column < 100):
+                continue
+            cap = free_cap(hulls.points, hulls.starts, place[2], angle, radius)
+            rating = rate_view(
+                radius, cap, float(direction @ target.normal), scene.space.probability[row, column],
+                scene.lens.spread, scene.lens.near, scene.lens.far, 0.0, (1.0, 1.0, 1.0, 1.0),
+            )  # fmt: skip
+            best = max(best, rating if cap > 0.0 else 0.0)
+    assert exhaustive_view(scene, few, ["primary"]).rating == pytest.approx(best, rel=1e-9)
+
+
+def test_optimum_of_an_arc_is_that_of_a_fine_grid():
+    generator = np.random.default_rng(6)
+    for _ in range(50):
+        low, high = np.sort(generator.uniform(-np.pi / 2, np.pi / 2, 2))
+        field, oblique = generator.uniform(0.0, 3.0, 2)
+        angle, value = arc_optimum(low, high, field, oblique)
+        grid = np.linspace(low, high, 5001)[1:-1]
+        values = np.minimum(grid - low, high - grid) ** field * np.cos(grid) ** oblique
+        assert low < angle < high
+        assert value >= values.max() * (1.0 - 1e-9)
+
+
+def test_camera_stands_only_where_the_map_is_free():
+    scene = random_task(0.2, np.random.default_rng(11))
+    view = best_view(scene)
+    column, row = np.floor(view.position).astype(int)
+    assert scene.space.probability[row, column] < 0.05
+    assert view.occupancy == scene.space.probability[row, column]
+
+
+def test_view_from_the_best_place_is_the_best_view():
+    scene = random_task(0.35, np.random.default_rng(12))
+    best = best_view(scene)
+    again = view_from(scene, best.position)
+    assert (again.target, again.rating) == (best.target, pytest.approx(best.rating, rel=1e-6))
+
+
+def test_hidden_primary_target_gives_way_to_the_secondary():
+    lid = Occluder("lid", [[-0.5, 0.2], [0.5, 0.2], [0.5, 0.3], [-0.5, 0.3]])
+    other = Target("mark", [3.0, 0.0], [0.0, 1.0], HOLE.outline, relation_error=0.01)
+    assert best_view(task(targets=(HOLE, other))).target == "hole"
+    assert best_view(task([lid], targets=(HOLE, other))).target == "mark"
+
+
+def test_reason_says_what_hides_the_target():
+    ring = [
+        Occluder(f"block {i}", 0.6 * np.array([math.cos(a), math.sin(a)]) + 0.35 * box)
+        for i, a in enumerate(np.linspace(0.0, math.pi, 7))
+        for box in [np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])]
+    ]
+    with pytest.raises(PlacementError, match=r"'hole': of 1536 poses 50.* behind it, 49.* hidden "
+                                             r"\(most by occluder 'block \d'\), 0 %"):  # fmt: skip
+        best_view(task(ring), FEW)
+
+
+def test_reason_says_what_is_unknown():
+    unknown = KnownSpace(np.full((240, 240), 0.5), 0.05, (-6.0, -6.0))
+    with pytest.raises(PlacementError, match="0 % hidden, 49.* % not known to be free"):
+        best_view(task(space=unknown), FEW)
+
+
+def test_reason_names_the_obstacle_that_covers_the_target():
+    cover = Occluder("rock", [[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    with pytest.raises(PlacementError, match="'hole': occluder 'rock'.* covers it"):
+        best_view(task([cover]))
+
+
+def test_unknown_target_is_refused_with_those_that_there_are():
+    with pytest.raises(ValueError, match="'slot' is unknown: expected one of 'hole'"):
+        best_view(task(), watch=["slot"])
+
+
+def test_impossible_maps_and_candidates_are_refused():
+    with pytest.raises(ValueError, match="numbers from 0 to 1"):
+        KnownSpace(np.array([[np.nan]]), 1.0)
+    with pytest.raises(ValueError, match="directions 3"):
+        Candidates(1, 3)
+    with pytest.raises(ValueError, match="2 are called 'hole'"):
+        task(targets=(HOLE, HOLE))

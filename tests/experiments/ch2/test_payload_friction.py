@@ -1,0 +1,71 @@
+"""The two experiments end to end, and what they say when a sensor is gone."""
+
+import json
+
+import numpy as np
+import pytest
+
+from controllers.identification.observation_log import IdentificationError
+from controllers.identification.payload import PayloadIdentifier
+from experiments.__main__ import main
+from experiments.ch2 import friction as ch2_friction
+from experiments.ch2 import payload as ch2_payload
+from experiments.ch2.known_arm import known_arm
+from experiments.harness.contract import OptionError
+from models.compose import PayloadConfig, RobotPlacement, make_model
+from twin.connect import connect
+from twin.loop import run
+
+BOX = PayloadConfig(0.15, (0.01, 0.0, -0.01))
+
+
+@pytest.mark.slow
+def test_payload_on_the_rover_is_within_the_bars():
+    estimate = ch2_payload.identify(BOX, seed=1)
+    truth = ch2_payload.true_body(BOX)
+    assert estimate.mass == pytest.approx(truth.mass, rel=0.01)
+    np.testing.assert_allclose(estimate.centre, truth.centre, atol=0.003)
+
+
+def test_disconnected_wrench_sensor_is_one_clear_error():
+    arm = known_arm(make_model(ch2_payload.FIELD, [RobotPlacement()]))
+    identifier = PayloadIdentifier("rover1", ch2_payload.payload_config(arm))
+    with connect("sim", field=ch2_payload.FIELD) as connection:
+        assert connection.simulation is not None
+        connection.simulation.robots["rover1"].disconnect_sensor("arm_base_wrench")
+        connection.clock.tick()
+        with pytest.raises(IdentificationError, match="arm_base_wrench, which is missing"):
+            run(connection.robots, [identifier], connection.clock, duration=0.1)
+
+
+def test_friction_is_estimated_where_the_rover_slips():
+    estimate = ch2_friction.probe(0.35, seed=1, effort="hard")
+    assert estimate.slipped
+    assert estimate.friction == pytest.approx(0.35, rel=0.15)
+
+
+def test_friction_is_bounded_where_it_holds():
+    estimate = ch2_friction.probe(0.8, seed=1, effort="gentle")
+    assert not estimate.slipped
+    assert np.isnan(estimate.friction)
+    assert 0.1 < estimate.lower_bound <= 0.8
+
+
+def test_bad_options_are_refused():
+    for module in (ch2_payload, ch2_friction):
+        with pytest.raises(OptionError, match="--robot serial:/dev/x"):
+            module.Options(robot="serial:/dev/x")
+    with pytest.raises(OptionError, match="--duration"):
+        ch2_payload.Options(duration=1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ch2-payload", "ch2-friction"])
+def test_quick_run_writes_everything(name, tmp_path):
+    words = [name, "--quick", "--seeds", "1", "--jobs", "1", "--record"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    folder = tmp_path / name
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["checks"]
+    assert (folder / "run.rrd").stat().st_size > 10_000
+    assert len(list((folder / "figures").glob("*.png"))) == 2

@@ -1,0 +1,122 @@
+"""Stereo mapping end to end: two rovers find the target, build one map, and are scored."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from controllers.mapping.looking import MapperConfig
+from experiments.__main__ import main
+from experiments.ch3.stereo.scene import SceneConfig, StereoScene
+from experiments.ch3.stereo.trial import Trial, map_scene, target_cad
+from experiments.ch3.stereo.truth import mapped_share, surface_errors, true_surface
+from perception.registration.target import find_target
+from perception.voxels.grid import VoxelGrid
+from perception.voxels.map import Surface, VoxelMap
+from perception.voxels.occupancy import State
+
+
+@pytest.fixture(scope="module")
+def scene() -> StereoScene:
+    return StereoScene(SceneConfig(seed=3, texture_pixels=64))
+
+
+@pytest.mark.slow
+def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
+    """One of them sees but two markers at first: it turns to them, and then maps both looks."""
+    scored = map_scene(Trial(1, "information", 2))
+    mapper = scored.mapper
+    assert set(mapper.standings) == {"rover1", "rover2"} and mapper.done
+    assert len(mapper.looks) == len(scored.curve) == 4
+    assert len({(look.robot, look.number) for look in mapper.looks}) == 4
+    cad, sigma = target_cad(scored.scene), np.full(3, 0.1)
+    first = [look.pair for look in mapper.looks if look.number == 0]
+    targets = [find_target(pair, mapper.geometry, cad, sigma) for pair in first]
+    assert sum(target is None for target in targets) == 1
+    shares = [share for _, share, _ in scored.curve]
+    assert np.all(np.diff(shares) >= 0.0) and shares[-1] > 0.1
+    errors, lost = surface_errors(
+        mapper.shared.voxels.surface(),
+        scored.scene,
+        scored.transform_scene_to_map,
+        np.random.default_rng(0),
+    )
+    assert lost < 0.01 and np.mean(errors) < 4.0
+    for look in mapper.looks:
+        assert look.correction is not None
+        true = scored.cameras[look.robot, look.time]
+        told = look.correction.camera.transform_camera_to_world
+        assert np.linalg.norm(told.translation - true.translation) < 0.02
+    # A robot stands where nothing is in its way: the map has its own arm not in it.
+    for standing in mapper.standings.values():
+        arm = standing.arm.body_in_robot(np.zeros((1, 4)))[0]
+        world = standing.transform_level_to_world.apply(arm)
+        assert not np.any(mapper.shared.voxels.states(world) == State.OCCUPIED)
+
+
+@pytest.mark.slow
+def test_rovers_on_emulated_boards_map_as_well():
+    scored = map_scene(Trial(3, "information", 1, robot="emulated"))
+    assert set(scored.mapper.standings) == {"rover1", "rover2"} and scored.mapper.done
+    assert len(scored.curve) == 2 and scored.curve[-1][1] > 0.03
+    for look in scored.mapper.looks:
+        assert look.correction is not None
+        # The pair was taken while the arm was at rest, and the emulator said where the camera was.
+        stamps = [stamp for robot, stamp in scored.cameras if robot == look.robot]
+        true = scored.cameras[look.robot, max(s for s in stamps if s <= look.time)]
+        told = look.correction.camera.transform_camera_to_world
+        assert np.linalg.norm(told.translation - true.translation) < 0.02
+
+
+@pytest.mark.slow
+def test_quick_run_of_the_mapping_writes_everything(tmp_path):
+    words = ["ch3-stereo", "--parts", "mapping", "--quick", "--scans", "1", "--record"]
+    assert main([*words, "--jobs", "1", "--out", str(tmp_path)]) == 0
+    folder = tmp_path / "ch3-stereo"
+    measured = json.loads((folder / "metrics.json").read_text())["measured"]
+    assert measured["surface_ratio/information_over_raster"]["n"] == 1
+    assert measured["nees"] > 0.0
+    names = {path.name for path in (folder / "figures").iterdir()}
+    assert {"figure_3-22.png", "figure_3-25.png", "figure_3-27a.png", "figure_3-27b.png"} <= names
+    assert (folder / "run.rrd").stat().st_size > 100_000
+
+
+@pytest.mark.parametrize(
+    "words, told",
+    [
+        (["--parts", "dreams"], "cooperation"),
+        (["--scans", "0"], "--scans"),
+        (["--parts", "noise", "--record"], "--record"),
+        (["--robot", "dreams"], "available: sim, quantised, emulated"),
+        (["--robot", "emulated", "--parts", "noise"], "add mapping to --parts"),
+    ],
+)
+def test_bad_options_are_told_in_one_line(words, told, capsys):
+    assert main(["ch3-stereo", *words]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_unknown_method_is_told():
+    with pytest.raises(ValueError, match="information, raster, random"):
+        MapperConfig(method="magic")
+
+
+def test_error_of_a_surface_is_its_height_over_its_deviation(scene):
+    """On bare ground, estimates that are 4 mm too high with a deviation of 2 mm."""
+    truth = true_surface(scene, (0.3, 1.5), np.random.default_rng(0))
+    heights = truth[:, 2]
+    ground = truth[np.abs(heights - np.median(heights)) < 1e-6]
+    assert len(ground) > 500
+    means = ground + [0.0, 0.0, 0.004]
+    covariances = np.broadcast_to(np.diag([1.0, 1.0, 0.002**2]), (len(means), 3, 3))
+    surface = Surface(means, covariances, np.ones(len(means)))
+    same = RigidTransform.identity()
+    errors, lost = surface_errors(surface, scene, same, np.random.default_rng(1))
+    # Beside a rock or a block another surface may be nearer.
+    assert np.median(errors) == pytest.approx(4.0, rel=1e-6) and lost < 0.01
+
+
+def test_share_counts_true_surface_with_an_occupied_voxel_nearby():
+    voxels = VoxelMap(VoxelGrid(0.005, (-0.2, -0.2, -0.2), (0.2, 0.2, 0.2)))
+    assert mapped_share(voxels, np.zeros((4, 3))) == (0.0, 0)

@@ -1,0 +1,189 @@
+"""The scene of the insertion is as the thesis has it, and cameras are placed as told."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from controllers.insertion.card_arm import CARD_IN_WRIST
+from controllers.insertion.watcher import Watcher, WatcherConfig
+from controllers.insertion.watching import in_both_images
+from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch5.insertion_identify import rover_springs
+from experiments.ch5.insertion_scene import (
+    MASTER,
+    SLAVE,
+    InsertionScene,
+    begin_with_camera_at,
+    card_in_slot,
+    compile_insertion,
+    contact_force,
+    transform,
+)
+from experiments.ch5.insertion_stand import (
+    FARTHEST,
+    NEAREST,
+    STEEPEST,
+    best_stand,
+    is_clear,
+    random_stand,
+    reference_arm,
+    seen_parts,
+    stand_for,
+    watch_plan,
+)
+from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT, TIP
+from models.compose import ARM_JOINTS, FLAT, RobotPlacement, make_model, settle
+from models.datasheets import CARD_AND_SLOT, ROVER, TABLE_2_2_TRUTH
+from tests.controllers.insertion.scenes import START, WIDTH, arm_at, fresh, true_parts
+from twin.camera import camera_model, camera_pose
+
+WIDTHS = CARD_AND_SLOT.slot_widths
+
+
+@pytest.fixture
+def placed():
+    """Card and slot with their frames made one."""
+    model, data = fresh()
+    return model, data
+
+
+def test_slot_is_upright_and_the_card_goes_in_ahead(placed):
+    model, data = placed
+    slot = transform(data, "slot")
+    np.testing.assert_allclose(slot.translation, [0.0, 0.0, SLOT_HEIGHT], atol=1e-9)
+    # Across is down, ahead is world's y, the faces look along x to the master.
+    np.testing.assert_allclose(slot.rotation.as_matrix(), CARD_AXES, atol=1e-9)
+    np.testing.assert_allclose(slot.rotation.apply([0.0, 0.0, 1.0]), [1.0, 0.0, 0.0], atol=1e-9)
+    assert data.body(f"{MASTER}/chassis").xpos[0] > 0.5
+    assert np.linalg.det(CARD_AXES) == pytest.approx(1.0)
+
+
+def test_card_sits_at_the_wrist_as_the_slave_believes(placed):
+    model, data = placed
+    relative = transform(data, f"{SLAVE}/wrist").inv() * transform(data, f"{SLAVE}/card")
+    np.testing.assert_allclose(relative.translation, [0.0, TIP, 0.0], atol=1e-9)
+    np.testing.assert_allclose(relative.rotation.as_matrix(), CARD_IN_WRIST, atol=1e-9)
+    np.testing.assert_array_equal(CARD_IN_WRIST, CARD_AXES)
+
+
+def test_only_the_master_has_cameras(placed):
+    model, _ = placed
+    names = {model.camera(index).name for index in range(model.ncam)}
+    assert {f"{MASTER}/stereo_left", f"{MASTER}/stereo_right"} <= names
+    assert not any(name.startswith(SLAVE) for name in names)
+
+
+def test_true_pose_of_a_card_in_the_slot(placed):
+    model, data = placed
+    pose = card_in_slot(data)
+    # The slave stands about 0.62 m before the mouth, its card as far ahead as the arm reaches.
+    wrist = data.body(f"{SLAVE}/wrist").xpos
+    tip = wrist + data.body(f"{SLAVE}/card").xmat.reshape(3, 3)[:, 1] * TIP
+    np.testing.assert_allclose(pose[:3], [SLOT_HEIGHT - tip[2], tip[1], tip[0]], atol=1e-9)
+    # Across is down: the slave's yaw to the left is a turn against it.
+    assert pose[4] == pytest.approx(-START[2], abs=5e-3)
+
+
+def test_nothing_touches_a_free_card_and_a_push_is_found(placed):
+    model, data = placed
+    card = model.body(f"{SLAVE}/card").id
+    for push in ([0.0, 0.0, 0.0], [0.0, -3.0, 1.0]):
+        data.xfrc_applied[card, :3] = push
+        mujoco.mj_step(model, data, 400)
+        local = data.body(card).xmat.reshape(3, 3).T @ push
+        np.testing.assert_allclose(contact_force(model, data), local, atol=0.05)
+
+
+def test_masters_camera_begins_where_the_map_says_it_sees_best():
+    stand = best_stand(WIDTH)
+    model = compile_insertion(InsertionScene(WIDTH, START, stand.place, FLAT))
+    before = settle(model, 0.2)
+    parts = true_parts(before)
+    config = WatcherConfig(parts.card, parts.slot, CARD_AND_SLOT.marker_diameter, watch_plan())
+    slot = parts.slot_pose, 1e-6 * np.eye(6)
+    arm, head = reference_arm(), head_geometry()
+    watcher = Watcher(config, arm, head, slot, parts.card_pose, stand.angles)
+    angles = watcher.begin(stand.angles)
+    camera = arm.camera_in_robot(angles[None])
+    assert in_both_images(camera, parts.card_pose.apply(parts.card.points), head, 5.0)[0]
+    begin_with_camera_at(model, angles)
+    after = settle(model, 0.2)
+    for name, angle in zip(ARM_JOINTS, angles, strict=True):
+        assert after.joint(f"{MASTER}/{name}_joint").qpos[0] == pytest.approx(angle, abs=0.03)
+        slave = f"{SLAVE}/{name}_joint"
+        assert after.joint(slave).qpos[0] == pytest.approx(before.joint(slave).qpos[0], abs=1e-6)
+
+
+@pytest.mark.parametrize("width", [0.0, -0.1, math.nan])
+def test_impossible_slot_is_refused(width):
+    scene = InsertionScene(width, START, (1.0, 0.0, 1.5), FLAT)
+    with pytest.raises(ValueError, match="width"):
+        compile_insertion(scene)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_best_stand_puts_all_markers_in_both_images(width):
+    stand = best_stand(width)
+    assert is_clear(stand) and stand.distance >= NEAREST
+    model = make_model(FLAT, [RobotPlacement(MASTER, stand.place[:2], stand.place[2])])
+    data = mujoco.MjData(model)
+    arm_at(model, data, MASTER, stand.angles)
+    for side in ("left", "right"):
+        name = f"{MASTER}/stereo_{side}"
+        camera = camera_model(model, name)
+        rotation, eye = camera_pose(data, model.camera(name).id)
+        # The level scene's ground is that of the model: the chassis stands at its height.
+        eye = eye + [0.0, 0.0, ROVER.centre_height - data.body(f"{MASTER}/chassis").xpos[2]]
+        local = (seen_parts(width).markers() - eye) @ rotation
+        u, v = camera.project(local).T
+        assert np.all(local[:, 2] > 0.0)
+        assert np.all((u > 5) & (u < camera.width - 6) & (v > 5) & (v < camera.height - 6))
+
+
+def test_random_stands_are_reproducible_and_within_bounds():
+    arm, rng = reference_arm(), np.random.default_rng(5)
+    markers = seen_parts(WIDTH).markers()
+    target = 0.5 * (markers.max(axis=0) + markers.min(axis=0))
+    distances, slants = [], []
+    for _ in range(10):
+        stand = random_stand(WIDTH, rng)
+        assert is_clear(stand)
+        limits = arm.limits
+        assert np.all((stand.angles >= limits[:, 0]) & (stand.angles <= limits[:, 1]))
+        assert NEAREST <= stand.distance <= FARTHEST and 0.0 <= stand.slant <= STEEPEST + 1e-9
+        # Where the camera truly is, by the arm on the place.
+        camera = arm.camera_in_robot(stand.angles)
+        x, y, yaw = stand.place
+        c, s = math.cos(yaw), math.sin(yaw)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        place = turn @ camera.translation + [x, y, ROVER.centre_height]
+        assert np.linalg.norm(place - target) == pytest.approx(stand.distance, abs=1e-6)
+        aim = turn @ camera.rotation.apply([0.0, 0.0, 1.0])
+        away = (target - place) / stand.distance
+        assert math.acos(min(aim @ away, 1.0)) < math.radians(25.0)
+        distances.append(stand.distance)
+        slants.append(stand.slant)
+    assert np.ptp(distances) > 0.3 and np.ptp(slants) > 0.4
+    first = random_stand(WIDTH, np.random.default_rng(7))
+    again = random_stand(WIDTH, np.random.default_rng(7))
+    assert first.place == again.place
+    np.testing.assert_array_equal(first.angles, again.angles)
+
+
+def test_place_that_the_arm_cannot_take_is_none():
+    arm = reference_arm()
+    target = np.array([0.0, 0.0, 0.3])
+    assert stand_for(np.array([0.01, 0.0, 0.8]), target, arm) is None  # from above
+    assert stand_for(np.array([0.6, 0.0, 2.0]), target, arm) is None  # too high
+    assert stand_for(np.array([0.6, 0.0, 0.35]), target, arm) is not None
+
+
+def test_springs_are_those_of_table_2_2_and_roll_follows_by_the_track():
+    pitch, roll = rover_springs()
+    assert pitch.stiffness == TABLE_2_2_TRUTH["k_pitch"]
+    ratio = (ROVER.half_track / ROVER.half_wheelbase) ** 2
+    assert roll.stiffness / pitch.stiffness == pytest.approx(ratio)

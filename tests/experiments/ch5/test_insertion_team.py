@@ -1,0 +1,50 @@
+"""The team of the insertion goes on when the master was mistaken."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from controllers.insertion.carrier import Stage
+from controllers.insertion.guidance import Guidance
+from experiments.ch5.insertion_faults import FaultyEyes
+from experiments.ch5.insertion_scene import MASTER, SLAVE
+from experiments.ch5.insertion_setting import InsertionTeam
+from twin.robot import Command, Observation
+
+
+def heard_of(distance: float) -> list[Guidance]:
+    """Return what the slave hears of one look that places the slot so far from the card [m]."""
+    pose = RigidTransform.from_translation([distance, 0.0, 0.0])
+    looks = iter([Guidance(0.0, True, True, pose, np.eye(6) * 1e-6)])
+    heard: list[Guidance] = []
+
+    def act(seen, told):
+        heard.extend(told)
+        return Command()
+
+    watcher = SimpleNamespace(step=lambda seen: (Command(), next(looks, None)))
+    carrier = SimpleNamespace(
+        stage=Stage.APPROACH, config=SimpleNamespace(period=0.01), step=act, stop=None
+    )
+    sensing = SimpleNamespace(
+        step=lambda seen, dt, contact, obstacles: SimpleNamespace(
+            observation=seen, failed=frozenset(), stop=""
+        )
+    )
+    rng = np.random.default_rng(0)
+    team = InsertionTeam(watcher, carrier, sensing, FaultyEyes(None), rng)
+    for tick in range(40):
+        team.step({name: Observation(0.01 * tick) for name in (MASTER, SLAVE)})
+    return heard
+
+
+def test_look_arrives_by_radio():
+    (look,) = heard_of(0.3)
+    np.testing.assert_allclose(look.transform_slot_to_card.translation, [0.3, 0.0, 0.0], atol=2e-5)
+
+
+def test_look_that_no_message_can_tell_is_left_out():
+    assert heard_of(0.8) == []

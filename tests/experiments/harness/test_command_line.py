@@ -1,0 +1,108 @@
+import json
+import subprocess
+import sys
+
+import pytest
+
+from experiments.__main__ import main
+from tests.experiments.harness.tiny import CATALOGUE
+
+
+def call(*words):
+    return main([str(word) for word in words], CATALOGUE)
+
+
+def read(path):
+    return json.loads(path.read_text())
+
+
+def test_process_leaves_all_files_and_status_0(tmp_path):
+    words = ["tiny", "--out", str(tmp_path), "--seeds", "40", "--seed", "3", "--record"]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.experiments.harness.tiny", *words],
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "tiny"
+    metrics = read(folder / "metrics.json")
+    assert set(metrics) == {"measured", "thesis", "checks"}
+    assert metrics["thesis"] == {"error_percent": 18.9}
+    assert set(metrics["measured"]["error_percent"]) == {
+        "median", "mean", "low", "high", "p95", "n"
+    }  # fmt: skip
+    assert [check["ok"] for check in metrics["checks"]] == [False, True]
+    config = read(folder / "config.json")
+    assert config["seed"] == 3 and config["mass"] == 1.0 and config["quick"] is False
+    run = read(folder / "run.json")
+    assert run["wall_time_s"] > 0 and run["cpu"] and run["versions"]["mujoco"]
+    assert (folder / "figures" / "figure_2-4.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "tables" / "table_2-1.csv").read_text().startswith("mass [kg],error [%]\n")
+    assert (folder / "run.rrd").read_bytes() == b"recording"
+    assert not (folder / ".partial").exists()
+    assert "error is small" in done.stdout and "figure_2-4.png" in done.stdout
+
+
+def test_same_seed_gives_same_metrics(tmp_path):
+    texts = []
+    for _ in range(2):
+        assert call("tiny", "--out", tmp_path) == 0
+        texts.append((tmp_path / "tiny" / "metrics.json").read_text())
+    assert texts[0] == texts[1]
+
+
+def test_without_name_experiments_are_listed_without_importing_them(capsys):
+    lazy = [sys.executable, "-m", "experiments"]
+    done = subprocess.run(lazy, check=True, capture_output=True, text=True)
+    for name in ("bench", "doctor", "report"):
+        assert name in done.stdout
+    assert call() == 0
+    assert "a tiny experiment [Table 0]" in capsys.readouterr().out
+    code = "import experiments.__main__, sys; sys.exit('mujoco' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["tiny", "--mass", "-1"], "--mass: -1.0 kg is not positive"),
+        (["tiny", "--mass", "heavy"], "--mass"),
+        (["tiny", "--seeds", "0"], "--seeds: expected at least 1"),
+        (["tiny", "--jobs", "-2"], "--jobs: expected at least 1"),
+        (["tiny", "--seed", "-2"], "--seed: expected 0 or more"),
+        (["tiny", "--sedes", "3"], "--sedes"),
+        (["tiny", "--backend", "slurm"], "slurm"),
+        (["tiny", "--backend", "dask"], "--scheduler"),
+        (["tiny", "--scheduler", "tcp://x:1"], "--backend dask"),
+        (["tiny", "--fault", "file"], "no such file"),
+        (["tinny"], "did you mean tiny?"),
+        (["nothing-like-it"], "there are tiny, doctor, calibrate, report"),
+        (["doctor", "--deep"], "--deep"),
+    ],
+)
+def test_bad_options_give_one_line_and_status_2(words, told, tmp_path, capsys):
+    extra = ["--out", tmp_path] if words[0] == "tiny" else []
+    assert call(*words, *extra) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and error.startswith("error: ") and told in error
+
+
+def test_failure_gives_status_1_and_keeps_the_results_before_it(tmp_path, capsys):
+    assert call("tiny", "--out", tmp_path) == 0
+    before = (tmp_path / "tiny" / "metrics.json").read_text()
+    capsys.readouterr()
+    assert call("tiny", "--out", tmp_path, "--fault", "error") == 1
+    assert capsys.readouterr().err == "error: the wheel fell off\n"
+    assert call("tiny", "--out", tmp_path, "--fault", "bug") == 1
+    error = capsys.readouterr().err
+    assert "Traceback" in error and error.splitlines()[-1].startswith("error: tiny failed: KeyErr")
+    assert call("tiny", "--out", tmp_path, "--fault", "interrupt") == 130
+    assert (tmp_path / "tiny" / "metrics.json").read_text() == before
+
+
+def test_help_tells_units_and_ends_with_status_0(capsys):
+    with pytest.raises(SystemExit) as stop:
+        call("tiny", "--help")
+    assert stop.value.code == 0
+    assert "[kg]" in capsys.readouterr().out

@@ -1,0 +1,94 @@
+"""A tiny experiment, given to the command line by the tests; `python -m` runs it."""
+
+import dataclasses
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from experiments.__main__ import main
+from experiments.harness import contract
+from experiments.harness.contract import Experiment, ExperimentError, OptionError
+from experiments.harness.intervals import distribution
+from experiments.harness.sweep import sweep
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of the tiny experiment.
+
+    Attributes:
+        mass: Payload [kg].
+        fault: What goes wrong.
+        sweep: Number of jobs of a tenth of a second.
+    """
+
+    mass: float = 1.0
+    fault: str = ""
+    sweep: int = 0
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.mass <= 0:
+            raise OptionError(f"--mass: {self.mass} kg is not positive")
+
+
+def draw(config):
+    """Count the call, then draw; the job of the fatal seed fails while its switch is there."""
+    folder = Path(config["folder"])
+    with (folder / "calls").open("a") as stream:
+        stream.write("x")
+    if config["index"] == config["fatal"] and (folder / "fatal").exists():
+        raise ValueError("the job is broken")
+    numbers = np.random.default_rng(config["seed"]).normal(size=(2, 3))
+    return {"numbers": numbers, "sum": float(numbers.sum()), "never": float("inf"), "pair": (1, 2)}
+
+
+def wait_and_draw(config):
+    """Take a while, then draw."""
+    time.sleep(config["seconds"])
+    return {"value": float(np.random.default_rng(config["seed"]).normal())}
+
+
+def run(options, output):
+    if options.fault == "error":
+        raise ExperimentError("the wheel fell off")
+    if options.fault == "bug":
+        raise KeyError("wheel")
+    if options.fault == "file":
+        raise OptionError("--truth x.json: no such file")
+    if options.fault == "interrupt":
+        raise KeyboardInterrupt
+    samples = np.random.default_rng(options.seed).normal(size=options.seeds or 8)
+    output.measure("error_percent", distribution(samples), thesis=18.9)
+    output.measure("plan_ms", np.float64(3.5))
+    output.measure("method", "ours & <theirs>")
+    output.check("error is small", 12.5, "<= 1", False)
+    output.check("plan is quick", 3.5, "<= 75", True)
+    if options.sweep:
+        output.measure("swept", _swept(options, output))
+    figure = Figure()
+    figure.add_subplot().plot([1, 2])
+    output.figure("figure_2-4", figure)
+    output.table("table_2-1", ["mass [kg]", "error [%]"], [[1.0, 2], [options.mass, 3]])
+    output.file("run.rrd").write_bytes(b"recording" if options.record else b"")
+
+
+def _swept(options, output):
+    """Return the draws of a sweep."""
+    configs = [
+        {"seed": seed, "seconds": 0.1} for seed in options.job_seeds(options.sweep, options.sweep)
+    ]
+    return [job["value"] for job in sweep(wait_and_draw, configs, options, output)]
+
+
+CATALOGUE = {
+    "tiny": Experiment("tiny", "a tiny experiment", "Table 0", "tests.experiments.harness.tiny")
+}
+
+if __name__ == "__main__":
+    os.environ["COLUMNS"] = "100"
+    sys.exit(main(experiments=CATALOGUE))

@@ -1,0 +1,218 @@
+"""Maps on disk: nothing is lost, and nothing half written is ever found."""
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from perception.geometry.pinhole import Frustum
+from perception.voxels import files as voxel_files
+from perception.voxels.files import (
+    MESHES,
+    export_mesh,
+    export_points,
+    load,
+    replace_file,
+    save,
+    surface_mesh,
+)
+from perception.voxels.grid import MapError, VoxelGrid
+from perception.voxels.map import VoxelMap, VoxelMapConfig
+from perception.voxels.occupancy import State
+
+VIEW = Frustum(60, 60, 70.0, 70.0, 29.5, 29.5, near=0.1, far=1.5)
+POSE = RigidTransform.from_components([0.0, 0.0, 0.5], Rotation.from_euler("x", np.pi))
+
+
+def step_map(scans=2):
+    """Return a map of ground with a step of 5 cm in it."""
+    grid = VoxelGrid(0.02, (-0.2, -0.2, -0.06), (0.2, 0.2, 0.4))
+    voxels = VoxelMap(grid, VoxelMapConfig(correlated_points=3.0))
+    for index in range(scans):
+        insert(voxels, 0.05 + 0.001 * index)
+    return voxels
+
+
+def insert(voxels, step):
+    rays = VIEW.rays().reshape(-1, 3)
+    depth = np.where(rays[:, 0] > 0.1, 0.495 - step, 0.495)
+    points = POSE.apply(rays * depth[:, None])
+    covariances = np.tile(np.diag([1e-7, 1e-7, 4e-6]), (len(points), 1, 1))
+    voxels.insert(POSE, VIEW, points, covariances)
+
+
+def same(a, b):
+    where = a.grid.centres(np.stack(np.indices(a.grid.shape), axis=-1).reshape(-1, 3))
+    np.testing.assert_array_equal(a.probabilities(where), b.probabilities(where))
+    for name in ("means", "covariances", "probabilities"):
+        np.testing.assert_array_equal(getattr(a.surface(), name), getattr(b.surface(), name))
+
+
+def test_a_loaded_map_is_the_same_and_goes_on_the_same(tmp_path):
+    voxels = step_map()
+    save(voxels, tmp_path / "map.npz")
+    loaded = load(tmp_path / "map.npz")
+    assert (loaded.grid, loaded.config, loaded.scans) == (voxels.grid, voxels.config, 2)
+    same(voxels, loaded)
+    for either in (voxels, loaded):
+        insert(either, 0.09)
+        insert(either, 0.02)
+    same(voxels, loaded)
+
+
+def test_an_empty_map_survives(tmp_path):
+    voxels = step_map(scans=0)
+    save(voxels, tmp_path / "map.npz")
+    assert load(tmp_path / "map.npz").counts() == voxels.counts()
+
+
+def test_a_crash_while_saving_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "map.npz"
+    save(step_map(), path)
+    old = path.read_bytes()
+
+    def crash(stream, **arrays):
+        stream.write(b"half of it")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(voxel_files.np, "savez", crash)
+    with pytest.raises(KeyboardInterrupt):
+        save(step_map(scans=1), path)
+    assert path.read_bytes() == old
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_is_put_in_place_only_when_it_is_on_the_disk(tmp_path, monkeypatch):
+    calls = []
+    real_sync, real_replace = voxel_files.os.fsync, voxel_files.os.replace
+    monkeypatch.setattr(voxel_files.os, "fsync", lambda f: (calls.append("sync"), real_sync(f)))
+    monkeypatch.setattr(
+        voxel_files.os, "replace", lambda a, b: (calls.append("replace"), real_replace(a, b))
+    )
+    replace_file(tmp_path / "x", lambda stream: stream.write(b"abc"))
+    assert calls == ["sync", "replace", "sync"]
+    assert (tmp_path / "x").read_bytes() == b"abc"
+
+
+def test_a_file_may_be_read_by_whoever_may_read_others(tmp_path):
+    (tmp_path / "other").write_bytes(b"abc")
+    replace_file(tmp_path / "x", lambda stream: stream.write(b"abc"))
+    assert (tmp_path / "x").stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
+def test_a_truncated_file_is_refused(tmp_path, share):
+    path = tmp_path / "map.npz"
+    save(step_map(), path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(MapError, match="map.npz: no voxel map"):
+        load(path)
+
+
+def test_flipped_bytes_are_refused_or_harmless(tmp_path):
+    path = tmp_path / "map.npz"
+    save(step_map(), path)
+    whole = bytearray(path.read_bytes())
+    generator = np.random.default_rng(1)
+    for position in generator.integers(0, len(whole), 60):
+        damaged = whole.copy()
+        damaged[position] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            load(path).surface()
+        except MapError as error:
+            assert "map.npz" in str(error)
+
+
+@pytest.mark.parametrize("offset", [6, 8, 10])  # Version needed, flags and method of an entry.
+def test_flipped_bytes_of_the_archives_directory_are_refused(tmp_path, offset):
+    path = tmp_path / "map.npz"
+    save(step_map(scans=0), path)
+    damaged = bytearray(path.read_bytes())
+    damaged[damaged.index(b"PK\x01\x02") + offset] ^= 0xFF
+    path.write_bytes(damaged)
+    with pytest.raises(MapError, match="map.npz: no voxel map"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"version": np.array(99)}, "version 99, this program reads 1"),
+        ({"format": np.array("another")}, "no voxel map"),
+        ({"values": np.zeros((3, 5), dtype=np.int8)}, "damaged voxel map: values"),
+        ({"used": np.array([1, 1, 1, 0, 0, 0])}, "damaged"),
+        ({"grid": np.full(7, np.nan)}, "damaged"),
+        ({"model": np.array([0.1, 0.9, 0.1, 0.9, 0.5])}, "damaged"),
+    ],
+)
+def test_a_file_that_is_no_such_map_is_refused(tmp_path, change, named):
+    path = tmp_path / "map.npz"
+    save(step_map(), path)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    np.savez(path, **(arrays | change))
+    with pytest.raises(MapError, match=named):
+        load(path)
+
+
+def test_references_to_nothing_are_refused(tmp_path):
+    path = tmp_path / "map.npz"
+    save(step_map(), path)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file.files}
+    for name in ("index", "slots", "block"):
+        for wrong in (10**6, 0):
+            damaged = arrays[name].copy()
+            damaged[damaged >= 0] = wrong
+            np.savez(path, **(arrays | {name: damaged}))
+            with pytest.raises(MapError, match="points at nothing"):
+                load(path)
+
+
+def test_a_pickle_is_not_executed(tmp_path):
+    path = tmp_path / "map.npz"
+    np.savez(path, format=np.array([{"a": 1}], dtype=object), version=np.array(1))
+    with pytest.raises(MapError, match="no voxel map"):
+        load(path)
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path / "missing.npz")
+
+
+def test_exported_points_are_read_back_by_trimesh(tmp_path):
+    voxels = step_map()
+    count = export_points(voxels, tmp_path / "map.ply")
+    surface = voxels.surface()
+    cloud = trimesh.load(tmp_path / "map.ply")
+    assert count == len(surface.means) == len(cloud.vertices)
+    np.testing.assert_allclose(cloud.vertices, surface.means, atol=1e-6)
+    red = np.asarray(cloud.colors)[:, 0]
+    np.testing.assert_allclose(red, 255 * (2 * surface.probabilities - 1).clip(0), atol=1.0)
+    assert export_points(step_map(scans=0), tmp_path / "empty.ply") == 0
+    assert b"element vertex 0" in (tmp_path / "empty.ply").read_bytes()
+
+
+def test_the_exported_mesh_encloses_the_occupied_voxels(tmp_path):
+    voxels = step_map()
+    export_mesh(voxels, tmp_path / "map.stl")
+    mesh = trimesh.load(tmp_path / "map.stl")
+    occupied = voxels.counts()[State.OCCUPIED]
+    assert mesh.volume == pytest.approx(occupied * voxels.grid.resolution**3, rel=1e-4)
+    lower, upper = surface_mesh(voxels).bounds
+    centres = voxels.grid.centres(voxels.occupied_cells()[0])
+    half = voxels.grid.resolution / 2
+    np.testing.assert_allclose([lower, upper], [centres.min(0) - half, centres.max(0) + half])
+    with pytest.raises(MapError, match="nothing is occupied"):
+        export_mesh(step_map(scans=0), tmp_path / "none.stl")
+
+
+def test_a_mesh_is_written_as_its_ending_says_and_no_other_ending_is_taken(tmp_path, monkeypatch):
+    box = trimesh.creation.box()
+    monkeypatch.setattr(voxel_files, "surface_mesh", lambda voxels: box)
+    for kind in MESHES:
+        assert export_mesh(step_map(scans=0), tmp_path / f"map.{kind}") == len(box.faces)
+        assert len(trimesh.load(tmp_path / f"map.{kind}", force="mesh").faces) == len(box.faces)
+    for name in ("map.step", "map"):
+        with pytest.raises(MapError, match=r"end in one of \.ply, \.stl, \.obj, \.glb"):
+            export_mesh(step_map(scans=0), tmp_path / name)

@@ -1,0 +1,162 @@
+"""Stereo pairs of an emulator's own scene, on their way to a robot in another process."""
+
+import dataclasses
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from models.clutter import PanelConfig, PanelMarker
+from models.compose import FieldConfig, PayloadConfig, RobotPlacement
+from twin.camera import StereoConfig
+from twin.connect import connect
+from twin.hardware.cameras.camera import StereoCapture
+from twin.hardware.cameras.frames import FrameReader, FrameWriter
+from twin.hardware.emulator.process import EmulatorProcess
+from twin.hardware.emulator.scene import SceneConfig
+from twin.hardware.link import LinkError
+from twin.robot import ArmMode, Command, Lifecycle, RobotError
+
+ROBOT = "rover1"
+FIELD = FieldConfig(texture_pixels=64)
+
+
+def pairs(target, cycles, turn=0.0, **options):
+    """What a robot saw in each cycle while its arm turned, and the stamps."""
+    seen = []
+    with connect(target, field=FIELD, seed=3, **options) as link:
+        robot = link.robots[ROBOT]
+        robot.activate()
+        start = robot.observe().arm_angles.value.copy()
+        for cycle in range(cycles):
+            seen.append(robot.observe().stereo)
+            goal = start + turn * cycle * np.array([1.0, 0.0, 0.0, 0.0])
+            robot.command(Command(arm=goal, arm_mode=ArmMode.POSITION))
+            link.clock.tick()
+    return seen
+
+
+def test_emulated_robot_sees_the_quantised_one_s_pairs_bit_for_bit_and_the_simulation_s_first():
+    """Noise included. Later pairs of the simulation differ: its motors get finer voltages."""
+    stereo = StereoConfig(rate=4.0)
+    emulated, quantised, plain = (
+        pairs(target, 30, 0.005, stereo=stereo) for target in ("emulated", "quantised", "sim")
+    )
+    np.testing.assert_array_equal(emulated[0].value, plain[0].value)
+    assert [pair.stamp for pair in emulated] == [pair.stamp for pair in plain]
+    assert len({pair.stamp for pair in emulated}) == 2
+    for one, other in zip(emulated, quantised, strict=True):
+        assert one.stamp == other.stamp and one.validity is other.validity
+        np.testing.assert_array_equal(one.value, other.value)
+    assert np.any(emulated[0].value != emulated[-1].value)
+
+
+def test_pair_of_slow_cameras_is_good_until_two_more_should_have_come():
+    seen = pairs("quantised", 130, stereo=StereoConfig(rate=0.8))
+    assert all(pair.usable for pair in seen) and len({pair.stamp for pair in seen}) == 2
+
+
+@pytest.mark.slow
+def test_camera_that_is_frozen_or_unplugged_stops_the_robot_with_one_clear_error():
+    faults = {
+        "camera_frozen": r"'rover1' is error, not active: stereo is stale$",
+        "camera_unplugged": r"stale \(.*rover1.frames: no more images; is it plugged in\?\)$",
+    }
+    with connect("emulated", field=FIELD, stereo=StereoConfig(rate=2.0)) as link:
+        robot = link.robots[ROBOT]
+        for fault, told in faults.items():
+            robot.activate()
+            last = robot.observe().stereo.stamp
+            link.emulator.inject(ROBOT, fault, 1.5)
+            with pytest.raises(RobotError, match=told):
+                for _ in range(200):
+                    robot.observe()
+                    robot.command(Command())
+                    link.clock.tick()
+            assert link.clock.time - last == pytest.approx(1.01, abs=0.02)
+            assert robot.lifecycle is Lifecycle.ERROR
+            while link.clock.time < last + 2.05:
+                link.clock.tick()
+            assert robot.observe().stereo.stamp == pytest.approx(last + 2.0)
+
+
+def test_scene_is_the_same_after_its_way_into_another_process():
+    panel = PanelConfig((0.1, 0.2), 0.3, markers=(PanelMarker(0.0, 0.01),))
+    scene = SceneConfig(
+        (RobotPlacement("a", (0.1 / 3.0, 1.0), payload=PayloadConfig(0.2)), RobotPlacement("b")),
+        FieldConfig(panel=panel, rocks=3),
+        stereo=StereoConfig(0.5, None, (0.1, 0.0, 0.0, 0.0, 0.0)),
+    )
+    assert SceneConfig.from_json(scene.to_json()) == scene
+    plain = dataclasses.replace(scene, stereo=None, field=FieldConfig())
+    assert SceneConfig.from_json(plain.to_json()) == plain
+
+
+def test_emulator_renders_no_pairs_in_real_time():
+    with pytest.raises(ValueError, match="in real time renders no stereo pairs"):
+        EmulatorProcess(SceneConfig(stereo=StereoConfig()), realtime=True)
+
+
+def test_capture_reads_the_newest_pair_on_either_clock(tmp_path):
+    writer = FrameWriter(tmp_path / "rover1.frames", 3, 4)
+    by_scene = StereoCapture(tmp_path / "rover1.frames", scene_time=True)
+    by_wall = StereoCapture(str(tmp_path / "rover1.frames"))
+    assert by_scene.read(0.0) is None
+    for level in (10, 20, 30):
+        writer.write(np.full((2, 3, 4), level, np.uint8), 0.1 * level)
+    frame = by_scene.read(3.0)
+    assert frame.stamp == 0.1 * 30 and np.all(frame.images == 30)
+    assert by_scene.statistics.skipped == 2 and by_scene.read(3.0) is None
+    with pytest.raises(ValueError):
+        frame.images[0, 0, 0] = 1
+    offset = 100.0 - time.monotonic()
+    assert by_wall.read(time.monotonic() + offset).stamp == pytest.approx(100.0, abs=0.3)
+    writer.unplug()
+    with pytest.raises(LinkError, match=r"rover1.frames: no more images"):
+        by_scene.read(3.1)
+    writer.unplug(False)
+    writer.write(np.zeros((2, 3, 4), np.uint8), 3.2)
+    assert by_scene.read(3.2).stamp == 3.2
+
+
+def test_pair_is_never_read_half_written(tmp_path):
+    writer = FrameWriter(tmp_path / "a.frames", 200, 300)
+    reader = FrameReader(tmp_path / "a.frames")
+    over = threading.Event()
+
+    def write():
+        level = 0
+        while not over.is_set():
+            level = (level + 1) % 256
+            writer.write(np.full((2, 200, 300), level, np.uint8), float(level))
+            time.sleep(0.0002)
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    try:
+        found, latest = [], time.monotonic() + 5.0
+        while len(found) < 50 and time.monotonic() < latest:
+            taken = reader.newest()
+            found += [] if taken is None else [taken]
+    finally:
+        over.set()
+        thread.join()
+    assert len(found) == 50
+    for taken in found:
+        assert taken.images.min() == taken.images.max() == taken.stamp
+
+
+def len_of(content):
+    return "none" if content is None else f"{len(content)} bytes"
+
+
+@pytest.mark.parametrize(
+    "content", [None, b"", b"short", bytes(99), b"FTFRAMES" + bytes([1] * 92)], ids=len_of
+)
+def test_file_that_is_no_emulator_s_is_named(content, tmp_path):
+    path = tmp_path / "other.frames"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LinkError, match=r"other.frames: (cannot be opened|no stereo pairs)"):
+        StereoCapture(path)

@@ -1,0 +1,385 @@
+import select
+import socket
+import time
+
+import numpy as np
+import pynetft
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.twin.hardware.serving import Served
+from twin.hardware.emulator.net_ft import NetFT
+from twin.hardware.force_torque import net_ft as ft
+from twin.hardware.force_torque.net_ft import NetForceTorque, Record
+from twin.hardware.link import LinkError
+
+FAULTS = ("lose", "twice", "late", "swap", "stranger", "cut", "join", "no_request")
+WORST_CALL = 0.015  # [s] Three times the deadline.
+STALL = 0.5  # [s] A busy machine may stop a call for a while; a client that hangs takes longer.
+U32 = st.integers(0, 2**32 - 1)
+I32 = st.integers(-(2**31), 2**31 - 1)
+
+
+class Server(Served):
+    """Serves a sensor on the loopback interface, and damages what passes at a given rate."""
+
+    def __init__(self, sensor, rng=None, rate=0.0, kinds=FAULTS):
+        self.sensor, self.rate, self.kinds = sensor, rate, kinds
+        self.rng = rng or np.random.default_rng(0)
+        self.faults = dict.fromkeys(kinds, 0)
+        self.socket, self.stranger = (socket.socket(type=socket.SOCK_DGRAM) for _ in range(2))
+        for made in (self.socket, self.stranger):
+            made.bind(("127.0.0.1", 0))
+        self.port = self.socket.getsockname()[1]
+        self.last_address = None
+        self._held = []  # (due, datagram, address)
+        self._swapped = None
+        super().__init__()
+
+    def close(self):
+        self.socket.close()
+        self.stranger.close()
+
+    def serve(self):
+        ready, _, _ = select.select([self.socket], [], [], 0.001)
+        now = time.monotonic()
+        out = []
+        if ready:
+            try:
+                data, self.last_address = self.socket.recvfrom(2048)
+            except OSError:  # A client has given its port up.
+                return
+            if not self._strikes(("no_request",)):
+                answers = self.sensor.answer(data, self.last_address, now)
+                out += [(answer, self.last_address) for answer in answers]
+        out += self.sensor.due(now)
+        for datagram, address in out:
+            self._send(datagram, address, now)
+        for entry in [entry for entry in self._held if entry[0] <= now]:
+            self._held.remove(entry)
+            self._put(entry[1], entry[2])
+
+    def _strikes(self, kinds):
+        kind = str(self.rng.choice(self.kinds)) if self.rng.random() < self.rate else ""
+        if kind not in kinds:
+            return ""
+        self.faults[kind] += 1
+        return kind
+
+    def _put(self, datagram, address, sender=None):
+        try:
+            (sender or self.socket).sendto(datagram, address)
+        except OSError:
+            pass
+
+    def _send(self, datagram, address, now):
+        kind = self._strikes(set(self.kinds) - {"no_request"})
+        if kind == "lose":
+            return
+        if kind == "late":
+            self._held.append((now + float(self.rng.uniform(0.001, 0.04)), datagram, address))
+            return
+        if kind == "swap":  # Kept until after the next one, whoever that is for.
+            self._swapped = (datagram, address)
+            return
+        if kind == "stranger":
+            lie = ft.encode_record(Record(1, 2**31, 0, (9,) * 6))
+            self._put(lie, address, self.stranger)
+        sent = {"cut": datagram[:-1], "join": datagram * 2}.get(kind, datagram)
+        for _ in range(2 if kind == "twice" else 1):
+            self._put(sent, address)
+        if self._swapped is not None:
+            self._put(*self._swapped)
+            self._swapped = None
+
+
+class Load:
+    """Counts that a test sets."""
+
+    def __init__(self):
+        self.counts = (1_000_000, -2_000_000, 3_000_000, 4000, -5000, 6000)
+
+    def __call__(self):
+        return self.counts
+
+
+@pytest.fixture
+def load():
+    return Load()
+
+
+def client_of(server, **changes):
+    patient = {"deadline": 0.1, **changes}  # A busy machine must not lose a value.
+    return NetForceTorque("127.0.0.1", 1e6, 1e3, port=server.port, **patient)
+
+
+def test_reading_is_in_newton_and_newton_metre_and_in_the_sensors_axes(load):
+    with Server(NetFT(load)) as server:
+        client = client_of(server)
+        first = client.read()
+        np.testing.assert_allclose(first.wrench, [1, -2, 3, 4, -5, 6], rtol=1e-15)
+        assert first.status == 0
+        time.sleep(0.01)
+        second = client.read()
+        assert ft.advance(second.sequence, first.sequence) >= 70
+        client.close()
+
+
+def test_bias_is_set_only_when_asked_for(load):
+    with Server(NetFT(load)) as server:
+        client = client_of(server)
+        assert np.all(client.read().wrench != 0.0)
+        client.set_bias()
+        time.sleep(0.001)
+        assert np.all(client.read().wrench == 0.0)
+        load.counts = (1_000_001, -2_000_000, 3_000_000, 4000, -5000, 6000)
+        time.sleep(0.001)
+        assert client.read().wrench[0] == pytest.approx(1e-6)
+        client.close()
+
+
+def test_sample_of_the_last_reading_is_refused_as_repeated(load):
+    sensor = NetFT(load)
+    honest, sensor.answer = sensor.answer, lambda data, address, now: honest(data, address, 5.0)
+    with Server(sensor) as server:
+        client = client_of(server)
+        assert client.read().sequence == 35_000
+        assert client.read() is None
+        assert client.statistics.repeated >= 1 and client.statistics.unanswered == 1
+        client.close()
+
+
+def test_restart_of_the_sensor_is_refused_until_resynchronised(load):
+    sensor = NetFT(load)
+    with Server(sensor) as server:
+        client = client_of(server)
+        client.set_bias()
+        assert client.read() is not None
+        sensor.power_cycle(time.monotonic())
+        assert [client.read() for _ in range(3)] == [None] * 3
+        assert client.statistics.restarts >= 1
+        client.resynchronise()
+        assert client.read().wrench[0] == 1.0
+        client.close()
+
+
+def test_sample_number_may_wrap(load):
+    sensor = NetFT(load, rate=2.0**32 / 1000.0)
+    with Server(sensor) as server:
+        client = client_of(server)
+        start = time.monotonic()
+        sensor._started = start - 999.95
+        sequences = []
+        while time.monotonic() < start + 0.1:
+            sequences.append(client.read().sequence)
+        assert max(sequences) > 2**32 - 2**28 and sequences[-1] < 2**28
+        client.close()
+
+
+def test_serious_status_is_refused_and_said_and_a_latched_threshold_is_not(load):
+    sensor = NetFT(load)
+    with Server(sensor) as server:
+        client = client_of(server)
+        sensor.status = 0x80020000
+        assert client.read() is None
+        assert client.statistics.serious == 1
+        assert ft.describe_status(client.statistics.last_status) == "saturated or converter failed"
+        sensor.status = ft.MONITOR_LATCHED
+        assert client.read().status == ft.MONITOR_LATCHED
+        client._send(ft.RESET_LATCH, 0)
+        time.sleep(0.001)
+        assert client.read().status == 0
+        client.close()
+    assert ft.describe_status(0) == "sound"
+    assert ft.describe_status(1 << 31) == "unnamed error"
+
+
+def test_absent_sensor_is_missing_within_the_deadline():
+    free = socket.socket(type=socket.SOCK_DGRAM)
+    free.bind(("127.0.0.1", 0))
+    port = free.getsockname()[1]
+    for closed in (False, True):
+        if closed:
+            free.close()
+        client = NetForceTorque("127.0.0.1", 1.0, 1.0, port=port)
+        start = time.monotonic()
+        assert [client.read() for _ in range(5)] == [None] * 5
+        assert time.monotonic() - start < STALL
+        assert (client.statistics.socket_errors > 0) is closed
+        client.close()
+
+
+def test_flood_of_datagrams_cannot_hold_a_call(load):
+    with Server(NetFT(load)) as server:
+        client = client_of(server)
+        assert client.read() is not None
+        for size in (36, 7, 2000):
+            for _ in range(200):
+                server.socket.sendto(bytes(size), server.last_address)
+            start = time.monotonic()
+            client.read()
+            assert time.monotonic() - start < STALL
+        assert client.statistics.drained > 0
+        assert client.read() is not None
+        client.close()
+
+
+def test_late_answer_reaches_nobody(load):
+    sensor = NetFT(load)
+    with Server(sensor) as server:
+        client = client_of(server)
+        assert client.read() is not None
+        honest, sensor.answer = sensor.answer, lambda *_: []
+        assert client.read() is None
+        old_port = server.last_address
+        sensor.answer = honest
+        # Newer than the last accepted sample, but an answer to an earlier call.
+        late = sensor.answer(ft.encode_request(ft.START_REALTIME, 1), old_port, time.monotonic())
+        server.socket.sendto(late[0], old_port)
+        load.counts = (0,) * 6
+        time.sleep(0.001)
+        assert np.all(client.read().wrench == 0.0)
+        client.close()
+
+
+def faulted_reads(load, calls, rate, seed):
+    """Reads on a damaged network; the load jumps before each, so a stale reading is a wrong one."""
+    rng = np.random.default_rng(seed)
+    wrong, durations = 0, []
+    with Server(NetFT(load), np.random.default_rng(seed + 1)) as server:
+        client = client_of(server, deadline=0.005)
+        server.rate = rate
+        last = -1
+        for _ in range(calls):
+            load.counts = tuple(int(n) for n in rng.integers(-(10**6), 10**6, 6))
+            start = time.monotonic()
+            reading = client.read()
+            durations.append(time.monotonic() - start)
+            if reading is not None:
+                expected = np.array(load.counts) / np.repeat([1e6, 1e3], 3)
+                wrong += not np.allclose(reading.wrench, expected, rtol=1e-12, atol=0.0)
+                wrong += reading.sequence <= last
+                last = reading.sequence
+        client.close()
+    return client.statistics, wrong, np.array(durations), server.faults
+
+
+@pytest.mark.parametrize("rate", [0.03, 0.3])
+def test_damaged_network_gives_no_wrong_and_no_stale_reading(load, rate):
+    statistics, wrong, durations, faults = faulted_reads(load, 600, rate, 7)
+    assert wrong == 0
+    assert sum(faults.values()) > 0.3 * rate * 600
+    assert np.percentile(durations, 99) < WORST_CALL and durations.max() < STALL
+    assert statistics.readings > 300
+
+
+CALIBRATION = pynetft.Calibration(
+    1e6, 1e3, pynetft.ForceUnit.NEWTON, pynetft.TorqueUnit.NEWTON_METER
+)
+
+
+def pynetft_of(server, **changes):
+    config = pynetft.Config(
+        sensor_host="127.0.0.1",
+        rdt_port=server.port,
+        calibration_override=CALIBRATION,
+        **changes,
+    )
+    return pynetft.Client(config)
+
+
+def test_pynetft_streams_from_the_emulated_sensor_and_agrees(load):
+    sensor = NetFT(load, output_rate=1000.0)
+    with Server(sensor) as server, pynetft_of(server) as theirs:
+        samples = theirs.samples(timeout=2.0)
+        first = next(samples)
+        assert first.raw_wrench == load.counts
+        assert first.wrench == (1.0, -2.0, 3.0, 4.0, -5.0, 6.0)
+        assert first.status == 0
+        sequences = [next(samples) for _ in range(30)]
+        ahead = sequences[-1].ft_sequence - sequences[0].ft_sequence
+        assert ahead == 7 * (sequences[-1].rdt_sequence - sequences[0].rdt_sequence)
+        for extreme in (2**31 - 1, -(2**31), 0, 1, -1):
+            load.counts = (extreme, 0, 0, 0, 0, extreme)
+            time.sleep(0.03)
+            next(samples)  # It may have been waiting since before.
+            assert next(samples).raw_wrench == load.counts
+        load.counts = (5, 6, 7, 8, 9, 10)
+        theirs.bias()
+        time.sleep(0.05)
+        next(samples)
+        assert next(samples).raw_wrench == (0,) * 6
+        assert theirs.health().lost_count == theirs.health().malformed_count == 0
+
+
+def test_buffered_stream_carries_records_in_order_and_ends_with_its_count(load):
+    sensor = NetFT(load, rate=7000.0, output_rate=1000.0, buffer=4)
+    datagrams = sensor.answer(ft.encode_request(ft.START_BUFFERED, 10), "host", 0.0)
+    for k in range(1, 30):
+        datagrams += [datagram for datagram, _ in sensor.due(k * 1e-3 + 1e-9)]
+    assert [len(datagram) // 36 for datagram in datagrams] == [4, 4, 2]
+    whole = b"".join(datagrams)
+    records = [ft.decode_record(whole[i : i + 36]) for i in range(0, len(whole), 36)]
+    assert [record.rdt_sequence for record in records] == list(range(1, 11))
+    steps = np.diff([record.ft_sequence for record in records])
+    np.testing.assert_allclose(steps, 7, atol=1)
+
+
+def test_stream_stops_when_told_and_never_bursts(load):
+    sensor = NetFT(load)
+    sensor.answer(ft.encode_request(ft.START_REALTIME, 0), "host", 0.0)
+    assert len(sensor.due(100.0)) <= 101
+    sensor.answer(ft.encode_request(ft.STOP, 0), "host", 100.0)
+    assert sensor.due(101.0) == []
+
+
+@given(U32, U32, U32, st.tuples(*[I32] * 6))
+def test_records_are_read_back(rdt, sample, status, counts):
+    record = Record(rdt, sample, status, counts)
+    assert ft.decode_record(ft.encode_record(record)) == record
+
+
+@given(st.integers(0, 2**16 - 1), U32)
+def test_requests_are_read_back(command, samples):
+    assert ft.decode_request(ft.encode_request(command, samples)) == (command, samples)
+
+
+@given(U32, st.integers(-(2**31), 2**31 - 1))
+def test_advance_is_modular(last, step):
+    assert ft.advance((last + step) % 2**32, last) == step
+
+
+def test_a_million_random_bytes_raise_nothing():
+    rng = np.random.default_rng(3)
+    sensor = NetFT(lambda: (0,) * 6)
+    done = 0
+    while done < 1_000_000:
+        size = int(rng.choice([0, 7, 8, 35, 36, 37, 1400]))
+        data = rng.bytes(size)
+        done += size
+        record = ft.decode_record(data)
+        assert (record is not None) == (size == 36)
+        ft.decode_request(data)
+        sensor.answer(data, "host", 0.0)
+        sensor.answer(b"\x12\x34" + data[:6], "host", done * 1e-6)
+    assert len(sensor._pending) < 40 * 36
+
+
+def raises(error):
+    def fail(*_):
+        raise error
+
+    return fail
+
+
+def test_unusable_arguments_are_named(monkeypatch):
+    with pytest.raises(ValueError, match="must be positive"):
+        NetForceTorque("127.0.0.1", 0.0, 1.0)
+    with monkeypatch.context() as patch, pytest.raises(LinkError, match="nowhere: unknown"):
+        patch.setattr(socket, "getaddrinfo", raises(socket.gaierror("unknown")))
+        NetForceTorque("nowhere", 1.0, 1.0)
+    with pytest.raises(ValueError, match="does not fit"):
+        ft.encode_request(70_000, 0)
+    with pytest.raises(ValueError, match="does not fit"):
+        ft.encode_record(Record(1, 1, 0, (2**31,) * 6))

@@ -1,0 +1,104 @@
+"""The emulated modems: pace, delay and errors, in virtual time and on real ports."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from twin.hardware.emulator.modem import Line, ModemConfig, PtyModems, VirtualModems
+from twin.hardware.link import LinkError, SerialLink
+from twin.hardware.radio.channel import SerialChannel
+from twin.hardware.radio.framed_radio import FramedLink
+from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
+
+pytestmark = pytest.mark.virtual_time
+
+
+def test_modem_paces_delays_and_hits_as_it_is_told():
+    line = Line(ModemConfig(delay=0.01), np.random.default_rng(0))
+    line.put(bytes(96), 1.0)
+    assert line.next_arrival() == pytest.approx(1.0 + 1 / 960 + 0.01)
+    assert len(line.take(1.06)) == 48
+    assert len(line.take(1.1101)) == 48
+    line.put(bytes(2000), 2.0)
+    assert line.overflow == 2000 - 1024
+    for kinds, expected in (((1, 0, 0), 1.0), ((0, 1, 0), 0.99), ((0, 0, 1), 1.01)):
+        flip, loss, insertion = kinds
+        config = ModemConfig(
+            error_rate=0.01, flip=flip, loss=loss, insertion=insertion, buffer=10**6
+        )
+        line = Line(config, np.random.default_rng(1))
+        line.put(bytes(100_000), 0.0)
+        assert line.hits == pytest.approx(1000, abs=120)
+        assert len(line.take(math.inf)) == pytest.approx(expected * 1e5, abs=150)
+
+
+def exchange(links, now, wait, messages):
+    """Send messages one after another; return what arrived, what was told and how long it took."""
+    begin, got, told = now(), [], []
+    for message in messages:
+        links[0].send(message)
+        done = False
+        while not done:
+            polled = links[0].poll()
+            told += [outcome.confirmed for outcome in polled.outcomes]
+            got += links[1].poll().messages
+            done = bool(polled.outcomes)
+            if not done:
+                wait()
+    end = now()
+    for _ in range(20):
+        wait()
+        got += links[1].poll().messages
+    return got, told, end - begin
+
+
+def make_links(kind, ends):
+    if kind == "framed":
+        return [FramedLink(end, np.random.default_rng(i)) for i, end in enumerate(ends)]
+    config = HandshakeConfig(send_within=0.4, receive_within=0.35)
+    return [HandshakeLink(end, config) for end in ends]
+
+
+def exchange_over_ports(kind, config, seed, messages):
+    with PtyModems(config, np.random.default_rng(seed)) as modems:
+        ports = [SerialLink(port, 9600) for port in modems.ports]
+        links = make_links(kind, [SerialChannel(port) for port in ports])
+        result = exchange(links, time.monotonic, lambda: time.sleep(0.001), messages)
+        for port in ports:
+            port.close()
+    return result
+
+
+@pytest.mark.real_time
+@pytest.mark.parametrize("kind", ["handshake", "framed"])
+def test_real_ports_at_the_real_pace_agree_with_virtual_time(kind):
+    rng = np.random.default_rng(3)
+    messages = [rng.bytes(8) for _ in range(6)]
+    config, seed = ModemConfig(error_rate=0.01, delay=0.002), 5
+    modems = VirtualModems(config, np.random.default_rng(seed))
+
+    def advance():
+        modems.time += 0.001
+
+    virtual = exchange(make_links(kind, modems.ends), lambda: modems.time, advance, messages)
+    assert virtual[2] > 0.1
+    for _ in range(3):  # Another process may hold this one up: once of three times must agree.
+        measured = exchange_over_ports(kind, config, seed, messages)
+        if measured[:2] == virtual[:2] and measured[2] == pytest.approx(virtual[2], rel=0.3):
+            return
+    assert measured == (*virtual[:2], pytest.approx(virtual[2], rel=0.3))
+
+
+@pytest.mark.real_time
+def test_port_that_is_gone_is_one_clear_error():
+    modems = PtyModems(ModemConfig(), np.random.default_rng(0))
+    port = SerialLink(modems.ports[0], 9600)
+    link = FramedLink(SerialChannel(port), np.random.default_rng(0))
+    modems.close()
+    with pytest.raises(LinkError, match=modems.ports[0]):
+        for _ in range(3):
+            link.send_latest(b"x")
+            link.poll()
+    port.close()

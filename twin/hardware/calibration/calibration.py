@@ -1,0 +1,332 @@
+"""What the boards of one particular robot say and want, in SI units and back, as TOML files.
+
+Every section holds the constants of one kind of board with both directions of its conversion: a
+client reads numbers through the one, an emulated board makes them through the other. Going there
+and back errs by half a count at most.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import json
+import math
+import os
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from twin.hardware.calibration.motors import AxisCalibration, DriveCalibration, JointCalibration
+from twin.hardware.calibration.section import CalibrationError, Section, require
+from twin.hardware.calibration.sensors import (
+    AnalogueCalibration,
+    AngleSensor,
+    ForceTorqueCalibration,
+    TiltCalibration,
+)
+
+__all__ = [
+    "AnalogueCalibration",
+    "AngleSensor",
+    "AxisCalibration",
+    "Calibration",
+    "CalibrationError",
+    "DriveCalibration",
+    "ForceTorqueCalibration",
+    "JointCalibration",
+    "LimitCalibration",
+    "TiltCalibration",
+    "calibration_path",
+    "check_age",
+    "load_calibration",
+    "read_calibration",
+    "write_calibration",
+]
+
+SCHEMA: Final = 1
+"""Version of the files; another version is refused."""
+FOLDER: Final = Path(__file__).parents[3] / "calibration"
+"""Where the robots' files are."""
+MOST_DAYS: Final = 365
+"""Age from which a section is stale [days]."""
+TIMEOUT_STEP: Final = 0.1
+"""Resolution of the motor boards' serial timeout [s]."""
+TIMEOUT_STEPS: Final = 255
+"""Largest serial timeout in these steps."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LimitCalibration(Section):
+    """Where the robot must stop; the motors' currents stand with the motors.
+
+    Attributes:
+        least_battery: Main battery voltage below which nothing is driven [V].
+        most_battery: Main battery voltage above which nothing is driven [V].
+        serial_timeout: After which a motor board that hears nothing stops its motors [s].
+    """
+
+    least_battery: float
+    most_battery: float
+    serial_timeout: float
+
+    def __post_init__(self) -> None:
+        """Refuse limits that no board takes.
+
+        Raises:
+            CalibrationError: Naming the key and its value.
+        """
+        require(
+            0.0 < self.least_battery < self.most_battery < math.inf,
+            "least_battery and most_battery",
+            (self.least_battery, self.most_battery),
+            "positive volts, least below most",
+        )
+        steps = self.serial_timeout / TIMEOUT_STEP
+        whole = math.isclose(steps, round(steps), abs_tol=1e-6) if math.isfinite(steps) else False
+        require(
+            whole and 1 <= round(steps) <= TIMEOUT_STEPS,
+            "serial_timeout",
+            self.serial_timeout,
+            "0.1 to 25.5 s in steps of 0.1 s",
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """Everything that is particular to one robot.
+
+    Attributes:
+        robot: Its name.
+        drive: Motors and encoders.
+        analogue: Analogue board and centre potentiometer.
+        inclinometer: Roll and pitch.
+        force_torque: The sensor under the arm.
+        limits: Where it must stop.
+    """
+
+    robot: str
+    drive: DriveCalibration
+    analogue: AnalogueCalibration
+    inclinometer: TiltCalibration
+    force_torque: ForceTorqueCalibration
+    limits: LimitCalibration
+
+    def __post_init__(self) -> None:
+        """Refuse two sensors on one analogue input.
+
+        Raises:
+            CalibrationError: Naming the pins.
+        """
+        tilt = self.inclinometer
+        pins = (self.analogue.centre.pin, tilt.roll.pin, tilt.pitch.pin)
+        require(len(set(pins)) == 3, "pins of centre, roll and pitch", pins, "three different")
+
+
+def calibration_path(robot: str) -> Path:
+    """Return where a robot's calibration is kept."""
+    return FOLDER / f"{robot}.toml"
+
+
+def load_calibration(
+    path: Path, robot: str, today: datetime.date | None, most_days: int = MOST_DAYS
+) -> Calibration:
+    """Read the calibration of a robot that is going to be used.
+
+    Args:
+        path: TOML file.
+        robot: Name of the robot.
+        today: For the age of its sections; None where age does not matter (emulated boards).
+        most_days: Largest age [days].
+
+    Raises:
+        CalibrationError: If the file is unreadable or wrong, another robot's, or stale.
+    """
+    calibration = read_calibration(path)
+    if calibration.robot != robot:
+        raise CalibrationError(
+            f"{path}: robot is {calibration.robot!r}, wanted {robot!r}; give the file of that "
+            f"robot, as {calibration_path(robot)}, or calibrate it"
+        )
+    if today is not None:
+        try:
+            check_age(calibration, today, most_days)
+        except CalibrationError as error:
+            raise CalibrationError(f"{path}: {error}") from None
+    return calibration
+
+
+def check_age(calibration: Calibration, today: datetime.date, most_days: int = MOST_DAYS) -> None:
+    """Refuse a calibration with a section that is too old, or from the future.
+
+    Raises:
+        CalibrationError: Naming the section, its date and what to do.
+    """
+    for name, section in _sections(calibration).items():
+        days = (today - section.calibrated_on).days
+        if days < 0:
+            raise CalibrationError(
+                f"{name}.calibrated_on is {section.calibrated_on}, after today ({today}); "
+                "set the clock or the date"
+            )
+        if days > most_days:
+            raise CalibrationError(
+                f"{name}.calibrated_on is {section.calibrated_on}, {days} days ago, needs at most "
+                f"{most_days}; calibrate this section again and set its date, or allow a larger age"
+            )
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration, of whichever robot and age.
+
+    Raises:
+        CalibrationError: If it cannot be read or holds something wrong, naming file, key and value.
+    """
+    try:
+        with path.open("rb") as stream:
+            table = tomllib.load(stream)
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read ({error.strerror})") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{path}: is not TOML ({error})") from None
+    schema = table.pop("schema", None)
+    if schema != SCHEMA:
+        raise CalibrationError(f"{path}: schema is {schema!r}, this version reads {SCHEMA}")
+    try:
+        return _build(Calibration, table, "")
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error}") from None
+
+
+def write_calibration(path: Path, calibration: Calibration) -> None:
+    """Write a calibration in a form that people can edit; never half written.
+
+    Raises:
+        OSError: If the folder cannot be written to.
+    """
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(calibration_text(calibration), encoding="utf-8")
+    os.replace(partial, path)
+
+
+_HEADER = """\
+# Calibration of one robot: the numbers by which its boards' counts become SI units.
+# What each key means: twin/hardware/calibration/calibration.py.
+"""
+_REMARKS: Mapping[str, str] = types.MappingProxyType(
+    {
+        "counts_per_turn": "of the output shaft",
+        "current_limit": "A",
+        "zero_counts": "at joint angle zero",
+        "lower": "rad",
+        "upper": "rad",
+        "zero_volts": "V at angle zero",
+        "volts_per_radian": "V/rad",
+        "reference": "V",
+        "direction": "1 or -1",
+        "rotation": "sensor to arm base frame, rows",
+        "bias": "N and N m, sensor frame, without load",
+        "least_battery": "V",
+        "most_battery": "V",
+        "serial_timeout": "s",
+    }
+)
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """Return a calibration as the text of its file."""
+    lines = [_HEADER, f"schema = {SCHEMA}", f"robot = {_literal('robot', calibration.robot)}"]
+    for name, section in _sections(calibration).items():
+        lines += _table_lines(name, section)
+    return "\n".join(lines) + "\n"
+
+
+def _table_lines(name: str, record: Any) -> list[str]:
+    """Return a table with its plain keys first, then the tables below it."""
+    lines, below = ["", f"[{name}]"], list[str]()
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        if dataclasses.is_dataclass(value):
+            below += _table_lines(f"{name}.{field.name}", value)
+            continue
+        remark = _REMARKS.get(field.name)
+        if field.name == "volts_per_radian":
+            remark = f"V/rad; {1000.0 * math.radians(value):.3f} mV/degree"
+        line = f"{field.name} = {_literal(field.name, value)}"
+        lines.append(f"{line}  # {remark}" if remark else line)
+    return lines + below
+
+
+def _literal(key: str, value: Any) -> str:
+    """Return a value as TOML writes it."""
+    if isinstance(value, tuple):
+        items = typing.cast("tuple[Any, ...]", value)
+        return f"[{', '.join(_literal(key, item) for item in items)}]"
+    if isinstance(value, str):
+        # JSON's escapes are TOML's, which also wants this one.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    return f"{value:#04x}" if key == "address" else repr(value)
+
+
+def _sections(calibration: Calibration) -> dict[str, Section]:
+    """Return the sections by name."""
+    values = {
+        field.name: getattr(calibration, field.name) for field in dataclasses.fields(calibration)
+    }
+    return {name: value for name, value in values.items() if isinstance(value, Section)}
+
+
+def _build(kind: type[Any], table: Mapping[str, Any], where: str) -> Any:
+    """Return a dataclass from a TOML table that must have exactly its fields.
+
+    Args:
+        kind: The dataclass.
+        table: From the file.
+        where: What stands before a key in messages.
+
+    Raises:
+        CalibrationError: Naming the key and its value.
+    """
+    hints = typing.get_type_hints(kind)
+    names = [field.name for field in dataclasses.fields(kind)]
+    unknown = [name for name in table if name not in names]
+    if unknown:
+        raise CalibrationError(
+            f"{where}{unknown[0]} is unknown (value {table[unknown[0]]!r}); "
+            f"valid keys are {', '.join(names)}"
+        )
+    missing = [name for name in names if name not in table]
+    if missing:
+        raise CalibrationError(f"{where}{missing[0]} is missing; needed are {', '.join(names)}")
+    values = {name: _value(hints[name], table[name], f"{where}{name}") for name in names}
+    try:
+        return kind(**values)
+    except CalibrationError as error:
+        raise CalibrationError(f"{where}{error}") from None
+
+
+def _value(hint: Any, value: Any, key: str) -> Any:
+    """Return a value of the type that a field has, or refuse it."""
+    if dataclasses.is_dataclass(hint):
+        require(isinstance(value, dict), key, value, "a table")
+        return _build(typing.cast("type[Any]", hint), value, f"{key}.")
+    if hint is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        require(number, key, value, "a number")
+        return float(value)
+    if typing.get_origin(hint) is tuple:
+        require(isinstance(value, list), key, value, "a list")
+        item = typing.get_args(hint)[0]
+        return tuple(_value(item, entry, key) for entry in value)
+    fits = type(value) is hint
+    require(fits, key, value, _WORDS[hint])
+    return value
+
+
+_WORDS: Mapping[type, str] = types.MappingProxyType(
+    {int: "a whole number", str: "a text", datetime.date: "a date (as 2026-01-31)"}
+)

@@ -1,0 +1,179 @@
+"""Motors and encoders: counts and duty codes of the boards into SI units and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twin.hardware.calibration.section import (
+    CalibrationError,
+    Section,
+    read_only,
+    require,
+    require_positive,
+)
+from twin.hardware.roboclaw.codec import FULL_DUTY
+from twin.robot import ARM_JOINTS, AXES, WHEELS, FloatArray
+
+IntArray = NDArray[np.int64]
+ADDRESSES: Final = (0x80, 0x81, 0x82, 0x83)
+"""Of the motor boards on the bus."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AxisCalibration:
+    """One motor with its encoder, at one channel of one motor board.
+
+    Attributes:
+        address: Of the board, one of `ADDRESSES`.
+        channel: Of the board, 1 or 2.
+        direction: 1 where positive duty and rising counts mean the positive sense of the contract
+            (forward for wheels), -1 where they mean the negative one.
+        counts_per_turn: Encoder counts in one turn of the output shaft.
+        current_limit: Largest motor current [A].
+    """
+
+    address: int
+    channel: int
+    direction: int
+    counts_per_turn: float
+    current_limit: float
+
+    def __post_init__(self) -> None:
+        """Refuse what no board could be wired to.
+
+        Raises:
+            CalibrationError: Naming the key and its value.
+        """
+        require(self.address in ADDRESSES, "address", self.address, "128, 129, 130 or 131")
+        require(self.channel in (1, 2), "channel", self.channel, "1 or 2")
+        require(self.direction in (-1, 1), "direction", self.direction, "1 or -1")
+        require_positive("counts_per_turn", self.counts_per_turn, "counts")
+        require_positive("current_limit", self.current_limit, "A")
+
+    @property
+    def counts_per_radian(self) -> float:
+        """Encoder counts per radian of the output shaft."""
+        return self.counts_per_turn / (2.0 * math.pi)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class JointCalibration(AxisCalibration):
+    """A motor that moves an arm joint.
+
+    Attributes:
+        zero_counts: What the encoder counts at joint angle zero.
+        lower: Least joint angle that may be asked for [rad].
+        upper: Largest one [rad].
+    """
+
+    zero_counts: int
+    lower: float
+    upper: float
+
+    def __post_init__(self) -> None:
+        """Refuse an impossible motor or range of motion.
+
+        Raises:
+            CalibrationError: Naming the key and its value.
+        """
+        super().__post_init__()
+        require(abs(self.zero_counts) < 2**31, "zero_counts", self.zero_counts, "32 bits")
+        require(
+            math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper,
+            "lower and upper",
+            (self.lower, self.upper),
+            "finite angles [rad], lower below upper",
+        )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class DriveCalibration(Section):
+    """The eight motors on their boards; arrays run over `AXES`."""
+
+    front_left: AxisCalibration
+    front_right: AxisCalibration
+    rear_left: AxisCalibration
+    rear_right: AxisCalibration
+    base_yaw: JointCalibration
+    shoulder: JointCalibration
+    elbow: JointCalibration
+    wrist: JointCalibration
+
+    def __post_init__(self) -> None:
+        """Refuse two motors on one channel.
+
+        Raises:
+            CalibrationError: Naming both motors.
+        """
+        taken: dict[tuple[int, int], str] = {}
+        for name, axis in zip(AXES, self.axes):
+            place = (axis.address, axis.channel)
+            first = taken.setdefault(place, name)
+            if first != name:
+                raise CalibrationError(
+                    f"{name} and {first} are both on address {place[0]:#04x}, channel {place[1]}"
+                )
+
+    @functools.cached_property
+    def axes(self) -> tuple[AxisCalibration, ...]:
+        """The eight motors, in the order of `AXES`."""
+        return tuple(getattr(self, name) for name in AXES)
+
+    @functools.cached_property
+    def joints(self) -> tuple[JointCalibration, ...]:
+        """The four arm joints, in the order of `ARM_JOINTS`."""
+        return tuple(getattr(self, name) for name in ARM_JOINTS)
+
+    @functools.cached_property
+    def directions(self) -> FloatArray:
+        """(8,) 1 or -1."""
+        return read_only([axis.direction for axis in self.axes])
+
+    @functools.cached_property
+    def counts_per_radian(self) -> FloatArray:
+        """(8,) encoder counts per radian, with the direction as sign."""
+        return read_only([axis.direction * axis.counts_per_radian for axis in self.axes])
+
+    @functools.cached_property
+    def zero_counts(self) -> FloatArray:
+        """(8,) counts at angle zero; a wheel's angle is zero where its counter is."""
+        return read_only([0.0] * len(WHEELS) + [float(joint.zero_counts) for joint in self.joints])
+
+    @functools.cached_property
+    def ranges(self) -> FloatArray:
+        """(4, 2) least and largest angles of the arm joints [rad]."""
+        return read_only([[joint.lower, joint.upper] for joint in self.joints])
+
+    def angles(self, counts: ArrayLike) -> FloatArray:
+        """Return shaft angles (..., 8) [rad] of unwrapped encoder counts (..., 8)."""
+        return (np.asarray(counts, dtype=float) - self.zero_counts) / self.counts_per_radian
+
+    def counts(self, angles: ArrayLike) -> IntArray:
+        """Return the encoder counts (..., 8) nearest to shaft angles (..., 8) [rad], unwrapped."""
+        exact = np.asarray(angles, dtype=float) * self.counts_per_radian + self.zero_counts
+        return np.rint(exact).astype(np.int64)
+
+    def rates(self, counts_per_second: ArrayLike) -> FloatArray:
+        """Return shaft speeds (..., 8) [rad/s] of counting rates (..., 8) [1/s]."""
+        return np.asarray(counts_per_second, dtype=float) / self.counts_per_radian
+
+    def duty_codes(self, duties: ArrayLike) -> IntArray:
+        """Return the boards' duty codes (..., 8) nearest to duties (..., 8).
+
+        Raises:
+            ValueError: If a duty is not within [-1, 1]: a code out of range would reverse a motor.
+        """
+        values = np.asarray(duties, dtype=float)
+        if not np.all(np.abs(values) <= 1.0):
+            raise ValueError(f"duty outside of [-1, 1]: {values}")
+        return np.rint(values * self.directions * FULL_DUTY).astype(np.int64)
+
+    def duties(self, codes: ArrayLike) -> FloatArray:
+        """Return duties (..., 8) in [-1, 1] of the boards' duty codes (..., 8)."""
+        return np.asarray(codes, dtype=float) * self.directions / FULL_DUTY

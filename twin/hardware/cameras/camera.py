@@ -1,0 +1,348 @@
+"""Stereo pairs from two captures, or from one whose images hold both views side by side.
+
+A device is read by its own thread, because OpenCV waits for the next image (up to seconds when a
+camera is unplugged) and the control loop must not; the newest pair is kept. Files play at their
+rate. Images are as the cameras give them: rectification is not done here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.hardware.cameras import frames
+from twin.hardware.link import LinkError
+
+Source: TypeAlias = int | str | Path
+ImageArray: TypeAlias = NDArray[np.uint8]
+_STOP_TIME = 2.0  # [s] A capture that hangs is left behind after this.
+
+
+class StereoFrame(NamedTuple):
+    """A pair of images.
+
+    Attributes:
+        images: (2, height, width) uint8 grey, left and right, read-only.
+        stamp: When they were taken, on the caller's clock [s].
+    """
+
+    images: ImageArray
+    stamp: float
+
+
+@dataclasses.dataclass
+class CameraStatistics:
+    """What became of the pairs so far.
+
+    Attributes:
+        frames: Pairs returned.
+        skipped: Pairs replaced by a newer one before they were asked for.
+        stale: Pairs refused for their age.
+        skewed: Pairs refused because too much time lay between their images.
+    """
+
+    frames: int = 0
+    skipped: int = 0
+    stale: int = 0
+    skewed: int = 0
+
+
+class _Taken(NamedTuple):
+    images: ImageArray
+    taken: float  # On the clock of `time.monotonic`, or a file's own time [s].
+
+
+class _Feed(Protocol):
+    """Where pairs come from."""
+
+    def newest(self, now: float) -> _Taken | None:
+        """Return the newest pair not returned before, its time on the caller's clock [s]."""
+        ...
+
+    def close(self) -> None:
+        """Release the captures."""
+        ...
+
+
+class StereoCapture:
+    """A stereo pair source."""
+
+    def __init__(
+        self,
+        source: Source | tuple[Source, Source],
+        max_age: float = 0.5,
+        max_skew: float = 0.02,
+        rate: float | None = None,
+        scene_time: bool = False,
+    ) -> None:
+        """Open the captures and see that a pair can be made of them.
+
+        Args:
+            source: Device number, video file or image sequence ("left_%04d.png"): left and right,
+                or one with both views side by side, the left one first. Or the file in which an
+                emulator puts the pairs of its own scene (`frames`), named "....frames".
+            max_age: Age from which a pair is refused [s].
+            max_skew: Most time between the images of two devices [s].
+            rate: Pairs a second of files [Hz]; by default their own.
+            scene_time: Whether the caller's clock is that of an emulator's scene.
+
+        Raises:
+            LinkError: If a capture cannot be opened, gives no image, or the sizes do not fit.
+            ValueError: If a device is paired with a file, or the rate is not positive.
+        """
+        sources = source if isinstance(source, tuple) else (source,)
+        if rate is not None and not rate > 0.0:
+            raise ValueError(f"rate must be positive, got {rate}")
+        devices = {isinstance(each, int) for each in sources}
+        if len(devices) > 1:
+            raise ValueError(f"a device and a file make no pair: {sources}")
+        self._max_age = max_age
+        self.statistics = CameraStatistics()
+        if Path(str(source)).suffix == frames.SUFFIX:
+            self._feed: _Feed = _SceneFeed(Path(str(source)), scene_time, self.statistics)
+            return
+        eyes = _Eyes(sources)
+        try:
+            self._feed = (
+                _DeviceFeed(eyes, max_skew, self.statistics)
+                if devices == {True}
+                else _FileFeed(eyes, rate, self.statistics)
+            )
+        except LinkError:
+            eyes.release()
+            raise
+
+    @property
+    def finished(self) -> bool:
+        """Whether a file has come to its end."""
+        return isinstance(self._feed, _FileFeed) and self._feed.finished
+
+    def read(self, now: float) -> StereoFrame | None:
+        """Return the newest pair; None if there is none that is new and young enough.
+
+        Args:
+            now: The caller's clock, on which the stamp is given [s].
+
+        Raises:
+            LinkError: If a capture has failed or gave an empty image.
+        """
+        taken = self._feed.newest(now)
+        if taken is None:
+            return None
+        if now - taken.taken > self._max_age:
+            self.statistics.stale += 1
+            return None
+        self.statistics.frames += 1
+        return StereoFrame(taken.images, taken.taken)
+
+    def close(self) -> None:
+        """Release the captures."""
+        self._feed.close()
+
+
+class _Eyes:
+    """The captures of one source, and how their images make a pair."""
+
+    def __init__(self, sources: tuple[Source, ...]) -> None:
+        self.names = [_name(source) for source in sources]
+        self._captures: list[cv2.VideoCapture] = []
+        try:
+            for source, name in zip(sources, self.names):
+                self._captures.append(_opened(source, name))
+        except LinkError:
+            self.release()
+            raise
+
+    def take(self) -> tuple[ImageArray, float, float] | None:
+        """Wait for the next images; return the pair, its time and its skew [s]; None at the end.
+
+        Raises:
+            LinkError: If an image is empty, of the wrong kind, or the sizes differ.
+        """
+        times: list[float] = []
+        for capture in self._captures:
+            # Both are grabbed before either is decoded, which takes longer.
+            if not capture.grab():
+                return None
+            times.append(time.monotonic())
+        views = [
+            _grey(capture.retrieve(), name) for capture, name in zip(self._captures, self.names)
+        ]
+        return self._pair(views), times[0], times[-1] - times[0]
+
+    def rate(self) -> float:
+        """Return the images a second that the file says, or 0 [Hz]."""
+        return float(self._captures[0].get(cv2.CAP_PROP_FPS))
+
+    def release(self) -> None:
+        for capture in self._captures:
+            capture.release()
+
+    def _pair(self, views: list[ImageArray]) -> ImageArray:
+        if len(views) == 1:
+            height, width = views[0].shape
+            if width % 2:
+                raise LinkError(f"{self.names[0]}: {width} columns are not two views side by side")
+            pair = views[0].reshape(height, 2, width // 2).transpose(1, 0, 2).copy()
+        elif views[0].shape != views[1].shape:
+            sizes = " and ".join(
+                f"{name}: {view.shape[1]} x {view.shape[0]}"
+                for name, view in zip(self.names, views)
+            )
+            raise LinkError(f"the images of a pair differ in size ({sizes})")
+        else:
+            pair = np.stack(views)
+        pair.flags.writeable = False
+        return pair
+
+
+class _FileFeed:
+    """Pairs of files, each due at its time after the first `newest`."""
+
+    def __init__(self, eyes: _Eyes, rate: float | None, statistics: CameraStatistics) -> None:
+        self._eyes, self._statistics = eyes, statistics
+        rate = eyes.rate() if rate is None else rate
+        if not rate > 0.0:
+            raise LinkError(f"{eyes.names[0]}: says no rate; give one")
+        self._period = 1.0 / rate
+        self._start: float | None = None
+        self._count = 0
+        self._next = eyes.take()
+        self.finished = False
+        if self._next is None:
+            raise LinkError(f"{' and '.join(eyes.names)}: no image")
+
+    def newest(self, now: float) -> _Taken | None:
+        """Return the latest pair that is due at `now` [s]."""
+        if self._start is None:
+            self._start = now
+        newest: _Taken | None = None
+        while self._next is not None and now >= self._due() - 1e-9:
+            self._statistics.skipped += newest is not None
+            newest = _Taken(self._next[0], self._due())
+            self._count += 1
+            self._next = None  # So that a failure does not bring the same pair again.
+            self.finished = True
+            self._next = self._eyes.take()
+        self.finished = self._next is None
+        return newest
+
+    def close(self) -> None:
+        """Release the captures."""
+        self._eyes.release()
+
+    def _due(self) -> float:
+        assert self._start is not None
+        return self._start + self._count * self._period
+
+
+class _SceneFeed:
+    """Pairs of an emulator's own scene."""
+
+    def __init__(self, path: Path, scene_time: bool, statistics: CameraStatistics) -> None:
+        self._reader = frames.FrameReader(path)
+        self._scene_time, self._statistics = scene_time, statistics
+
+    def newest(self, now: float) -> _Taken | None:
+        """Return the newest pair, its time as the scene says or carried over to `now` [s]."""
+        found = self._reader.newest()
+        if found is None:
+            return None
+        self._statistics.skipped += found.skipped
+        carried = now - (time.monotonic() - found.moment)
+        return _Taken(found.images, found.stamp if self._scene_time else carried)
+
+    def close(self) -> None:
+        """Nothing is held but memory."""
+
+
+class _DeviceFeed:
+    """Pairs of cameras, taken by a thread of its own."""
+
+    def __init__(self, eyes: _Eyes, max_skew: float, statistics: CameraStatistics) -> None:
+        self._eyes, self._max_skew, self._statistics = eyes, max_skew, statistics
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._error: str | None = None
+        self._newest: _Taken | None = None
+        if eyes.take() is None:
+            raise LinkError(f"{' and '.join(eyes.names)}: no image")
+        self._thread = threading.Thread(target=self._run, name="stereo capture", daemon=True)
+        self._thread.start()
+
+    def newest(self, now: float) -> _Taken | None:
+        """Return the newest pair, its time carried over to the clock of `now` [s]."""
+        with self._lock:
+            taken, self._newest = self._newest, None
+            error = self._error
+        if error is not None:
+            raise LinkError(error)
+        if taken is None:
+            return None
+        return _Taken(taken.images, now - (time.monotonic() - taken.taken))
+
+    def close(self) -> None:
+        """Stop the thread, which releases the captures."""
+        self._stopping.set()
+        self._thread.join(_STOP_TIME)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopping.is_set():
+                self._take()
+        except (LinkError, cv2.error) as error:
+            with self._lock:
+                self._error = str(error)
+        finally:
+            self._eyes.release()
+
+    def _take(self) -> None:
+        taken = self._eyes.take()
+        if taken is None:
+            raise LinkError(f"{' and '.join(self._eyes.names)}: no more images; is it plugged in?")
+        images, moment, skew = taken
+        with self._lock:
+            if skew > self._max_skew:
+                self._statistics.skewed += 1
+                return
+            self._statistics.skipped += self._newest is not None
+            self._newest = _Taken(images, moment)
+
+
+def _name(source: Source) -> str:
+    return f"camera {source}" if isinstance(source, int) else str(source)
+
+
+def _opened(source: Source, name: str) -> cv2.VideoCapture:
+    try:
+        capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
+    except cv2.error as error:
+        raise LinkError(f"{name}: cannot be opened ({error.err})") from None
+    if not capture.isOpened():
+        raise LinkError(f"{name}: cannot be opened")
+    return capture
+
+
+def _grey(retrieved: tuple[bool, cv2.typing.MatLike], name: str) -> ImageArray:
+    """Return (height, width) grey of what a capture retrieved.
+
+    Raises:
+        LinkError: If it is empty or not of 8 bits.
+    """
+    good, image = retrieved
+    # OpenCV's types leave out that a failed retrieval gives None.
+    array: NDArray[Any] = np.asarray(image) if good else np.empty(0, np.uint8)
+    if array.size == 0:
+        raise LinkError(f"{name}: empty image")
+    if array.dtype != np.uint8:
+        raise LinkError(f"{name}: images of {array.dtype}, needed are 8 bits")
+    if array.ndim == 3 and array.shape[2] > 1:
+        array = cv2.cvtColor(array, cv2.COLOR_BGR2GRAY)
+    return np.asarray(array, dtype=np.uint8).reshape(array.shape[:2])

@@ -1,0 +1,378 @@
+"""The radio between two rovers at 9600 baud: the link in frames, which no byte error gets past.
+
+The modems may lose, change and insert bytes, but do not reorder them. `radio_frames` are the frames
+themselves, `radio_handshake` is the thesis' own protocol (appendix D), `radio_messages` what is
+said over either.
+
+Nothing here waits: `poll` is called in the servo loop, takes what came and sends what the line
+has room for.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from twin.hardware.radio.channel import BITS_PER_BYTE, ByteChannel
+from twin.hardware.radio.frames import Frame, FrameParser, encode_frame
+
+MESSAGE_LIMIT = 64  # [bytes] at an error in 100 bytes every second such frame still arrives
+_MAX_WINDOW = 8  # held-back frames that an acknowledgement's byte of flags can tell
+_DATA, _LATEST, _ACKNOWLEDGE = 1, 2, 3
+
+
+class RadioError(ValueError):
+    """A message that the radio cannot take, or cannot make sense of."""
+
+
+class Outcome(NamedTuple):
+    """What became of a message that was sent.
+
+    Attributes:
+        ticket: What `send` returned.
+        confirmed: True if it arrived; False if it could not be confirmed in time (it may have
+            arrived all the same: its acknowledgement can be lost, too).
+    """
+
+    ticket: int
+    confirmed: bool
+
+
+class Polled(NamedTuple):
+    """What a call of `poll` brought.
+
+    Attributes:
+        messages: Received, in order.
+        outcomes: Of messages sent; each ticket appears once, sooner or later.
+    """
+
+    messages: list[bytes]
+    outcomes: list[Outcome]
+
+
+def check_message(message: bytes, limit: int) -> bytes:
+    """Return a copy of a message that may be sent.
+
+    Args:
+        message: What to send.
+        limit: Longest allowed [bytes].
+
+    Raises:
+        RadioError: If it is empty or too long.
+    """
+    if not 1 <= len(message) <= limit:
+        raise RadioError(f"radio message of {len(message)} bytes: 1 to {limit} can be sent")
+    return bytes(message)
+
+
+@dataclasses.dataclass(frozen=True)
+class FramedConfig:
+    """Numbers of a framed link; both ends should have the same.
+
+    Attributes:
+        baud: Bits a second on the line.
+        message_limit: Longest message [bytes].
+        window: Messages on the way at once, 1 to 8.
+        queue_limit: Messages that may wait to be sent.
+        acknowledge_within: From a frame's last byte to its acknowledgement [s]: both ways' delays,
+            both ends' polling, and one frame that is in the acknowledgement's way.
+        deliver_within: From `send` until a message is given up [s].
+        write_ahead: How long before the line is free the next frame is written [s]: two polls.
+    """
+
+    baud: int = 9600
+    message_limit: int = MESSAGE_LIMIT
+    window: int = _MAX_WINDOW
+    queue_limit: int = 32
+    acknowledge_within: float = 0.15
+    deliver_within: float = 5.0
+    write_ahead: float = 0.02
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that no link can have.
+
+        Raises:
+            ValueError: Naming the field and its value.
+        """
+        if not 1 <= self.window <= _MAX_WINDOW:
+            raise ValueError(f"radio window must be 1 to {_MAX_WINDOW}, got {self.window}")
+        for name in ("baud", "queue_limit", "acknowledge_within", "deliver_within"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"radio {name} must be positive, got {getattr(self, name)}")
+        if not 1 <= self.message_limit <= 1024:
+            raise ValueError(f"radio message_limit must be 1 to 1024, got {self.message_limit}")
+        if not 0.0 <= self.write_ahead < math.inf:
+            raise ValueError(f"radio write_ahead must not be negative, got {self.write_ahead}")
+
+
+@dataclasses.dataclass
+class LinkStatistics:
+    """Counts since a framed link was made.
+
+    Attributes:
+        bytes_sent: All bytes put on the line.
+        frames_sent: All frames, retransmissions and acknowledgements among them.
+        retransmissions: Frames sent again.
+        rejected: Received frames that COBS, the CRC or their header refused.
+        duplicates: Received messages that had come before.
+        superseded: Latest values replaced by newer ones before they were sent.
+        latest_missed: Gaps in the numbers of received latest values.
+        resets: New sessions, because a message was given up.
+    """
+
+    bytes_sent: int = 0
+    frames_sent: int = 0
+    retransmissions: int = 0
+    rejected: int = 0
+    duplicates: int = 0
+    superseded: int = 0
+    latest_missed: int = 0
+    resets: int = 0
+
+
+@dataclasses.dataclass
+class _Pending:
+    """A message until it is confirmed or given up; `first` and `last` count transmissions."""
+
+    ticket: int
+    message: bytes
+    expires: float
+    sequence: int = 0
+    first: int = 0
+    last: int = 0
+    due: float = 0.0
+
+
+class FramedLink:
+    """One end of the framed link.
+
+    `send` is for what must arrive: in order, once, or said to be unconfirmed. `send_latest` is for
+    what the next value replaces. A new session number at each start, and after each message given
+    up, keeps numbers of before from being mistaken for those of now.
+
+    Attributes:
+        statistics: Counts since it was made.
+    """
+
+    def __init__(
+        self, channel: ByteChannel, rng: np.random.Generator, config: FramedConfig | None = None
+    ) -> None:
+        """Begin a session.
+
+        Args:
+            channel: To the modem.
+            rng: Draws the session number; seed it anew at each start of a real robot.
+            config: Numbers of the link.
+        """
+        self.statistics = LinkStatistics()
+        self._channel = channel
+        self._config = config or FramedConfig()
+        self._parser = FrameParser(self._config.message_limit)
+        self._session = int(rng.integers(1 << 16))
+        self._next_sequence = 0
+        self._next_latest = 0
+        self._transmissions = 0
+        self._tickets = 0
+        self._queue: deque[_Pending] = deque()
+        self._flight: deque[_Pending] = deque()
+        self._latest: dict[int, bytes] = {}
+        self._latest_went = False
+        self._line_free = -math.inf
+        self._peer: int | None = None
+        self._expected = 0
+        self._held: dict[int, bytes] = {}
+        self._latest_seen: tuple[int, int] | None = None  # session, sequence
+        self._acknowledge = False
+
+    @property
+    def pending(self) -> int:
+        """Messages neither confirmed nor given up."""
+        return len(self._queue) + len(self._flight)
+
+    def send(self, message: bytes) -> int:
+        """Queue a message that must arrive.
+
+        Returns:
+            The ticket that an `Outcome` of a later `poll` carries.
+
+        Raises:
+            RadioError: If the message is empty or too long, or the queue is full.
+        """
+        message = check_message(message, self._config.message_limit)
+        if len(self._queue) >= self._config.queue_limit:
+            raise RadioError(f"radio queue is full: {len(self._queue)} messages wait to be sent")
+        self._tickets += 1
+        expires = self._channel.now() + self._config.deliver_within
+        self._queue.append(_Pending(self._tickets, message, expires))
+        return self._tickets
+
+    def send_latest(self, message: bytes) -> None:
+        """Send a value once; one that waits with the same first byte (its type) is replaced.
+
+        Raises:
+            RadioError: If the message is empty or too long.
+        """
+        message = check_message(message, self._config.message_limit)
+        self.statistics.superseded += message[0] in self._latest
+        self._latest[message[0]] = message
+
+    def poll(self) -> Polled:
+        """Take what came, and send what the line has room for.
+
+        Raises:
+            LinkError: If the port is gone.
+        """
+        now = self._channel.now()
+        result = Polled([], [])
+        for frame in self._parser.feed(self._channel.read()):
+            self._take(frame, now, result)
+        self.statistics.rejected = self._parser.rejected
+        self._expire(now, result.outcomes)
+        self._transmit(now)
+        return result
+
+    def next_event(self) -> float:
+        """When `poll` has something to do, though nothing came [s]; infinity for never."""
+        times = [pending.expires for pending in (*self._flight, *self._queue)]
+        send = min((pending.due for pending in self._flight), default=math.inf)
+        if self._acknowledge or self._latest or self._can_begin():
+            send = -math.inf
+        if send < math.inf:
+            times.append(max(send, self._line_free - self._config.write_ahead))
+        return min(times, default=math.inf)
+
+    def _take(self, frame: Frame, now: float, result: Polled) -> None:
+        if frame.kind == _ACKNOWLEDGE and len(frame.body) == 1:
+            self._take_acknowledgement(frame, now, result.outcomes)
+        elif frame.kind == _DATA and frame.age < self._config.window:
+            self._take_data(frame, result.messages)
+        elif frame.kind == _LATEST:
+            self._take_latest(frame, result.messages)
+        else:
+            self._parser.rejected += 1
+
+    def _meet(self, frame: Frame) -> None:
+        """Begin anew when the other end has, with its oldest message on the way."""
+        if frame.session != self._peer:
+            self._peer = frame.session
+            self._expected = (frame.sequence - frame.age) & 0xFF
+            self._held.clear()
+
+    def _take_data(self, frame: Frame, messages: list[bytes]) -> None:
+        self._meet(frame)
+        ahead = (frame.sequence - self._expected) & 0xFF
+        self._acknowledge = True
+        if ahead >= self._config.window or frame.sequence in self._held:
+            self.statistics.duplicates += 1
+            return
+        self._held[frame.sequence] = frame.body
+        while self._expected in self._held:
+            messages.append(self._held.pop(self._expected))
+            self._expected = (self._expected + 1) & 0xFF
+
+    def _take_latest(self, frame: Frame, messages: list[bytes]) -> None:
+        if self._latest_seen is not None and self._latest_seen[0] == frame.session:
+            step = (frame.sequence - self._latest_seen[1]) & 0xFF
+            if step == 0:
+                self.statistics.duplicates += 1
+                return
+            self.statistics.latest_missed += step - 1
+        self._latest_seen = frame.session, frame.sequence
+        messages.append(frame.body)
+
+    def _take_acknowledgement(self, frame: Frame, now: float, outcomes: list[Outcome]) -> None:
+        """Confirm all before the frame's number; the body's bits tell what is held beyond it."""
+        oldest = self._flight[0].sequence if self._flight else self._next_sequence
+        confirmed = (frame.sequence - oldest) & 0xFF
+        if frame.session != self._session or confirmed > len(self._flight):
+            return
+        newest = 0
+        for _ in range(confirmed):
+            done = self._flight.popleft()
+            newest = max(newest, done.first)
+            outcomes.append(Outcome(done.ticket, True))
+        for index, pending in enumerate(self._flight):
+            if index and frame.body[0] >> (index - 1) & 1:
+                newest = max(newest, pending.first)
+                pending.due = math.inf
+            elif pending.due == math.inf:
+                pending.due = now  # The other end began anew and forgot it.
+        for pending in self._flight:
+            # Nothing is reordered: what left before a frame that arrived, and did not, is lost.
+            if pending.last < newest and pending.due < math.inf:
+                pending.due = now
+
+    def _expire(self, now: float, outcomes: list[Outcome]) -> None:
+        """Give up what is too old; with it all on the way, since the order is broken."""
+        if self._flight and now >= self._flight[0].expires:
+            outcomes += [Outcome(pending.ticket, False) for pending in self._flight]
+            self._flight.clear()
+            self._session = (self._session + 1) & 0xFFFF
+            self._next_sequence = 0
+            self.statistics.resets += 1
+        while self._queue and now >= self._queue[0].expires:
+            outcomes.append(Outcome(self._queue.popleft().ticket, False))
+
+    def _transmit(self, now: float) -> None:
+        """Write frames until the line is busy for longer than `write_ahead`."""
+        while now >= self._line_free - self._config.write_ahead:
+            line = self._next_line(now)
+            if line is None:
+                return
+            self._channel.write(line)
+            self.statistics.bytes_sent += len(line)
+            self.statistics.frames_sent += 1
+
+    def _next_line(self, now: float) -> bytes | None:
+        """Acknowledgements first; then latest values and messages in turn, so that none starves."""
+        if self._acknowledge:
+            self._acknowledge = False
+            bits = sum(1 << ((held - self._expected - 1) & 0xFF) for held in self._held)
+            body = bytes([bits])
+            return self._line(Frame(_ACKNOWLEDGE, 0, self._peer or 0, self._expected, body), now)
+        if self._latest and not (self._latest_went and self._find_message(now)):
+            self._latest_went = True
+            body = self._latest.pop(next(iter(self._latest)))
+            self._next_latest = (self._next_latest + 1) & 0xFF
+            return self._line(Frame(_LATEST, 0, self._session, self._next_latest, body), now)
+        pending = self._find_message(now)
+        if pending is None:
+            return None
+        self._latest_went = False
+        return self._message_line(pending, now)
+
+    def _can_begin(self) -> bool:
+        return bool(self._queue) and len(self._flight) < self._config.window
+
+    def _find_message(self, now: float) -> _Pending | None:
+        """Return the message to send next: one that is due again before a new one."""
+        for pending in self._flight:
+            if now >= pending.due:
+                return pending
+        return self._queue[0] if self._can_begin() else None
+
+    def _message_line(self, pending: _Pending, now: float) -> bytes:
+        self._transmissions += 1
+        if pending.first:
+            self.statistics.retransmissions += 1
+        else:
+            self._flight.append(self._queue.popleft())
+            pending.first = self._transmissions
+            pending.sequence = self._next_sequence
+            self._next_sequence = (self._next_sequence + 1) & 0xFF
+        pending.last = self._transmissions
+        age = (pending.sequence - self._flight[0].sequence) & 0xFF
+        frame = Frame(_DATA, age, self._session, pending.sequence, pending.message)
+        line = self._line(frame, now)
+        pending.due = self._line_free + self._config.acknowledge_within
+        return line
+
+    def _line(self, frame: Frame, now: float) -> bytes:
+        line = encode_frame(frame)
+        duration = len(line) * BITS_PER_BYTE / self._config.baud
+        self._line_free = max(now, self._line_free) + duration
+        return line

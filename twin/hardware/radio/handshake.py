@@ -1,0 +1,169 @@
+"""The thesis' radio protocol (appendix D): a handshake for n bytes, kept as the reference.
+
+The transmitter sends a transmit command and waits for the acknowledge command. Then it sends byte
+by byte, each followed by an end-of-byte command, and waits for received-ok before the next one;
+the last byte is followed by an end-of-data command. The commands' values are ours: the thesis
+names none. Like the original it has no checksum, no escaping, no sequence number and no rule for
+an unexpected byte (it is passed over). Only deadlines are added, so that every call ends.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from twin.hardware.radio.channel import ByteChannel
+from twin.hardware.radio.framed_radio import Outcome, Polled, RadioError, check_message
+
+TRANSMIT = 0x05
+ACKNOWLEDGE = 0x06
+END_OF_BYTE = 0x1F
+RECEIVED_OK = 0x11
+END_OF_DATA = 0x04
+
+
+@dataclasses.dataclass(frozen=True)
+class HandshakeConfig:
+    """Numbers of a handshake link.
+
+    Attributes:
+        message_limit: Longest message [bytes].
+        send_within: From the transmit command until the transmitter gives up [s].
+        receive_within: From the transmit command until the receiver gives up [s]; shorter than
+            `send_within`, so that it listens again when the next transmit command comes.
+    """
+
+    message_limit: int = 1024
+    send_within: float = 1.0
+    receive_within: float = 0.9
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that no link can have.
+
+        Raises:
+            ValueError: Naming the field and its value.
+        """
+        for name in ("message_limit", "send_within", "receive_within"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"radio {name} must be positive, got {getattr(self, name)}")
+
+
+class HandshakeLink:
+    """One end of the handshake link; it sends one message at a time.
+
+    A confirmed `Outcome` means only that the transmitter came to the end of data.
+
+    Attributes:
+        receive_failures: Receptions given up: by the deadline, or too long.
+    """
+
+    def __init__(self, channel: ByteChannel, config: HandshakeConfig | None = None) -> None:
+        """Listen on `channel`."""
+        self.receive_failures = 0
+        self._channel = channel
+        self._config = config or HandshakeConfig()
+        self._tickets = 0
+        self._sending: bytes | None = None
+        self._sent: int | None = None  # None until the transmit command is acknowledged
+        self._send_until = math.inf
+        self._received: bytearray | None = None
+        self._byte: int | None = None  # waits for the command that follows it
+        self._receive_until = math.inf
+
+    @property
+    def pending(self) -> int:
+        """Messages on the way: 0 or 1."""
+        return int(self._sending is not None)
+
+    @property
+    def receiving(self) -> bool:
+        """True while a message is coming in."""
+        return self._received is not None
+
+    def send(self, message: bytes) -> int:
+        """Send the transmit command; `poll` does the rest.
+
+        Returns:
+            The ticket that an `Outcome` of a later `poll` carries.
+
+        Raises:
+            RadioError: If the message is empty or too long, or the link is busy.
+            LinkError: If the port is gone.
+        """
+        message = check_message(message, self._config.message_limit)
+        if self._sending is not None or self._received is not None:
+            busy = "sends" if self._received is None else "receives"
+            raise RadioError(f"radio handshake: it {busy} a message, and can do one thing at once")
+        self._tickets += 1
+        self._sending, self._sent = message, None
+        self._send_until = self._channel.now() + self._config.send_within
+        self._channel.write(bytes([TRANSMIT]))
+        return self._tickets
+
+    def poll(self) -> Polled:
+        """Take what came, and answer it.
+
+        Raises:
+            LinkError: If the port is gone.
+        """
+        now = self._channel.now()
+        result = Polled([], [])
+        if now >= self._receive_until:
+            self._give_up_receiving()
+        for value in self._channel.read():
+            if self._sending is not None:
+                self._take_answer(value, result)
+            else:
+                self._take_data(value, now, result)
+        if now >= self._send_until and self._sending is not None:
+            self._finish_sending(False, result)
+        return result
+
+    def next_event(self) -> float:
+        """When `poll` has something to do, though nothing came [s]; infinity for never."""
+        return min(self._send_until, self._receive_until)
+
+    def _take_answer(self, value: int, result: Polled) -> None:
+        """Go on with sending, if this is the command that is waited for."""
+        message = self._sending
+        if message is None or value != (ACKNOWLEDGE if self._sent is None else RECEIVED_OK):
+            return
+        index = 0 if self._sent is None else self._sent
+        self._sent = index + 1
+        last = self._sent == len(message)
+        self._channel.write(bytes([message[index], END_OF_DATA if last else END_OF_BYTE]))
+        if last:
+            self._finish_sending(True, result)
+
+    def _finish_sending(self, confirmed: bool, result: Polled) -> None:
+        self._sending = None
+        self._send_until = math.inf
+        result.outcomes.append(Outcome(self._tickets, confirmed))
+
+    def _take_data(self, value: int, now: float, result: Polled) -> None:
+        if self._received is None:
+            if value == TRANSMIT:
+                self._received, self._byte = bytearray(), None
+                self._receive_until = now + self._config.receive_within
+                self._channel.write(bytes([ACKNOWLEDGE]))
+        elif self._byte is None:
+            self._byte = value
+        elif value in (END_OF_BYTE, END_OF_DATA):
+            self._received.append(self._byte)
+            self._byte = None
+            if value == END_OF_DATA:
+                result.messages.append(bytes(self._received))
+                self._stop_receiving()
+            elif len(self._received) >= self._config.message_limit:
+                self._give_up_receiving()
+            else:
+                self._channel.write(bytes([RECEIVED_OK]))
+
+    def _give_up_receiving(self) -> None:
+        self.receive_failures += 1
+        self._stop_receiving()
+
+    def _stop_receiving(self) -> None:
+        self._received = None
+        self._byte = None
+        self._receive_until = math.inf
