@@ -12,8 +12,8 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
-class Frustum:
-    """A camera's field of view; pixel centres stand at whole numbers, z is along the view.
+class Pinhole:
+    """Intrinsics of a camera without distortion; pixel centres stand at whole numbers.
 
     Attributes:
         width: Columns [px].
@@ -22,8 +22,6 @@ class Frustum:
         fy: Focal length in rows [px].
         cx: Column of the optical axis [px].
         cy: Row of the optical axis [px].
-        near: Least depth, along z [m].
-        far: Largest depth [m].
     """
 
     width: int
@@ -32,6 +30,17 @@ class Frustum:
     fy: float
     cx: float
     cy: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Frustum(Pinhole):
+    """A camera's field of view; z is along the view.
+
+    Attributes:
+        near: Least depth, along z [m].
+        far: Largest depth [m].
+    """
+
     near: float
     far: float
 

@@ -1,0 +1,163 @@
+"""What a robot knows of itself: plain data of the robot as drawn.
+
+It comes from drawings and datasheets, never from the robot as made, and is readable while the robot
+is disconnected. Frames: the robot frame is that of the chassis, x to the right, y forward, z up
+(Thesis fig. 2-2); the camera frame is that of the left camera, x to the right, y down, z along the
+view.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from perception.geometry.pinhole import Pinhole
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class RigidBody:
+    """A rigid body in a frame of its own.
+
+    Attributes:
+        mass: Mass [kg].
+        centre: (3,) centre of mass from the frame's origin [m].
+        inertia: (3, 3) inertia tensor about the centre of mass [kg m^2].
+    """
+
+    mass: float
+    centre: FloatArray
+    inertia: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class JointDescription:
+    """A hinge of the arm and the link that it turns; its axis goes through the link's origin.
+
+    Attributes:
+        name: Name of the joint and of its axis in the contract.
+        transform_link_to_parent: From the link's frame to its parent's, at joint angle zero.
+        axis: (3,) unit vector of the hinge in the link's frame.
+        limits: Lowest and highest angle [rad].
+        body: The link with everything fixed to it, link frame.
+        rotor_inertia: Inertia of the motor's rotor at the joint [kg m^2].
+        friction: Dry friction of gear and motor at the joint [N m].
+        cover_points: (k, 3) points in the link's frame [m]; spheres of `ArmDescription.cover_radius`
+            about them cover the link.
+    """
+
+    name: str
+    transform_link_to_parent: RigidTransform
+    axis: tuple[float, float, float]
+    limits: tuple[float, float]
+    body: RigidBody
+    rotor_inertia: float
+    friction: float
+    cover_points: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class ArmDescription:
+    """A serial arm of hinges on its force/torque sensor.
+
+    Attributes:
+        transform_base_to_robot: From the arm's base, the face of the sensor, to the robot frame.
+        base: What the sensor carries before the first joint, base frame.
+        joints: Joints from the base to the wrist.
+        home: (n,) joint angles of the arm's rest posture [rad].
+        cover_radius: Radius of the spheres that cover the links [m].
+    """
+
+    transform_base_to_robot: RigidTransform
+    base: RigidBody
+    joints: tuple[JointDescription, ...]
+    home: FloatArray
+    cover_radius: float
+
+    @property
+    def limits(self) -> FloatArray:
+        """(n, 2) lowest and highest joint angles [rad]."""
+        return np.array([joint.limits for joint in self.joints])
+
+
+@dataclasses.dataclass(frozen=True)
+class WheelDescription:
+    """A driven wheel.
+
+    Attributes:
+        name: Name of the wheel and of its axis in the contract.
+        centre: (3,) the wheel's centre [m], robot frame, at rest.
+        radius: Rolling radius [m].
+    """
+
+    name: str
+    centre: FloatArray
+    radius: float
+
+
+@dataclasses.dataclass(frozen=True)
+class StereoHeadDescription:
+    """Two equal cameras on the arm's last link, rows aligned.
+
+    Attributes:
+        camera: Intrinsics of either camera.
+        baseline: From the left to the right camera, along the camera frame's x [m].
+        transform_camera_to_wrist: From the left camera to the arm's last link.
+    """
+
+    camera: Pinhole
+    baseline: float
+    transform_camera_to_wrist: RigidTransform
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotDescription:
+    """A rover as drawn.
+
+    Attributes:
+        name: Name of the robot.
+        wheels: Driven wheels in contract order; the same number on either side.
+        body: The rover without its arm, robot frame.
+        body_spheres: (k, 4) centre and radius [m] of spheres that cover the rover without its arm,
+            robot frame.
+        centre_height: Height of the robot frame's origin over level ground at rest [m].
+        arm: The arm; None for a rover without one.
+        head: The stereo head on the arm; None without one.
+        sensor_sigma: Standard deviation of each channel's noise by its datasheet, by name of the
+            channel, in the channel's units; one number, or one for each of its values.
+    """
+
+    name: str
+    wheels: tuple[WheelDescription, ...]
+    body: RigidBody
+    body_spheres: FloatArray
+    centre_height: float
+    arm: ArmDescription | None
+    head: StereoHeadDescription | None
+    sensor_sigma: Mapping[str, FloatArray]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of all motors in contract order: the wheels, then the arm's joints."""
+        joints = self.arm.joints if self.arm is not None else ()
+        return (*(wheel.name for wheel in self.wheels), *(joint.name for joint in joints))
+
+    @property
+    def wheel_radius(self) -> float:
+        """Mean rolling radius of the wheels [m]."""
+        return float(np.mean([wheel.radius for wheel in self.wheels]))
+
+    @property
+    def half_track(self) -> float:
+        """Mean distance of the wheels from the robot's plane of symmetry [m]."""
+        return float(np.mean([abs(wheel.centre[0]) for wheel in self.wheels]))
+
+    @property
+    def half_wheelbase(self) -> float:
+        """Largest distance of a wheel ahead of or behind the robot's middle [m]."""
+        return float(np.max([abs(wheel.centre[1]) for wheel in self.wheels]))
