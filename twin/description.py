@@ -47,8 +47,8 @@ class JointDescription:
         body: The link with everything fixed to it, link frame.
         rotor_inertia: Inertia of the motor's rotor at the joint [kg m^2].
         friction: Dry friction of gear and motor at the joint [N m].
-        cover_points: (k, 3) points in the link's frame [m]; spheres of `ArmDescription.cover_radius`
-            about them cover the link.
+        cover_points: (k, 3) points in the link's frame [m]; spheres about them of the arm's
+            `cover_radius` cover the link.
     """
 
     name: str
