@@ -1,4 +1,4 @@
-"""Every Python example of README.md and docs/extending.md, run, and its output compared."""
+"""Every Python example of README.md and the pages in docs, run, and its output compared."""
 
 import contextlib
 import dataclasses
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md", "docs/extending.md")
+PAGES = ("README.md", "docs/extending.md", "docs/parts.md")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 TOLERANCE = 0.05
@@ -93,8 +93,16 @@ def test_example_prints_what_the_page_shows(example, tmp_path, monkeypatch):
     assert agree(output, example.output), f"{example} prints now:\n{output}"
 
 
-def test_each_page_has_examples():
-    assert {each.page for each in EXAMPLES} == set(PAGES)
+def test_every_page_with_examples_is_among_them():
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    with_examples = {
+        str(page.relative_to(ROOT)) for page in pages if "```python" in page.read_text()
+    }
+    assert with_examples == set(PAGES) == {each.page for each in EXAMPLES}
+
+
+def test_readme_is_short():
+    assert (ROOT / "README.md").stat().st_size <= 12_000
 
 
 PAGE = "# Page\n\n```python\nprint('mass', 2.0 {})\n```\n\n```text\nmass 2.05\n```\n"

@@ -1,4 +1,4 @@
-"""``python -m experiments bench-table``: README's table of benchmarks, made from metrics.json."""
+"""``python -m experiments bench-table``: the table of docs/benchmarks.md, made from metrics.json."""
 
 from __future__ import annotations
 
@@ -127,8 +127,8 @@ class TableOptions:
 
     Attributes:
         out: Folder of results; OUT/bench is read.
-        write: File that gets the table between its marks, for instance README.md (unless said, the
-            table is printed).
+        write: File that gets the table between its marks, for instance docs/benchmarks.md; without
+            it the table is printed.
     """
 
     out: Path = Path("results")

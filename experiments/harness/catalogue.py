@@ -176,5 +176,5 @@ COMMANDS: dict[str, tuple[str, str]] = {
         "a person calibrates a real robot's inclinometer",
     ),
     "report": ("experiments.report.report", "all results beside the thesis' in OUT/report.html"),
-    "bench-table": ("experiments.bench.table", "README's table of benchmarks, from OUT/bench"),
+    "bench-table": ("experiments.bench.table", "the table of docs/benchmarks.md, from OUT/bench"),
 }
