@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import enum
 import hashlib
 import importlib
 import json
 import os
+import types
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import joblib
 import numpy as np
@@ -22,13 +25,13 @@ from experiments.harness.contract import ExperimentError, Options
 from experiments.harness.output import Output, plain
 
 Config = TypeVar("Config")
-Result = dict[str, Any]
+Result = TypeVar("Result")
 
 CONNECT_TIMEOUT = 10.0  # [s] to reach a Dask scheduler
 
 
 def sweep(
-    function: Callable[[Config], Mapping[str, Any]],
+    function: Callable[[Config], Result],
     configs: Sequence[Config],
     options: Options,
     output: Output,
@@ -42,24 +45,26 @@ def sweep(
     run again. Workers are fresh processes (never forked), each with one BLAS thread.
 
     Args:
-        function: A function of a module (workers import it). It returns numbers, strings, lists
-            or arrays by name; tuples come back as lists.
+        function: A function of a module (workers import it). Its return annotation says what a
+            stored result is read back as: dataclasses, tuples, lists and mappings of numbers,
+            strings, arrays and None, nested as they may be.
         configs: Mappings or dataclasses of plain values, with the job's seed among them.
         options: Number of processes, backend, and whether to resume.
         output: Where the results are kept.
         label: What the progress bar counts.
 
     Returns:
-        One mapping for each configuration.
+        One result for each configuration.
 
     Raises:
         ExperimentError: If the Dask cluster cannot be used, or a result is lost on the disk.
         Exception: What a job raised, with its configuration noted.
     """
     directory = output.jobs_directory()
+    kind = get_type_hints(function)["return"]
     keys = [_job_key(function, config) for config in configs]
     paths = {key: directory / f"{key}.npz" for key in keys}
-    pending = {key: config for key, config in zip(keys, configs) if _read(paths[key]) is None}
+    pending = {key: config for key, config in zip(keys, configs) if _read(paths[key], kind) is None}
     with _progress() as progress:
         task = progress.add_task(label, total=len(paths), completed=len(paths) - len(pending))
         for key, result in _results(function, pending, options):
@@ -67,7 +72,7 @@ def sweep(
             progress.advance(task)
     finished: dict[str, Result] = {}
     for key, path in paths.items():
-        result = _read(path)
+        result = _read(path, kind)
         if result is None:  # To leave it out would shift all results behind it.
             raise ExperimentError(f"{path}: lost after it was written; --resume runs it again")
         finished[key] = result
@@ -75,8 +80,8 @@ def sweep(
 
 
 def _results(
-    function: Callable[[Config], Mapping[str, Any]], pending: Mapping[str, Config], options: Options
-) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    function: Callable[[Config], Result], pending: Mapping[str, Config], options: Options
+) -> Iterator[tuple[str, Result]]:
     """Yield key and result of each job as it ends."""
     if not pending:
         return
@@ -89,9 +94,7 @@ def _results(
         yield from parallel(calls)
 
 
-def _job(
-    function: Callable[[Config], Mapping[str, Any]], key: str, config: Config
-) -> tuple[str, Mapping[str, Any]]:
+def _job(function: Callable[[Config], Result], key: str, config: Config) -> tuple[str, Result]:
     """Run one job with one BLAS thread; in the worker."""
     with threadpoolctl.threadpool_limits(1):
         try:
@@ -137,30 +140,63 @@ def _job_key(function: Callable[..., Any], config: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
-def _write(path: Path, config: Any, result: Mapping[str, Any]) -> None:
+def _write(path: Path, config: Any, result: Any) -> None:
     """Write one job: its arrays as they are, all else as JSON text; never half written."""
-    arrays = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
-    for name, value in arrays.items():
-        if value.dtype.hasobject:
-            raise TypeError(f"job result {name}: an array of objects cannot be kept")
-    rest = {name: value for name, value in result.items() if name not in arrays}
-    text = json.dumps({"config": plain(config), "result": rest}, default=plain)
+    arrays: dict[str, np.ndarray] = {}
+    text = json.dumps({"config": plain(config), "result": _stored(result, arrays)})
     partial = path.with_name(f".{path.name}.partial")
     with partial.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, json=np.array(text), **_prefixed(arrays))
+        np.savez(stream, allow_pickle=False, json=np.array(text), **arrays)
     os.replace(partial, path)
 
 
-def _read(path: Path) -> Result | None:
-    """Read one job; None if it is not there or was damaged."""
+def _read(path: Path, kind: Any) -> Any:
+    """Read one job as a type; None if it is not there or was damaged."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             result = json.loads(str(stored["json"]))["result"]
-            names = [name for name in stored.files if name.startswith("array/")]
-            return {**result, **{name.removeprefix("array/"): stored[name] for name in names}}
+            return _restored(result, kind, {name: stored[name] for name in stored.files})
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
 
 
-def _prefixed(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    return {f"array/{name}": value for name, value in arrays.items()}
+def _stored(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    """Return a result as JSON can hold it, and collect its arrays, each under a name."""
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            raise TypeError("a job's result holds an array of objects, which cannot be stored")
+        name = f"array_{len(arrays)}"
+        arrays[name] = value
+        return {"array": name}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        names = [field.name for field in dataclasses.fields(value)]
+        return {name: _stored(getattr(value, name), arrays) for name in names}
+    if isinstance(value, Mapping):
+        return {key: _stored(item, arrays) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_stored(item, arrays) for item in value]
+    if isinstance(value, enum.Enum):
+        return value.value
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _restored(value: Any, kind: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+    """Return what `_stored` made JSON of, as the type that the function's annotation names."""
+    if isinstance(value, dict) and set(value) == {"array"}:
+        return arrays[value["array"]]
+    kinds = [each for each in get_args(kind) if each is not type(None)]
+    if get_origin(kind) in (types.UnionType, Union):
+        return value if value is None or len(kinds) > 1 else _restored(value, kinds[0], arrays)
+    if isinstance(kind, type) and (dataclasses.is_dataclass(kind) or hasattr(kind, "_fields")):
+        hints = get_type_hints(kind)
+        items = value if isinstance(value, dict) else dict(zip(hints, value))
+        return kind(**{name: _restored(item, hints[name], arrays) for name, item in items.items()})
+    if isinstance(value, dict):
+        item_kind = kinds[1] if kinds else Any
+        return {key: _restored(item, item_kind, arrays) for key, item in value.items()}
+    if isinstance(value, list):
+        same = not kinds or len(kinds) == 1 or kinds[1] is Ellipsis
+        each = [kinds[0] if kinds else Any] * len(value) if same else kinds
+        items = [_restored(item, item_kind, arrays) for item, item_kind in zip(value, each)]
+        return tuple(items) if get_origin(kind) is tuple else items
+    return kind(value) if isinstance(kind, type) and issubclass(kind, enum.Enum) else value

@@ -36,7 +36,27 @@ class Options(contract.Options):
             raise OptionError(f"--mass: {self.mass} kg is not positive")
 
 
-def draw(config):
+@dataclasses.dataclass(frozen=True)
+class Draw:
+    """What a tiny job returns."""
+
+    numbers: np.ndarray
+    sum: float
+    never: float
+    pair: tuple[int, int]
+    nothing: str | None
+    parts: tuple["Part", ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """A part of what a tiny job returns."""
+
+    label: str
+    rows: dict[str, np.ndarray]
+
+
+def draw(config) -> Draw:
     """Count the call, then draw; the job of the fatal seed fails while its switch is there."""
     folder = Path(config["folder"])
     with (folder / "calls").open("a") as stream:
@@ -44,13 +64,14 @@ def draw(config):
     if config["index"] == config["fatal"] and (folder / "fatal").exists():
         raise ValueError("the job is broken")
     numbers = np.random.default_rng(config["seed"]).normal(size=(2, 3))
-    return {"numbers": numbers, "sum": float(numbers.sum()), "never": float("inf"), "pair": (1, 2)}
+    parts = tuple(Part(f"row {index}", {"row": row}) for index, row in enumerate(numbers))
+    return Draw(numbers, numbers.sum(), float("inf"), (1, 2), None, parts)
 
 
-def wait_and_draw(config):
+def wait_and_draw(config) -> float:
     """Take a while, then draw."""
     time.sleep(config["seconds"])
-    return {"value": float(np.random.default_rng(config["seed"]).normal())}
+    return float(np.random.default_rng(config["seed"]).normal())
 
 
 def run(options, output):
@@ -82,7 +103,7 @@ def _swept(options, output):
     configs = [
         {"seed": seed, "seconds": 0.1} for seed in options.job_seeds(options.sweep, options.sweep)
     ]
-    return [job["value"] for job in sweep(wait_and_draw, configs, options, output)]
+    return sweep(wait_and_draw, configs, options, output)
 
 
 CATALOGUE = {
