@@ -1,4 +1,8 @@
-"""Which tests need the machine for themselves, which workers take first, and what they keep."""
+"""Which tests need the machine for themselves, which workers take first, and what they keep.
+
+``--seed-shift N`` adds N to every seed that a test or the code under test gives to NumPy: what is
+random takes another course, as it would on another processor, and every test must hold on it too.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments.harness.catalogue import EXPERIMENTS
@@ -18,6 +23,39 @@ def pytest_configure(config):
     config.addinivalue_line(
         "markers", "virtual_time: of hardware, but waits for no clock: runs beside other tests"
     )
+    config.addinivalue_line(
+        "markers", "chosen_seed: its seed picks a case by what it shows; --seed-shift leaves it"
+    )
+    if config.getoption("--seed-shift"):
+        config.pluginmanager.register(SeedShift(config.getoption("--seed-shift")))
+
+
+class SeedShift:
+    """Adds a number to every seed of NumPy's generators, but for tests of a chosen seed."""
+
+    def __init__(self, shift):
+        self._shift = self._added = shift
+        default_rng, shifted = np.random.default_rng, self._shifted
+
+        class ShiftedSequence(np.random.SeedSequence):
+            def __init__(self, entropy=None, *, spawn_key=(), **kwargs):
+                # Children come with the entropy of their parent, which is shifted already.
+                entropy = entropy if spawn_key else shifted(entropy)
+                super().__init__(entropy, spawn_key=spawn_key, **kwargs)
+
+        np.random.SeedSequence = ShiftedSequence
+        np.random.default_rng = lambda seed=None: default_rng(shifted(seed))
+
+    def _shifted(self, seed):
+        if isinstance(seed, int | np.integer):
+            return int(seed) + self._added
+        if isinstance(seed, tuple | list):
+            return [seed[0] + self._added, *seed[1:]]
+        return seed
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_setup(self, item):
+        self._added = 0 if item.get_closest_marker("chosen_seed") else self._shift
 
 
 def pytest_addoption(parser):
@@ -25,6 +63,9 @@ def pytest_addoption(parser):
         "--real-time",
         choices=("only", "skip"),
         help="run only, or leave out, tests that time something or wait for a clock",
+    )
+    parser.addoption(
+        "--seed-shift", type=int, default=0, metavar="N", help="add N to every seed of NumPy"
     )
     parser.addoption(
         "--keep-results", metavar="DIR", help="keep there what experiments write in quick runs"
