@@ -7,6 +7,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from types import TracebackType
 
+import numpy as np
+
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
 from twin.camera import StereoConfig
 from twin.clock import Clock, SimClock, TickClock, WallClock
@@ -18,8 +20,10 @@ from twin.hardware.connect_boards import (
     wired_robot,
     without_pauses,
 )
+from twin.hardware.emulator.modem import ModemConfig, virtual_links
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
+from twin.link import Link
 from twin.robot import Robot
 from twin.sensors import DATASHEET, SensorSuite
 from twin.servo import SERVO_PERIOD
@@ -46,6 +50,7 @@ class Connection:
         clock: Paces `twin.loop.run`.
         simulation: The scene with the truth, for measuring and recording only; None when real.
         emulator: The process behind emulated boards; None for all others.
+        links: Each robot's end of the radio, by robot name; empty where there is none.
         resources: What `close` takes down besides.
     """
 
@@ -53,6 +58,7 @@ class Connection:
     clock: Clock
     simulation: Simulation | None
     emulator: EmulatorProcess | None = None
+    links: Mapping[str, Link] = dataclasses.field(default_factory=dict[str, Link])
     resources: contextlib.ExitStack = dataclasses.field(default_factory=contextlib.ExitStack)
 
     def close(self) -> None:
@@ -85,6 +91,8 @@ def connect(
     seed: int = 0,
     settling: float = 1.0,
     line_faults: float = 0.0,
+    modems: ModemConfig | None = None,
+    radio_rng: np.random.Generator | None = None,
 ) -> Connection:
     """Return robots that stand still and wait to be activated.
 
@@ -98,6 +106,9 @@ def connect(
         seed: Of all sensor noise.
         settling: Time for which simulated robots come to rest before time zero [s].
         line_faults: Share of damaged exchanges with emulated motor boards, 0 to 1.
+        modems: Properties of the simulated radio; None for the default.
+        radio_rng: Random generator for the simulated radio's byte errors and session numbers; None
+            for one drawn from the seed.
 
     Raises:
         ValueError: If the target is unknown or misspelt, or a calibration cannot be used.
@@ -109,19 +120,28 @@ def connect(
         return _connect_wires(Wiring.parse(wiring))
     scene = SceneConfig(tuple(robots), field, seed, settling, stereo=stereo)
     if target == "emulated":
-        return _connect_emulated(scene, line_faults)
-    if target == "quantised":
-        return _connect_quantised(scene)
-    if target != "sim":
+        bare = _connect_emulated(scene, line_faults)
+    elif target == "quantised":
+        bare = _connect_quantised(scene)
+    elif target == "sim":
+        bare = _connect_simulation(scene, suite)
+    else:
         raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
-    model = make_model(field, robots)
+    if radio_rng is None:
+        radio_rng = np.random.default_rng([seed, 6])
+    links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, modems)
+    return dataclasses.replace(bare, links=links)
+
+
+def _connect_simulation(scene: SceneConfig, suite: SensorSuite) -> Connection:
+    model = make_model(scene.field, scene.robots)
     simulation = Simulation(
         model,
-        [robot.name for robot in robots],
+        [robot.name for robot in scene.robots],
         suite=suite,
-        stereo=stereo,
-        seed=seed,
-        data=settle(model, settling),
+        stereo=scene.stereo,
+        seed=scene.seed,
+        data=settle(model, scene.settling),
     )
     return Connection(simulation.robots, SimClock(simulation), simulation)
 
@@ -132,7 +152,7 @@ def _connect_quantised(config: SceneConfig) -> Connection:
     resources = contextlib.ExitStack()
     for robot in robots.values():
         resources.callback(robot.close)
-    return Connection(robots, TickClock(scene), scene.simulation, None, resources)
+    return Connection(robots, TickClock(scene), scene.simulation, resources=resources)
 
 
 def _connect_emulated(config: SceneConfig, line_faults: float) -> Connection:
@@ -143,7 +163,7 @@ def _connect_emulated(config: SceneConfig, line_faults: float) -> Connection:
         for robot in robots.values():
             opening.callback(robot.close)
         resources = opening.pop_all()
-    return Connection(robots, TickClock(emulator), None, emulator, resources)
+    return Connection(robots, TickClock(emulator), None, emulator, resources=resources)
 
 
 def _connect_wires(wiring: Wiring) -> Connection:
@@ -154,4 +174,4 @@ def _connect_wires(wiring: Wiring) -> Connection:
         opening.enter_context(watched(robot))
         opening.enter_context(without_pauses())
         resources = opening.pop_all()
-    return Connection({robot.name: robot}, clock, None, None, resources)
+    return Connection({robot.name: robot}, clock, None, resources=resources)

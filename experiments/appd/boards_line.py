@@ -14,9 +14,9 @@ from twin.hardware.connect_boards import BUS_BAUD
 from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
-from twin.hardware.link import LinkError, SerialLink
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import FULL_DUTY, Command
+from twin.hardware.serial_link import LinkError, SerialLink
 
 
 class _Shafts:

@@ -28,7 +28,7 @@ from twin.hardware.connect_boards import (
 )
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
-from twin.hardware.link import SerialLink
+from twin.hardware.serial_link import SerialLink
 from twin.loop import LoopRecorder, run
 from twin.robot import ArmMode, Channel, Command, Observation, RobotError, WheelMode
 

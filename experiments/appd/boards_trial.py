@@ -21,7 +21,7 @@ from twin.hardware.connect_boards import emulated_wiring, watched, wired_robot
 from twin.hardware.emulator.faults import RobotFault
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 from twin.robot import ArmMode, Command, Lifecycle, RobotError, WheelMode
 
 FloatArray = NDArray[np.float64]

@@ -10,8 +10,9 @@ import numpy as np
 
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.channel import BITS_PER_BYTE
-from twin.hardware.radio.framed_radio import FramedLink, Outcome, Polled
+from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
+from twin.link import Outcome, Polled
 
 LINKS = ("handshake", "framed")
 FATES = ("intact", "wrong", "vanished", "given_up")

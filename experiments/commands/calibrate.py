@@ -35,7 +35,7 @@ from twin.hardware.calibration.procedure import (
 )
 from twin.hardware.calibration.tilt_fit import Sample, sample
 from twin.hardware.connect_boards import open_boards
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 from twin.robot import ArmMode, Command, RobotError
 from twin.servo import SERVO_PERIOD
 

@@ -25,8 +25,8 @@ from twin.hardware.connect_boards import Wiring, emulated_wiring, open_boards
 from twin.hardware.emulator.faults import RobotFault
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.serial_link import LinkError
 from twin.robot import Channel, Observation, RobotError
 from twin.servo import SERVO_PERIOD
 

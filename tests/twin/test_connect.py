@@ -3,7 +3,7 @@ import pytest
 
 from models.compose import RobotPlacement
 from twin.connect import connect
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 from twin.loop import run
 from twin.robot import Command, Lifecycle, WheelMode
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration.calibration import Calibration
-from twin.hardware.link import LinkError, at_rest
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Status
+from twin.hardware.serial_link import LinkError, at_rest
 from twin.robot import AXES, NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
 from twin.servo import ROVER_SERVO, Servo, ServoConfig
 

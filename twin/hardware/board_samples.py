@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration.calibration import AngleSensor, Calibration
 from twin.hardware.cameras.camera import StereoFrame
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw import codec
+from twin.hardware.serial_link import LinkError
 from twin.robot import MISSING, Channel, FloatArray, Observation, Validity
 
 ARM = slice(4, 8)

@@ -13,10 +13,10 @@ from twin.hardware.analogue.firmata import AnalogueBoard
 from twin.hardware.calibration.calibration import Calibration
 from twin.hardware.cameras.camera import StereoCapture, StereoFrame
 from twin.hardware.force_torque.net_ft import NetForceTorque
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.serial_link import LinkError
 
 IntArray = NDArray[np.int64]
 

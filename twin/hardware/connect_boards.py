@@ -28,8 +28,8 @@ from twin.hardware.emulator.direct import DirectBoards
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 from twin.hardware.force_torque.net_ft import PORT, NetForceTorque
-from twin.hardware.link import SerialLink
 from twin.hardware.roboclaw.client import BusTiming, RoboClawBus
+from twin.hardware.serial_link import SerialLink
 
 BUS_BAUD = 460800
 """Four boards, twice a cycle, at 100 Hz need so much."""

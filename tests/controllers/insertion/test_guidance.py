@@ -9,7 +9,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.guidance import Guidance, GuidanceError, unpack
 from perception.registration.uncertainty import adjoint
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
-from twin.hardware.radio.framed_radio import MESSAGE_LIMIT, FramedLink
+from twin.hardware.radio.framed_radio import FramedLink
+from twin.link import MESSAGE_LIMIT
 
 PLACE_STEP, TURN_STEP = 2e-5, 1e-4
 

@@ -5,8 +5,8 @@ from experiments.doctor import robot as doctor_robot
 from experiments.doctor.doctor import CHECKOUT, examine_packages, main, pins
 from experiments.doctor.robot import examine_robot
 from experiments.harness.contract import OptionError
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw.codec import Status
+from twin.hardware.serial_link import LinkError
 
 pytestmark = pytest.mark.real_time
 

@@ -7,8 +7,8 @@ import numpy as np
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_set import BoardState
 from twin.hardware.calibration.calibration import calibration_path, read_calibration
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw.codec import Status
+from twin.hardware.serial_link import LinkError
 from twin.robot import Command, Lifecycle, RobotError
 
 CALIBRATION = read_calibration(calibration_path("rover1"))

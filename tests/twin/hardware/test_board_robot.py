@@ -17,7 +17,7 @@ from tests.twin.hardware.board_tables import (
 from twin import servo
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.cameras.camera import StereoFrame
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 from twin.robot import NOTHING, ArmMode, Command, Lifecycle, RobotError, Validity, WheelMode
 
 pytestmark = pytest.mark.virtual_time

@@ -18,8 +18,8 @@ from tests.twin.hardware.board_tables import (
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.connect_boards import watched
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw.codec import Status
+from twin.hardware.serial_link import LinkError
 from twin.robot import ArmMode, Command, Lifecycle, RobotError, Validity
 
 pytestmark = pytest.mark.virtual_time

@@ -16,8 +16,7 @@ from twin.hardware.analogue import firmata_codec
 from twin.hardware.emulator.firmata_board import FirmataBoard
 from twin.hardware.emulator.net_ft import NetFT
 from twin.hardware.force_torque import net_ft as force_torque
-from twin.hardware.link import LinkError
-from twin.hardware.radio.framed_radio import FramedLink, RadioError
+from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.frames import Frame, FrameParser, encode_frame
 from twin.hardware.radio.handshake import (
     ACKNOWLEDGE,
@@ -31,6 +30,8 @@ from twin.hardware.radio.messages import PoseMessage, WrenchMessage, pack_map_ch
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import Command
+from twin.hardware.serial_link import LinkError
+from twin.link import RadioError
 
 pytestmark = pytest.mark.virtual_time
 

@@ -39,7 +39,7 @@ from twin.hardware.analogue.firmata_codec import (
     report_analogue,
     sysex,
 )
-from twin.hardware.link import LinkError, SerialLink
+from twin.hardware.serial_link import LinkError, SerialLink
 
 BAUD = 57600
 _LONGEST_INTERVAL = LARGEST  # [ms]

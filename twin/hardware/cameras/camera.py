@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.hardware.cameras import frames
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 
 Source: TypeAlias = int | str | Path
 ImageArray: TypeAlias = NDArray[np.uint8]

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 
 ImageArray = NDArray[np.uint8]
 

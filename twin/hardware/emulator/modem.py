@@ -12,12 +12,14 @@ import select
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Sequence
 from types import TracebackType
 
 import numpy as np
 
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.radio.channel import BITS_PER_BYTE
+from twin.hardware.radio.framed_radio import FramedLink
 
 _MAX_WAIT = 0.05  # [s] how often an idle thread looks whether to end
 
@@ -136,29 +138,39 @@ class VirtualChannel:
 
     def now(self) -> float:
         """Virtual time [s]."""
-        return self._modems.time
+        return self._modems.now()
 
     def write(self, data: bytes) -> None:
         """Send bytes."""
-        self._out.put(data, self._modems.time)
+        self._out.put(data, self.now())
 
     def read(self) -> bytes:
         """Return what has arrived."""
-        return self._into.take(self._modems.time)
+        return self._into.take(self.now())
 
 
 class VirtualModems:
-    """Two modems in virtual time; whoever owns them sets `time`, never back.
+    """Two modems in virtual time, which never goes back.
+
+    Args:
+        config: Properties of both modems.
+        rng: Random generator for the byte errors of both directions.
+        clock: Returns virtual time [s]; None for the time that their owner sets in `time`.
 
     Attributes:
-        time: Virtual time [s].
+        time: Virtual time without a clock [s].
         lines: From the first to the second end, and back.
         ends: The two computers' channels.
     """
 
-    def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:
-        """Begin at time zero; `rng` draws the errors of both directions."""
+    def __init__(
+        self,
+        config: ModemConfig,
+        rng: np.random.Generator,
+        clock: Callable[[], float] | None = None,
+    ) -> None:
         self.time = 0.0
+        self.now = clock or (lambda: self.time)
         first, second = rng.spawn(2)
         self.lines = Line(config, first), Line(config, second)
         there, back = self.lines
@@ -167,6 +179,26 @@ class VirtualModems:
     def next_arrival(self) -> float:
         """When a byte arrives at either end [s]; infinity if none is on the way."""
         return min(line.next_arrival() for line in self.lines)
+
+
+def virtual_links(
+    robots: Sequence[str],
+    clock: Callable[[], float],
+    rng: np.random.Generator,
+    config: ModemConfig | None = None,
+) -> dict[str, FramedLink]:
+    """Return both robots' ends of a radio in virtual time; none unless there are two robots.
+
+    Args:
+        robots: Names of the robots.
+        clock: Returns virtual time [s].
+        rng: Random generator for byte errors and session numbers.
+        config: Properties of the modems; None for the default.
+    """
+    if len(robots) != 2:  # noqa: PLR2004
+        return {}
+    modems = VirtualModems(config or ModemConfig(), rng, clock)
+    return {name: FramedLink(end, rng) for name, end in zip(robots, modems.ends)}
 
 
 class PtyModems:

@@ -10,7 +10,7 @@ import tempfile
 from typing import IO, Any, cast
 
 from twin.hardware.emulator.scene import SceneConfig
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 
 
 class EmulatorProcess:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 from twin.robot import FloatArray
 
 PORT = 49152

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Protocol
 
-from twin.hardware.link import SerialLink
+from twin.hardware.serial_link import SerialLink
 
 BITS_PER_BYTE = 10  # 8N1: a start bit, eight data bits, a stop bit
 

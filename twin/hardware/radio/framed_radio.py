@@ -13,45 +13,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 
 from twin.hardware.radio.channel import BITS_PER_BYTE, ByteChannel
 from twin.hardware.radio.frames import Frame, FrameParser, encode_frame
+from twin.link import MESSAGE_LIMIT, Outcome, Polled, RadioError
 
-MESSAGE_LIMIT = 64  # [bytes] at an error in 100 bytes every second such frame still arrives
 _MAX_WINDOW = 8  # held-back frames that an acknowledgement's byte of flags can tell
 _DATA, _LATEST, _ACKNOWLEDGE = 1, 2, 3
-
-
-class RadioError(ValueError):
-    """A message that the radio cannot take, or cannot make sense of."""
-
-
-class Outcome(NamedTuple):
-    """What became of a message that was sent.
-
-    Attributes:
-        ticket: What `send` returned.
-        confirmed: True if it arrived; False if it could not be confirmed in time (it may have
-            arrived all the same: its acknowledgement can be lost, too).
-    """
-
-    ticket: int
-    confirmed: bool
-
-
-class Polled(NamedTuple):
-    """What a call of `poll` brought.
-
-    Attributes:
-        messages: Received, in order.
-        outcomes: Of messages sent; each ticket appears once, sooner or later.
-    """
-
-    messages: list[bytes]
-    outcomes: list[Outcome]
 
 
 def check_message(message: bytes, limit: int) -> bytes:

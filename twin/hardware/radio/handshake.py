@@ -13,7 +13,8 @@ import dataclasses
 import math
 
 from twin.hardware.radio.channel import ByteChannel
-from twin.hardware.radio.framed_radio import Outcome, Polled, RadioError, check_message
+from twin.hardware.radio.framed_radio import check_message
+from twin.link import Outcome, Polled, RadioError
 
 TRANSMIT = 0x05
 ACKNOWLEDGE = 0x06

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twin.hardware.radio.framed_radio import MESSAGE_LIMIT, RadioError
+from twin.link import MESSAGE_LIMIT, RadioError
 
 VERSION = 1
 _POSE_TYPE, _WRENCH_TYPE, _MAP_TYPE = (VERSION << 4 | kind for kind in (1, 2, 3))

@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.serial_link import LinkError
 
 T = TypeVar("T")
 
@@ -35,7 +35,7 @@ _PROBES = (
 
 
 class Link(Protocol):
-    """What the bus asks of a serial port; see `twin.hardware.link.SerialLink`."""
+    """What the bus asks of a serial port; see `twin.hardware.serial_link.SerialLink`."""
 
     port: str
 

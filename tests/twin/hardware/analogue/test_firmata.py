@@ -14,7 +14,7 @@ from twin.hardware.analogue.firmata import BAUD, AnalogueBoard
 from twin.hardware.analogue.firmata_codec import Message, Parser
 from twin.hardware.emulator.firmata_board import FirmataBoard
 from twin.hardware.emulator.ports import PseudoTerminal
-from twin.hardware.link import LinkError, SerialLink
+from twin.hardware.serial_link import LinkError, SerialLink
 
 FAULTS = ("flip", "lose", "late", "twice", "cut", "merge")
 WORST_CALL = 0.024  # [s] Three times the deadline.

@@ -15,7 +15,7 @@ from twin.hardware.cameras.camera import StereoCapture
 from twin.hardware.cameras.frames import FrameReader, FrameWriter
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 from twin.robot import ArmMode, Command, Lifecycle, RobotError
 
 ROBOT = "rover1"

@@ -9,7 +9,7 @@ from tests.twin.scene import SERVO, compile_scene
 from twin.camera import StereoConfig
 from twin.hardware.cameras import camera
 from twin.hardware.cameras.camera import StereoCapture
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
 

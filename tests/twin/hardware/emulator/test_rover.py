@@ -23,8 +23,8 @@ from twin.hardware.emulator.__main__ import Emulator
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS
 from twin.hardware.emulator.scene import SceneConfig
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw.codec import Status
+from twin.hardware.serial_link import LinkError
 from twin.loop import run
 from twin.robot import ArmMode, Command, Observation, Validity, WheelMode
 

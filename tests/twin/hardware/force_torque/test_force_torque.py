@@ -12,7 +12,7 @@ from tests.twin.hardware.serving import Served
 from twin.hardware.emulator.net_ft import NetFT
 from twin.hardware.force_torque import net_ft as ft
 from twin.hardware.force_torque.net_ft import NetForceTorque, Record
-from twin.hardware.link import LinkError
+from twin.hardware.serial_link import LinkError
 
 FAULTS = ("lose", "twice", "late", "swap", "stranger", "cut", "join", "no_request")
 WORST_CALL = 0.015  # [s] Three times the deadline.

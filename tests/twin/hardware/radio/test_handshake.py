@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from tests.twin.hardware.radio.wire import Wire, pump
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
-from twin.hardware.radio.framed_radio import Outcome, RadioError
 from twin.hardware.radio.handshake import (
     ACKNOWLEDGE,
     END_OF_BYTE,
@@ -17,6 +16,7 @@ from twin.hardware.radio.handshake import (
     HandshakeConfig,
     HandshakeLink,
 )
+from twin.link import Outcome, RadioError
 
 pytestmark = pytest.mark.virtual_time
 

@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.hardware.radio.framed_radio import RadioError
 from twin.hardware.radio.messages import (
     MapDelta,
     PoseMessage,
@@ -14,6 +13,7 @@ from twin.hardware.radio.messages import (
     pack_map_change,
     unpack,
 )
+from twin.link import RadioError
 
 pytestmark = pytest.mark.virtual_time
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from twin.hardware.emulator.modem import Line, ModemConfig, PtyModems, VirtualModems
-from twin.hardware.link import LinkError, SerialLink
 from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
+from twin.hardware.serial_link import LinkError, SerialLink
 
 pytestmark = pytest.mark.virtual_time
 

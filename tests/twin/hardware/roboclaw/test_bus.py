@@ -28,10 +28,10 @@ from tests.twin.hardware.roboclaw.wire import (
     virtual_time,
 )
 from twin.hardware.emulator.faults import FaultyLine, LineFault, LineFaultConfig
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import BusTiming, RoboClawBus
 from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.serial_link import LinkError
 
 pytestmark = pytest.mark.virtual_time
 

@@ -16,12 +16,12 @@ from tests.twin.hardware.roboclaw.trial import (
     two_boards,
 )
 from tests.twin.hardware.roboclaw.wire import BAUD, PtyWire
-from twin.hardware import link as link_module
+from twin.hardware import serial_link as link_module
 from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
 from twin.hardware.emulator.ports import PseudoTerminal
-from twin.hardware.link import LinkError, SerialLink
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import Command
+from twin.hardware.serial_link import LinkError, SerialLink
 
 pytestmark = pytest.mark.real_time
 

@@ -9,10 +9,10 @@ from tests.twin.hardware.roboclaw.wire import (
     boards_on_a_line,
 )
 from twin.hardware.emulator.faults import FaultyLine, LineFault, LineFaultConfig
-from twin.hardware.link import LinkError
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.serial_link import LinkError
 
 NEW, OLD = 0x80, 0x83  # The second has old firmware.
 WORST_CALL = 0.060  # [s]

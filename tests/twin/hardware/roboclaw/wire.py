@@ -8,12 +8,12 @@ import types
 from unittest import mock
 
 from tests.twin.hardware.serving import Served
-from twin.hardware import link
+from twin.hardware import serial_link as link
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
-from twin.hardware.link import SerialLink
 from twin.hardware.roboclaw import client as roboclaw
 from twin.hardware.roboclaw.codec import Command
+from twin.hardware.serial_link import SerialLink
 
 BAUD = 460800
 
