@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from controllers.insertion.carrier import Stage
+from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_scene import MASTER, SLAVE
 from twin.robot import MISSING, Channel, Observation, Validity
 
@@ -26,17 +26,17 @@ class Fault(enum.Enum):
     RADIO = "radio out for 2 s"
 
 
-BEGINS: Mapping[Fault, Stage | None] = {
+BEGINS: Mapping[Fault, InsertionStage | None] = {
     Fault.BLACK: None,
-    Fault.HIDDEN: Stage.APPROACH,
-    Fault.LOST: Stage.APPROACH,
-    Fault.FROZEN: Stage.APPROACH,
-    Fault.TILT: Stage.APPROACH,
-    Fault.WRENCH: Stage.INSERT,
-    Fault.SPIKE: Stage.INSERT,
-    Fault.RADIO: Stage.APPROACH,
+    Fault.HIDDEN: InsertionStage.APPROACH,
+    Fault.LOST: InsertionStage.APPROACH,
+    Fault.FROZEN: InsertionStage.APPROACH,
+    Fault.TILT: InsertionStage.APPROACH,
+    Fault.WRENCH: InsertionStage.INSERT,
+    Fault.SPIKE: InsertionStage.INSERT,
+    Fault.RADIO: InsertionStage.APPROACH,
 }
-"""Stage of the slave in which a fault begins; None for from the start."""
+"""InsertionStage of the slave in which a fault begins; None for from the start."""
 ENDS_IN: Mapping[Fault, tuple[bool, str]] = {
     Fault.BLACK: (False, "target not seen"),
     Fault.HIDDEN: (True, ""),
@@ -69,15 +69,15 @@ class FaultyEyes:
     def __post_init__(self) -> None:
         """Nothing has begun."""
         self._since = 0.0
-        self._stage: Stage | None = None
+        self._stage: InsertionStage | None = None
         self._frozen: Channel | None = None
 
-    def outage(self, time: float, stage: Stage) -> bool:
+    def outage(self, time: float, stage: InsertionStage) -> bool:
         """Say whether the radio is silent now."""
         return self.fault is Fault.RADIO and 0.0 <= self._age(time, stage) < _SHORT
 
     def change(
-        self, observations: Mapping[str, Observation], stage: Stage
+        self, observations: Mapping[str, Observation], stage: InsertionStage
     ) -> Mapping[str, Observation]:
         """Return what the robots observe under the fault.
 
@@ -93,7 +93,7 @@ class FaultyEyes:
             master, slave = self._eyes(master, age), self._senses(slave, age)
         return {MASTER: master, SLAVE: slave}
 
-    def _age(self, time: float, stage: Stage) -> float:
+    def _age(self, time: float, stage: InsertionStage) -> float:
         """Return the time since the fault began; negative before."""
         assert self.fault is not None
         begin = BEGINS[self.fault]

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from controllers.insertion.carrier import Stage
+from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_trial import COURSE, STAGES
 from models.datasheets import INCH
 
@@ -125,7 +125,7 @@ def draw_course(course: FloatArray, title: str) -> Figure:
         axes.plot(time, columns[f"force_{direction}"], color="0.7", label="measured")
         axes.plot(time, columns[f"true_{direction}"], color="tab:red", label="true")
         axes.set(ylabel=f"force {direction} [N]", xlabel="time [s]")
-    begun = time[stage >= STAGES.index(Stage.INSERT)]
+    begun = time[stage >= STAGES.index(InsertionStage.INSERT)]
     for axes in (place, turn, across, ahead):
         axes.grid(alpha=0.3)
         if begun.size:

@@ -87,9 +87,9 @@ class _Camera:
         picture = renderer().render(scene.model, scene.data, OVERVIEW, *SIZE).copy()
         self.scenes.append((time, picture))
         pair = np.asarray(observations[MASTER].stereo.value, dtype=np.uint8)
-        ellipses = seen_ellipses(self._setting.team.watcher.fits)
+        ellipses = seen_ellipses(self._setting.team.marker_guide.fits)
         self.frames.append(np.hstack([_small(picture), eye_picture(pair[0], ellipses[0])]))
-        stage = self._setting.team.carrier.stage.value
+        stage = self._setting.team.inserter.stage.value
         moment = {"approach": "approach", "align": "almost contact", "insert": "insertion"}
         if stage in moment and any(len(e) for e in ellipses):
             if stage != "approach" or not self.pairs:
@@ -117,20 +117,24 @@ class _Curves:
         """Take one tick."""
         self._recorder.record(step, time, observations, applied)
         team = self._setting.team
-        carrier = team.carrier
-        if np.isfinite(carrier.error).all():
-            error = [1e3 * carrier.error[0], 1e3 * carrier.error[1], np.degrees(carrier.error[2])]
+        inserter = team.inserter
+        if np.isfinite(inserter.error).all():
+            error = [
+                1e3 * inserter.error[0],
+                1e3 * inserter.error[1],
+                np.degrees(inserter.error[2]),
+            ]
             names = ("across [mm]", "ahead [mm]", "turn [deg]")
             self._recorder.log_scalars("insertion/error", error, names)
         stamp = observations[MASTER].stereo.stamp
         if stamp != self._stamp:
             self._stamp = stamp
-            for side, ellipses in zip(("left", "right"), seen_ellipses(team.watcher.fits)):
+            for side, ellipses in zip(("left", "right"), seen_ellipses(team.marker_guide.fits)):
                 self._recorder.log_marks(f"{MASTER}/stereo/{side}/markers", ellipses[:, :2])
         names = ("across [N]", "ahead [N]", "moment [N m]")
-        self._recorder.log_scalars("insertion/contact", carrier.contact[[0, 1, 5]], names)
-        phase = carrier.guide.phase.value if carrier.guide is not None else ""
-        told = f"{carrier.stage.value} {phase} {carrier.reason} {' '.join(team.failed)}".strip()
+        self._recorder.log_scalars("insertion/contact", inserter.contact[[0, 1, 5]], names)
+        phase = inserter.guide.phase.value if inserter.guide is not None else ""
+        told = f"{inserter.stage.value} {phase} {inserter.reason} {' '.join(team.failed)}".strip()
         if told != self._told:
             self._told = told
             self._recorder.log_text("insertion/stage", told)

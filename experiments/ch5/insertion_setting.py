@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_arm import CardArm
-from controllers.insertion.carrier import Carrier, CarrierConfig, Stage
+from controllers.insertion.card_inserter import CardInserter, CardInserterConfig, InsertionStage
 from controllers.insertion.guidance import Guidance, GuidanceError, unpack
 from controllers.insertion.guide import GuideConfig
-from controllers.insertion.watcher import Watcher, WatcherConfig
+from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.kinematics.chain import Chain
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
 from controllers.sensing.surrogate_tilt import TiltAxis, TiltModel, TiltModelConfig
@@ -127,16 +127,16 @@ class InsertionTeam:
     """Both rovers' controllers with the radio between them; each sees itself alone.
 
     Attributes:
-        watcher: Of the master.
-        carrier: Of the slave.
+        marker_guide: Of the master.
+        inserter: Of the slave.
         failed: Sensors of the slave that are failed now, by its surrogates.
         told: What the master says in this tick; None for nothing new.
     """
 
     def __init__(
         self,
-        watcher: Watcher,
-        carrier: Carrier,
+        marker_guide: MarkerGuide,
+        inserter: CardInserter,
         sensing: SurrogateSensing,
         eyes: FaultyEyes,
         rng: np.random.Generator,
@@ -144,13 +144,13 @@ class InsertionTeam:
         """Bring them together.
 
         Args:
-            watcher: Of the master.
-            carrier: Of the slave.
+            marker_guide: Of the master.
+            inserter: Of the slave.
             sensing: Mends the slave's observations.
             eyes: What goes wrong.
             rng: Draws byte errors and sessions.
         """
-        self.watcher, self.carrier = watcher, carrier
+        self.marker_guide, self.inserter = marker_guide, inserter
         self.failed: frozenset[str] = frozenset()
         self.told: Guidance | None = None
         self._radio = GuidanceRadio(rng)
@@ -161,19 +161,19 @@ class InsertionTeam:
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Let the master look and tell, and the slave hear and act."""
-        stage, period = self.carrier.stage, self.carrier.config.period
+        stage, period = self.inserter.stage, self.inserter.config.period
         # The thesis' rovers have no accelerometer, gyro or compass.
         bare = {name: seen._replace(**_ABSENT) for name, seen in observations.items()}
         seen = self._eyes.change(bare, stage)
         time = max(each.time for each in seen.values())
-        watch, self.told = self.watcher.step(seen[MASTER])
+        watch, self.told = self.marker_guide.step(seen[MASTER])
         looks = self._radio.step(time, self.told, self._eyes.outage(time, stage))
-        inserts = stage is Stage.INSERT
+        inserts = stage is InsertionStage.INSERT
         sensed = self._sensing.step(seen[SLAVE], period, contact=inserts, obstacles=True)
         self.failed = sensed.failed
         if sensed.stop:
-            self.carrier.stop(sensed.stop)
-        return {MASTER: watch, SLAVE: self.carrier.step(sensed.observation, looks)}
+            self.inserter.stop(sensed.stop)
+        return {MASTER: watch, SLAVE: self.inserter.step(sensed.observation, looks)}
 
 
 @dataclasses.dataclass
@@ -213,9 +213,9 @@ def prepare(trial: InsertionTrial) -> Setting:
     x, y, heading = np.array(stand.place) + 0.01 * scene_rng.normal(size=3)
     scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field)
     model = compile_insertion(scene)
-    watcher = _watcher(trial, stand, settle(model), prior_rng)
+    marker_guide = _marker_guide(trial, stand, settle(model), prior_rng)
     # The camera is placed by the map before the task begins.
-    begin_with_camera_at(model, watcher.begin(stand.angles))
+    begin_with_camera_at(model, marker_guide.begin(stand.angles))
     simulation = Simulation(
         model,
         [MASTER, SLAVE],
@@ -223,10 +223,10 @@ def prepare(trial: InsertionTrial) -> Setting:
         seed=trial.seed,
         data=settle(model),
     )
-    carrier = _carrier(trial, simulation, prior_rng)
+    inserter = _inserter(trial, simulation, prior_rng)
     sensing = surrogate_sensing(model, SLAVE, rover_springs())
     eyes = FaultyEyes(Fault[trial.fault] if trial.fault else None)
-    team = InsertionTeam(watcher, carrier, sensing, eyes, radio_rng)
+    team = InsertionTeam(marker_guide, inserter, sensing, eyes, radio_rng)
     return Setting(simulation, team, stand)
 
 
@@ -248,13 +248,13 @@ def guide_config() -> GuideConfig:
     )
 
 
-def _watcher(
+def _marker_guide(
     trial: InsertionTrial, stand: Stand, data: mujoco.MjData, rng: np.random.Generator
-) -> Watcher:
+) -> MarkerGuide:
     to_robot = transform(data, f"{MASTER}/chassis").inv()
     slot, covariance = _mapped(to_robot * transform(data, "slot"), rng)
     card, _ = _mapped(to_robot * transform(data, f"{SLAVE}/card"), rng)
-    config = WatcherConfig(
+    config = MarkerGuideConfig(
         card_cad(),
         slot_cad(trial.width),
         CARD_AND_SLOT.marker_diameter,
@@ -262,17 +262,19 @@ def _watcher(
         trial.detector,
     )
     arm, head = reference_arm(), head_geometry()
-    return Watcher(config, arm, head, (slot, covariance), card, stand.angles)
+    return MarkerGuide(config, arm, head, (slot, covariance), card, stand.angles)
 
 
-def _carrier(trial: InsertionTrial, simulation: Simulation, rng: np.random.Generator) -> Carrier:
+def _inserter(
+    trial: InsertionTrial, simulation: Simulation, rng: np.random.Generator
+) -> CardInserter:
     data = simulation.data
     slot = transform(data, f"{SLAVE}/chassis").inv() * transform(data, "slot")
     slot, covariance = _mapped(slot, rng)
     steer = rover_steer(trial.turn_share)
-    config = CarrierConfig(guide_config())
+    config = CardInserterConfig(guide_config())
     arm = card_arm(simulation.model, SLAVE)
-    return Carrier(config, arm, steer, slot.as_matrix(), covariance)
+    return CardInserter(config, arm, steer, slot.as_matrix(), covariance)
 
 
 def card_arm(model: mujoco.MjModel, robot: str) -> CardArm:

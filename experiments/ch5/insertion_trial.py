@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.insertion.carrier import Stage
+from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
 from experiments.ch5.insertion_scene import MASTER, SLAVE, card_in_slot, contact_force, transform
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 LIMIT = 90.0
 """Longest trial [s]."""
-STAGES = tuple(Stage)
+STAGES = tuple(InsertionStage)
 COURSE = (
     "time",
     "across",
@@ -80,24 +80,24 @@ class Scorer:
     ) -> None:
         """Take one tick."""
         simulation, team = self._setting.simulation, self._setting.team
-        carrier, watcher = team.carrier, team.watcher
+        inserter, marker_guide = team.inserter, team.marker_guide
         force = contact_force(simulation.model, simulation.data)
         self.peak = max(self.peak, float(np.linalg.norm(force)))
         self.finite &= bool(np.isfinite(simulation.data.qpos).all())
-        if carrier.guide is not None and math.isnan(self.hand_over[0]):
+        if inserter.guide is not None and math.isnan(self.hand_over[0]):
             self.hand_over = card_in_slot(simulation.data)[[0, 3]]
         stereo = observations[MASTER].stereo
         if stereo.usable and stereo.stamp != self._stamp:
             self._stamp = stereo.stamp
             self.looks += 1
-            self.whole += all(fit is not None for fit in watcher.fits)
+            self.whole += all(fit is not None for fit in marker_guide.fits)
         if team.told is not None and team.told.transform_slot_to_card is not None:
             self.nees.append(_nees(simulation.data, team.told))
         if self._trace:
-            felt = carrier.contact[[0, 1, 5]]
-            stage = STAGES.index(carrier.stage)
+            felt = inserter.contact[[0, 1, 5]]
+            stage = STAGES.index(inserter.stage)
             pose = card_in_slot(simulation.data)
-            row = [time, *pose[:4], *carrier.error[:3], *felt, *force[:2], stage]
+            row = [time, *pose[:4], *inserter.error[:3], *felt, *force[:2], stage]
             self.course.append([float(value) for value in row])
 
     def flush(self) -> None:
@@ -139,14 +139,14 @@ def perform(
     """
     ready = setting or prepare(trial)
     scorer = Scorer(ready, trial.trace)
-    simulation, carrier = ready.simulation, ready.team.carrier
+    simulation, inserter = ready.simulation, ready.team.inserter
     summary = run(
         simulation.robots,
         [ready.team],
         SimClock(simulation),
         Recorders([scorer, *recorders]),
         LIMIT,
-        until=lambda: carrier.over,
+        until=lambda: inserter.over,
     )
     return Trial(ready, scorer, summary.wall)
 
@@ -165,14 +165,14 @@ def run_trial(trial: InsertionTrial) -> dict[str, Any]:
     """
     done = perform(trial)
     scorer, setting = done.scorer, done.setting
-    carrier, watcher = setting.team.carrier, setting.team.watcher
+    inserter, marker_guide = setting.team.inserter, setting.team.marker_guide
     final = card_in_slot(setting.simulation.data)
-    seated = final[1] >= carrier.config.guide.depth - 2e-3 and abs(final[2]) < 0.01
+    seated = final[1] >= inserter.config.guide.depth - 2e-3 and abs(final[2]) < 0.01
     result: dict[str, Any] = {
-        "success": bool(carrier.stage is Stage.DONE and seated),
+        "success": bool(inserter.stage is InsertionStage.DONE and seated),
         "best": trial.optimal,
-        "stage": carrier.stage.value,
-        "reason": carrier.reason,
+        "stage": inserter.stage.value,
+        "reason": inserter.reason,
         "seconds": setting.simulation.time,
         "wall": done.wall,
         "peak": scorer.peak,
@@ -182,7 +182,7 @@ def run_trial(trial: InsertionTrial) -> dict[str, Any]:
         "distance": setting.stand.distance,
         "slant": setting.stand.slant,
         "seen": scorer.whole / max(scorer.looks, 1),
-        "moves": watcher.moves,
+        "moves": marker_guide.moves,
         "nees": float(np.mean(scorer.nees)) if scorer.nees else math.nan,
         "finite": scorer.finite,
     }

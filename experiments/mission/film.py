@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from experiments.mission.scene import MASTER, SLAVE
-from experiments.mission.stages import FindPanel, MapTogether, Stage
+from experiments.mission.stages import FindPanel, MapTogether, MissionStage
 from experiments.mission.trial import Mission, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
 from twin.camera import renderer
@@ -109,7 +109,7 @@ class _Notes:
     def __init__(self, recorder: Recorder, mission: Mission) -> None:
         self._recorder, self._mission = recorder, mission
         self._told, self._looks = "", 0
-        self._stage: Stage | None = None
+        self._stage: MissionStage | None = None
 
     def record(
         self,
@@ -124,10 +124,10 @@ class _Notes:
         insertion = team.insertion
         told = team.stage.name
         if insertion is not None:
-            carrier = insertion.carrier
-            told = f"{told}: {carrier.stage.value} {carrier.reason}".strip()
+            inserter = insertion.inserter
+            told = f"{told}: {inserter.stage.value} {inserter.reason}".strip()
             names = ("across [N]", "ahead [N]", "moment [N m]")
-            self._recorder.log_scalars("mission/contact", carrier.contact[[0, 1, 5]], names)
+            self._recorder.log_scalars("mission/contact", inserter.contact[[0, 1, 5]], names)
         if told != self._told:
             self._told = told
             self._recorder.log_text("mission/stage", told)
@@ -187,6 +187,6 @@ def _blueprint() -> rrb.Blueprint:
         rrb.Spatial3DView(origin="mission/map", name="Map, about the panel"),
         rrb.TimeSeriesView(origin="mission/contact", name="Contact as felt"),
         rrb.TimeSeriesView(origin=f"{SLAVE}/sensors/arm_base_wrench", name="Wrench"),
-        rrb.TextLogView(origin="mission/stage", name="Stage"),
+        rrb.TextLogView(origin="mission/stage", name="MissionStage"),
     ]
     return task_blueprint(MASTER, (1.5, -2.0, 1.3), (0.1, -0.3, 0.15), views)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.guidance import Guidance
-from controllers.insertion.watcher import Watcher
+from controllers.insertion.marker_guide import MarkerGuide
 from controllers.mapping.searching import aim
 from controllers.mission.going import Going
 from controllers.motion.arm_move import ArmMove
@@ -21,7 +21,7 @@ from experiments.ch5.insertion_setting import GuidanceRadio
 from experiments.ch5.insertion_stand import reference_arm
 from experiments.mission.knowledge import Knowledge, tilt_of
 from experiments.mission.scene import MASTER, SLAVE
-from experiments.mission.stages import HOME, PERIOD, Observations, watcher
+from experiments.mission.stages import HOME, PERIOD, Observations, marker_guide
 from models.datasheets import CARD_AND_SLOT
 from perception.registration.uncertainty import adjoint
 from twin.robot import Command, Observation
@@ -69,7 +69,7 @@ class Meet:
         self.done = False
         self.met = False
         self._knowledge, self._width, self._arm, self._radio = knowledge, width, arm, radio
-        self._watcher: Watcher | None = None
+        self._marker_guide: MarkerGuide | None = None
         self._master: ArmMove | None = None
         self._slave = ArmMove(HOME)
         self._patience, self._since = patience, math.nan
@@ -85,16 +85,16 @@ class Meet:
         """Look, turn, and look again."""
         master, slave = observations[MASTER], observations[SLAVE]
         self._rolling.update(slave, PERIOD)
-        if self._watcher is None:
+        if self._marker_guide is None:
             self._look_out(master, slave)
-        assert self._watcher is not None and self._master is not None
+        assert self._marker_guide is not None and self._master is not None
         watch = self._master.command(master)
         guidance = None
         if self._master.is_there(master):
-            guidance = self._watcher.step(master)[1]
+            guidance = self._marker_guide.step(master)[1]
             if not self._centred and guidance is not None and guidance.card_seen:
                 # It shall stay in view while the slave turns.
-                self._aim_at(self._watcher.card, master)
+                self._aim_at(self._marker_guide.card, master)
                 self._centred, guidance = True, None
             elif not self.met and master.time > self._looked + _SPOT:
                 self._look_elsewhere(master)
@@ -106,7 +106,7 @@ class Meet:
         card_in_slave = self._arm.card_in_robot(HOME)
         slot, covariance = self._knowledge.slot_in_master(tilt)
         card = self._knowledge.card_in_master(tilt, card_in_slave)
-        self._watcher = watcher(self._width, slot, covariance, card, plan=False)
+        self._marker_guide = marker_guide(self._width, slot, covariance, card, plan=False)
         self._aim_at(card, master)
 
     def _aim_at(self, card: RigidTransform, master: Observation) -> None:

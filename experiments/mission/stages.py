@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
-from controllers.insertion.watcher import Watcher, WatcherConfig
+from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.mapping.looking import MapperConfig, RobotBrief
 from controllers.mapping.standing import Standing, lean
 from controllers.mapping.stereo_mapper import StereoMapper
@@ -41,7 +41,7 @@ BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
 """Corners of the map [m], about the panel."""
 
 
-class Stage(Protocol):
+class MissionStage(Protocol):
     """One stage."""
 
     name: str
@@ -213,9 +213,9 @@ def take_standing(knowledge: Knowledge, standing: Standing) -> None:
     knowledge.slot_covariance = back @ spread @ back.T
 
 
-def watcher(
+def marker_guide(
     width: float, slot: RigidTransform, covariance: FloatArray, card: RigidTransform, plan: bool
-) -> Watcher:
+) -> MarkerGuide:
     """Return the master's eyes for card and slot.
 
     Args:
@@ -225,10 +225,10 @@ def watcher(
         card: From the card to the robot, roughly.
         plan: Whether the camera is placed, or stays.
     """
-    config = WatcherConfig(
+    config = MarkerGuideConfig(
         card_cad(),
         slot_cad(width),
         CARD_AND_SLOT.marker_diameter,
         watch_plan() if plan else None,
     )
-    return Watcher(config, reference_arm(), head_geometry(), (slot, covariance), card, None)
+    return MarkerGuide(config, reference_arm(), head_geometry(), (slot, covariance), card, None)

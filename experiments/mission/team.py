@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.insertion.card_arm import CardArm
-from controllers.insertion.carrier import Carrier, CarrierConfig
+from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.mapping.searching import aim
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_lean import BaseLean
@@ -31,10 +31,10 @@ from experiments.mission.stages import (
     HOME,
     FindPanel,
     MapTogether,
+    MissionStage,
     Observations,
-    Stage,
     SwingArms,
-    watcher,
+    marker_guide,
 )
 from models.compose import make_model
 from twin.robot import Command
@@ -77,7 +77,7 @@ class InsertCard:
     @property
     def done(self) -> bool:
         """Whether the card is in, or the slave has given up."""
-        return self.team is not None and self.team.carrier.over
+        return self.team is not None and self.team.inserter.over
 
     def step(self, observations: Observations) -> Mapping[str, Command]:
         """Bring both arms to where the insertion begins, then insert."""
@@ -95,12 +95,12 @@ class InsertCard:
         tilt = tilt_of(observations[MASTER], MASTER)
         slot, covariance = knowledge.slot_in_master(tilt)
         card = knowledge.card_in_master(tilt, self._arm.card_in_robot(HOME))
-        eyes = watcher(self._width, slot, covariance, card, self._placed)
+        eyes = marker_guide(self._width, slot, covariance, card, self._placed)
         middle = 0.5 * (slot.translation + card.translation)
         goal = eyes.begin(aim(reference_arm(), middle, HOME))
         self._moves = {MASTER: ArmMove(goal, speed=0.5), SLAVE: ArmMove(HOME)}
-        carrier = Carrier(
-            CarrierConfig(guide_config()),
+        inserter = CardInserter(
+            CardInserterConfig(guide_config()),
             self._arm,
             knowledge.steer(),
             knowledge.slot_in_slave,
@@ -109,7 +109,7 @@ class InsertCard:
         )
         model = own_model(self._scene)
         sensing = surrogate_sensing(model, SLAVE, knowledge.springs(SLAVE))
-        return InsertionTeam(eyes, carrier, sensing, FaultyEyes(None), self._rng)
+        return InsertionTeam(eyes, inserter, sensing, FaultyEyes(None), self._rng)
 
 
 class MissionTeam:
@@ -146,7 +146,7 @@ class MissionTeam:
         self._without, self._scans = without, scans
         self._arm = card_arm(own_model(scene), SLAVE)
         self._stages = self._all()
-        self.stage: Stage = next(self._stages)
+        self.stage: MissionStage = next(self._stages)
         self.over = False
 
     def reset(self) -> None:
@@ -169,7 +169,7 @@ class MissionTeam:
         """The last stage's team, once it has begun."""
         return self.stage.team if isinstance(self.stage, InsertCard) else None
 
-    def _all(self) -> Iterator[Stage]:
+    def _all(self) -> Iterator[MissionStage]:
         knowledge, width = self.knowledge, self._width
         identify, explore, meet, insert = self._rng.spawn(4)
         if self._without != "identification":

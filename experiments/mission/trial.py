@@ -250,10 +250,10 @@ def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -
     card = poses["slot"].inv() * poses["card"]
     insertion = mission.team.insertion
     if insertion is not None and not reason:
-        reason = insertion.carrier.reason
-    depth = insertion.carrier.config.guide.depth if insertion is not None else np.inf
+        reason = insertion.inserter.reason
+    depth = insertion.inserter.config.guide.depth if insertion is not None else np.inf
     seated = card.translation[1] >= depth - 2e-3 and abs(card.translation[2]) < 0.01  # noqa: PLR2004
-    said = insertion is not None and insertion.carrier.stage.value == "done"
+    said = insertion is not None and insertion.inserter.stage.value == "done"
     stages = scorer.stages
     return {
         "success": bool(said and seated),

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.card_arm import CardArm, inverse, to_plane
-from controllers.insertion.carrier import Carrier, CarrierConfig
+from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.insertion.guidance import Guidance
 from controllers.kinematics.chain import GRAVITY, Chain
 from controllers.motion.base_lean import BaseLean
@@ -33,9 +33,9 @@ PRIOR = np.diag([4.5e-3**2] * 3 + [1.7e-3**2] * 3)
 LOOK = np.diag([2e-3**2] * 3 + [3e-4**2] * 3)
 
 
-def config(**changes) -> CarrierConfig:
+def config(**changes) -> CardInserterConfig:
     """Return how the slave moves."""
-    return dataclasses.replace(CarrierConfig(guide_config()), **changes)
+    return dataclasses.replace(CardInserterConfig(guide_config()), **changes)
 
 
 class Slave:
@@ -87,7 +87,7 @@ class Slave:
         """Return (5,) `to_plane` of the card in the slot."""
         return to_plane(self.card_in_slot())
 
-    def carrier(self, error=None, base: BaseLean | None = None, **changes) -> Carrier:
+    def inserter(self, error=None, base: BaseLean | None = None, **changes) -> CardInserter:
         """Return its controller, with the map's error (6,) in its own frame.
 
         What it feeds forward of its springs is `base`.
@@ -95,7 +95,7 @@ class Slave:
         slot = RigidTransform.from_matrix(inverse(self.robot()) @ SLOT)
         wrong = RigidTransform.from_exp_coords(np.zeros(6) if error is None else error)
         believed = (wrong * slot).as_matrix()
-        return Carrier(config(**changes), self.arm, STEER, believed, PRIOR, base)
+        return CardInserter(config(**changes), self.arm, STEER, believed, PRIOR, base)
 
     def look(self) -> Guidance:
         """Return what the master sees now, without error."""
@@ -135,14 +135,14 @@ class Slave:
             self._rates = (command.arm - self.angles) / PERIOD
             self.angles = np.array(command.arm)
 
-    def run(self, carrier: Carrier, seconds: float, looks: bool = True, until=None) -> None:
+    def run(self, inserter: CardInserter, seconds: float, looks: bool = True, until=None) -> None:
         """Let a controller drive it; a look each quarter of a second, a tenth late."""
         late: list[Guidance] = []
         for tick in range(round(seconds / PERIOD)):
             if looks and tick % 25 == 0:
                 late.append(self.look())
             heard = late if tick % 25 == 10 else []
-            self.drive(carrier.step(self.observe(), heard))
+            self.drive(inserter.step(self.observe(), heard))
             if heard:
                 late = []
             if until is not None and until():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controllers.insertion.carrier import Stage
+from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_faults import AFTER, BEGINS, ENDS_IN, Fault, FaultyEyes
 from experiments.ch5.insertion_scene import MASTER, SLAVE
 from twin.robot import Channel, Observation, Validity
@@ -27,7 +27,7 @@ def observations(time: float):
     }
 
 
-def changed(eyes: FaultyEyes, time: float, stage: Stage) -> set[str]:
+def changed(eyes: FaultyEyes, time: float, stage: InsertionStage) -> set[str]:
     """Names of what differs from what was measured."""
     before = observations(time)
     after = eyes.change(before, stage)
@@ -52,16 +52,16 @@ def test_fault_begins_in_its_stage_and_touches_only_its_channel(fault):
         fault, f"{MASTER} stereo" if fault in SEEN_BY_MASTER else f"{SLAVE} arm_base_wrench"
     )
     if begin is None:
-        assert changed(eyes, 1.0, Stage.WAIT) == {wanted}
+        assert changed(eyes, 1.0, InsertionStage.WAIT) == {wanted}
         return
-    assert changed(eyes, 1.0, Stage.WAIT) == set()
+    assert changed(eyes, 1.0, InsertionStage.WAIT) == set()
     assert changed(eyes, 2.0, begin) == set()  # from here on it counts
     assert changed(eyes, 2.0 + AFTER - 0.01, begin) == set()
     first = changed(eyes, 2.0 + AFTER + 1e-6, begin)
     later = changed(eyes, 2.0 + AFTER + 1.0, begin)
     assert first in ({wanted}, set() if fault is Fault.FROZEN else {wanted})
     assert later == {wanted}
-    after = changed(eyes, 2.0 + AFTER + 2.26, Stage.INSERT)
+    after = changed(eyes, 2.0 + AFTER + 2.26, InsertionStage.INSERT)
     short = fault in SHORT or fault in (Fault.RADIO, Fault.SPIKE)
     assert after == (set() if short else {wanted})
 
@@ -69,12 +69,17 @@ def test_fault_begins_in_its_stage_and_touches_only_its_channel(fault):
 def test_no_fault_changes_nothing():
     eyes = FaultyEyes(None)
     given = observations(3.0)
-    assert eyes.change(given, Stage.INSERT) is given and not eyes.outage(3.0, Stage.APPROACH)
+    assert eyes.change(given, InsertionStage.INSERT) is given and not eyes.outage(
+        3.0, InsertionStage.APPROACH
+    )
 
 
 def test_frozen_camera_has_new_stamps_on_one_old_picture():
     eyes = FaultyEyes(Fault.FROZEN)
-    eyes.change(observations(0.0), Stage.APPROACH)
-    seen = [eyes.change(observations(time), Stage.APPROACH)[MASTER].stereo for time in (2.0, 3.0)]
+    eyes.change(observations(0.0), InsertionStage.APPROACH)
+    seen = [
+        eyes.change(observations(time), InsertionStage.APPROACH)[MASTER].stereo
+        for time in (2.0, 3.0)
+    ]
     np.testing.assert_array_equal(seen[0].value, seen[1].value)
     assert [each.stamp for each in seen] == [2.0, 3.0]

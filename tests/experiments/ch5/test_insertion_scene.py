@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from controllers.insertion.card_arm import CARD_IN_WRIST
-from controllers.insertion.watcher import Watcher, WatcherConfig
+from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.insertion.watching import in_both_images
 from experiments.ch3.stereo.mapping_scene import head_geometry
 from experiments.ch5.insertion_identify import rover_springs
@@ -103,11 +103,11 @@ def test_masters_camera_begins_where_the_map_says_it_sees_best():
     model = compile_insertion(InsertionScene(WIDTH, START, stand.place, FLAT))
     before = settle(model, 0.2)
     parts = true_parts(before)
-    config = WatcherConfig(parts.card, parts.slot, CARD_AND_SLOT.marker_diameter, watch_plan())
+    config = MarkerGuideConfig(parts.card, parts.slot, CARD_AND_SLOT.marker_diameter, watch_plan())
     slot = parts.slot_pose, 1e-6 * np.eye(6)
     arm, head = reference_arm(), head_geometry()
-    watcher = Watcher(config, arm, head, slot, parts.card_pose, stand.angles)
-    angles = watcher.begin(stand.angles)
+    marker_guide = MarkerGuide(config, arm, head, slot, parts.card_pose, stand.angles)
+    angles = marker_guide.begin(stand.angles)
     camera = arm.camera_in_robot(angles[None])
     assert in_both_images(camera, parts.card_pose.apply(parts.card.points), head, 5.0)[0]
     begin_with_camera_at(model, angles)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.carrier import Stage
+from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
 from experiments.ch5.insertion_faults import FaultyEyes
 from experiments.ch5.insertion_scene import MASTER, SLAVE
@@ -25,9 +25,9 @@ def heard_of(distance: float) -> list[Guidance]:
         heard.extend(told)
         return Command()
 
-    watcher = SimpleNamespace(step=lambda seen: (Command(), next(looks, None)))
-    carrier = SimpleNamespace(
-        stage=Stage.APPROACH, config=SimpleNamespace(period=0.01), step=act, stop=None
+    marker_guide = SimpleNamespace(step=lambda seen: (Command(), next(looks, None)))
+    inserter = SimpleNamespace(
+        stage=InsertionStage.APPROACH, config=SimpleNamespace(period=0.01), step=act, stop=None
     )
     sensing = SimpleNamespace(
         step=lambda seen, dt, contact, obstacles: SimpleNamespace(
@@ -35,7 +35,7 @@ def heard_of(distance: float) -> list[Guidance]:
         )
     )
     rng = np.random.default_rng(0)
-    team = InsertionTeam(watcher, carrier, sensing, FaultyEyes(None), rng)
+    team = InsertionTeam(marker_guide, inserter, sensing, FaultyEyes(None), rng)
     for tick in range(40):
         team.step({name: Observation(0.01 * tick) for name in (MASTER, SLAVE)})
     return heard

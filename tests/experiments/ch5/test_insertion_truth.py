@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.insertion.carrier import Stage
+from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_scene import MASTER, SLAVE
 from experiments.ch5.insertion_setting import InsertionTrial, prepare
 from models.compose import ARM_JOINTS
@@ -34,13 +34,13 @@ class Notes:
         chassis = [model.body(f"{robot}/chassis").jntadr[0] for robot in (MASTER, SLAVE)]
         self._places = [model.jnt_qposadr[joint] + k for joint in chassis for k in (0, 1)]
         self.commands, self.arms, self.places, self.reasons = [], [], [], []
-        self._carrier = setting.team.carrier
+        self._inserter = setting.team.inserter
 
     def record(self, step, time, observations, applied):
         self.commands.append(applied)
         self.arms.append(self._data.qpos[self._arms])
         self.places.append(self._data.qpos[self._places])
-        self.reasons.append(self._carrier.reason)
+        self.reasons.append(self._inserter.reason)
 
     def flush(self):
         pass
@@ -101,7 +101,7 @@ def blind(request):
             data.qpos[:] = np.nan
         simulation.model.key_qpos[:] = np.nan
         simulation.model.site_rgba[:, 3] = 0.0
-        team.carrier.config = dataclasses.replace(team.carrier.config, first=FIRST)
+        team.inserter.config = dataclasses.replace(team.inserter.config, first=FIRST)
         notes, told = Notes(setting), Told(team)
         run(simulation.robots, [told], SimClock(simulation), notes, FIRST + 1.0)
     assert copies and simulation.model.nsite > 0
@@ -111,10 +111,10 @@ def blind(request):
 
 def test_controllers_stop_with_target_not_seen(blind):
     setting, notes, _, _ = blind
-    assert setting.team.carrier.stage is Stage.FAILED
-    assert setting.team.carrier.reason == "target not seen"
+    assert setting.team.inserter.stage is InsertionStage.FAILED
+    assert setting.team.inserter.reason == "target not seen"
     assert notes.reasons.index("target not seen") == pytest.approx(100 * FIRST, abs=2)
-    assert setting.team.watcher.fits == (None, None)
+    assert setting.team.marker_guide.fits == (None, None)
 
 
 def test_no_axis_is_ever_told_to_move(blind):

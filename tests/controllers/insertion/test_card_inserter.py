@@ -9,7 +9,7 @@ import functools
 import numpy as np
 import pytest
 
-from controllers.insertion.carrier import Stage
+from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
 from controllers.motion.base_lean import BaseLean
 from experiments.ch5.insertion_identify import rover_springs
@@ -31,20 +31,26 @@ NOTHING_SEEN = Guidance(0.0, False, False, None, np.zeros((6, 6)))
 def test_card_is_brought_before_the_slot_and_in(slip, error):
     """Also where wheels slip by a tenth and the map is off: looks make up for both."""
     slave = Slave((0.01, -0.72, 0.04), slip)
-    carrier = slave.carrier(error)
+    inserter = slave.inserter(error)
     reached = {}
 
     def note():
-        reached.setdefault(carrier.stage, slave.error())
-        return carrier.over
+        reached.setdefault(inserter.stage, slave.error())
+        return inserter.over
 
-    slave.run(carrier, 40.0, until=note)
-    assert carrier.stage is Stage.DONE, carrier.reason
-    assert list(reached) == [Stage.WAIT, Stage.APPROACH, Stage.ALIGN, Stage.INSERT, Stage.DONE]
-    across, ahead, turn, beside, yaw = reached[Stage.INSERT]
+    slave.run(inserter, 40.0, until=note)
+    assert inserter.stage is InsertionStage.DONE, inserter.reason
+    assert list(reached) == [
+        InsertionStage.WAIT,
+        InsertionStage.APPROACH,
+        InsertionStage.ALIGN,
+        InsertionStage.INSERT,
+        InsertionStage.DONE,
+    ]
+    across, ahead, turn, beside, yaw = reached[InsertionStage.INSERT]
     assert abs(across) < 1.2e-3 and abs(turn) < np.radians(0.7)
-    assert ahead == pytest.approx(-carrier.config.stand_off, abs=2e-3)
-    assert slave.error()[1] == pytest.approx(carrier.config.guide.depth, abs=2e-3)
+    assert ahead == pytest.approx(-inserter.config.stand_off, abs=2e-3)
+    assert slave.error()[1] == pytest.approx(inserter.config.guide.depth, abs=2e-3)
     # The slot's walls are as wide as this.
     assert abs(beside) < 0.01 and abs(yaw) < 0.06
 
@@ -57,11 +63,13 @@ def test_the_lean_under_the_arm_is_fed_forward():
     ended = {}
     for fed in (None, base):
         slave = Slave((0.01, -0.72, 0.04), springs=base)
-        carrier = slave.carrier(base=fed)
-        slave.run(carrier, 40.0, until=lambda carrier=carrier: carrier.stage is Stage.INSERT)
+        inserter = slave.inserter(base=fed)
+        slave.run(
+            inserter, 40.0, until=lambda inserter=inserter: inserter.stage is InsertionStage.INSERT
+        )
         begun = slave.error()[0]
-        slave.run(carrier, 40.0, until=lambda carrier=carrier: carrier.over)
-        assert carrier.stage is Stage.DONE, carrier.reason
+        slave.run(inserter, 40.0, until=lambda inserter=inserter: inserter.over)
+        assert inserter.stage is InsertionStage.DONE, inserter.reason
         ended[fed is base] = slave.error()[0] - begun
     assert abs(ended[False]) > 1e-3
     assert abs(ended[True]) < 0.15 * abs(ended[False])
@@ -71,11 +79,11 @@ def test_the_lean_under_the_arm_is_fed_forward():
 def before_the_slot():
     """Return a slave that begins to insert, and its controller."""
     slave = Slave((0.01, -0.64, 0.03))
-    carrier = slave.carrier()
-    slave.run(carrier, 40.0, until=lambda: carrier.stage is Stage.INSERT)
-    slave.run(carrier, 0.3, looks=False)
-    assert carrier.stage is Stage.INSERT
-    return slave, carrier
+    inserter = slave.inserter()
+    slave.run(inserter, 40.0, until=lambda: inserter.stage is InsertionStage.INSERT)
+    slave.run(inserter, 0.3, looks=False)
+    assert inserter.stage is InsertionStage.INSERT
+    return slave, inserter
 
 
 def inserting():
@@ -86,140 +94,140 @@ def inserting():
 def under_way():
     """Return a slave in the approach, and its controller."""
     slave = Slave()
-    carrier = slave.carrier()
-    slave.run(carrier, 2.5)
-    assert carrier.stage is Stage.APPROACH
-    return slave, carrier
+    inserter = slave.inserter()
+    slave.run(inserter, 2.5)
+    assert inserter.stage is InsertionStage.APPROACH
+    return slave, inserter
 
 
 def approaching(**changes):
-    slave, carrier = copy.deepcopy(under_way())
-    carrier.config = dataclasses.replace(carrier.config, **changes)
-    return slave, carrier
+    slave, inserter = copy.deepcopy(under_way())
+    inserter.config = dataclasses.replace(inserter.config, **changes)
+    return slave, inserter
 
 
 def test_speeds_stay_within_their_limits():
-    slave, carrier = inserting()
-    motions = np.array([carrier._steer.motion(c.wheels) for c in slave.commands])
-    assert np.abs(motions[:, 0]).max() <= carrier.config.speed + 1e-9
-    assert np.abs(motions[:, 1]).max() <= carrier.config.turn + 1e-9
+    slave, inserter = inserting()
+    motions = np.array([inserter._steer.motion(c.wheels) for c in slave.commands])
+    assert np.abs(motions[:, 0]).max() <= inserter.config.speed + 1e-9
+    assert np.abs(motions[:, 1]).max() <= inserter.config.turn + 1e-9
     arms = np.array([c.arm for c in slave.commands])
     cards = np.array([slave.arm.card_in_robot(a)[:3, 3] for a in arms[::5]])
     speed = np.linalg.norm(np.diff(cards, axis=0), axis=1) / 0.05
-    assert speed.max() <= carrier.config.card_speed * 1.02
+    assert speed.max() <= inserter.config.card_speed * 1.02
 
 
 @pytest.mark.parametrize("looks", [[], [NOTHING_SEEN]])
 def test_nothing_moves_before_the_first_look_and_without_one_it_gives_up(looks):
     slave = Slave()
-    carrier = slave.carrier(first=2.0)
+    inserter = slave.inserter(first=2.0)
     for _ in range(400):
-        slave.drive(carrier.step(slave.observe(), looks))
-    assert carrier.stage is Stage.FAILED and carrier.reason == "target not seen"
+        slave.drive(inserter.step(slave.observe(), looks))
+    assert inserter.stage is InsertionStage.FAILED and inserter.reason == "target not seen"
     assert slave.stands_still(400)
     np.testing.assert_array_equal(slave.commands[0].arm, Slave().angles)
 
 
 def test_old_look_is_gone_on_from_by_dead_reckoning_and_then_given_up():
-    slave, carrier = approaching(lost=2.5)
+    slave, inserter = approaching(lost=2.5)
     place = slave.place.copy()
-    slave.run(carrier, carrier.config.stale + 0.3, looks=False)
+    slave.run(inserter, inserter.config.stale + 0.3, looks=False)
     assert slave.place[1] > place[1] + 0.02  # it still drives
-    slave.run(carrier, carrier.config.lost, looks=False, until=lambda: carrier.over)
-    assert carrier.stage is Stage.FAILED and carrier.reason == "target not seen"
-    slave.run(carrier, 0.5)
+    slave.run(inserter, inserter.config.lost, looks=False, until=lambda: inserter.over)
+    assert inserter.stage is InsertionStage.FAILED and inserter.reason == "target not seen"
+    slave.run(inserter, 0.5)
     assert slave.stands_still(50)
 
 
 def test_unsure_slave_stands_still_until_it_hears_again():
-    slave, carrier = approaching(known=1e-4)
-    slave.run(carrier, carrier.config.stale + 0.1, looks=False)
+    slave, inserter = approaching(known=1e-4)
+    slave.run(inserter, inserter.config.stale + 0.1, looks=False)
     place = slave.place.copy()
-    slave.run(carrier, 2.0, looks=False)
-    assert slave.stands_still(200) and not carrier.over
-    slave.run(carrier, 1.0)
+    slave.run(inserter, 2.0, looks=False)
+    assert slave.stands_still(200) and not inserter.over
+    slave.run(inserter, 1.0)
     assert slave.place[1] > place[1] + 0.01
 
 
 def test_wrench_beyond_the_limit_stops_everything():
-    slave, carrier = inserting()
+    slave, inserter = inserting()
     slave.push[:2] = [0.0, -10.0]
-    slave.run(carrier, 1.0, looks=False)
-    assert carrier.stage is Stage.FAILED and carrier.reason == "force"
+    slave.run(inserter, 1.0, looks=False)
+    assert inserter.stage is InsertionStage.FAILED and inserter.reason == "force"
     assert slave.stands_still(95)
 
 
-@pytest.mark.parametrize("stage", [Stage.APPROACH, Stage.ALIGN])
+@pytest.mark.parametrize("stage", [InsertionStage.APPROACH, InsertionStage.ALIGN])
 def test_push_that_grows_slowly_on_the_way_stops_everything(stage):
     """Before the slot, where the wrench is tared, it must not be tared away."""
-    slave, carrier = approaching(aligned=(0.0, 0.0))
-    slave.run(carrier, 20.0, until=lambda: carrier.stage is stage)
+    slave, inserter = approaching(aligned=(0.0, 0.0))
+    slave.run(inserter, 20.0, until=lambda: inserter.stage is stage)
     for _ in range(600):
-        slave.push[1] -= 0.02 if stage is Stage.ALIGN else 0.1
-        slave.drive(carrier.step(slave.observe(), [slave.look()]))
-        if carrier.over:
+        slave.push[1] -= 0.02 if stage is InsertionStage.ALIGN else 0.1
+        slave.drive(inserter.step(slave.observe(), [slave.look()]))
+        if inserter.over:
             break
-    assert carrier.stage is Stage.FAILED and carrier.reason == "force"
+    assert inserter.stage is InsertionStage.FAILED and inserter.reason == "force"
     assert -10.0 < slave.push[1] < -8.0
 
 
 def test_push_on_the_card_is_felt_less_what_was_there_before():
-    slave, carrier = inserting()
+    slave, inserter = inserting()
     slave.push[:] = [0.5, -0.4, 0.2, 0.01, 0.02, 0.03]
-    carrier.step(slave.observe(), [])
-    np.testing.assert_allclose(carrier.contact, slave.push, atol=1e-3)
+    inserter.step(slave.observe(), [])
+    np.testing.assert_allclose(inserter.contact, slave.push, atol=1e-3)
 
 
 def test_lost_wrench_in_contact_does_not_go_on():
-    slave, carrier = inserting()
+    slave, inserter = inserting()
     ahead = slave.error()[1]
     for _ in range(100):
-        slave.drive(carrier.step(slave.observe()._replace(arm_base_wrench=MISSING), []))
+        slave.drive(inserter.step(slave.observe()._replace(arm_base_wrench=MISSING), []))
     assert slave.error()[1] < ahead + 2e-3
-    assert carrier.stage is not Stage.DONE
+    assert inserter.stage is not InsertionStage.DONE
 
 
 @pytest.mark.parametrize("bad", [MISSING, Channel(np.full(4, np.nan), 0.0, Validity.MEASURED)])
 @pytest.mark.parametrize("channel", ["arm_angles", "arm_rates"])
 def test_missing_joints_take_the_duty_off_for_good(channel, bad):
-    slave, carrier = approaching()
-    command = carrier.step(slave.observe()._replace(**{channel: bad}), [])
+    slave, inserter = approaching()
+    command = inserter.step(slave.observe()._replace(**{channel: bad}), [])
     assert command.wheel_mode is WheelMode.DUTY and command.arm_mode is ArmMode.DUTY
     np.testing.assert_array_equal([*command.wheels, *command.arm], 0.0)
-    assert carrier.stage is Stage.FAILED and carrier.reason == "no arm angles"
-    slave.run(carrier, 0.5)
+    assert inserter.stage is InsertionStage.FAILED and inserter.reason == "no arm angles"
+    slave.run(inserter, 0.5)
     assert slave.stands_still(50)
 
 
 def test_reason_from_outside_stops_for_good():
-    slave, carrier = approaching()
-    carrier.stop("wrench missing")
-    slave.run(carrier, 0.5)
-    assert carrier.reason == "wrench missing" and slave.stands_still(50)
-    carrier.stop("another")
-    assert carrier.reason == "wrench missing"
-    carrier.step(slave.observe()._replace(arm_angles=MISSING), [])
-    assert carrier.reason == "wrench missing"
+    slave, inserter = approaching()
+    inserter.stop("wrench missing")
+    slave.run(inserter, 0.5)
+    assert inserter.reason == "wrench missing" and slave.stands_still(50)
+    inserter.stop("another")
+    assert inserter.reason == "wrench missing"
+    inserter.step(slave.observe()._replace(arm_angles=MISSING), [])
+    assert inserter.reason == "wrench missing"
 
 
 def test_card_that_is_in_stays_in_when_joints_go_missing():
-    slave, carrier = inserting()
-    carrier.stage = Stage.DONE
-    command = carrier.step(slave.observe()._replace(arm_angles=MISSING), [])
+    slave, inserter = inserting()
+    inserter.stage = InsertionStage.DONE
+    command = inserter.step(slave.observe()._replace(arm_angles=MISSING), [])
     assert command.arm_mode is ArmMode.DUTY and not np.any(command.arm)
-    assert carrier.stage is Stage.DONE and carrier.reason == ""
+    assert inserter.stage is InsertionStage.DONE and inserter.reason == ""
 
 
 def test_task_that_takes_too_long_is_given_up():
-    slave, carrier = approaching(timeout=2.8)
-    slave.run(carrier, 0.8)
-    assert carrier.reason == "out of time" and slave.stands_still(45)
+    slave, inserter = approaching(timeout=2.8)
+    slave.run(inserter, 0.8)
+    assert inserter.reason == "out of time" and slave.stands_still(45)
 
 
 @pytest.mark.parametrize("kind", ["missing", "stale", "not finite"])
 @pytest.mark.parametrize("channel", ["wheel_speeds", "inclinometer", "arm_base_wrench"])
 def test_spoilt_channel_never_makes_a_command_that_is_not_finite(channel, kind):
-    slave, carrier = approaching()
+    slave, inserter = approaching()
 
     def spoil(seen):
         good = getattr(seen, channel)
@@ -233,18 +241,18 @@ def test_spoilt_channel_never_makes_a_command_that_is_not_finite(channel, kind):
     for tick in range(80):
         looks = [slave.look()] if tick % 25 == 0 else []
         seen = slave.observe()
-        command = carrier.step(spoil(seen) if tick % 40 < 20 else seen, looks)
+        command = inserter.step(spoil(seen) if tick % 40 < 20 else seen, looks)
         slave.drive(command)
     numbers = [[*c.wheels, *c.arm, *c.arm_rates] for c in slave.commands]
     assert np.isfinite(numbers).all()
-    assert np.isfinite(carrier.belief.slot_in_start).all()
+    assert np.isfinite(inserter.belief.slot_in_start).all()
 
 
 def test_wild_look_moves_nothing_far():
-    slave, carrier = approaching()
-    before = carrier.belief.slot_in_start.copy()
+    slave, inserter = approaching()
+    before = inserter.belief.slot_in_start.copy()
     true = slave.look()
     wild = Slave((0.3, -0.5, 0.3)).look()
     for look in (dataclasses.replace(wild, time=true.time), dataclasses.replace(true, time=-5.0)):
-        slave.drive(carrier.step(slave.observe(), [look]))
-    np.testing.assert_allclose(carrier.belief.slot_in_start, before, atol=1e-4)
+        slave.drive(inserter.step(slave.observe(), [look]))
+    np.testing.assert_allclose(inserter.belief.slot_in_start, before, atol=1e-4)

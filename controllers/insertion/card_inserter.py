@@ -30,7 +30,7 @@ FloatArray = NDArray[np.float64]
 _ELBOW = 3.0  # Rates beyond are of the other elbow, not of a step [rad/s].
 
 
-class Stage(enum.Enum):
+class InsertionStage(enum.Enum):
     """What the slave is doing."""
 
     WAIT = "wait"
@@ -42,7 +42,7 @@ class Stage(enum.Enum):
 
 
 @dataclasses.dataclass(frozen=True)
-class CarrierConfig:
+class CardInserterConfig:
     """How the slave moves.
 
     Attributes:
@@ -95,12 +95,12 @@ class CarrierConfig:
     period: float = 0.01
 
 
-class Carrier:
+class CardInserter:
     """Drives wheels and arm of the slave, one step each servo tick."""
 
     def __init__(
         self,
-        config: CarrierConfig,
+        config: CardInserterConfig,
         arm: CardArm,
         steer: SkidSteer,
         slot_in_robot: FloatArray,
@@ -119,7 +119,7 @@ class Carrier:
                 robot that is taken to stay as it stands.
         """
         self.config = config
-        self.stage, self.reason = Stage.WAIT, ""
+        self.stage, self.reason = InsertionStage.WAIT, ""
         self.guide: InsertionGuide | None = None
         self.contact = np.zeros(6)
         self._load = 0.0  # force [N] that must not grow too large
@@ -144,7 +144,7 @@ class Carrier:
     @property
     def over(self) -> bool:
         """Whether it has ended, in DONE or FAILED."""
-        return self.stage in (Stage.DONE, Stage.FAILED)
+        return self.stage in (InsertionStage.DONE, InsertionStage.FAILED)
 
     def step(self, seen: Observation, looks: Sequence[Guidance]) -> Command:
         """Take what was measured and heard, and return the next command.
@@ -168,15 +168,15 @@ class Carrier:
             return self._fail("out of time", angles)
         if not self.over and self._load > config.force_limit:
             return self._fail("force", angles)
-        if self.stage is Stage.WAIT:
+        if self.stage is InsertionStage.WAIT:
             if self._last_look > -math.inf:
-                self._enter(Stage.APPROACH)
+                self._enter(InsertionStage.APPROACH)
             elif self._time > config.first:
                 return self._fail("target not seen", angles)
             return self._hold()
-        if self.stage in (Stage.APPROACH, Stage.ALIGN):
+        if self.stage in (InsertionStage.APPROACH, InsertionStage.ALIGN):
             return self._go(angles)
-        if self.stage is Stage.INSERT:
+        if self.stage is InsertionStage.INSERT:
             return self._insert(angles)
         return self._hold()
 
@@ -187,9 +187,9 @@ class Carrier:
             reason: Why.
         """
         if not self.over:
-            self.stage, self.reason = Stage.FAILED, reason
+            self.stage, self.reason = InsertionStage.FAILED, reason
 
-    def _enter(self, stage: Stage) -> None:
+    def _enter(self, stage: InsertionStage) -> None:
         self.stage, self._since, self._good = stage, self._time, 0
 
     def _fail(self, reason: str, angles: FloatArray, arm: bool = True) -> Command:
@@ -218,7 +218,7 @@ class Carrier:
             # The map's prior was given in the robot's own frame.
             self.belief.slot_in_start = self._odometry.pose() @ self.belief.slot_in_start
             self._levelled = True
-        if self.stage in (Stage.INSERT, Stage.DONE, Stage.FAILED):
+        if self.stage in (InsertionStage.INSERT, InsertionStage.DONE, InsertionStage.FAILED):
             return
         way, turn = self._odometry.way - before, self._odometry.turned - turned
         card = self._odometry.pose() @ self._arm.card_in_robot(angles)
@@ -228,7 +228,7 @@ class Carrier:
         for look in looks:
             if look.card_seen or look.slot_seen:
                 self._last_look = self._time
-            if self.stage is Stage.INSERT or self.over or not self.belief.take(look):
+            if self.stage is InsertionStage.INSERT or self.over or not self.belief.take(look):
                 continue
             assert look.transform_slot_to_card is not None
             self.error = to_plane(look.transform_slot_to_card.inv().as_matrix())
@@ -241,20 +241,22 @@ class Carrier:
         """Work out what touches the card, less what it was when nothing did."""
         felt = np.full(6, np.nan)
         up = level_of(seen).specific_force / GRAVITY
-        if self.stage is not Stage.INSERT:
+        if self.stage is not InsertionStage.INSERT:
             self._up = up
         if seen.arm_base_wrench.usable:
             felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
         self._load = 0.0
         if not np.all(np.isfinite(felt)):
-            self.contact = np.full(6, np.nan) if self.stage is Stage.INSERT else np.zeros(6)
+            self.contact = (
+                np.full(6, np.nan) if self.stage is InsertionStage.INSERT else np.zeros(6)
+            )
             return
-        if self.stage is Stage.ALIGN:
+        if self.stage is InsertionStage.ALIGN:
             self._tare = [*self._tare, felt][-round(self.config.settle / self.config.period) :]
             self._offset = np.mean(self._tare, axis=0)
         self.contact = felt - self._offset if self._tare else np.zeros(6)
         # What the card runs into before it is inserted must not be tared away.
-        bringing = self.stage in (Stage.APPROACH, Stage.ALIGN)
+        bringing = self.stage in (InsertionStage.APPROACH, InsertionStage.ALIGN)
         touched = felt if bringing else self.contact
         self._load = float(np.linalg.norm(touched[:3]))
 
@@ -269,15 +271,15 @@ class Carrier:
         slot = inverse(self._odometry.pose()) @ self.belief.slot_in_start
         gap = float(slot[1, 3]) - config.reach - config.stand_off
         wheels = np.zeros(4)
-        if self.stage is Stage.APPROACH:
+        if self.stage is InsertionStage.APPROACH:
             wheels = self._steer_to(slot, gap)
             if abs(gap) < config.near:
-                self._enter(Stage.ALIGN)
+                self._enter(InsertionStage.ALIGN)
         # While the robot is away, the card stays where the arm is at ease.
-        away = max(gap, 0.0) if self.stage is Stage.APPROACH else 0.0
+        away = max(gap, 0.0) if self.stage is InsertionStage.APPROACH else 0.0
         ahead = -config.stand_off - away
         rates = self._bring(slot @ planar([0.0, ahead, 0.0]))
-        if self.stage is Stage.ALIGN:
+        if self.stage is InsertionStage.ALIGN:
             waited = self._time - self._since
             tared = len(self._tare) * config.period >= config.settle - 1e-9
             if tared and (self._good >= config.looks or waited > config.patience):
@@ -326,7 +328,7 @@ class Carrier:
         self._weight = self._arm.weight(self._wanted, self._up)
         start = to_plane(inverse(slot) @ self._arm.card_in_robot(self._wanted))
         self.guide = InsertionGuide(self.config.guide, start[:3])
-        self._enter(Stage.INSERT)
+        self._enter(InsertionStage.INSERT)
 
     def _slot_now(self) -> FloatArray:
         """Return (4, 4) from the slot to the robot, which leans as its arm reaches on."""
@@ -343,7 +345,7 @@ class Carrier:
         card = self._slot_now() @ planar(pose)
         rates = self._command_card(card[:3, 3], pitch_of(card))
         if self.guide.phase is Phase.DONE:
-            self._enter(Stage.DONE)
+            self._enter(InsertionStage.DONE)
         elif self.guide.phase is Phase.FAILED:
             return self._fail(self.guide.reason, angles)
         return self._hold(rates=rates)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.watcher import Watcher, WatcherConfig
+from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.insertion.watching import best_angles
 from experiments.ch3.stereo.mapping_scene import head_geometry
 from experiments.ch5.insertion_scene import MASTER, SLAVE
@@ -51,13 +51,13 @@ class Eyes:
         arm_at(self.model, self.data, MASTER, self.angles)
         mujoco.mj_forward(self.model, self.data)
 
-    def watcher(self, prior_error=True) -> Watcher:
+    def marker_guide(self, prior_error=True) -> MarkerGuide:
         parts = true_parts(self.data)
         error = self.rng.multivariate_normal(np.zeros(6), PRIOR) if prior_error else np.zeros(6)
         slot = RigidTransform.from_exp_coords(error).inv() * parts.slot_pose
-        config = WatcherConfig(card_cad(), slot_cad(WIDTH), CARD_AND_SLOT.marker_diameter, None)
+        config = MarkerGuideConfig(card_cad(), slot_cad(WIDTH), CARD_AND_SLOT.marker_diameter, None)
         card = ROUGH * parts.card_pose
-        return Watcher(config, reference_arm(), head_geometry(), (slot, PRIOR), card)
+        return MarkerGuide(config, reference_arm(), head_geometry(), (slot, PRIOR), card)
 
     def observe(self, stamp: float = 0.0, pair=None) -> Observation:
         image = self.rig.capture(self.data) if pair is None else pair
@@ -95,7 +95,7 @@ def test_told_pose_is_true_within_its_covariance(eyes):
                (-0.01, 0.01), (0.004, -0.16), (0.0, -0.05)]  # fmt: skip
     for offset in offsets:
         eyes.place(offset)
-        command, guidance = eyes.watcher().step(eyes.observe())
+        command, guidance = eyes.marker_guide().step(eyes.observe())
         assert guidance is not None and guidance.card_seen and guidance.slot_seen
         squares.append(square(eyes, guidance))
         parts = true_parts(eyes.data)
@@ -110,12 +110,12 @@ def test_told_pose_is_true_within_its_covariance(eyes):
 def test_hidden_slot_is_where_the_map_has_it_with_the_maps_covariance(eyes):
     eyes.place((0.0, 0.0))
     eyes.hide("slot")
-    watcher = eyes.watcher()
-    _, guidance = watcher.step(eyes.observe())
+    marker_guide = eyes.marker_guide()
+    _, guidance = marker_guide.step(eyes.observe())
     assert guidance is not None and guidance.card_seen and not guidance.slot_seen
     assert square(eyes, guidance) < 16.8  # 1 % of six degrees of freedom
-    seen = eyes.watcher()
-    np.testing.assert_array_equal(watcher.slot_covariance, PRIOR)
+    seen = eyes.marker_guide()
+    np.testing.assert_array_equal(marker_guide.slot_covariance, PRIOR)
     eyes.model.geom("slot_marker0").rgba[3] = eyes.model.geom("slot_marker1").rgba[3] = 1.0
     _, whole = seen.step(eyes.observe())
     assert whole is not None and whole.slot_seen
@@ -124,10 +124,10 @@ def test_hidden_slot_is_where_the_map_has_it_with_the_maps_covariance(eyes):
 
 def test_slot_once_seen_is_remembered_when_it_is_hidden(eyes):
     eyes.place((0.0, 0.0))
-    watcher = eyes.watcher()
-    watcher.step(eyes.observe())
+    marker_guide = eyes.marker_guide()
+    marker_guide.step(eyes.observe())
     eyes.hide("slot")
-    _, guidance = watcher.step(eyes.observe(0.25))
+    _, guidance = marker_guide.step(eyes.observe(0.25))
     assert guidance is not None and not guidance.slot_seen
     assert square(eyes, guidance) < 16.8
     assert guidance.covariance[3:, 3:].trace() < PRIOR[3:, 3:].trace()
@@ -136,7 +136,7 @@ def test_slot_once_seen_is_remembered_when_it_is_hidden(eyes):
 def test_hidden_card_gives_no_pose(eyes):
     eyes.place((0.0, 0.0))
     eyes.hide(f"{SLAVE}/card")
-    _, guidance = eyes.watcher().step(eyes.observe())
+    _, guidance = eyes.marker_guide().step(eyes.observe())
     assert guidance is not None and guidance.slot_seen and not guidance.card_seen
     assert guidance.transform_slot_to_card is None
 
@@ -150,41 +150,41 @@ def test_pair_that_shows_nothing_gives_no_pose(eyes, kind):
         "white": np.full(shape, 255, np.uint8),
         "noise": rng.integers(0, 256, shape, dtype=np.uint8),
     }[kind]
-    watcher = eyes.watcher()
-    before = watcher.slot.as_matrix()
-    _, guidance = watcher.step(eyes.observe(pair=pair))
+    marker_guide = eyes.marker_guide()
+    before = marker_guide.slot.as_matrix()
+    _, guidance = marker_guide.step(eyes.observe(pair=pair))
     assert guidance is not None and guidance.transform_slot_to_card is None
     assert not guidance.card_seen and not guidance.slot_seen
-    np.testing.assert_array_equal(watcher.slot.as_matrix(), before)
+    np.testing.assert_array_equal(marker_guide.slot.as_matrix(), before)
 
 
 def test_frozen_camera_gives_no_pose_though_its_stamps_go_on(eyes):
     eyes.place((0.0, 0.0))
-    watcher = eyes.watcher()
+    marker_guide = eyes.marker_guide()
     pair = eyes.rig.capture(eyes.data)
-    _, first = watcher.step(eyes.observe(0.0, pair))
-    _, frozen = watcher.step(eyes.observe(0.25, pair.copy()))
-    _, alive = watcher.step(eyes.observe(0.5))
+    _, first = marker_guide.step(eyes.observe(0.0, pair))
+    _, frozen = marker_guide.step(eyes.observe(0.25, pair.copy()))
+    _, alive = marker_guide.step(eyes.observe(0.5))
     assert [g.card_seen for g in (first, frozen, alive)] == [True, False, True]
     assert frozen.transform_slot_to_card is None
 
 
 def test_pair_is_told_of_once_and_none_is_told_of_never(eyes):
-    watcher = eyes.watcher()
+    marker_guide = eyes.marker_guide()
     seen = eyes.observe(0.0, np.zeros((2, 492, 510), np.uint8))
-    assert watcher.step(seen)[1] is not None
-    assert watcher.step(seen)[1] is None
-    assert watcher.step(seen._replace(stereo=MISSING))[1] is None
+    assert marker_guide.step(seen)[1] is not None
+    assert marker_guide.step(seen)[1] is None
+    assert marker_guide.step(seen._replace(stereo=MISSING))[1] is None
 
 
 def test_camera_stays_without_a_plan_and_nothing_moves_without_joint_angles(eyes):
-    watcher = eyes.watcher()
+    marker_guide = eyes.marker_guide()
     seen = eyes.observe(0.0, np.zeros((2, 492, 510), np.uint8))
-    command, _ = watcher.step(seen)
+    command, _ = marker_guide.step(seen)
     np.testing.assert_array_equal(command.arm, eyes.angles)
     np.testing.assert_array_equal(command.wheels, 0.0)
     assert command.arm_mode is ArmMode.POSITION and command.wheel_mode is WheelMode.SPEED
-    command, guidance = watcher.step(seen._replace(arm_angles=MISSING))
+    command, guidance = marker_guide.step(seen._replace(arm_angles=MISSING))
     assert guidance is None and command.arm_mode is ArmMode.DUTY
     np.testing.assert_array_equal([*command.arm, *command.wheels], 0.0)
 
@@ -192,17 +192,17 @@ def test_camera_stays_without_a_plan_and_nothing_moves_without_joint_angles(eyes
 def test_camera_goes_to_its_place_no_faster_than_allowed(eyes):
     eyes.place((0.0, 0.0))
     goal = eyes.angles + [0.3, -0.1, 0.2, 0.05]
-    made = eyes.watcher()
-    watcher = Watcher(
+    made = eyes.marker_guide()
+    marker_guide = MarkerGuide(
         dataclasses.replace(made.config, rate=0.5), reference_arm(), head_geometry(),
         (made.slot, PRIOR), made.card, goal,
     )  # fmt: skip
     # Before anything is seen it stays.
     blind = eyes.observe(-1.0, np.zeros((2, 492, 510), np.uint8))
     for _ in range(3):
-        np.testing.assert_array_equal(watcher.step(blind)[0].arm, eyes.angles)
+        np.testing.assert_array_equal(marker_guide.step(blind)[0].arm, eyes.angles)
     seen = eyes.observe()
-    wanted = [watcher.step(seen)[0].arm for _ in range(70)]
+    wanted = [marker_guide.step(seen)[0].arm for _ in range(70)]
     np.testing.assert_allclose(wanted[-1], goal)
     steps = np.abs(np.diff(wanted, axis=0))
     assert steps.max() < 0.5 * 0.01 + 1e-12

@@ -27,7 +27,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
-class WatcherConfig:
+class MarkerGuideConfig:
     """How the master looks.
 
     Attributes:
@@ -58,12 +58,12 @@ class WatcherConfig:
     period: float = 0.01
 
 
-class Watcher:
+class MarkerGuide:
     """Drives the master's arm and turns its stereo pairs into guidance."""
 
     def __init__(
         self,
-        config: WatcherConfig,
+        config: MarkerGuideConfig,
         arm: CameraArm,
         geometry: StereoGeometry,
         slot: tuple[RigidTransform, FloatArray],
