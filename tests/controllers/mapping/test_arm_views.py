@@ -60,13 +60,15 @@ def test_no_room_is_told(views):
 def test_best_view_looks_at_the_only_unknown_place(views):
     states = np.full(GRID.states.shape, State.FREE, np.int8)
     drawn = views.draw(HOME, above(0.12), 30, np.random.default_rng(1))
-    target = views.cameras(drawn)[17].apply([0.0, 0.0, 0.8])
-    cell = np.floor((target - GRID.low) / GRID.resolution).astype(int)
+    targets = [camera.apply([0.0, 0.0, 0.8]) for camera in views.cameras(drawn)]
+    cells = np.floor((targets - GRID.low) / GRID.resolution).astype(int)
+    within = np.all((cells >= 2) & (cells < np.array(states.shape) - 2), axis=1)
+    target, cell = targets[np.argmax(within)], cells[np.argmax(within)]
     near = tuple(slice(max(c - 2, 0), c + 3) for c in cell)
     states[near] = State.UNKNOWN
     grid = PlanningGrid(GRID.low, GRID.resolution, states)
     rated = views.rate(grid, None, HOME, drawn)
-    assert np.all(np.diff(rated.ratings) <= 0.0)
+    assert np.all(np.diff(rated.ratings) <= 0.0) and rated.information[0] > 0.0
     sight = rated.cameras[0].inv().apply(target)
     assert sight[2] > 0 and np.abs(sight[:2] / sight[2]).max() < 0.4
 

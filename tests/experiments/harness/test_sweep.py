@@ -26,6 +26,7 @@ def calls(folder):
     return len((folder / "calls").read_text())
 
 
+@pytest.mark.chosen_seed  # No option reaches the other processes.
 def test_results_come_in_order_and_alike_from_one_process_and_two(tmp_path):
     one = go(tmp_path, configs(tmp_path, 5), jobs=1)
     two = go(tmp_path, configs(tmp_path, 5), jobs=2)

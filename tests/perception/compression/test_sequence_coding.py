@@ -50,7 +50,8 @@ def test_lzw_follows_the_flowchart_by_hand():
 def test_codes_have_twelve_bits_and_no_more_than_4096_values():
     data = np.random.default_rng(0).integers(0, 256, 30000, dtype=np.uint8)
     codes = lzw_codes(data)
-    assert codes.max() == 4095
+    # Of noise hardly any code is used twice: which of the last ones are is chance.
+    assert 4000 < codes.max() <= 4095
     assert len(lzw_encode(data)) == -(-len(codes) * 12 // 8)
     np.testing.assert_array_equal(lzw_symbols(codes), data)
 

