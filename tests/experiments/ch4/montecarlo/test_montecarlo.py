@@ -180,6 +180,7 @@ def test_a_test_is_the_same_beside_whichever_others():
 
 
 @pytest.mark.slow
+@pytest.mark.chosen_seed  # No option reaches the other processes.
 def test_any_number_of_processes_gives_the_same_bits(tmp_path):
     found = []
     for jobs in (1, 2):
