@@ -27,6 +27,7 @@ from models.compose import (
     build_scene,
     compile_scene,
 )
+from perception.geometry.gravity import GRAVITY
 
 FloatArray = NDArray[np.float64]
 MASTER, SLAVE = "rover1", "rover2"
@@ -217,7 +218,7 @@ def _start(model: mujoco.MjModel, data: mujoco.MjData, angles: FloatArray) -> No
     for robot in (MASTER, SLAVE):
         mujoco.mj_jacSite(model, data, jacobian, None, model.site(f"{robot}/gripper").id)
         dofs = [model.joint(f"{robot}/{name}_joint").dofadr[0] for name in ARM_JOINTS]
-        share = jacobian[2, dofs] * TRUSS.mass * datasheets.GRAVITY / 2.0
+        share = jacobian[2, dofs] * TRUSS.mass * GRAVITY / 2.0
         voltages = arm_hold_voltage(model, data, robot) + share * per_effort
         for name, voltage in zip(ARM_JOINTS, voltages, strict=True):
             data.actuator(f"{robot}/{name}").ctrl = voltage

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-GRAVITY = 9.81
+from perception.geometry.gravity import GRAVITY
 
 
 @numba.njit(cache=True, inline="always")

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.identification.compliant_base import SIGNALS, ArmOnMount
-from controllers.identification.equations import GRAVITY
 from controllers.identification.parameters import COUNT, INERTIA_ELEMENTS
+from perception.geometry.gravity import GRAVITY
+from perception.geometry.se3 import cross_matrix
 
 FloatArray = NDArray[np.float64]
 
@@ -60,14 +61,6 @@ def _rate_bias(angles: FloatArray, rates: FloatArray) -> FloatArray:
     return np.stack([x, y, cy * py * px], axis=1)
 
 
-def _skew(vectors: FloatArray) -> FloatArray:
-    """Return (n, 3, 3) cross-product matrices of (n, 3) vectors."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    rows = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
-    return np.moveaxis(rows, 2, 0)
-
-
 def _inertia_basis() -> FloatArray:
     basis = np.zeros((6, 3, 3))
     for element, (row, column) in zip(basis, INERTIA_ELEMENTS, strict=True):
@@ -108,12 +101,12 @@ def regressor(outputs: FloatArray, arm: ArmOnMount) -> tuple[FloatArray, FloatAr
     matrix[:, :3, 0] = -outputs[:, SIGNALS["acceleration"]]
     basis = _inertia_basis()
     momentum_rate = np.einsum("kij,nj->nik", basis, alpha) + np.einsum(
-        "nij,kjl,nl->nik", _skew(omega), basis, omega
+        "nij,kjl,nl->nik", cross_matrix(omega), basis, omega
     )
     matrix[:, 3:, 1:7] = -np.einsum("nji,njk->nik", rate_matrix, momentum_rate)
     # r2 x F = -[F]x r2
-    turned = np.einsum("nji,njk->nik", rate_matrix, _skew(force))
-    matrix[:, 3:, 7:10] = turned - _skew(rest_force[None])
+    turned = np.einsum("nji,njk->nik", rate_matrix, cross_matrix(force))
+    matrix[:, 3:, 7:10] = turned - cross_matrix(rest_force[None])
     diagonal = np.arange(3)
     matrix[:, diagonal, 10 + diagonal] = -outputs[:, SIGNALS["velocity"]]
     matrix[:, 3 + diagonal, 13 + diagonal] = -rates

@@ -28,12 +28,12 @@ from controllers.identification.pitch import (
     fisher_information,
     predict_tilt,
 )
+from perception.geometry.gravity import GRAVITY
 from twin.robot import ArmMode, Command, Observation, RobotError
 
 FloatArray = NDArray[np.float64]
 
 EXCITATIONS = ("constant", "random", *CRITERIA)
-GRAVITY = 9.81
 
 ROVER_ARM_LIMITS = ArmLimits(
     amplitude=(0.05, 0.7), offset=(0.75, np.pi / 2), rate=4.0, acceleration=20.0

@@ -9,8 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from controllers.kinematics.arm_model import ArmModel
 from controllers.kinematics.camera_arm import CameraArm
-from controllers.kinematics.chain import GRAVITY, Chain, at_rest
-from controllers.kinematics.serial_arm import RigidBody, cross_matrix
+from controllers.kinematics.chain import Chain, at_rest
+from controllers.kinematics.serial_arm import RigidBody
+from perception.geometry.gravity import GRAVITY
+from perception.geometry.se3 import cross_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -20,10 +20,10 @@ from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, t
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
-from controllers.kinematics.chain import GRAVITY
 from controllers.motion.base_lean import BaseLean
 from controllers.motion.base_motion import level_of
 from controllers.motion.driving import Odometry, SkidSteer
+from perception.geometry.gravity import GRAVITY
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]

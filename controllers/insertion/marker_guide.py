@@ -16,10 +16,10 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.watching import SeenParts, WatchPlan, best_angles
 from controllers.kinematics.camera_arm import CameraArm
+from perception.geometry.se3 import composed_covariance, inverse_covariance
 from perception.markers.ellipses import MarkerExpectation
 from perception.markers.markers import find_bodies
 from perception.markers.poses import BodyCad, BodyFit, PosePrior
-from perception.registration.uncertainty import composed_covariance, inverse_covariance
 from perception.stereo.geometry import StereoGeometry
 from twin.robot import ArmMode, Command, Observation, WheelMode
 

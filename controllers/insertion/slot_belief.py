@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guidance import Guidance
-from perception.registration.uncertainty import adjoint, composed_covariance
+from perception.geometry.se3 import composed_covariance, point_jacobian, transport_covariance
 
 FloatArray = NDArray[np.float64]
 _SIMULTANEOUS = 0.05  # Between images and joint angles that count as of one moment [s].
@@ -98,10 +98,7 @@ class SlotBelief:
     def deviation(self) -> float:
         """Return the larger standard deviation of the slot's place in its plane now [m]."""
         self._drift()
-        x, y, z = self.slot_in_start[:3, 3]
-        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        motion = np.hstack([lever, np.eye(3)])
-        plane = self.slot_in_start[:3, :2].T @ motion
+        plane = self.slot_in_start[:3, :2].T @ point_jacobian(self.slot_in_start[:3, 3])
         return float(np.sqrt(np.linalg.eigvalsh(plane @ self.covariance @ plane.T)[-1]))
 
     def take(self, guidance: Guidance) -> bool:
@@ -155,5 +152,5 @@ class SlotBelief:
         drift = np.diag([tilt, tilt, yaw, 0.1 * along, along, tilt])
         rest = np.diag(np.repeat(np.square(config.standing), 3) * period)
         # The card is near enough to where the robot turns.
-        lift = adjoint(RigidTransform.from_matrix(self._where[-1][1]))
-        self.covariance = self.covariance + lift @ (drift + rest) @ lift.T
+        robot = RigidTransform.from_matrix(self._where[-1][1])
+        self.covariance = self.covariance + transport_covariance(robot, drift + rest)

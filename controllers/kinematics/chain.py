@@ -15,11 +15,11 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.kinematics.serial_arm import RigidBody, SerialArm, cross_matrix
+from controllers.kinematics.serial_arm import RigidBody, SerialArm
+from perception.geometry.gravity import GRAVITY
+from perception.geometry.se3 import cross_matrix
 
 FloatArray = NDArray[np.float64]
-GRAVITY = 9.81
-"""Acceleration of free fall [m/s^2]."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.se3 import axis_rotation, cross_matrix
+
 FloatArray = NDArray[np.float64]
 
 NAMES = ("mass", "hx", "hy", "hz", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -177,22 +179,6 @@ def _next_frame(
         omega + turning,
         alpha + spin * acceleration[:, None] + np.cross(omega, turning),
     )
-
-
-def axis_rotation(axis: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return rotations (n, 3, 3) about a unit axis (3,) by angles (n,) [rad] (Rodrigues)."""
-    skew = cross_matrix(np.asarray(axis, dtype=float))
-    sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    return np.eye(3) + sine * skew + (1.0 - cosine) * (skew @ skew)
-
-
-def cross_matrix(vectors: FloatArray) -> FloatArray:
-    """Return (..., 3, 3) matrices S with S w = v x w, for vectors v (..., 3)."""
-    matrix = np.zeros((*vectors.shape, 3))
-    matrix[..., 0, 1], matrix[..., 0, 2] = -vectors[..., 2], vectors[..., 1]
-    matrix[..., 1, 0], matrix[..., 1, 2] = vectors[..., 2], -vectors[..., 0]
-    matrix[..., 2, 0], matrix[..., 2, 1] = -vectors[..., 1], vectors[..., 0]
-    return matrix
 
 
 def wrench_regressor(frame: FrameMotion) -> FloatArray:

@@ -16,12 +16,12 @@ from controllers.mapping.standing import (
     stand,
 )
 from perception.geometry.pinhole import Frustum
+from perception.geometry.se3 import transform_points_with_covariance, transport_covariance
 from perception.registration.checks import RegistrationError
 from perception.registration.closed_form import kabsch_pose
 from perception.registration.likelihood import solve
 from perception.registration.reprojection import KnownPoints, Sighting
 from perception.registration.target import SeenTarget, TargetCad, find_target
-from perception.registration.uncertainty import adjoint, transform_points_with_covariance
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.stereo import StereoPoints
 from perception.voxels.map import VoxelMap
@@ -105,10 +105,10 @@ class SharedMap:
             in_level = camera_in_level(arm, angles, tilt)
             to_level = in_level * camera.transform_camera_to_world.inv()
             self.transform_target_to_world = level_target(to_level)
-        carried = adjoint(self.transform_target_to_world)
+        to_world = self.transform_target_to_world
         in_world = CameraPose(
-            self.transform_target_to_world * camera.transform_camera_to_world,
-            carried @ camera.covariance @ carried.T,
+            to_world * camera.transform_camera_to_world,
+            transport_covariance(to_world, camera.covariance),
         )
         return stand(arm, angles, tilt, in_world, config)
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.camera_arm import CameraArm
+from perception.geometry.se3 import adjoint, transport_covariance
 from perception.registration.prior import PosePrior
-from perception.registration.uncertainty import adjoint
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]
@@ -115,9 +115,8 @@ class Standing:
             offsets: (12,) numbers of the offsets whose covariance is `shared_covariance`.
         """
         pose = self.transform_level_to_world * camera_in_level(self.arm, angles, tilt)
-        base = adjoint(self.transform_level_to_world)
         mount = adjoint(pose) - adjoint(self.transform_sighting_to_world)
-        own = base @ self.config.base_covariance() @ base.T
+        own = transport_covariance(self.transform_level_to_world, self.config.base_covariance())
         return PosePrior(pose, own, offsets, np.hstack([np.eye(6), mount]))
 
 
@@ -167,6 +166,5 @@ def stand(
     how = config or StandingConfig()
     pose = camera.transform_camera_to_world
     level = pose * camera_in_level(arm, angles, tilt).inv()
-    base = adjoint(level)
-    spread = camera.covariance + base @ how.base_covariance() @ base.T
+    spread = camera.covariance + transport_covariance(level, how.base_covariance())
     return Standing(arm, level, spread, pose, how)

@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.kinematics.serial_arm import cross_matrix
+from perception.geometry.se3 import cross_matrix
 
 FloatArray = NDArray[np.float64]
 

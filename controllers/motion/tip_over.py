@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from controllers.kinematics.chain import LEVEL, Chain, FrameState
-from controllers.kinematics.serial_arm import RigidBody, cross_matrix
+from controllers.kinematics.serial_arm import RigidBody
+from perception.geometry.se3 import cross_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 import scipy.stats
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.chain import Chain, FrameState, Joint
-from controllers.kinematics.serial_arm import SerialArm, cross_matrix
+from controllers.kinematics.serial_arm import SerialArm
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
+from perception.geometry.se3 import adjoint, cross_matrix
 from twin.robot import Observation
 
 FloatArray = NDArray[np.float64]
@@ -334,8 +336,7 @@ class WrenchModel:
     def _contact_maps(self, observation: Observation) -> tuple[FloatArray, FloatArray]:
         """Return (n, 6) and (6, 6): efforts and wrench by what the hand does to the world."""
         angles, _ = _joints(observation)
-        lever = np.eye(6)
-        lever[3:, :3] = cross_matrix(np.asarray(self.config.grip, dtype=float))
+        lever = adjoint(RigidTransform.from_translation(self.config.grip))
         by_efforts, by_wrench = self._chain.carried(np.concatenate([[0.0], angles]))
         return by_efforts[1:] @ lever, by_wrench @ lever
 

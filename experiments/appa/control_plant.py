@@ -13,6 +13,7 @@ from controllers.motion.lagrange import NineCoordinates
 from experiments.ch2.known_arm import known_arm
 from models import datasheets
 from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part, make_model
+from perception.geometry.gravity import GRAVITY
 
 FloatArray = NDArray[np.float64]
 PLAIN = FieldConfig(texture_pixels=16)
@@ -120,7 +121,7 @@ def sprung_rover(stiffness: float) -> mujoco.MjModel:
             the bare rover level.
     """
     model = make_model(PLAIN, [RobotPlacement("rover1")])
-    weight = _SHEET.sprung_mass * datasheets.GRAVITY
+    weight = _SHEET.sprung_mass * GRAVITY
     lever = _SHEET.sprung_height - _SHEET.wheel_radius
     spring = (stiffness + weight * lever) / (4.0 * _SHEET.half_wheelbase**2)
     for wheel in WHEELS:

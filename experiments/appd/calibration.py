@@ -18,7 +18,8 @@ from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from models.datasheets import ARM, DEGREE, GRAVITY, INCLINOMETER, INCLINOMETER_CALIBRATION
+from models.datasheets import ARM, DEGREE, INCLINOMETER, INCLINOMETER_CALIBRATION
+from perception.geometry.gravity import GRAVITY
 from twin.hardware.calibration.tilt_fit import (
     Sample,
     TiltLine,

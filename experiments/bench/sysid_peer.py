@@ -25,7 +25,7 @@ from controllers.identification.parameters import (
     second_moments,
 )
 from models.compliant_base.build import hold_arm, set_parameters
-from models.datasheets import GRAVITY
+from perception.geometry.gravity import GRAVITY
 
 FloatArray = NDArray[np.float64]
 

@@ -27,6 +27,7 @@ from experiments.harness.sweep import sweep
 from models import datasheets
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.configuration import PayloadConfig as Box
+from perception.geometry.gravity import GRAVITY
 from twin.connect import connect
 from twin.loop import run as run_loop
 from twin.record import Recorder
@@ -108,7 +109,7 @@ def sensing() -> SensingConfig:
     """Return how the rover's signals are read, from its datasheets."""
     mount = datasheets.ROVER.arm_mount
     return SensingConfig(
-        gravity=datasheets.GRAVITY,
+        gravity=GRAVITY,
         lever=(mount[0], mount[1], mount[2] + datasheets.ROVER.centre_height),
         inclinometer_bandwidth=datasheets.INCLINOMETER.bandwidth,
     )

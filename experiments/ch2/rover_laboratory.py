@@ -15,7 +15,8 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 from models.compose import FLAT, RobotPlacement, load_part, make_model, settle
-from models.datasheets import GRAVITY, ROVER
+from models.datasheets import ROVER
+from perception.geometry.gravity import GRAVITY
 
 FloatArray = NDArray[np.float64]
 

@@ -45,7 +45,7 @@ from models import datasheets
 from models.card_and_slot.stand import TIP
 from models.compose import FieldConfig, settle
 from models.datasheets import CARD_AND_SLOT, HAND
-from perception.registration.uncertainty import cross_matrix
+from perception.geometry.se3 import transport_covariance
 from twin.camera import StereoConfig
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.framed_radio import FramedLink
@@ -326,6 +326,5 @@ def _mapped(pose: RigidTransform, rng: np.random.Generator) -> tuple[RigidTransf
     believed = RigidTransform.from_components(
         pose.translation + error.translation, error.rotation * pose.rotation
     )
-    lever = np.eye(6)
-    lever[3:, :3] = cross_matrix(believed.translation)
-    return believed, lever @ np.diag(deviations**2) @ lever.T
+    place = RigidTransform.from_translation(believed.translation)
+    return believed, transport_covariance(place, np.diag(deviations**2))

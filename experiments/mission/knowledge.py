@@ -18,7 +18,7 @@ from experiments.ch5.insertion_identify import rover_steer
 from experiments.mission.scene import DROP_PLACE, DROP_YAW, MASTER, NOMINAL, SLAVE, Site
 from models import datasheets
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT
-from perception.registration.uncertainty import adjoint
+from perception.geometry.se3 import transport_covariance
 from twin.robot import Observation, RobotError
 
 FloatArray = NDArray[np.float64]
@@ -100,8 +100,8 @@ class Knowledge:
             tilt: (2,) pitch and roll [rad].
         """
         upright = lean(tilt).inv()
-        turn = adjoint(upright)
-        return upright * self.slot_in_level, turn @ self.slot_covariance @ turn.T
+        covariance = transport_covariance(upright, self.slot_covariance)
+        return upright * self.slot_in_level, covariance
 
     def card_in_master(self, tilt: FloatArray, card_in_slave: FloatArray) -> RigidTransform:
         """Return roughly where the card is in the master's frame.

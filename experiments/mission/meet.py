@@ -23,7 +23,7 @@ from experiments.mission.knowledge import Knowledge, tilt_of
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.stages import HOME, PERIOD, Observations, marker_guide
 from models.datasheets import CARD_AND_SLOT
-from perception.registration.uncertainty import adjoint
+from perception.geometry.se3 import transport_covariance
 from twin.robot import Command, Observation
 
 FloatArray = NDArray[np.float64]
@@ -153,9 +153,8 @@ class Meet:
         assert look.transform_slot_to_card is not None
         knowledge = self._knowledge
         card = RigidTransform.from_matrix(self._arm.card_in_robot(HOME))
-        lift = adjoint(card)
         slot = card * look.transform_slot_to_card
-        spread = lift @ look.covariance @ lift.T
+        spread = transport_covariance(card, look.covariance)
         off = slot * RigidTransform.from_matrix(knowledge.slot_in_slave).inv()
         error = np.asarray(off.as_exp_coords())
         doubt = knowledge.slave_covariance + spread + _STIRRED

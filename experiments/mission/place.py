@@ -21,8 +21,8 @@ from experiments.ch5.insertion_stand import Stand, reference_arm, search_stand
 from experiments.mission.knowledge import SLOT_IN_SITE, Knowledge, tilt_of
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.stages import HOME, VOXEL, Observations, take_standing
+from perception.geometry.se3 import transport_covariance
 from perception.registration.target import possible_markers
-from perception.registration.uncertainty import adjoint
 from twin.robot import Command, Observation
 
 FloatArray = NDArray[np.float64]
@@ -181,14 +181,14 @@ class GoToStand:
         x, y = odometry.place
         moved = RigidTransform.from_matrix(_planar_pose(x, y, odometry.yaw))
         knowledge.slot_in_level = moved.inv() * knowledge.slot_in_level
-        turn = adjoint(moved.inv())
         way, turned = odometry.way, odometry.turned
         spread = np.diag(
             np.square(
                 [0.02, 0.02, 0.03 + 0.05 * turned, 0.02 + 0.05 * way, 0.02 + 0.05 * way, 0.01]
             )
         )
-        knowledge.slot_covariance = turn @ knowledge.slot_covariance @ turn.T + spread
+        carried = transport_covariance(moved.inv(), knowledge.slot_covariance)
+        knowledge.slot_covariance = carried + spread
 
     def _begin_search(self) -> None:
         """Look first where the panel should be."""

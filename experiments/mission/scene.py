@@ -18,8 +18,8 @@ from scipy.spatial.transform import RigidTransform
 from experiments.ch5.insertion_scene import MASTER, SLAVE, transform
 from models.clutter import PanelConfig
 from models.compose import FieldConfig, RobotPlacement, make_model
+from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
-from perception.registration.uncertainty import cross_matrix
 
 FloatArray = NDArray[np.float64]
 
@@ -107,12 +107,10 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> Site:
     error = RigidTransform.from_exp_coords(deviations * rng.normal(size=6))
     # Errors about the slot's own place, in the panel's axes.
     drawn = centred * error * centred.inv() * true
-    lever = np.eye(6)
-    lever[3:, :3] = cross_matrix(true.translation)
     marker = PANEL.markers[0]
     return Site(
         TargetCad(PANEL.marker_points, marker.radius, marker.dark),
         drawn,
-        lever @ np.diag(deviations**2) @ lever.T,
+        transport_covariance(centred, np.diag(deviations**2)),
         panel,
     )

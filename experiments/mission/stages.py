@@ -24,7 +24,7 @@ from experiments.mission.knowledge import Knowledge
 from experiments.mission.scene import MASTER, SLAVE
 from models.compose import FLAT, RobotPlacement, make_model
 from models.datasheets import ARM, CARD_AND_SLOT
-from perception.registration.uncertainty import adjoint
+from perception.geometry.se3 import composed_covariance, transport_covariance
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap
 from twin.robot import Command, Observation
@@ -179,8 +179,7 @@ def _slave_standing(knowledge: Knowledge) -> Standing:
     to_world = master.transform_level_to_world * knowledge.slot_in_level
     slot_in_slave = RigidTransform.from_matrix(knowledge.slot_in_slave)
     slave = to_world * slot_in_slave.inv()
-    lift = adjoint(slave)
-    spread = master.covariance + lift @ knowledge.slave_covariance @ lift.T
+    spread = composed_covariance(slave, master.covariance, knowledge.slave_covariance)
     tilt = knowledge.slave_tilt
     level = slave * lean(tilt).inv()
     sighting = slave * arm.camera_in_robot(HOME)
@@ -205,12 +204,11 @@ def take_standing(knowledge: Knowledge, standing: Standing) -> None:
     assert shared is not None and shared.transform_target_to_world is not None
     to_world = shared.transform_target_to_world
     slot = to_world * site.transform_slot_to_panel
-    drawn = adjoint(to_world)
-    back = adjoint(standing.transform_level_to_world.inv())
-    spread = standing.covariance + drawn @ site.covariance @ drawn.T
+    to_level = standing.transform_level_to_world.inv()
+    spread = composed_covariance(to_world, standing.covariance, site.covariance)
     knowledge.standing = standing
-    knowledge.slot_in_level = standing.transform_level_to_world.inv() * slot
-    knowledge.slot_covariance = back @ spread @ back.T
+    knowledge.slot_in_level = to_level * slot
+    knowledge.slot_covariance = transport_covariance(to_level, spread)
 
 
 def marker_guide(

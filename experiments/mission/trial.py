@@ -20,6 +20,7 @@ from experiments.mission.place import GoToStand
 from experiments.mission.scene import MASTER, SLAVE, MissionScene, draw_scene, survey
 from experiments.mission.team import MissionTeam
 from models.datasheets import CARD_AND_SLOT
+from perception.geometry.se3 import point_jacobian
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
 from twin.loop import LoopRecorder, Recorders, run
@@ -290,7 +291,5 @@ def _offset(poses: Mapping[str, RigidTransform], believed: RigidTransform) -> Fl
 
 def _sigma(believed: RigidTransform, covariance: FloatArray) -> FloatArray:
     """Return (3,) deviations of the place of a pose with a covariance of its xi."""
-    x, y, z = believed.translation
-    lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-    motion = np.hstack([lever, np.eye(3)])
+    motion = point_jacobian(believed.translation)
     return np.sqrt(np.diag(motion @ covariance @ motion.T))

@@ -45,7 +45,7 @@ from models.datasheets.tables import (
     TABLE_2_2_TRUTH,
     TABLE_2_2_VARIABLE,
 )
-from models.datasheets.units import DEGREE, GRAVITY, INCH, OUNCE_INCH, RPM
+from models.datasheets.units import DEGREE, INCH, OUNCE_INCH, RPM
 
 __all__ = [
     "ARM",
@@ -60,7 +60,6 @@ __all__ = [
     "DEGREE",
     "FORCE_TORQUE",
     "ForceTorqueSheet",
-    "GRAVITY",
     "HAND",
     "HandSheet",
     "INCH",

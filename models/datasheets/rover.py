@@ -6,7 +6,8 @@ import dataclasses
 from typing import Final
 
 from models.datasheets.tables import TABLE_2_2_TRUTH
-from models.datasheets.units import DEGREE, GRAVITY
+from models.datasheets.units import DEGREE
+from perception.geometry.gravity import GRAVITY
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Units and constants of nature that the data sheets are written in."""
+"""Units that the data sheets are written in."""
 
 from __future__ import annotations
 
@@ -13,5 +13,3 @@ INCH: Final = 0.0254
 """One inch [m] (definition)."""
 DEGREE: Final = math.pi / 180.0
 """One degree [rad] (definition)."""
-GRAVITY: Final = 9.81
-"""Acceleration of free fall as MuJoCo has it unless told otherwise [m/s^2]."""

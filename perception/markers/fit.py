@@ -7,7 +7,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from perception.geometry.twists import exp_twist, log_twist
+from perception.geometry.se3 import exp_twist, log_twist
 
 _ITERATIONS = 12
 

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.se3 import cross_matrix, point_jacobian
 from perception.registration.checks import FEWEST, RegistrationError
 from perception.registration.reprojection import Pose
-from perception.registration.uncertainty import cross_matrix, point_motion
 from perception.stereo.geometry import StereoGeometry
 
 FloatArray = NDArray[np.float64]
@@ -152,7 +152,7 @@ def kabsch(
     trace = np.trace(noise[0] + noise[1], axis1=-2, axis2=-1)
     weights = 1.0 / np.maximum(trace, 1e-30)
     pose = kabsch_pose(before, after, weights)
-    by_pose = point_motion(before)
+    by_pose = point_jacobian(before)
     residual = noise[0] + pose.rotation @ noise[1] @ pose.rotation.T
     return pose, _sandwich(by_pose, weights[:, None, None] * np.eye(3), residual)
 
@@ -194,7 +194,7 @@ def pnp(
     by_place = by_place @ rotation.T
     spread = by_place @ noise[0] @ np.swapaxes(by_place, -1, -2)
     spread = spread + np.eye(2) * (noise[1] ** 2)[:, None, :]
-    return pose, _sandwich(-by_place @ point_motion(before), np.eye(2), spread)
+    return pose, _sandwich(-by_place @ point_jacobian(before), np.eye(2), spread)
 
 
 def _sandwich(by_pose: FloatArray, weights: FloatArray, noise: FloatArray) -> FloatArray:
@@ -210,15 +210,6 @@ def _inverted(
     rotation: FloatArray, shift: FloatArray, covariance: FloatArray
 ) -> tuple[Pose, FloatArray]:
     """Invert (R, X), whose covariance is of dR R^T and dX, to a pose and that of its xi."""
-    back = -rotation.T @ shift
-    # xi of (R, X) has the translation dX - w x X; the inverse's is -Ad of it.
-    own = np.eye(6)
-    own[3:, :3] = cross_matrix(shift)
-    carried = np.block(
-        [
-            [rotation.T, np.zeros((3, 3))],
-            [cross_matrix(back) @ rotation.T, rotation.T],
-        ]
-    )
-    by = carried @ own
-    return Pose(rotation.T, back), by @ covariance @ by.T
+    # xi of (R, X) has the translation dX - w x X; the inverse's is -Ad of it, in which X drops out.
+    turn = np.kron(np.eye(2), rotation.T)
+    return Pose(rotation.T, -rotation.T @ shift), turn @ covariance @ turn.T

@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.se3 import point_jacobian
 from perception.registration.checks import FEWEST, RegistrationError
 from perception.registration.closed_form import kabsch_pose
 from perception.registration.likelihood import Solution, solve
@@ -18,7 +19,6 @@ from perception.registration.reprojection import (
     descend,
     squared_distances,
 )
-from perception.registration.uncertainty import point_motion
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -168,7 +168,7 @@ def _alone(known: KnownPoints) -> KnownPoints:
     if known.covariance.ndim == 3:
         return known
     places = known.places(known.coordinates)
-    rigid, _ = np.linalg.qr(point_motion(places - places.mean(axis=0)).reshape(-1, 6))
+    rigid, _ = np.linalg.qr(point_jacobian(places - places.mean(axis=0)).reshape(-1, 6))
     left = np.eye(len(rigid)) - rigid @ rigid.T
     relative = KnownPoints(known.coordinates, left @ known.covariance @ left, known.geometry)
     return KnownPoints(known.coordinates, relative.blocks(), known.geometry)

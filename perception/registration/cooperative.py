@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.se3 import transform_points_with_covariance, transport_covariance
 from perception.registration.checks import (
     RegistrationError,
     check_strength,
@@ -31,7 +32,6 @@ from perception.registration.reprojection import (
     linearise,
     squared_distances,
 )
-from perception.registration.uncertainty import adjoint, transform_points_with_covariance
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -100,8 +100,7 @@ def relative_pose(
     both = _checked_pose_covariance(first_covariance)
     both = both + _checked_pose_covariance(second_covariance)
     back = transform_first_to_common.inv()
-    carried = adjoint(back)
-    return RelativePose(back * transform_second_to_common, carried @ both @ carried.T)
+    return RelativePose(back * transform_second_to_common, transport_covariance(back, both))
 
 
 def relative_pose_by_target(

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.se3 import point_jacobian
 from perception.registration.checks import (
     RegistrationError,
     check_strength,
@@ -28,7 +29,6 @@ from perception.registration.likelihood import Solution, innovation
 from perception.registration.prior import PosePrior, fit
 from perception.registration.registration import Registration
 from perception.registration.reprojection import KnownPoints, Pose, Sighting, linearise
-from perception.registration.uncertainty import point_motion
 from perception.stereo.geometry import StereoGeometry
 
 FloatArray = NDArray[np.float64]
@@ -289,7 +289,7 @@ class FiducialMap:
         first, count = len(self), len(image_points)
         local = self._geometry.points(image_points)
         places = transform.apply(local) if count else local
-        by_pose = point_motion(places).reshape(-1, 6)
+        by_pose = point_jacobian(places).reshape(-1, 6)
         old = len(self._joint)
         grown = np.zeros((old + 3 * count, old + 3 * count))
         grown[:old, :old] = self._joint

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri  # pyright: ignore[reportMissingTypeStubs]
 
+from perception.geometry.se3 import point_jacobian
 from perception.registration.consensus import GATE
 from perception.registration.reprojection import KnownPoints, Pose, Sighting, linearise
-from perception.registration.uncertainty import point_motion
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -142,7 +142,7 @@ def _by_all(
     by_places: FloatArray, by_pose: FloatArray, by_place: FloatArray, placed: FloatArray
 ) -> FloatArray:
     """Return (3N, K) of image points, from (3N, K) of the fiducials and (6, K) of the pose."""
-    moved = by_places.reshape(*placed.shape, -1) - point_motion(placed) @ by_pose
+    moved = by_places.reshape(*placed.shape, -1) - point_jacobian(placed) @ by_pose
     return (by_place @ moved).reshape(3 * len(placed), -1)
 
 

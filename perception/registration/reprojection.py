@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from perception.registration.uncertainty import point_motion
+from perception.geometry.se3 import point_jacobian
 from perception.stereo.geometry import StereoGeometry
 
 FloatArray = NDArray[np.float64]
@@ -151,7 +151,7 @@ def linearise(
     by_place = geometry.projection_jacobian(seen) @ turned
     return Linearised(
         geometry.project(seen),
-        -by_place @ point_motion(places),
+        -by_place @ point_jacobian(places),
         by_place @ known.place_jacobian(places),
     )
 

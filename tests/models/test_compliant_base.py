@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from models.compliant_base.build import XML, compile_plant
-from models.datasheets import GRAVITY, ROD_ARM, TABLE_2_1_TRUTH
+from models.datasheets import ROD_ARM, TABLE_2_1_TRUTH
+from perception.geometry.gravity import GRAVITY
 
 AXIS, ROTATION = np.array([1.0, 0.0, 0.0]), np.eye(3)
 DOFS = ("x", "y", "z", "pitch", "roll", "yaw")

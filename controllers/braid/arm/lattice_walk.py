@@ -18,6 +18,7 @@ import numpy as np
 from controllers.braid.arm.chain import compose, relative
 from controllers.braid.arm.pose_tree import nearest
 from controllers.braid.arm.stage import STATES, FloatArray
+from perception.geometry.se3 import write_log_twist
 
 LATTICE_SHARE = 1.0 / 14.0
 """Deviation of tilts from the lattice that the walk aims at, in its spacing."""
@@ -75,32 +76,8 @@ def logarithms(poses):
     """Return the exponential coordinates (m, 6), rotation first, of poses (m, 12)."""
     coordinates = np.empty((poses.shape[0], 6))
     for i in range(poses.shape[0]):
-        _logarithm(poses[i], coordinates[i])
+        write_log_twist(poses[i, 3:].reshape(3, 3), poses[i, :3], coordinates[i])
     return coordinates
-
-
-@numba.njit(cache=True)
-def _logarithm(pose, out):
-    """Write the exponential coordinates (6,) of a pose; turns of nearly pi are roughly right."""
-    sine = 0.0
-    for d in range(3):
-        out[d] = 0.5 * (pose[3 + 3 * ((d + 2) % 3) + (d + 1) % 3])
-        out[d] -= 0.5 * (pose[3 + 3 * ((d + 1) % 3) + (d + 2) % 3])
-        sine += out[d] * out[d]
-    sine = np.sqrt(sine)
-    cosine = 0.5 * (pose[3] + pose[7] + pose[11] - 1.0)
-    angle = np.arctan2(sine, cosine)
-    stretch = angle / sine if sine > _SMALL else 1.0
-    bend = 1.0 / 12.0
-    if angle > 1e-4:
-        bend = (1.0 - 0.5 * angle * sine / (1.0 - cosine)) / (angle * angle)
-    x, y, z = stretch * out[0], stretch * out[1], stretch * out[2]
-    p, q, r = pose[0], pose[1], pose[2]
-    a, b, c = y * r - z * q, z * p - x * r, x * q - y * p
-    out[0], out[1], out[2] = x, y, z
-    out[3] = p - 0.5 * a + bend * (y * c - z * b)
-    out[4] = q - 0.5 * b + bend * (z * a - x * c)
-    out[5] = r - 0.5 * c + bend * (x * b - y * a)
 
 
 @numba.njit(cache=True)
@@ -112,7 +89,7 @@ def misfit(shape, pose, work):
         pose: (12,).
         work: (6,) is written over.
     """
-    _logarithm(pose, work)
+    write_log_twist(pose[3:].reshape(3, 3), pose[:3], work)
     total = shape.sharpness * _off_lattice(shape, work[0], work[1])
     for i in range(6):
         along = 0.0

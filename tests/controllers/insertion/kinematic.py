@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.card_arm import CardArm, inverse, to_plane
 from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.insertion.guidance import Guidance
-from controllers.kinematics.chain import GRAVITY, Chain
+from controllers.kinematics.chain import Chain
 from controllers.motion.base_lean import BaseLean
 from controllers.motion.driving import SkidSteer
 from experiments.ch2.known_arm import known_arm
@@ -22,6 +22,7 @@ from experiments.ch5.insertion_scene import SLAVE
 from experiments.ch5.insertion_setting import guide_config
 from models import datasheets
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT
+from perception.geometry.gravity import GRAVITY
 from tests.controllers.insertion.scenes import card_arm, scene
 from twin.robot import ArmMode, Channel, Command, Observation, Validity, WheelMode
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.guidance import Guidance, GuidanceError, unpack
-from perception.registration.uncertainty import adjoint
+from perception.geometry.se3 import adjoint
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.link import MESSAGE_LIMIT

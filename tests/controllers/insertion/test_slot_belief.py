@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
-from perception.registration.uncertainty import adjoint
+from perception.geometry.se3 import adjoint
 
 SLOT = RigidTransform.from_components([0.02, 0.8, 0.3], Rotation.from_euler("zx", [0.1, -0.05]))
 PRIOR = np.diag([4e-3**2] * 3 + [2e-3**2] * 3)

@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.kinematics.chain import GRAVITY
 from controllers.motion.base_lean import BaseLean
 from controllers.sensing.surrogate_tilt import TiltAxis
 from experiments.ch5.insertion_identify import rover_springs
 from experiments.ch5.insertion_scene import SLAVE, transform
 from models.compose import ARM_JOINTS
+from perception.geometry.gravity import GRAVITY
 from tests.controllers.insertion.scenes import card_arm, fresh
 from twin.robot import ArmMode, Command
 from twin.simulation import Simulation

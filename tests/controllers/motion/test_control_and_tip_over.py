@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from controllers.kinematics.chain import GRAVITY, LEVEL, Chain, FrameState, Joint
+from controllers.kinematics.chain import LEVEL, Chain, FrameState, Joint
 from controllers.kinematics.serial_arm import RigidBody
 from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmGains, Reference
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
@@ -16,6 +16,7 @@ from controllers.motion.tip_over import (
     least_margin,
     zero_moment_point,
 )
+from perception.geometry.gravity import GRAVITY
 from twin.robot import Channel, Observation, RobotError, Validity
 
 SQUARE = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from controllers.kinematics.chain import GRAVITY, LEVEL, at_rest
+from controllers.kinematics.chain import LEVEL, at_rest
 from controllers.motion.online_guard import OnlineConfig, OnlineGuard
 from controllers.motion.tip_over import Sweep
+from perception.geometry.gravity import GRAVITY
 from tests.controllers.motion.test_control_and_tip_over import SQUARE, footing
 
 TICK = OnlineConfig.period

@@ -10,8 +10,9 @@ from controllers.motion.planar_grip import GripSensor, Stance
 from experiments.appa.truss_bench import ROBOTS, TrussBench
 from experiments.appa.truss_trial import TrussTrial, planar_arm, run_truss
 from experiments.ch2.known_arm import known_arm
-from models.datasheets import GRAVITY, ROVER
+from models.datasheets import ROVER
 from models.truss import TRUSS
+from perception.geometry.gravity import GRAVITY
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
 

@@ -13,7 +13,8 @@ from experiments.appd.tilt_table import TiltTable, draw_tilts, true_sensors, wei
 from experiments.harness.catalogue import EXPERIMENTS
 from experiments.harness.contract import OptionError
 from models.compose import RobotPlacement
-from models.datasheets import ARM, DEGREE, GRAVITY, INCLINOMETER_CALIBRATION
+from models.datasheets import ARM, DEGREE, INCLINOMETER_CALIBRATION
+from perception.geometry.gravity import GRAVITY
 from twin.connect import connect
 from twin.hardware.calibration.tilt_fit import fit_tilt, up_of_tilt
 from twin.robot import ArmMode, Command

@@ -20,7 +20,8 @@ from experiments.appe.mechanism_trial import (
 )
 from experiments.harness.contract import OptionError
 from models.braid.build import BraidConfig
-from models.datasheets import BRAID, GRAVITY
+from models.datasheets import BRAID
+from perception.geometry.gravity import GRAVITY
 
 
 def test_an_arm_put_into_a_word_closes_all_its_loops_at_the_pose_of_the_kinematics():

@@ -1,4 +1,4 @@
-"""Persistent fiducials: joint covariance, honest errors, and pose uncertainty carried to points."""
+"""Persistent fiducials: joint covariance and honest errors."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,6 @@ from scipy.spatial.transform import RigidTransform
 from perception.registration.map import FiducialMap
 from perception.registration.prior import PosePrior
 from perception.registration.registration import RegistrationError, estimate_motion
-from perception.registration.uncertainty import (
-    composed_covariance,
-    inverse_covariance,
-    transform_points_with_covariance,
-    update_points_by_view,
-)
 from tests.perception.registration.fiducial_views import (
     HEAD,
     error_of,
@@ -164,57 +158,3 @@ def test_what_is_no_covariance_of_a_pose_is_refused_and_leaves_the_map(covarianc
     with pytest.raises(RegistrationError, match=told):
         fiducials.observe_from(PosePrior(pose, covariance), [0, 1], image[:2], new=image)
     np.testing.assert_array_equal(fiducials.covariance, joint)
-
-
-def random_covariance(generator, size, scale):
-    root = scale * generator.standard_normal((size, size))
-    return root @ root.T
-
-
-def test_points_placed_by_an_uncertain_pose_have_the_covariance_of_draws():
-    generator = np.random.default_rng(10)
-    pose, point = random_motion(generator, 40.0, 1.0), np.array([[0.1, -0.2, 1.0]])
-    covariance = random_covariance(generator, 6, 0.004)
-    own = random_covariance(generator, 3, 0.002)
-    xi = generator.multivariate_normal(np.zeros(6), covariance, 40_000)
-    local = generator.multivariate_normal(point[0], own, 40_000)
-    drawn = RigidTransform.from_exp_coords(xi).apply(pose.apply(local))
-    moved, spread = transform_points_with_covariance(pose, covariance, point, own[None])
-    np.testing.assert_allclose(moved[0], pose.apply(point[0]))
-    np.testing.assert_allclose(spread[0], np.cov(drawn.T), atol=0.03 * np.trace(spread[0]))
-
-
-def test_covariances_of_products_and_inverses_are_those_of_draws():
-    generator = np.random.default_rng(11)
-    first, second = random_motion(generator, 40.0, 1.0), random_motion(generator, 40.0, 1.0)
-    covariances = [random_covariance(generator, 6, 0.003) for _ in range(2)]
-    turns = [
-        RigidTransform.from_exp_coords(generator.multivariate_normal(np.zeros(6), c, 20_000))
-        for c in covariances
-    ]
-    product = (turns[0] * first * turns[1] * second) * (first * second).inv()
-    expected = composed_covariance(first, *covariances)
-    drawn = np.cov(product.as_exp_coords().T)
-    np.testing.assert_allclose(drawn, expected, atol=0.04 * np.trace(expected))
-    inverse = (turns[0] * first).inv() * first
-    expected = inverse_covariance(first, covariances[0])
-    drawn = np.cov(inverse.as_exp_coords().T)
-    np.testing.assert_allclose(drawn, expected, atol=0.04 * np.trace(expected))
-
-
-def test_filter_of_equation_3_20_is_the_merging_of_3_10():
-    generator = np.random.default_rng(12)
-    pose = random_motion(generator, 40.0, 1.0)
-    local = random_points(generator, 5)
-    world = pose.apply(local)
-    prior = np.tile(random_covariance(generator, 3, 0.002), (5, 1, 1))
-    pose_covariance = random_covariance(generator, 6, 0.001)
-    image = HEAD.project(local)
-    after = update_points_by_view(
-        world, prior, image, SIGMA * np.ones(3), HEAD, pose, pose_covariance
-    )
-    own = HEAD.covariance(local, np.full(3, SIGMA))
-    _, measured = transform_points_with_covariance(pose, pose_covariance, local, own)
-    merged = prior - prior @ np.linalg.inv(prior + measured) @ prior
-    np.testing.assert_allclose(after[0], world, atol=1e-12)
-    np.testing.assert_allclose(after[1], merged, rtol=1e-8, atol=1e-14)

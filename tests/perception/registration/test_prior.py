@@ -8,10 +8,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.se3 import adjoint
 from perception.registration.map import FiducialMap
 from perception.registration.prior import PosePrior
 from perception.registration.registration import RegistrationError
-from perception.registration.uncertainty import adjoint
 from tests.perception.registration.fiducial_views import HEAD, error_of, random_motion
 
 SIGMA = 0.2

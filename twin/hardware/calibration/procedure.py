@@ -14,7 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from models.datasheets import ARM, DEGREE, GRAVITY, INCLINOMETER, INCLINOMETER_CALIBRATION
+from models.datasheets import ARM, DEGREE, INCLINOMETER, INCLINOMETER_CALIBRATION
+from perception.geometry.gravity import GRAVITY
 from twin.hardware.calibration.calibration import AngleSensor, Calibration
 from twin.hardware.calibration.tilt_fit import (
     Sample,

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from models.datasheets import DEGREE, GRAVITY
+from models.datasheets import DEGREE
+from perception.geometry.gravity import GRAVITY
 from twin.hardware.calibration.calibration import calibration_path, read_calibration
 from twin.hardware.calibration.procedure import (
     ProcedureConfig,
