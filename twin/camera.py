@@ -1,4 +1,4 @@
-"""Cameras: the pinhole model, the stereo rig, and the process' one off-screen renderer.
+"""Cameras of a scene: their intrinsics, the stereo rig, and the process' one off-screen renderer.
 
 A camera frame has x to the right, y down and z forward along the view, as images have it; pixel
 centres stand at whole numbers.
@@ -19,68 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.datasheets import CAMERA
+from perception.geometry.pinhole import NO_DISTORTION, DistortedPinhole, Pinhole
 from twin.out_of_sight import leave_out_unseen
 from twin.robot import Channel, FloatArray, Validity
 
 ImageArray = NDArray[np.uint8]
-NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 _MAX_SAMPLES = 4  # Software rasterisers offer no more.
 _HIDDEN_GROUP = 4  # Truth markers stand in groups from here on; no camera may see them.
 
 
-@dataclasses.dataclass(frozen=True)
-class CameraModel:
-    """A pinhole camera with Brown's lens distortion.
-
-    Attributes:
-        width: Columns [px].
-        height: Rows [px].
-        fx: Focal length in columns [px].
-        fy: Focal length in rows [px].
-        cx: Column of the optical axis [px].
-        cy: Row of the optical axis [px].
-        distortion: (k1, k2, p1, p2, k3).
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float] = NO_DISTORTION
-
-    @property
-    def matrix(self) -> FloatArray:
-        """(3, 3) intrinsic matrix."""
-        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
-
-    def project(self, points: FloatArray) -> FloatArray:
-        """Return (N, 2) pixels (column, row) of `points` (N, 3) [m] in the camera frame.
-
-        Points that are not in front of the camera become NaN.
-        """
-        points = np.asarray(points, dtype=float).reshape(-1, 3)
-        ahead = points[:, 2] > 0.0
-        depth = np.where(ahead, points[:, 2], np.nan)
-        x, y = points[:, 0] / depth, points[:, 1] / depth
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
-        return np.stack([self.fx * u + self.cx, self.fy * v + self.cy], axis=1)
-
-
-def camera_model(
-    model: mujoco.MjModel, name: str, distortion: tuple[float, ...] = NO_DISTORTION
-) -> CameraModel:
+def camera_model(model: mujoco.MjModel, name: str) -> Pinhole:
     """Return the intrinsics of a scene's camera.
 
     Args:
-        model: The scene.
-        name: The camera.
-        distortion: (k1, k2, p1, p2, k3), which the scene does not hold.
+        model: Compiled scene.
+        name: Name of the camera.
 
     Raises:
         ValueError: If there is no such camera or it has no sensor size.
@@ -94,15 +47,13 @@ def camera_model(
     if not np.all(size > 0.0):
         raise ValueError(f"camera {name!r} has no sensorsize, so its intrinsics are unknown")
     focal_x, focal_y, shift_x, shift_y = model.cam_intrinsic[index].tolist()
-    k1, k2, p1, p2, k3 = distortion
-    return CameraModel(
+    return Pinhole(
         width,
         height,
         focal_x / float(size[0]) * width,
         focal_y / float(size[1]) * height,
         (width - 1) / 2.0 - shift_x / float(size[0]) * width,
         (height - 1) / 2.0 - shift_y / float(size[1]) * height,
-        (k1, k2, p1, p2, k3),
     )
 
 
@@ -289,7 +240,8 @@ class StereoRig:
             ValueError: If a camera is missing or the two differ in size.
         """
         self._names = (f"{prefix}stereo_left", f"{prefix}stereo_right")
-        self.cameras = tuple(camera_model(model, n, config.distortion) for n in self._names)
+        lenses = (camera_model(model, name) for name in self._names)
+        self.cameras = tuple(DistortedPinhole(*c.intrinsics, config.distortion) for c in lenses)
         if len({(c.width, c.height) for c in self.cameras}) > 1:
             raise ValueError(f"cameras {self._names} differ in size")
         self._model, self._config, self._rng = model, config, rng
@@ -334,7 +286,7 @@ class StereoRig:
         self._rng.bit_generator.state = dict(state.random)
 
 
-def _distortion_map(camera: CameraModel) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _distortion_map(camera: DistortedPinhole) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return, for each pixel of the lens' image, the column and row of the rendered one."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2).astype(np.float64)

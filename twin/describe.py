@@ -18,7 +18,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.compose import FLAT, RobotPlacement, make_model
 from models.datasheets import CAMERA, ROVER
-from perception.geometry.pinhole import Pinhole
 from twin.camera import camera_model, camera_pose
 from twin.description import (
     ArmDescription,
@@ -56,7 +55,7 @@ def describe_rover(
     model = make_model(FLAT, [RobotPlacement(name, arm=arm, card=card)])
     drawn = describe(model, name)
     # The model's literals are rounded; the datasheets' numbers are not.
-    camera = Pinhole(CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
+    camera = CAMERA.pinhole
     head = drawn.head
     if head is not None:
         head = dataclasses.replace(head, camera=camera, baseline=CAMERA.baseline)
@@ -216,9 +215,8 @@ def _head(
     left = camera_in_world(model, data, f"{robot}/{_LEFT}")
     right = camera_in_world(model, data, f"{robot}/{_RIGHT}")
     wrist = int(model.body_weldid[model.cam_bodyid[camera]])
-    lens = camera_model(model, f"{robot}/{_LEFT}")
     return StereoHeadDescription(
-        Pinhole(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy),
+        camera_model(model, f"{robot}/{_LEFT}"),
         float((left.inv() * right).translation[0]),
         body_pose(data, wrist).inv() * left,
     )

@@ -188,12 +188,8 @@ def in_both_images(
     """
     rotations = cameras.rotation.as_matrix()
     local = np.einsum("nji,nkj->nki", rotations, points - cameras.translation[:, None])
-    ahead = local[..., 2] > 0.05
-    depth = np.where(ahead, local[..., 2], 1.0)
-    column = geometry.fx * local[..., 0] / depth + geometry.cx
-    row = geometry.fy * local[..., 1] / depth + geometry.cy
-    shift = geometry.fx * geometry.baseline / depth
-    fits = ahead & (row > border) & (row < geometry.height - 1 - border)
-    for place in (column, column - shift):
+    column, row, disparity = np.moveaxis(geometry.project(local), -1, 0)
+    fits = (local[..., 2] > 0.05) & (row > border) & (row < geometry.height - 1 - border)
+    for place in (column, column - disparity):
         fits &= (place > border) & (place < geometry.width - 1 - border)
     return fits.all(axis=1)

@@ -63,17 +63,7 @@ class SharedMap:
         self.voxels = voxels
         self.transform_target_to_world: RigidTransform | None = None
         self._geometry, self._cad, self._reach = geometry, cad, reach
-        near, far = reach
-        frustum = Frustum(
-            geometry.width,
-            geometry.height,
-            geometry.fx,
-            geometry.fy,
-            geometry.cx,
-            geometry.cy,
-            near,
-            far,
-        )
+        frustum = Frustum(*geometry.intrinsics, *reach)
         self._frustum = frustum.resized(geometry.width // stride, geometry.height // stride)
 
     def locate(

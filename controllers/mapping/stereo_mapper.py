@@ -310,10 +310,7 @@ class StereoMapper:
 
 def _rays(geometry: StereoGeometry, counts: tuple[int, int]) -> FloatArray:
     """Return (R, 3) unit vectors over the field of view of the left camera."""
-    columns = (np.arange(counts[0]) + 0.5) / counts[0] * geometry.width - 0.5
-    rows = (np.arange(counts[1]) + 0.5) / counts[1] * geometry.height - 0.5
-    u, v = np.meshgrid((columns - geometry.cx) / geometry.fx, (rows - geometry.cy) / geometry.fy)
-    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
+    rays = geometry.rays(geometry.pixel_grid(*counts)).reshape(-1, 3)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 

@@ -169,7 +169,7 @@ def _fuse(voxels: VoxelMap, view: Taken, geometry: StereoGeometry, how: MapperCo
     near, far = how.reach
     stride = how.stereo.stride
     g = geometry
-    frustum = Frustum(g.width, g.height, g.fx, g.fy, g.cx, g.cy, near, far)
+    frustum = Frustum(*g.intrinsics, near, far)
     depths = view.seen.points[:, 2]
     kept = (depths >= near) & (depths <= far)
     turn = view.camera.rotation.as_matrix()
@@ -267,11 +267,7 @@ def _picture(values: FloatArray, side: int) -> ByteArray:
 
 def _rays(geometry: StereoGeometry, count: int) -> FloatArray:
     """Return (count * count, 3) unit vectors over the left camera's field of view."""
-    g = geometry
-    columns = (np.arange(count) + 0.5) / count * g.width - 0.5
-    rows = (np.arange(count) + 0.5) / count * g.height - 0.5
-    u, v = np.meshgrid((columns - g.cx) / g.fx, (rows - g.cy) / g.fy)
-    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
+    rays = geometry.rays(geometry.pixel_grid(count, count)).reshape(-1, 3)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 

@@ -124,7 +124,7 @@ class Planner:
         tips = forward(self._arm.stages, words)
         turns = tips[:, 3:].reshape(-1, 3, 3)
         aim = np.einsum("nji,nj->ni", turns, self._base.inv().apply(target) - tips[:, :3])
-        pixels = self._intrinsics.project(self._mount.inv().apply(aim))
+        pixels = self._intrinsics.pixels(self._mount.inv().apply(aim))
         size = np.array([self._intrinsics.width, self._intrinsics.height])
         looking = np.all((pixels > MARGIN) & (pixels < size - MARGIN), axis=1)
         looking[looking] = self._links.free(words[looking])
@@ -145,7 +145,7 @@ class Planner:
     def sees(self, camera: RigidTransform) -> bool:
         """Return whether a camera has all of the target in its picture, unhidden by belief."""
         rim = self.field.target.position + self.field.target.outline
-        pixels = self._intrinsics.project(camera.inv().apply(rim))
+        pixels = self._intrinsics.pixels(camera.inv().apply(rim))
         size = [self._intrinsics.width, self._intrinsics.height]
         inside = (pixels > MARGIN) & (pixels < np.array(size) - MARGIN)
         rated = rate_positions(self.field, self.lens, camera.translation)[0]

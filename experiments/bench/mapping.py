@@ -80,10 +80,7 @@ def bench_mapping(options: Options, output: Output) -> None:
 
 def frustum() -> Frustum:
     """Return the field of view of the clouds."""
-    head = head_geometry()
-    view = Frustum(
-        head.width, head.height, head.fx, head.fy, head.cx, head.cy, near=0.1, far=MAX_DEPTH + 0.1
-    )
+    view = Frustum(*head_geometry().intrinsics, near=0.1, far=MAX_DEPTH + 0.1)
     return view.resized(WIDTH, HEIGHT)
 
 
@@ -177,7 +174,7 @@ def _fast(resolution: float, clouds: list[Cloud], rounds: int, output: Output, n
 def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) -> None:
     """Evaluate views by ours and cast the same rays through OctoMap."""
     view = frustum().resized(*RAYS)
-    rays = view.rays().reshape(-1, 3)
+    rays = view.rays(view.pixel_grid()).reshape(-1, 3)
     reach = np.linalg.norm(rays, axis=1)
     end = np.zeros(3)
 

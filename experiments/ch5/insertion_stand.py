@@ -87,7 +87,7 @@ def slot_cad(width: float) -> BodyCad:
 
 def watch_plan() -> WatchPlan:
     """Return what the master knows of its camera and of what may hide the markers."""
-    view = 2.0 * math.atan(CAMERA.width / 2.0 / CAMERA.fx)
+    view = 2.0 * math.atan(CAMERA.width / 2.0 / CAMERA.pinhole.fx)
     lens = Lens(view, CAMERA.width, NEAREST, FARTHEST)
     # Hand and camera head of the slave, from behind the card to its wrist; the slot's post.
     carrier = _box((-0.055, 0.015), (-TIP - 0.02, -TIP + 0.12), (-0.035, 0.035))
@@ -151,8 +151,8 @@ def search_stand(
     markers = parts.markers()
     half = 0.5 * np.ptp(markers, axis=0)
     least = max(
-        1.15 * half[1] * 2.0 * CAMERA.fx / CAMERA.width + CAMERA.baseline,
-        1.15 * half[2] * 2.0 * CAMERA.fy / CAMERA.height,
+        1.15 * half[1] * 2.0 * CAMERA.pinhole.fx / CAMERA.width + CAMERA.baseline,
+        1.15 * half[2] * 2.0 * CAMERA.pinhole.fy / CAMERA.height,
     )
     lens = dataclasses.replace(plan.lens, near=max(NEAREST, least))
     field = target_field(plan, parts, others=occluders)

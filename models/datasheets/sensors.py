@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Final
 
 from models.datasheets.units import DEGREE
+from perception.geometry.pinhole import Pinhole
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,24 +35,16 @@ class CameraSheet:
     gamma: float = 0.45  # Table D-2
 
     @property
-    def fx(self) -> float:
-        """Focal length in columns [px]."""
-        return self.focal_length * self.width / self.sensing_width
-
-    @property
-    def fy(self) -> float:
-        """Focal length in rows [px]."""
-        return self.focal_length * self.height / self.sensing_height
-
-    @property
-    def cx(self) -> float:
-        """Column of the optical axis, pixel centres at whole numbers [px]."""
-        return (self.width - 1) / 2.0
-
-    @property
-    def cy(self) -> float:
-        """Row of the optical axis, pixel centres at whole numbers [px]."""
-        return (self.height - 1) / 2.0
+    def pinhole(self) -> Pinhole:
+        """Intrinsics; the optical axis goes through the middle of the image."""
+        return Pinhole(
+            self.width,
+            self.height,
+            self.focal_length * self.width / self.sensing_width,
+            self.focal_length * self.height / self.sensing_height,
+            (self.width - 1) / 2.0,
+            (self.height - 1) / 2.0,
+        )
 
     @property
     def field_of_view(self) -> tuple[float, float]:

@@ -1,4 +1,8 @@
-"""What a pinhole camera can see: pixels, and from where to where."""
+"""Pinhole cameras: intrinsics, lens distortion, and field of view.
+
+A camera frame has x to the right, y down and z forward along the view; pixel centres stand at whole
+numbers, and pixels need not be square.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,15 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclasses.dataclass(frozen=True)
 class Pinhole:
-    """Intrinsics of a camera without distortion; pixel centres stand at whole numbers.
+    """Intrinsics of a camera without distortion.
 
     Attributes:
         width: Columns [px].
@@ -22,6 +27,9 @@ class Pinhole:
         fy: Focal length in rows [px].
         cx: Column of the optical axis [px].
         cy: Row of the optical axis [px].
+
+    Raises:
+        ValueError: If a size or focal length is not positive, or a number is not finite.
     """
 
     width: int
@@ -31,34 +39,93 @@ class Pinhole:
     cx: float
     cy: float
 
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        positive = min(self.width, self.height, self.fx, self.fy) > 0
+        if not (positive and all(map(math.isfinite, self.intrinsics))):
+            raise ValueError(f"{self}: expected finite numbers, positive sizes and focal lengths")
+
+    @property
+    def intrinsics(self) -> tuple[int, int, float, float, float, float]:
+        """Width, height, fx, fy, cx and cy, to make another kind of camera from."""
+        return self.width, self.height, self.fx, self.fy, self.cx, self.cy
+
+    @property
+    def matrix(self) -> FloatArray:
+        """Intrinsic matrix (3, 3) [px]."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def pixels(self, points: ArrayLike) -> FloatArray:
+        """Return where points appear in the image.
+
+        Args:
+            points: (..., 3) points [m], camera frame.
+
+        Returns:
+            (..., 2) columns and rows [px]; NaN for points that are not ahead.
+        """
+        p = np.asarray(points, dtype=float)
+        z = np.where(p[..., 2] > 0.0, p[..., 2], np.nan)
+        column = self.fx * p[..., 0] / z + self.cx
+        return np.stack([column, self.fy * p[..., 1] / z + self.cy], axis=-1)
+
+    def rays(self, pixels: ArrayLike) -> FloatArray:
+        """Return the directions (..., 3) with z = 1 through pixels (..., 2) [px], camera frame."""
+        p = np.asarray(pixels, dtype=float)
+        x, y = (p[..., 0] - self.cx) / self.fx, (p[..., 1] - self.cy) / self.fy
+        return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+    def pixel_grid(self, columns: int | None = None, rows: int | None = None) -> FloatArray:
+        """Return evenly spaced pixels (rows, columns, 2) over the image; by default all [px]."""
+        u, v = _centres(self.width, columns), _centres(self.height, rows)
+        return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+@dataclasses.dataclass(frozen=True)
+class DistortedPinhole(Pinhole):
+    """A pinhole camera with Brown's lens distortion.
+
+    Attributes:
+        distortion: k1, k2, p1, p2, k3.
+    """
+
+    distortion: tuple[float, float, float, float, float] = NO_DISTORTION
+
+    def pixels(self, points: ArrayLike) -> FloatArray:
+        """Return where points appear in the image; see `Pinhole.pixels`."""
+        p = np.asarray(points, dtype=float)
+        x, y = p[..., 0] / p[..., 2], p[..., 1] / p[..., 2]
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        return super().pixels(np.stack([u, v, np.sign(p[..., 2])], axis=-1))
+
 
 @dataclasses.dataclass(frozen=True)
 class Frustum(Pinhole):
-    """A camera's field of view; z is along the view.
+    """A camera's field of view between two depths.
 
     Attributes:
         near: Least depth, along z [m].
         far: Largest depth [m].
+
+    Raises:
+        ValueError: If the intrinsics are none, or the depths not positive and ascending.
     """
 
     near: float
     far: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no field of view.
-
-        Raises:
-            ValueError: Naming it.
-        """
-        numbers = (self.fx, self.fy, self.cx, self.cy, self.near, self.far)
-        positive = min(self.width, self.height, self.fx, self.fy, self.near) > 0
-        if not (positive and all(map(math.isfinite, numbers)) and self.near < self.far):
-            raise ValueError(
-                f"{self}: expected positive sizes and focal lengths, 0 < near < far, all finite"
-            )
+        """Check the numbers."""
+        super().__post_init__()
+        if not 0.0 < self.near < self.far < math.inf:
+            raise ValueError(f"{self}: expected 0 < near < far, both finite")
 
     def resized(self, width: int, height: int) -> Frustum:
-        """Return the same field of view with other pixels."""
+        """Return the same field of view with another number of pixels."""
         across, down = width / self.width, height / self.height
         return dataclasses.replace(
             self,
@@ -70,8 +137,9 @@ class Frustum(Pinhole):
             cy=(self.cy + 0.5) * down - 0.5,
         )
 
-    def rays(self) -> FloatArray:
-        """Return directions through the pixels' centres with z = 1, (height, width, 3)."""
-        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
-        x, y = (u - self.cx) / self.fx, (v - self.cy) / self.fy
-        return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float64)
+
+def _centres(size: int, count: int | None) -> FloatArray:
+    """Return the centres (count,) of equal parts of a row of pixels [px]."""
+    if count is None:
+        return np.arange(size, dtype=float)
+    return (np.arange(count) + 0.5) / count * size - 0.5

@@ -177,9 +177,7 @@ def pnp(
     Raises:
         RegistrationError: If OpenCV finds none.
     """
-    camera = np.array(
-        [[geometry.fx, 0.0, geometry.cx], [0.0, geometry.fy, geometry.cy], [0.0, 0.0, 1.0]]
-    )
+    camera = geometry.matrix
     points, pixels = np.ascontiguousarray(before), np.ascontiguousarray(seen)
     try:
         found, turn, shift = cv2.solvePnP(points, pixels, camera, None, flags=cv2.SOLVEPNP_SQPNP)

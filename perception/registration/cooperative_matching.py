@@ -226,14 +226,7 @@ def _bends(
     middle = geometry.points(seen)
     distance = np.einsum("ni,ni->n", normals, middle)
     pixels = seen[:, None, :2] + offsets
-    rays = np.stack(
-        [
-            (pixels[..., 0] - geometry.cx) / geometry.fx,
-            (pixels[..., 1] - geometry.cy) / geometry.fy,
-            np.ones(pixels.shape[:2]),
-        ],
-        axis=-1,
-    )
+    rays = geometry.rays(pixels)
     depths = distance[:, None] / np.einsum("nki,ni->nk", rays, normals)
     surface = rays * depths[..., None] - second.translation
     there = geometry.project(surface @ second.rotation.as_matrix())[..., :2]

@@ -1,7 +1,6 @@
-"""Geometry of a rectified stereo pair: pixels and disparity to points, and how certain they are.
+"""Geometry of a rectified stereo pair: pixels and disparity to points, and their covariance.
 
-The frame is that of the left camera: x to the right, y down, z forward along the view; pixel
-centres stand at whole numbers. Pixels need not be square.
+The frame is that of the left camera, as in `perception.geometry.pinhole`.
 """
 
 from __future__ import annotations
@@ -11,49 +10,39 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from perception.geometry.pinhole import Pinhole
+
 FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
-class StereoGeometry:
-    """Two equal cameras whose rows are aligned.
+class StereoGeometry(Pinhole):
+    """Two equal pinhole cameras whose rows are aligned.
 
     Attributes:
-        width: Columns [px].
-        height: Rows [px].
-        fx: Focal length in columns [px].
-        fy: Focal length in rows [px].
-        cx: Column of the optical axes [px].
-        cy: Row of the optical axes [px].
-        baseline: From the left to the right camera, along x [m].
+        baseline: Distance from the left to the right camera, along x [m].
+
+    Raises:
+        ValueError: If the intrinsics are none, or the baseline is not positive.
     """
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
     baseline: float
 
     def __post_init__(self) -> None:
-        """Refuse what is no camera pair.
-
-        Raises:
-            ValueError: Naming it.
-        """
-        for name in ("width", "height", "fx", "fy", "baseline"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"stereo geometry: {name} must be positive: {self}")
+        """Check the numbers."""
+        super().__post_init__()
+        if not self.baseline > 0.0:
+            raise ValueError(f"{self}: expected a positive baseline")
 
     def points(self, image_points: ArrayLike) -> FloatArray:
-        """Triangulate (Thesis eq. 3-1 to 3-3).
+        """Triangulate image points (Thesis eq. 3-1 to 3-3).
 
         Args:
-            image_points: (..., 3) column, row, disparity [px]; left column minus right.
+            image_points: (..., 3) columns, rows and disparities [px],
+                the left column minus the right.
 
         Returns:
-            (..., 3) [m], left camera; NaN where the disparity is not positive.
+            (..., 3) points [m], left camera frame; NaN where the disparity is not positive.
         """
         u = np.asarray(image_points, dtype=float)
         disparity = np.where(u[..., 2] > 0.0, u[..., 2], np.nan)
@@ -63,22 +52,20 @@ class StereoGeometry:
         return np.stack([x, y, z], axis=-1)
 
     def project(self, points: ArrayLike) -> FloatArray:
-        """Return where points appear.
+        """Return where points appear in both images.
 
         Args:
-            points: (..., 3) [m], left camera.
+            points: (..., 3) points [m], left camera frame.
 
         Returns:
             (..., 3) column, row, disparity [px]; NaN for points that are not ahead.
         """
         p = np.asarray(points, dtype=float)
-        z = np.where(p[..., 2] > 0.0, p[..., 2], np.nan)
-        column = self.fx * p[..., 0] / z + self.cx
-        row = self.fy * p[..., 1] / z + self.cy
-        return np.stack([column, row, self.fx * self.baseline / z], axis=-1)
+        disparity = self.fx * self.baseline / np.where(p[..., 2] > 0.0, p[..., 2], np.nan)
+        return np.concatenate([self.pixels(p), disparity[..., None]], axis=-1)
 
     def projection_jacobian(self, points: ArrayLike) -> FloatArray:
-        """Return (..., 3, 3), the derivatives of `project` by the point [px/m]."""
+        """Return the derivatives (..., 3, 3) of `project` by the point [px/m]."""
         p = np.asarray(points, dtype=float)
         x, y, z = p[..., 0], p[..., 1], p[..., 2]
         nothing = np.zeros_like(z)
@@ -90,14 +77,16 @@ class StereoGeometry:
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
     def covariance(self, points: ArrayLike, sigma: ArrayLike) -> FloatArray:
-        """Return how certain triangulated points are: depth goes as its square (eq. 3-4 to 3-6).
+        """Return the covariances of triangulated points (eq. 3-4 to 3-6).
+
+        The standard deviation of a depth grows as the depth squared.
 
         Args:
-            points: (..., 3) [m], left camera.
+            points: (..., 3) points [m], left camera frame.
             sigma: (3,) or (..., 3) standard deviations of column, row and disparity [px].
 
         Returns:
-            (..., 3, 3) [m^2], left camera.
+            (..., 3, 3) covariances [m^2], left camera frame.
         """
         back = np.linalg.inv(self.projection_jacobian(points))
         weighted = back * np.asarray(sigma, dtype=float)[..., None, :]

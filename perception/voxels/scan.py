@@ -116,20 +116,8 @@ def camera_of(
     pose = np.asarray(transform_camera_to_world.as_matrix(), dtype=np.float64)
     turn = np.ascontiguousarray(pose[:3, :3].T)
     origin = pose[:3, 3] - corner
-    f = frustum
-    return Camera(
-        turn,
-        origin,
-        corner,
-        f.width,
-        f.height,
-        float(f.fx),
-        float(f.fy),
-        float(f.cx),
-        float(f.cy),
-        float(f.near),
-        float(f.far),
-    )
+    numbers = map(float, (*frustum.intrinsics[2:], frustum.near, frustum.far))
+    return Camera(turn, origin, corner, frustum.width, frustum.height, *numbers)
 
 
 def binned(frustum: Frustum, resolution: float) -> Frustum:

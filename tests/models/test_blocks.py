@@ -79,7 +79,7 @@ def test_camera_looks_at_its_aim_with_the_data_sheets_lens():
         place_camera(model, data, np.array(position), aim)
         turn, place = camera_pose(data, model.camera(CAMERA_NAME).id)
         np.testing.assert_allclose(place, position)
-        seen = camera_model(model, CAMERA_NAME).project((aim - place)[None] @ turn)
+        seen = camera_model(model, CAMERA_NAME).pixels((aim - place)[None] @ turn)
         np.testing.assert_allclose(seen, [[254.5, 245.5]], atol=1e-6)
 
 

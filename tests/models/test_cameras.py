@@ -57,8 +57,8 @@ def pinhole(model: mujoco.MjModel, data: mujoco.MjData, camera: str, point: np.n
     view = data.camera(camera)
     local = view.xmat.reshape(3, 3).T @ (point - view.xpos)
     depth = -local[2]
-    column = CAMERA.cx + CAMERA.fx * local[0] / depth
-    row = CAMERA.cy - CAMERA.fy * local[1] / depth
+    column = CAMERA.pinhole.cx + CAMERA.pinhole.fx * local[0] / depth
+    row = CAMERA.pinhole.cy - CAMERA.pinhole.fy * local[1] / depth
     return np.array([column, row])
 
 

@@ -165,6 +165,6 @@ def test_cameras_in_the_model_agree_with_table_d_2():
         sensor = [CAMERA.sensing_width, CAMERA.sensing_height]
         np.testing.assert_allclose(head.cam_sensorsize[camera], sensor)
         np.testing.assert_allclose(head.cam_intrinsic[camera, :2], CAMERA.focal_length)
-    assert (CAMERA.fx, CAMERA.fy) == pytest.approx((677.34, 871.25), abs=0.01)
+    assert (CAMERA.pinhole.fx, CAMERA.pinhole.fy) == pytest.approx((677.34, 871.25), abs=0.01)
     assert math.degrees(CAMERA.field_of_view[0]) == pytest.approx(41.2, abs=0.1)
     assert head.body_mass.sum() == pytest.approx(2 * CAMERA.mass)

@@ -5,9 +5,9 @@ import mujoco
 import numpy as np
 import pytest
 
+from perception.geometry.pinhole import DistortedPinhole
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import (
-    CameraModel,
     StereoConfig,
     StereoRig,
     camera_model,
@@ -51,7 +51,7 @@ def test_rendered_spots_stand_where_the_model_projects_them():
     data = settled(model)
     camera = camera_model(model, "eye")
     rotation, translation = camera_pose(data, 0)
-    expected = camera.project((SPOTS - translation) @ rotation)
+    expected = camera.pixels((SPOTS - translation) @ rotation)
     image = renderer().render(model, data, "eye", 510, 492).astype(float).sum(axis=2)
     count, _, _, centres = cv2.connectedComponentsWithStats((image > 200).astype(np.uint8))
     assert count == 5
@@ -68,17 +68,19 @@ def test_sites_and_truth_markers_are_not_drawn():
 
 
 def test_projection_agrees_with_opencv_including_distortion():
-    camera = CameraModel(510, 492, 677.3, 871.2, 254.5, 245.5, (-0.2, 0.05, 0.001, -0.002, 0.01))
+    camera = DistortedPinhole(
+        510, 492, 677.3, 871.2, 254.5, 245.5, (-0.2, 0.05, 0.001, -0.002, 0.01)
+    )
     points = np.random.default_rng(3).uniform([-0.3, -0.3, 0.8], [0.3, 0.3, 2.0], (50, 3))
     expected, _ = cv2.projectPoints(
         points, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion)
     )
-    np.testing.assert_allclose(camera.project(points), expected.reshape(-1, 2), atol=1e-9)
+    np.testing.assert_allclose(camera.pixels(points), expected.reshape(-1, 2), atol=1e-9)
 
 
 def test_points_behind_the_camera_have_no_pixel():
-    camera = CameraModel(10, 10, 10.0, 10.0, 4.5, 4.5)
-    assert np.isnan(camera.project(np.array([[0.1, 0.1, -1.0]]))).all()
+    camera = DistortedPinhole(10, 10, 10.0, 10.0, 4.5, 4.5)
+    assert np.isnan(camera.pixels(np.array([[0.1, 0.1, -1.0]]))).all()
 
 
 def test_distorted_image_matches_distorted_projection():
@@ -99,7 +101,7 @@ def test_distorted_image_matches_distorted_projection():
     eyes = StereoRig(model, "", config, np.random.default_rng(0))
     image = eyes.capture(data)[0]
     rotation, translation = camera_pose(data, 0)
-    expected = eyes.cameras[0].project((SPOTS - translation) @ rotation)
+    expected = eyes.cameras[0].pixels((SPOTS - translation) @ rotation)
     _, _, _, centres = cv2.connectedComponentsWithStats((image > 70).astype(np.uint8))
     for pixel in expected:
         assert np.linalg.norm(centres[1:] - pixel, axis=1).min() < 0.4

@@ -40,7 +40,7 @@ def test_rover_has_the_numbers_of_its_datasheets():
         assert (joint.rotor_inertia, joint.friction) == (ARM_MOTOR.armature, ARM_MOTOR.friction)
     arm = rover.arm.base.mass + sum(joint.body.mass for joint in rover.arm.joints)
     assert arm == pytest.approx(ARM.mass)
-    assert (rover.head.camera.fx, rover.head.camera.cy) == (CAMERA.fx, CAMERA.cy)
+    assert (rover.head.camera.fx, rover.head.camera.cy) == (CAMERA.pinhole.fx, CAMERA.pinhole.cy)
     assert rover.head.baseline == CAMERA.baseline
     noise = [FORCE_TORQUE.force_noise] * 3 + [FORCE_TORQUE.torque_noise] * 3
     np.testing.assert_array_equal(rover.sensor_sigma["arm_base_wrench"], noise)

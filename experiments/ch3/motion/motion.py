@@ -56,9 +56,7 @@ RATIO_BOUND = 0.1
 GROWTH_BOUND = 1.5
 BORDER = 10.0  # [px] that tracking needs around a fiducial
 
-HEAD = StereoGeometry(
-    CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, CAMERA.baseline
-)
+HEAD = StereoGeometry(*CAMERA.pinhole.intrinsics, CAMERA.baseline)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -85,15 +85,7 @@ def panorama(looks: Sequence[Look], geometry: StereoGeometry) -> FloatArray:
         assert look.correction is not None
         pose = look.correction.camera.transform_camera_to_world
         image = look.pair[0]
-        rows, columns = np.mgrid[: image.shape[0], : image.shape[1]]
-        rays = np.stack(
-            [
-                (columns - geometry.cx) / geometry.fx,
-                (rows - geometry.cy) / geometry.fy,
-                np.ones(image.shape),
-            ],
-            axis=-1,
-        ).reshape(-1, 3)
+        rays = geometry.rays(geometry.pixel_grid()).reshape(-1, 3)
         world = pose.rotation.apply(rays / np.linalg.norm(rays, axis=1, keepdims=True))
         azimuth = np.rad2deg(np.arctan2(-world[:, 0], world[:, 1]))
         elevation = np.rad2deg(np.arcsin(np.clip(world[:, 2], -1.0, 1.0)))

@@ -113,15 +113,7 @@ class Cloud:
 
 def head_geometry() -> StereoGeometry:
     """Return the stereo head's geometry at its full resolution."""
-    return StereoGeometry(
-        CAMERA.width,
-        CAMERA.height,
-        CAMERA.fx,
-        CAMERA.fy,
-        (CAMERA.width - 1) / 2,
-        (CAMERA.height - 1) / 2,
-        CAMERA.baseline,
-    )
+    return StereoGeometry(*CAMERA.pinhole.intrinsics, CAMERA.baseline)
 
 
 def look_at(position: FloatArray, target: FloatArray) -> RigidTransform:
@@ -153,10 +145,7 @@ def see(scene: Scene, pose: RigidTransform, generator: np.random.Generator) -> C
         generator: Source of the noise.
     """
     head = head_geometry()
-    columns = (np.arange(WIDTH) + 0.5) * head.width / WIDTH - 0.5
-    rows = (np.arange(HEIGHT) + 0.5) * head.height / HEIGHT - 0.5
-    u, v = (grid.ravel() for grid in np.meshgrid(columns, rows))
-    rays = np.column_stack([(u - head.cx) / head.fx, (v - head.cy) / head.fy, np.ones(u.size)])
+    rays = head.rays(head.pixel_grid(WIDTH, HEIGHT)).reshape(-1, 3)
     depth = scene.cast(pose.translation, pose.rotation.apply(rays))
     seen = depth < MAX_DEPTH
     true = rays[seen] * depth[seen, None]

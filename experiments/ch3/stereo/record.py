@@ -98,7 +98,7 @@ class MapRecorder:
         self._stream.log(path, placed)
         g = mapper.geometry
         lens = rr.Pinhole(
-            image_from_camera=[[g.fx, 0.0, g.cx], [0.0, g.fy, g.cy], [0.0, 0.0, 1.0]],
+            image_from_camera=g.matrix,
             resolution=[g.width, g.height],
             image_plane_distance=0.15,
         )

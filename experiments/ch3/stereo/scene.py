@@ -140,9 +140,7 @@ class StereoScene:
         }
         left = camera_model(self.model, f"{RIG}/stereo_left")
         offset = self.model.camera(f"{RIG}/stereo_right").pos - self.model.camera(left_name()).pos
-        self.geometry = StereoGeometry(
-            left.width, left.height, left.fx, left.fy, left.cx, left.cy, float(offset[0])
-        )
+        self.geometry = StereoGeometry(*left.intrinsics, float(offset[0]))
 
     @property
     def robot_names(self) -> tuple[str, ...]:
@@ -233,10 +231,7 @@ class StereoScene:
         """Return (N,) depths as `true_depths`, and (N,) indices of the geoms that are seen."""
         pose = self.transform_camera_to_world(name)
         image = np.asarray(pixels, dtype=float).reshape(-1, 2)
-        g = self.geometry
-        rays = np.column_stack(
-            [(image[:, 0] - g.cx) / g.fx, (image[:, 1] - g.cy) / g.fy, np.ones(len(image))]
-        )
+        rays = self.geometry.rays(image)
         lengths = np.linalg.norm(rays, axis=1)
         directions = pose.rotation.apply(rays / lengths[:, None]) if len(rays) else rays
         own_head = self.model.camera(left_name(name)).bodyid[0]

@@ -76,7 +76,7 @@ class Scenario(NamedTuple):
     drift: float = 0.025
     pixel: float = 0.1
     disparity: float = 0.05
-    focal: float = CAMERA.fx
+    focal: float = CAMERA.pinhole.fx
     baseline: float = CAMERA.baseline
     field_of_view: float = CAMERA.field_of_view[0]
     spread: float = 2.0 * math.tan(CAMERA.field_of_view[0] / 2.0) / CAMERA.width

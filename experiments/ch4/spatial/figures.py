@@ -148,7 +148,9 @@ def pictures(
     figure = Figure(figsize=(3.6 * len(views), 4.2))
     for index, (view, image) in enumerate(zip(views, images)):
         axes = figure.add_subplot(1, len(views), index + 1)
-        axes.imshow(image, aspect=CAMERA.fx / CAMERA.fy)  # Pixels are wider than high.
+        axes.imshow(
+            image, aspect=CAMERA.pinhole.fx / CAMERA.pinhole.fy
+        )  # Pixels are wider than high.
         default = "optimal pose" if index == 0 else f"random pose {index}"
         name = names[index] if names else default
         axes.set_title(f"{name}\n{view.distance / INCH:.1f} in, rating {view.rating:.0f} per m")

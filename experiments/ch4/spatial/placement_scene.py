@@ -63,23 +63,18 @@ def add_view(voxels: VoxelMap, scene: StereoScene, rng: np.random.Generator) -> 
         pass
     scene.set_rig(look_at(eye, [*(eye[:2] + seen_at), 0.05]))
     g = scene.geometry
-    u, v = np.meshgrid(
-        (np.arange(COLUMNS) + 0.5) * g.width / COLUMNS - 0.5,
-        (np.arange(ROWS) + 0.5) * g.height / ROWS - 0.5,
-    )
-    pixels = np.column_stack([u.ravel(), v.ravel()])
+    pixels = g.pixel_grid(COLUMNS, ROWS).reshape(-1, 2)
     depth, geoms = scene.true_hits(RIG, pixels)
     rovers = [scene.model.body(f"{name}/chassis").id for name in scene.robot_names]
     of_rover = np.isin(scene.model.body_rootid[scene.model.geom_bodyid[geoms]], rovers)
     seen = np.isfinite(depth) & ~of_rover
-    normalised = (pixels - [g.cx, g.cy]) / [g.fx, g.fy]
-    true = np.column_stack([normalised, np.ones(len(depth))])[seen] * depth[seen, None]
+    true = g.rays(pixels)[seen] * depth[seen, None]
     sigma = np.array(PIXEL_SIGMA)
     noisy = g.points(g.project(true) + sigma * rng.standard_normal(true.shape))
     kept = (noisy[:, 2] > REACH[0]) & (noisy[:, 2] < REACH[1])
     pose = scene.transform_camera_to_world(RIG)
     turn = pose.rotation.as_matrix()
-    frustum = Frustum(g.width, g.height, g.fx, g.fy, g.cx, g.cy, near=0.1, far=REACH[1] + 0.1)
+    frustum = Frustum(*g.intrinsics, near=0.1, far=REACH[1] + 0.1)
     voxels.insert(
         pose,
         frustum.resized(COLUMNS, ROWS),
@@ -108,5 +103,5 @@ def panel_targets(scene: StereoScene) -> list[Target]:
 
 def head_lens(near: float = 5.0 * INCH, far: float = 0.6) -> Lens:
     """Return the stereo head's left camera as a lens; near is the thesis' 5 inches."""
-    field = 2.0 * np.arctan(CAMERA.width / (2.0 * CAMERA.fx))
+    field = 2.0 * np.arctan(CAMERA.width / (2.0 * CAMERA.pinhole.fx))
     return Lens(float(field), CAMERA.width, near, far)

@@ -89,9 +89,8 @@ def _camera(
     right /= np.linalg.norm(right)
     turn = np.column_stack([right, np.cross(ahead, right), ahead])
     stream.log("scene/camera", rr.Transform3D(translation=view.position, mat3x3=turn))
-    matrix = [[CAMERA.fx, 0.0, CAMERA.cx], [0.0, CAMERA.fy, CAMERA.cy], [0.0, 0.0, 1.0]]
     lens = rr.Pinhole(
-        image_from_camera=matrix,
+        image_from_camera=CAMERA.pinhole.matrix,
         resolution=[CAMERA.width, CAMERA.height],
         image_plane_distance=0.06,
     )

@@ -41,7 +41,7 @@ def sees(model, data, points, body_left_out: int) -> bool:
         local = (points - eye) @ rotation
         if np.any(local[:, 2] < 0.05):
             return False
-        u, v = camera.project(local).T
+        u, v = camera.pixels(local).T
         if np.any((u < 0) | (u > camera.width - 1) | (v < 0) | (v > camera.height - 1)):
             return False
         for point in points:
@@ -110,7 +110,7 @@ def test_markers_in_both_images_are_those_that_mujocos_cameras_project_there(wat
         for side in ("left", "right"):
             camera = camera_model(model, f"{MASTER}/stereo_{side}")
             rotation, eye = camera_pose(data, model.camera(f"{MASTER}/stereo_{side}").id)
-            u, v = camera.project((markers - eye) @ rotation).T
+            u, v = camera.pixels((markers - eye) @ rotation).T
             fits &= bool(np.all((u > 0) & (u < camera.width - 1)))
             fits &= bool(np.all((v > 0) & (v < camera.height - 1)))
         inside.append(fits)

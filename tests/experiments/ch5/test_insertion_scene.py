@@ -139,7 +139,7 @@ def test_best_stand_puts_all_markers_in_both_images(width):
         # The level scene's ground is that of the model: the chassis stands at its height.
         eye = eye + [0.0, 0.0, ROVER.centre_height - data.body(f"{MASTER}/chassis").xpos[2]]
         local = (seen_parts(width).markers() - eye) @ rotation
-        u, v = camera.project(local).T
+        u, v = camera.pixels(local).T
         assert np.all(local[:, 2] > 0.0)
         assert np.all((u > 5) & (u < camera.width - 6) & (v > 5) & (v < camera.height - 6))
 

@@ -34,7 +34,7 @@ def step_map(scans=2):
 
 
 def insert(voxels, step):
-    rays = VIEW.rays().reshape(-1, 3)
+    rays = VIEW.rays(VIEW.pixel_grid()).reshape(-1, 3)
     depth = np.where(rays[:, 0] > 0.1, 0.495 - step, 0.495)
     points = POSE.apply(rays * depth[:, None])
     covariances = np.tile(np.diag([1e-7, 1e-7, 4e-6]), (len(points), 1, 1))

@@ -29,7 +29,7 @@ def look_down(height, x=0.0, y=0.0, tilt=0.0):
 
 def ground_cloud(pose, generator=None, sigma=0.02, level=0.0037):
     """Return points and covariances of level ground, with disparity noise if there is one."""
-    rays = VIEW.rays().reshape(-1, 3)
+    rays = VIEW.rays(VIEW.pixel_grid()).reshape(-1, 3)
     turned = pose.rotation.apply(rays)
     with np.errstate(divide="ignore"):
         depth = (level - pose.translation[2]) / turned[:, 2]

@@ -92,7 +92,7 @@ def test_visible_volumes_are_those_of_a_brute_force_over_voxels(seed):
 def sampled_along_rays(states, pose, path, step=2e-4):
     """Return depths of the first occupied sample and (unmeasured, free, information) by sums."""
     z = np.arange(VIEW.near + step / 2, VIEW.far, step)
-    rays = VIEW.rays()
+    rays = VIEW.rays(VIEW.pixel_grid())
     lookup = np.vectorize(int)(states)
     depths, sums = np.full((VIEW.height, VIEW.width), np.inf), np.zeros(3)
     for row in range(VIEW.height):
@@ -147,7 +147,7 @@ def test_an_empty_view_shows_the_frustum_s_volume():
 
 def test_information_falls_with_the_free_path_whatever_the_voxels():
     pose = RigidTransform.from_components([0.0, 0.0, -0.45], Rotation.identity())
-    rays = VIEW.rays()
+    rays = VIEW.rays(VIEW.pixel_grid())
     length = np.linalg.norm(rays, axis=-1)
     z = np.linspace(VIEW.near, VIEW.far, 2001)
     for side, path in ((0.02, 0.3), (0.01, 0.3), (0.02, 1.5)):

@@ -9,7 +9,7 @@ from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 
 HEAD = StereoGeometry(170, 164, 225.8, 290.4, 84.5, 81.5, 0.038)
-FRUSTUM = Frustum(HEAD.width, HEAD.height, HEAD.fx, HEAD.fy, HEAD.cx, HEAD.cy, 0.2, 2.0)
+FRUSTUM = Frustum(*HEAD.intrinsics, 0.2, 2.0)
 GRID = VoxelGrid(0.01, (-0.4, -0.4, -0.2), (0.4, 0.4, 0.8))
 SIGMA = np.array([0.03, 0.03, 0.05])
 WALL = 0.605  # The plane z = WALL faces a camera at the origin that looks along z.

@@ -93,7 +93,7 @@ def seen_map():
         [0.0, 0.0, 2.0], Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     )
     view = Frustum(60, 60, 60.0, 60.0, 29.5, 29.5, near=0.1, far=6.0)
-    points = camera.apply(view.rays().reshape(-1, 3) * 1.25)
+    points = camera.apply(view.rays(view.pixel_grid()).reshape(-1, 3) * 1.25)
     voxels = VoxelMap(VoxelGrid(0.1, (-0.5, -2.0, 0.0), (2.0, 2.0, 4.0)))
     for _ in range(2):
         voxels.insert(camera, view, points, np.tile(1e-4 * np.eye(3), (len(points), 1, 1)))

@@ -39,7 +39,9 @@ def test_geometry_is_that_of_the_datasheet(scene):
     g = scene.geometry
     assert (g.width, g.height, g.baseline) == (CAMERA.width, CAMERA.height, CAMERA.baseline)
     np.testing.assert_allclose(
-        [g.fx, g.fy, g.cx, g.cy], [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], rtol=1e-6
+        [g.fx, g.fy, g.cx, g.cy],
+        [CAMERA.pinhole.fx, CAMERA.pinhole.fy, CAMERA.pinhole.cx, CAMERA.pinhole.cy],
+        rtol=1e-6,
     )
 
 
@@ -145,7 +147,7 @@ def test_rectified_pair_of_distorting_lenses_gives_true_depths(scene):
     bent = (-0.25, 0.08, 0.001, -0.001, 0.0)
     rig = StereoRig(scene.model, f"{RIG}/", StereoConfig(4.0, None, bent), np.random.default_rng(0))
     pair, g = rig.capture(scene.data), scene.geometry
-    lens = Lens(np.array([[g.fx, 0, g.cx], [0, g.fy, g.cy], [0, 0, 1]]), np.array(bent))
+    lens = Lens(g.matrix, np.array(bent))
     mount = RigidTransform.from_translation([-g.baseline, 0.0, 0.0])
     rectified = Rectification(lens, lens, mount, (g.width, g.height)).apply(pair)
     straight = {}
