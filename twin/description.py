@@ -9,6 +9,7 @@ view.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -37,16 +38,17 @@ class RigidBody:
 
 @dataclasses.dataclass(frozen=True)
 class JointDescription:
-    """A hinge of the arm and the link that it turns; its axis goes through the link's origin.
+    """A hinge or slide and the link that it moves; its axis goes through the link's origin.
 
     Attributes:
         name: Name of the joint and of its axis in the contract.
-        transform_link_to_parent: From the link's frame to its parent's, at joint angle zero.
-        axis: (3,) unit vector of the hinge in the link's frame.
-        limits: Lowest and highest angle [rad].
+        transform_link_to_parent: From the link's frame to its parent's, at position zero.
+        axis: (3,) unit vector of the hinge or slide in the link's frame.
         body: The link with everything fixed to it, link frame.
-        rotor_inertia: Inertia of the motor's rotor at the joint [kg m^2].
-        friction: Dry friction of gear and motor at the joint [N m].
+        limits: Lowest and highest position [rad, or m for a slide].
+        slides: Whether it slides; if not it turns.
+        rotor_inertia: Inertia of the motor's rotor at the joint [kg m^2, or kg for a slide].
+        friction: Dry friction of gear and motor at the joint [N m, or N for a slide].
         cover_points: (k, 3) points in the link's frame [m]; spheres about them of the arm's
             `cover_radius` cover the link.
     """
@@ -54,11 +56,12 @@ class JointDescription:
     name: str
     transform_link_to_parent: RigidTransform
     axis: tuple[float, float, float]
-    limits: tuple[float, float]
     body: RigidBody
-    rotor_inertia: float
-    friction: float
-    cover_points: FloatArray
+    limits: tuple[float, float] = (-math.inf, math.inf)
+    slides: bool = False
+    rotor_inertia: float = 0.0
+    friction: float = 0.0
+    cover_points: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclasses.dataclass(frozen=True)
