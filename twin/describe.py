@@ -191,11 +191,11 @@ def _arm(
                 name,
                 place,
                 (x, y, z),
-                (low, high),
                 _rigid_body(model, body),
-                float(model.dof_armature[dof]),
-                float(model.dof_frictionloss[dof]),
-                _points_on(model, data, np.flatnonzero(fixed), body),
+                (low, high),
+                rotor_inertia=float(model.dof_armature[dof]),
+                friction=float(model.dof_frictionloss[dof]),
+                cover_points=_points_on(model, data, np.flatnonzero(fixed), body),
             )
         )
         parent = body

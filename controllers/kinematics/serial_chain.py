@@ -86,7 +86,9 @@ class SerialChain:
         for joint in self.joints:
             length = np.linalg.norm(joint.axis)
             if not abs(length - 1.0) < 1e-9:
-                raise ValueError(f"axis of joint {joint.name}: length {length}, needs a unit vector")
+                raise ValueError(
+                    f"axis of joint {joint.name}: length {length}, needs a unit vector"
+                )
         placed = [joint.transform_link_to_parent for joint in self.joints]
         bodies = [self.base, *(joint.body for joint in self.joints)]
         arrays = ChainArrays(
@@ -226,9 +228,7 @@ class SerialChain:
             return efforts[0], wrenches[0]
         return efforts, wrenches
 
-    def bias(
-        self, positions: ArrayLike, rates: ArrayLike, base: FrameMotion = LEVEL
-    ) -> FloatArray:
+    def bias(self, positions: ArrayLike, rates: ArrayLike, base: FrameMotion = LEVEL) -> FloatArray:
         """Return the efforts of zero accelerations, h(q, q') - G [N m or N].
 
         Args:
