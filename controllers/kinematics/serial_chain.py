@@ -300,8 +300,8 @@ class SerialChain:
             or not math.isfinite(numbers.sum())
         ):
             raise ValueError(
-                f"joint {name} of shape {numbers.shape}, {row}: expected {len(self)} finite numbers "
-                "for each configuration"
+                f"joint {name} of shape {numbers.shape}, {row}: expected {len(self)} finite "
+                "numbers for each configuration"
             )
         return numbers
 
