@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.kinematics.chain import GRAVITY
-from controllers.kinematics.serial_arm import cross_matrix
+from perception.geometry.gravity import GRAVITY
+from perception.geometry.se3 import cross_matrix
 
 FloatArray = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.kinematics.frame_motion import LinkMotion
-from controllers.kinematics.serial_arm import cross_matrix
+from perception.geometry.se3 import cross_matrix
 from twin.description import RigidBody
 
 FloatArray = NDArray[np.float64]
