@@ -15,9 +15,9 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.arm_inverse import standing_views
 from controllers.kinematics.camera_arm import CameraArm
-from controllers.placement.spatial.occluders import Occluder, TargetField, expand
-from controllers.placement.spatial.views import rate_positions
-from controllers.placement.task import Exponents, Lens, PlacementError, Target
+from controllers.placement.spatial.occluders import TargetField, expand
+from controllers.placement.spatial.search import rate_positions
+from controllers.placement.task import Exponents, Lens, Occluder, PlacementError, Target
 from perception.markers.poses import BodyCad
 from perception.stereo.geometry import StereoGeometry
 

@@ -1,4 +1,4 @@
-"""Moving objects of known shape, and a camera that follows without chatter (thesis 4.3.1).
+"""Moving objects of known shape, and a camera that follows without chatter (Thesis section 4.3.1).
 
 When an object of known CAD moves, the plane is not mapped anew: its cells leave the map, its pose
 is measured by fitting the CAD to the points seen of it, and the CAD at that pose, blurred by the
@@ -17,24 +17,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from controllers.placement.planar.hulls import Occluder
 from controllers.placement.planar.search import (
-    USUAL,
-    Candidates,
-    KnownSpace,
+    DEFAULT_CANDIDATES,
     PlanarTask,
+    RingCandidates,
     best_view,
     view_from,
 )
-from controllers.placement.planar.sight import OCCUPIED_ABOVE
-from controllers.placement.task import FloatArray, PlacementError, View
+from controllers.placement.planar.sight import OCCUPIED_ABOVE, KnownSpace
+from controllers.placement.task import FloatArray, Occluder, PlacementError, View
 
 EMPTY = 0.04
-"""P of a cell measured empty once, as in the map's own updates."""
+"""Probability of occupancy of a cell measured empty once, as in the map's own updates."""
 ROUND_CORNERS = 8
-"""Corners of the polygon about a circle of uncertainty."""
+"""Number of corners of the polygon about a circle of uncertainty."""
 SAME = 1e-9
-"""Relative difference of ratings that is none."""
+"""Relative difference up to which two ratings are equal."""
 
 # The compiler's decorator has no types.
 _njit: Any = numba.njit(cache=True)
@@ -42,13 +40,16 @@ _njit: Any = numba.njit(cache=True)
 
 @dataclasses.dataclass(frozen=True)
 class PlanarPose:
-    """Where an object is believed to be.
+    """Estimated pose of an object on the plane.
 
     Attributes:
-        x: Of its origin [m], world.
-        y: Of its origin [m], world.
-        heading: From the world's x axis [rad].
-        covariance: (3, 3) of the errors true - believed of x, y [m] and heading [rad].
+        x: x of the object's origin [m], world.
+        y: y of the object's origin [m], world.
+        heading: Heading from the world's x axis [rad].
+        covariance: (3, 3) covariance of the errors of x, y [m] and heading [rad].
+
+    Raises:
+        ValueError: If the covariance is malformed or has a negative variance.
     """
 
     x: float
@@ -57,11 +58,6 @@ class PlanarPose:
     covariance: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((3, 3)))
 
     def __post_init__(self) -> None:
-        """Check the covariance.
-
-        Raises:
-            ValueError: If it is none.
-        """
         covariance = np.array(self.covariance, dtype=float)
         if covariance.shape != (3, 3) or not np.all(np.isfinite(covariance)):
             raise ValueError(f"covariance: shape {covariance.shape}, expected finite (3, 3)")
@@ -80,19 +76,17 @@ class MovingObject:
     """An object of known shape.
 
     Attributes:
-        name: Used in answers.
-        outline: (K, 2) corners of its convex outline [m], in its own frame; kept anticlockwise.
+        name: Name used in results and errors.
+        outline: (K, 2) corners of the convex outline [m], object frame; kept anticlockwise.
+
+    Raises:
+        ValueError: If the outline has no area.
     """
 
     name: str
     outline: FloatArray
 
     def __post_init__(self) -> None:
-        """Order the corners.
-
-        Raises:
-            ValueError: If it has no area.
-        """
         outline = np.array(self.outline, dtype=float)
         if outline.ndim != 2 or outline.shape[1] != 2 or np.linalg.matrix_rank(outline[1:] - outline[0]) < 2:  # fmt: skip  # noqa: E501, PLR2004
             raise ValueError(f"object {self.name!r}: its outline {outline.shape} has no area")
@@ -108,11 +102,11 @@ def fit_outline(
     instance along the only side that is seen, is kept from the prior with its uncertainty.
 
     Args:
-        shape: The CAD.
-        points: (N, 2) measured on its outline [m], world.
-        deviation: Of a point across the outline [m].
-        prior: Where it was expected, with that uncertainty.
-        rounds: Steps at most.
+        shape: Object with its outline.
+        points: (N, 2) points measured on its outline [m], world.
+        deviation: Standard deviation of a point across the outline [m].
+        prior: Expected pose with a covariance of full rank.
+        rounds: Greatest number of steps.
 
     Raises:
         ValueError: If the deviation is not positive or the prior is certain.
@@ -165,10 +159,10 @@ def take_out(
     uncertain and a cell is wide, only occupied cells are its.
 
     Args:
-        space: The map with the object in it.
-        shape: The CAD.
-        pose: Where it was when mapped.
-        sigmas: How many deviations of the pose its cells may be off.
+        space: Map that contains the object.
+        shape: Object with its outline.
+        pose: Pose of the object when it was mapped.
+        sigmas: Greatest error of its cells, in standard deviations of the pose.
     """
     centres = cell_centres(space)
     body = covers(pose.to_world(shape.outline), centres)
@@ -192,11 +186,11 @@ def put_back(
     1 - P = (1 - P_map) (1 - P_object), with P_object the share of drawn poses that cover it.
 
     Args:
-        space: The map without the object.
-        shape: The CAD.
-        pose: Measured, with its covariance.
-        generator: Of the drawn poses.
-        draws: How many.
+        space: Map without the object.
+        shape: Object with its outline.
+        pose: Measured pose with its covariance.
+        generator: Random generator for the drawn poses.
+        draws: Number of drawn poses.
     """
     mean = np.array([pose.x, pose.y, pose.heading])
     poses = generator.multivariate_normal(mean, pose.covariance, draws, method="eigh")
@@ -214,16 +208,16 @@ def swollen(
 ) -> Occluder:
     """Return an object as an occluder, expanded by the uncertainty of its pose.
 
-    Each corner is widened by a circle of so many of its greatest deviations, to first order.
+    Each corner is widened by a circle of its greatest standard deviation, to first order.
 
     Args:
-        shape: The CAD.
-        pose: Measured, with its covariance.
-        sigmas: How many deviations.
-        margin: In addition [m].
+        shape: Object with its outline.
+        pose: Measured pose with its covariance.
+        sigmas: Radius of the circle, in standard deviations.
+        margin: Additional radius [m].
 
     Raises:
-        ValueError: If sigmas or margin are negative.
+        ValueError: If ``sigmas`` or ``margin`` is negative.
     """
     if not (sigmas >= 0.0 and margin >= 0.0):
         raise ValueError(f"sigmas {sigmas}, margin {margin} m: expected 0 or more")
@@ -234,8 +228,8 @@ def swollen(
     for corner in corners:
         lever = corner - [pose.x, pose.y]
         slope = np.array([[1.0, 0.0, -lever[1]], [0.0, 1.0, lever[0]]])
-        spread = np.linalg.eigvalsh(slope @ pose.covariance @ slope.T)[-1]
-        points.append(corner + (sigmas * math.sqrt(max(spread, 0.0)) + margin) * ring)
+        variance = np.linalg.eigvalsh(slope @ pose.covariance @ slope.T)[-1]
+        points.append(corner + (sigmas * math.sqrt(max(variance, 0.0)) + margin) * ring)
     return Occluder(shape.name, np.concatenate(points))
 
 
@@ -243,7 +237,7 @@ def replace_camera(
     task: PlanarTask,
     present: FloatArray | None,
     factor: float,
-    candidates: Candidates = USUAL,
+    candidates: RingCandidates = DEFAULT_CANDIDATES,
     watch: Sequence[str] | None = None,
 ) -> tuple[View, bool]:
     """Place a camera again, staying where it is unless that is much worse.
@@ -253,10 +247,10 @@ def replace_camera(
     Turning to another target in place is no move.
 
     Args:
-        task: Targets, lens, occluders, space as now believed.
-        present: (2,) where the camera is [m], world; None at first.
-        factor: At least 1; at 1 it moves for any gain.
-        candidates: Which poses.
+        task: Targets, lens, occluders and occupancy map as now estimated.
+        present: (2,) present camera position [m], world; None at first.
+        factor: Least ratio of ratings for which the camera moves, at least 1.
+        candidates: Camera poses that are tried.
         watch: Names of the targets to consider; all unless given.
 
     Returns:
@@ -264,7 +258,7 @@ def replace_camera(
 
     Raises:
         ValueError: If the factor is below 1 or a target is unknown.
-        PlacementError: If no pose sees a target, with the nearest reason.
+        PlacementError: If no pose sees a target; the message gives the reasons.
     """
     if not factor >= 1.0:
         raise ValueError(f"factor {factor}: expected 1 or more")
@@ -294,7 +288,7 @@ def cell_centres(space: KnownSpace) -> FloatArray:
 
 @_njit
 def _shares(poses: FloatArray, outline: FloatArray, places: FloatArray) -> FloatArray:
-    """Return the share of poses (x, y, heading) at which an outline covers each place."""
+    """Return the share of poses (N, 3) at which an outline covers each place (M, 2)."""
     shares = np.zeros(len(places))
     for x, y, heading in poses:
         cos, sin = math.cos(heading), math.sin(heading)
@@ -313,7 +307,7 @@ def _shares(poses: FloatArray, outline: FloatArray, places: FloatArray) -> Float
 
 
 def covers(corners: FloatArray, points: FloatArray) -> NDArray[np.bool_]:
-    """Tell which points (..., 2) lie in a convex polygon (K, 2) given anticlockwise."""
+    """Return which points (..., 2) lie in a convex polygon (K, 2) given anticlockwise."""
     inside = np.ones(points.shape[:-1], dtype=bool)
     for a, b in zip(corners, np.roll(corners, -1, axis=0)):
         edge = b - a

@@ -1,4 +1,4 @@
-"""Where to put two cameras at once, so that neither hides the other's view nor sees the same.
+"""Placement of two cameras at once, so that neither hides the other's view nor sees the same.
 
 The thesis places one vision system after the other; here both are chosen together. Each camera has
 a body, a rod from its lens straight back, which is an occluder for the other one and must not touch
@@ -10,37 +10,38 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.spatial.search import (
     DEFAULT,
     Occupancy,
-    Rated,
     SearchConfig,
+    SpatialTask,
     rate_directions,
     rate_positions,
 )
-from controllers.placement.task import Lens, PlacementError, View
-
-FloatArray = NDArray[np.float64]
+from controllers.placement.task import FloatArray, Lens, PlacementError, View
 
 SEPARATION = np.deg2rad(30.0)
-"""Between the directions in which two cameras see the same target [rad]."""
+"""Least angle between the directions in which two cameras see the same target [rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class VisionSystem:
-    """A camera with what it is carried by.
+    """A camera with the body that carries it.
 
     Attributes:
-        name: Used in answers.
-        lens: Its lens.
-        body_radius: Of the rod that stands for housing and arm [m].
-        body_length: Of that rod, from the lens' principal node straight back [m].
+        name: Name used in errors.
+        lens: Lens of the camera.
+        body_radius: Radius of the rod that stands for housing and arm [m].
+        body_length: Length of that rod, from the lens' principal node straight back [m].
+
+    Raises:
+        ValueError: If a size is out of range; the message names the system.
     """
 
     name: str
@@ -49,11 +50,6 @@ class VisionSystem:
     body_length: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse impossible bodies.
-
-        Raises:
-            ValueError: Naming the system.
-        """
         if not (0.0 < self.body_radius < np.inf and 0.0 <= self.body_length < np.inf):
             raise ValueError(
                 f"vision system {self.name!r}: body of radius {self.body_radius} m and length "
@@ -74,31 +70,28 @@ def best_pair(
     distance; over all pairs of them the answer is exact.
 
     Args:
-        fields: The targets with what may hide them; each system may watch any of them.
+        fields: Targets with what may hide them; each system may watch any of them.
         systems: The two cameras.
-        occupancy: As for `spatial_search.best_view`.
+        occupancy: Probability of occupancy at points; None if all is free.
         separation: Least angle between two cameras' directions to the same target [rad].
-        config: What is tried; `refine` has no effect.
+        config: Candidates and exponents; `SearchConfig.refine` has no effect.
 
     Raises:
         PlacementError: If one of the systems sees no target, or no two views go together.
     """
-    ways = [rate_directions(fields, s.lens, occupancy, config) for s in systems]
-    reaches = np.array([np.linalg.norm(f.target.outline, axis=1).max() for f in fields])
-    spots = np.array([f.target.position for f in fields])
-    bodies = np.array([(s.body_radius, s.body_length) for s in systems])
-    first, second = _search(ways[0], ways[1], spots, reaches, bodies, np.cos(separation))
+    rated = [rate_directions(SpatialTask(fields, s.lens, occupancy, config)) for s in systems]
+    first, second = _best(rated[0], rated[1], _geometry(fields, systems, separation))
     if first < 0:
         names = " and ".join(repr(s.name) for s in systems)
         raise PlacementError(
-            f"no two poses go together for {names}: of {len(ways[0].ratings)} and "
-            f"{len(ways[1].ratings)} that see a target, every pair is less than "
+            f"no two poses go together for {names}: of {len(rated[0].ratings)} and "
+            f"{len(rated[1].ratings)} that see a target, every pair is less than "
             f"{np.rad2deg(separation):g} deg apart, touches or hides the other's view"
         )
     views: list[View] = []
-    for system, way, index in zip(systems, ways, (first, second)):
-        field = fields[int(way.fields[index])]
-        place = way.positions[index][None]
+    for system, found, index in zip(systems, rated, (first, second)):
+        field = fields[int(found.fields[index])]
+        place = found.positions[index][None]
         views += rate_positions(field, system.lens, place, occupancy, config.exponents)
     return views[0], views[1]
 
@@ -109,66 +102,89 @@ def go_together(
     views: tuple[View, View],
     separation: float = SEPARATION,
 ) -> bool:
-    """Tell whether two views keep clear of each other, as `best_pair` demands."""
+    """Tell whether two views keep clear of each other, as `best_pair` demands.
+
+    Args:
+        fields: Targets with what may hide them.
+        systems: The two cameras.
+        views: View of each camera.
+        separation: Least angle between two cameras' directions to the same target [rad].
+    """
     names = [field.target.name for field in fields]
-    numbers = [names.index(view.target) for view in views]
-    reaches = np.array([np.linalg.norm(f.target.outline, axis=1).max() for f in fields])
-    spots = np.array([f.target.position for f in fields])
-    bodies = np.array([(s.body_radius, s.body_length) for s in systems])
+    i, j = (names.index(view.target) for view in views)
     a, b = (np.asarray(view.position, dtype=float) for view in views)
-    i, j = numbers
-    return bool(_together(
-        a, i, b, j, spots, reaches, bodies, np.cos(separation)
-    ))  # fmt: skip
+    return bool(_together(_geometry(fields, systems, separation), a, i, b, j))
 
 
-def _search(
-    first: Rated, second: Rated, spots: FloatArray, reaches: FloatArray, bodies: FloatArray,
-    cosine: float,
-) -> tuple[int, int]:  # fmt: skip
-    return _best(
-        first.ratings, first.positions, first.fields,
-        second.ratings, second.positions, second.fields, spots, reaches, bodies, cosine,
-    )  # fmt: skip
+class PairGeometry(NamedTuple):
+    """Targets and camera bodies, for compiled code.
+
+    Attributes:
+        targets: (T, 3) positions of the targets [m], world.
+        target_radii: (T,) radius about its position that holds each target [m].
+        body_radii: (2,) radius of each camera's body [m].
+        body_lengths: (2,) length of each camera's body [m].
+        max_cosine: Greatest cosine between two cameras' directions to the same target.
+    """
+
+    targets: FloatArray
+    target_radii: FloatArray
+    body_radii: FloatArray
+    body_lengths: FloatArray
+    max_cosine: float
+
+
+def _geometry(
+    fields: Sequence[TargetField], systems: tuple[VisionSystem, VisionSystem], separation: float
+) -> PairGeometry:
+    return PairGeometry(
+        np.array([f.target.position for f in fields]),
+        np.array([np.linalg.norm(f.target.outline, axis=1).max() for f in fields]),
+        np.array([s.body_radius for s in systems]),
+        np.array([s.body_length for s in systems]),
+        np.cos(separation),
+    )
 
 
 @numba.njit(cache=True)
-def _best(ratings, places, targets, others, their, theirs, spots, reaches, bodies, cosine):
-    """Return the best pair of two lists in falling order of rating; -1, -1 if none is left."""
-    best, first, second = 0.0, -1, -1
-    for i in range(len(ratings)):
-        if len(others) == 0 or ratings[i] * others[0] <= best:
+def _best(first, second, geometry):
+    """Return the indices of the best pair of two `RatedDirections`; -1, -1 if there is none."""
+    best, left, right = 0.0, -1, -1
+    for i in range(len(first.ratings)):
+        if len(second.ratings) == 0 or first.ratings[i] * second.ratings[0] <= best:
             break
-        for j in range(len(others)):
-            if ratings[i] * others[j] <= best:
+        for j in range(len(second.ratings)):
+            product = first.ratings[i] * second.ratings[j]
+            if product <= best:
                 break
             if _together(
-                places[i], targets[i], their[j], theirs[j], spots, reaches, bodies, cosine
+                geometry, first.positions[i], first.fields[i], second.positions[j], second.fields[j]
             ):
-                best, first, second = ratings[i] * others[j], i, j
+                best, left, right = product, i, j
                 break
-    return first, second
+    return left, right
 
 
 @numba.njit(cache=True)
-def _together(a, i, b, j, spots, reaches, bodies, cosine):
+def _together(geometry, a, i, b, j):
     """Whether camera a on target i and camera b on target j keep clear of each other."""
-    p, q = spots[i], spots[j]
+    p, q = geometry.targets[i], geometry.targets[j]
     u, v = (a - p) / np.linalg.norm(a - p), (b - q) / np.linalg.norm(b - q)
-    if i == j and np.dot(u, v) > cosine:
+    if i == j and np.dot(u, v) > geometry.max_cosine:
         return False
-    behind_a, behind_b = a + bodies[0, 1] * u, b + bodies[1, 1] * v
-    if _apart(a, behind_a, b, behind_b) <= bodies[0, 0] + bodies[1, 0]:
+    radii, lengths = geometry.body_radii, geometry.body_lengths
+    behind_a, behind_b = a + lengths[0] * u, b + lengths[1] * v
+    if _apart(a, behind_a, b, behind_b) <= radii[0] + radii[1]:
         return False
     # The other's lines of sight fill no more than a rod as thick as its target.
-    if _apart(b, q, a, behind_a) <= bodies[0, 0] + reaches[j]:
+    if _apart(b, q, a, behind_a) <= radii[0] + geometry.target_radii[j]:
         return False
-    return _apart(a, p, b, behind_b) > bodies[1, 0] + reaches[i]
+    return _apart(a, p, b, behind_b) > radii[1] + geometry.target_radii[i]
 
 
 @numba.njit(cache=True)
 def _apart(a, b, c, d):
-    """Return the distance between the segments a to b and c to d, by clamping."""
+    """Return the distance between the segments from a to b and from c to d [m]."""
     u, v, w = b - a, d - c, a - c
     uu, uv, vv = np.dot(u, u), np.dot(u, v), np.dot(v, v)
     uw, vw = np.dot(u, w), np.dot(v, w)

@@ -1,12 +1,13 @@
-"""What a camera is placed for: the target, the lens, and how a view of it is rated.
+"""Target, occluder, lens and the rating of a view (Thesis section 4.2.3).
 
-Thesis section 4.2.3. Works alike on the plane (two coordinates) and in space (three); the camera is
-the point at the front principal node of its lens and always looks straight at the target.
+The same on the plane (two coordinates) and in space (three). The camera is the point at the front
+principal node of its lens and always looks straight at the target.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray = NDArray[np.float64]
 
 FREE_BELOW = 0.05
-"""A place is free for a camera if its probability of being occupied is below (thesis 4.2.3)."""
+"""Probability of occupancy below which a place is free for a camera (Thesis section 4.2.3)."""
+_FEWEST_DIMENSIONS, _MOST_DIMENSIONS = 2, 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,13 +25,16 @@ class Target:
     """A feature to watch.
 
     Attributes:
-        name: Used in answers and errors.
-        position: (D,) its reference point [m], world; D is 2 or 3.
-        normal: (D,) unit vector out of its visible side, world.
-        outline: (K, D) points whose convex hull is the whole of it [m], from the position, axes of
-            the world. The hull contains the position.
-        relation_error: How uncertain its place relative to the primary target is, ST_error of
-            eq. 4-4 [m]; 0 for the primary target.
+        name: Name used in results and errors.
+        position: (D,) reference point of the target [m], world; D is 2 or 3.
+        normal: (D,) unit vector out of the visible side, world.
+        outline: (K, D) points whose convex hull is the target [m], from `position`, world axes.
+            The hull contains the position.
+        relation_error: Uncertainty of the target's place relative to the primary target, ST_error
+            of eq. 4-4 [m]; 0 for the primary target.
+
+    Raises:
+        ValueError: If an entry is malformed; the message names it.
     """
 
     name: str
@@ -39,16 +44,11 @@ class Target:
     relation_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check and freeze the arrays.
-
-        Raises:
-            ValueError: Saying which entry is wrong.
-        """
         position = np.array(self.position, dtype=float)
         normal = np.array(self.normal, dtype=float)
         outline = np.atleast_2d(np.array(self.outline, dtype=float))
         dimension = len(position) if position.ndim == 1 else 0
-        if dimension not in (2, 3):
+        if not _FEWEST_DIMENSIONS <= dimension <= _MOST_DIMENSIONS:
             raise ValueError(f"target {self.name!r}: position {position} is not of 2 or 3 numbers")
         if normal.shape != (dimension,) or outline.shape[1:] != (dimension,):
             raise ValueError(
@@ -68,14 +68,45 @@ class Target:
 
 
 @dataclasses.dataclass(frozen=True)
-class Lens:
-    """What of a camera matters for where it is put.
+class Occluder:
+    """A convex body that may hide a target: the convex hull of its points.
 
     Attributes:
-        field_of_view: Along one detector axis [rad].
-        pixels: Along the same axis.
+        name: Name used in results and errors.
+        points: (N, D) points whose convex hull is the occluder [m], world; D is 2 or 3.
+
+    Raises:
+        ValueError: If the points are malformed; the message names the occluder.
+    """
+
+    name: str
+    points: FloatArray
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, dtype=float)
+        planar_or_spatial = points.ndim == 2 and points.shape[1] in (2, 3)  # noqa: PLR2004
+        if not planar_or_spatial or len(points) == 0:
+            raise ValueError(
+                f"occluder {self.name!r}: points {points.shape}, expected (N, 2) or (N, 3)"
+            )
+        if not np.all(np.isfinite(points)):
+            raise ValueError(f"occluder {self.name!r}: a coordinate is not finite")
+        points.setflags(write=False)
+        object.__setattr__(self, "points", points)
+
+
+@dataclasses.dataclass(frozen=True)
+class Lens:
+    """Properties of a camera that decide where it can be placed.
+
+    Attributes:
+        field_of_view: Field of view along one detector axis [rad].
+        pixels: Number of pixels along the same axis.
         near: Nearest distance in focus [m].
         far: Farthest distance in focus [m].
+
+    Raises:
+        ValueError: If a number is out of range; the message says what is expected.
     """
 
     field_of_view: float
@@ -84,11 +115,6 @@ class Lens:
     far: float
 
     def __post_init__(self) -> None:
-        """Refuse impossible lenses.
-
-        Raises:
-            ValueError: Saying what is expected.
-        """
         if not 0.0 < self.field_of_view < np.pi:
             raise ValueError(f"field_of_view {self.field_of_view} rad: expected 0 to pi")
         if self.pixels < 1:
@@ -97,23 +123,26 @@ class Lens:
             raise ValueError(f"near {self.near} m, far {self.far} m: expected 0 < near < far")
 
     @property
-    def spread(self) -> float:
-        """Size of a pixel on the target for each metre of distance, 2 tan(fov / 2) / n."""
+    def pixel_per_metre(self) -> float:
+        """Size of a pixel on the target over the distance, 2 tan(fov / 2) / n [m/m]."""
         return 2.0 * np.tan(self.field_of_view / 2.0) / self.pixels
 
 
 @dataclasses.dataclass(frozen=True)
 class Exponents:
-    """alpha, beta, gamma and delta of eq. 4-1; at 0 a term counts for nothing.
+    """Exponents alpha, beta, gamma and delta of eq. 4-1; 0 removes a term.
 
-    A hidden or averted target is never a view, whatever the exponents; out of focus it is one only
-    if the depth of field counts for nothing.
+    A hidden or averted target is never a view, whatever the exponents; a target out of focus is
+    one only if the exponent of the depth of field is 0.
 
     Attributes:
-        depth: Of the depth of field, alpha.
-        resolution: Of the resolution, beta.
-        field: Of the target field visibility, gamma.
-        angle: Of the target angular visibility, delta.
+        depth: Exponent alpha of the depth of field.
+        resolution: Exponent beta of the resolution.
+        field: Exponent gamma of the target field visibility.
+        angle: Exponent delta of the target angular visibility.
+
+    Raises:
+        ValueError: If an exponent is negative or not finite: a better view would rate lower.
     """
 
     depth: float = 1.0
@@ -122,11 +151,6 @@ class Exponents:
     angle: float = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse exponents under which a better view would rate lower.
-
-        Raises:
-            ValueError: Naming the offender.
-        """
         for name, value in dataclasses.asdict(self).items():
             if not (np.isfinite(value) and value >= 0.0):
                 raise ValueError(f"exponent {name} = {value}: expected a number from 0 up")
@@ -137,15 +161,15 @@ class View:
     """A camera pose with its rating.
 
     Attributes:
-        target: Name of the target that it watches.
-        position: (D,) of the camera [m], world. It looks straight at the target.
-        distance: To the target [m].
-        rating: Eq. 4-1 [1/m].
-        free_cap: Target field visibility: how far the camera can go about the target, any way,
-            until the target is hidden [rad].
-        cos_angle: Target angular visibility (eq. 4-3).
-        resolution: Eq. 4-4 [1/m].
-        occupancy: P at the position.
+        target: Name of the target that the camera watches.
+        position: (D,) camera position [m], world. The camera looks straight at the target.
+        distance: Distance from camera to target [m].
+        rating: Rating by eq. 4-1 [1/m].
+        free_cap: Target field visibility: smallest angle by which the camera can move around the
+            target, in any direction, until the target is hidden [rad].
+        cos_angle: Target angular visibility by eq. 4-3.
+        resolution: Resolution of the target by eq. 4-4 [1/m].
+        occupancy: Probability that the camera position is occupied.
     """
 
     target: str
@@ -159,45 +183,75 @@ class View:
 
 
 class PlacementError(RuntimeError):
-    """No pose sees the target; the text says the nearest reason."""
+    """No pose sees the target; the message gives the most common reason."""
 
 
-@numba.njit(cache=True)
-def rate_view(  # noqa: PLR0913, PLR0917
-    distance: float,
-    free_cap: float,
-    cos_angle: float,
-    occupancy: float,
-    spread: float,
-    near: float,
-    far: float,
-    relation_error: float,
-    exponents: tuple[float, float, float, float],
-) -> float:
-    """Rate one view by eq. 4-1 [1/m]; 0 where it is none.
+class RatingTerms(NamedTuple):
+    """Numbers of eq. 4-1 that do not depend on the camera's place, for compiled code.
 
-    That is where the target is hidden or averted, the place not free, or, unless the exponent of
-    the depth is 0, the target out of focus.
-
-    Args:
-        distance: From camera to target [m].
-        free_cap: Target field visibility [rad], 0 where hidden.
-        cos_angle: Cosine between the target's normal and the direction to the camera.
-        occupancy: P at the camera.
-        spread: `Lens.spread`.
+    Attributes:
+        pixel_per_metre: `Lens.pixel_per_metre` [m/m].
         near: `Lens.near` [m].
         far: `Lens.far` [m].
         relation_error: `Target.relation_error` [m].
-        exponents: Depth, resolution, field, angle.
+        depth_exponent: `Exponents.depth`.
+        resolution_exponent: `Exponents.resolution`.
+        field_exponent: `Exponents.field`.
+        angle_exponent: `Exponents.angle`.
+    """
+
+    pixel_per_metre: float
+    near: float
+    far: float
+    relation_error: float
+    depth_exponent: float
+    resolution_exponent: float
+    field_exponent: float
+    angle_exponent: float
+
+
+def rating_terms(lens: Lens, target: Target, exponents: Exponents) -> RatingTerms:
+    """Return the terms of the rating for a lens, a target and exponents."""
+    values = (lens.pixel_per_metre, lens.near, lens.far, target.relation_error)
+    return RatingTerms(*map(float, (*values, *dataclasses.astuple(exponents))))
+
+
+@numba.njit(cache=True)
+def sharpness(terms: RatingTerms, distance: float) -> float:
+    """Return the factor of the resolution in eq. 4-1.
+
+    Args:
+        terms: Numbers of the rating.
+        distance: Distance from camera to target [m].
+    """
+    size = distance * terms.pixel_per_metre + terms.relation_error
+    return (1.0 / size) ** terms.resolution_exponent
+
+
+@numba.njit(cache=True)
+def rate_view(
+    terms: RatingTerms, distance: float, free_cap: float, cos_angle: float, occupancy: float
+) -> float:
+    """Rate one view by eq. 4-1 [1/m]; 0 where it is none.
+
+    It is none where the target is hidden or averted, where the place is not free, or, unless the
+    exponent of the depth of field is 0, where the target is out of focus.
+
+    Args:
+        terms: Numbers of the rating.
+        distance: Distance from camera to target [m].
+        free_cap: Target field visibility [rad], 0 where hidden.
+        cos_angle: Cosine between the target's normal and the direction to the camera.
+        occupancy: Probability that the camera position is occupied.
     """
     if occupancy >= FREE_BELOW or free_cap <= 0.0 or cos_angle <= 0.0:
         return 0.0
-    in_focus = 1.0 if near <= distance <= far else 0.0
+    in_focus = 1.0 if terms.near <= distance <= terms.far else 0.0
     return (
-        in_focus ** exponents[0]
-        * (1.0 / (distance * spread + relation_error)) ** exponents[1]
-        * free_cap ** exponents[2]
-        * cos_angle ** exponents[3]
+        in_focus**terms.depth_exponent
+        * sharpness(terms, distance)
+        * free_cap**terms.field_exponent
+        * cos_angle**terms.angle_exponent
         * (1.0 - occupancy)
     )
 
@@ -206,8 +260,8 @@ def resolution(distance: ArrayLike, lens: Lens, relation_error: float = 0.0) -> 
     """Return the resolution of the target by eqs 4-2 and 4-4 [1/m].
 
     Args:
-        distance: From the camera [m], any shape.
-        lens: The camera.
-        relation_error: ST_error [m].
+        distance: Distances from camera to target [m], any shape.
+        lens: Lens of the camera.
+        relation_error: Uncertainty of the target's place, ST_error [m].
     """
-    return 1.0 / (np.asarray(distance, dtype=float) * lens.spread + relation_error)
+    return 1.0 / (np.asarray(distance, dtype=float) * lens.pixel_per_metre + relation_error)

@@ -17,7 +17,12 @@ from controllers.braid.arm.obstacles import LinkCheck
 from controllers.braid.arm.stage import STATES, IntArray
 from controllers.braid.bus.drive import WireDrive, word_bits
 from controllers.placement.spatial.occluders import TargetField, expand
-from controllers.placement.spatial.search import SearchConfig, rate_positions, views_in_order
+from controllers.placement.spatial.search import (
+    SearchConfig,
+    SpatialTask,
+    rate_positions,
+    views_in_order,
+)
 from controllers.placement.task import PlacementError, View
 from experiments.appe.braid_bench import GEOMETRY
 from experiments.appe.placement_scene import (
@@ -153,7 +158,7 @@ class Planner:
 
     def plan(self) -> Plan | None:
         """Return the best rated placement that a word stands for, or None."""
-        best = views_in_order([self.field], self.lens, self.occupancy, SEARCH)
+        best = views_in_order(SpatialTask([self.field], self.lens, self.occupancy, SEARCH))
         for tries, view in enumerate(best, start=1):
             if tries > TRIES:
                 return None

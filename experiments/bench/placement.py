@@ -15,14 +15,14 @@ from controllers.placement.reach.footprint import Part, PoseDrives, pose_drives
 from controllers.placement.reach.ground import ground_of
 from controllers.placement.reach.reach import Reach, RoverState
 from controllers.placement.reach.replanner import Mover, Replan, Replanner
-from controllers.placement.spatial.occluders import (
-    Occluder,
-    before_plane,
-    expand,
-    occluders_of_voxels,
+from controllers.placement.spatial.occluders import before_plane, expand, occluders_of_voxels
+from controllers.placement.spatial.search import (
+    SearchConfig,
+    SpatialTask,
+    best_view,
+    best_view_of_all,
 )
-from controllers.placement.spatial.search import SearchConfig, best_view, best_view_of_all
-from controllers.placement.task import PlacementError, Target, View
+from controllers.placement.task import Occluder, PlacementError, Target, View
 from experiments.ch3.stereo.known_camera_arm import body_pose, known_body, known_camera_arm
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene
 from experiments.ch4.spatial.placement_scene import (
@@ -161,10 +161,10 @@ def _speedup(voxels: VoxelMap, target: Target, output: Output) -> None:
     found: dict[str, View] = {}
 
     def fast() -> None:
-        found["fast"] = best_view([field], lens, voxels.probabilities, config=config)
+        found["fast"] = best_view(SpatialTask([field], lens, voxels.probabilities, config))
 
     def all_of_them() -> None:
-        found["all"] = best_view_of_all([field], lens, voxels.probabilities, config=config)
+        found["all"] = best_view_of_all(SpatialTask([field], lens, voxels.probabilities, config))
 
     times = compare(fast, all_of_them, 2)
     output.measure("search_speedup/map", 1.0 / times["ratio"]["median"])

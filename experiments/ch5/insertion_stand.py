@@ -14,9 +14,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.watching import SeenParts, WatchPlan, target_field
 from controllers.kinematics.arm_inverse import arm_solutions
 from controllers.kinematics.camera_arm import CameraArm
-from controllers.placement.spatial.occluders import Occluder
-from controllers.placement.spatial.search import SearchConfig, best_view
-from controllers.placement.task import Lens, PlacementError, View
+from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
+from controllers.placement.task import Lens, Occluder, PlacementError, View
 from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from experiments.ch5.insertion_scene import MASTER
 from models.card_and_slot.build import PAINT
@@ -165,7 +164,8 @@ def search_stand(
         kept.append(stand)
         return True
 
-    best_view([field], lens, None, accept, SearchConfig(level=level, rings=12, refine=False))
+    search = SearchConfig(level=level, rings=12, refine=False)
+    best_view(SpatialTask([field], lens, config=search), accept)
     return kept[-1]
 
 

@@ -15,7 +15,8 @@ from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.shared_map import SharedMap
 from controllers.mission.going import Going
 from controllers.motion.arm_move import ArmMove
-from controllers.placement.spatial.occluders import Occluder, occluders_of_voxels
+from controllers.placement.spatial.occluders import occluders_of_voxels
+from controllers.placement.task import Occluder
 from experiments.ch3.stereo.mapping_scene import head_geometry
 from experiments.ch5.insertion_stand import Stand, reference_arm, search_stand
 from experiments.mission.knowledge import SLOT_IN_SITE, Knowledge, tilt_of

@@ -1,22 +1,49 @@
-"""Target field visibility on the plane, compiled (thesis section 4.2.3.3, figures 4-4a and 4-5).
+"""Target field visibility on the plane, compiled (Thesis section 4.2.3.3, figures 4-4a and 4-5).
 
-All hulls are of expanded occluders, relative to the target's reference point, corners
-anticlockwise, packed into one array: hull h is ``points[starts[h] : starts[h + 1]]``. What a hull
-hides from distance r is the part of it within r, projected from the target: an interval of
-directions that only grows with r. So going outwards, intervals are only added.
+All hulls are hulls of expanded occluders. What a hull hides from distance r is the part of it
+within r, projected from the target: an interval of directions that only grows with r. So going
+outwards, intervals are only added.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
+
+from controllers.placement.task import FloatArray
 
 CONTACT = 1e-9
-"""A target as near to a hull's edge, relative to the hull's reach, lies on the edge, not inside."""
+"""Distance to a hull's edge, over the hull's reach, up to which a target lies on the edge."""
 NOTHING, SOMETHING, EVERYTHING = 0, 1, 2
 """What a hull hides: no direction, an interval, or all as the target is inside."""
+
+
+class HullCorners(NamedTuple):
+    """Convex hulls packed into one array: hull h is ``points[starts[h] : starts[h + 1]]``.
+
+    Attributes:
+        points: (V, 2) corners of all hulls [m], from the target's position, anticlockwise.
+        starts: (H + 1,) index of the first corner of each hull.
+    """
+
+    points: FloatArray
+    starts: NDArray[np.int64]
+
+
+class Intervals(NamedTuple):
+    """Capacity for disjoint intervals of directions in ascending order.
+
+    Attributes:
+        lows: (C,) beginning of each interval [rad].
+        highs: (C,) end of each interval [rad].
+    """
+
+    lows: FloatArray
+    highs: FloatArray
 
 
 @numba.njit(cache=True)
@@ -29,8 +56,8 @@ def blocked_interval(points, first, last, radius):
 
     Args:
         points: (V, 2) corners of all hulls [m], from the target, anticlockwise.
-        first: The hull's first corner.
-        last: One past its last corner.
+        first: Index of the hull's first corner.
+        last: Index behind its last corner.
         radius: Distance of the cameras [m].
 
     Returns:
@@ -82,8 +109,9 @@ def blocked_interval(points, first, last, radius):
 
 
 @numba.njit(cache=True)
-def nearest_and_farthest(points, starts):
+def nearest_and_farthest(hulls):
     """Return the least and the greatest distance (H, 2) of each hull from the target [m]."""
+    points, starts = hulls.points, hulls.starts
     reach = np.empty((starts.size - 1, 2))
     for hull in range(starts.size - 1):
         near, far = np.inf, 0.0
@@ -102,8 +130,9 @@ def nearest_and_farthest(points, starts):
 
 
 @numba.njit(cache=True)
-def hull_around(points, starts):
-    """Return the first hull that contains the target, or -1."""
+def hull_around(hulls):
+    """Return the index of the first hull that contains the target, or -1."""
+    points, starts = hulls.points, hulls.starts
     for hull in range(starts.size - 1):
         what, _, _ = blocked_interval(points, starts[hull], starts[hull + 1], 0.0)
         if what == EVERYTHING:
@@ -112,19 +141,19 @@ def hull_around(points, starts):
 
 
 @numba.njit(cache=True)
-def free_cap(points, starts, axis, angle, radius):
+def free_cap(hulls, axis, angle, radius):
     """Return the target field visibility of one camera [rad]; 0 where hidden or averted.
 
-    The smallest angle that the camera can go about the target, either way, until a hull hides the
-    target or the camera passes the plane of the target's face.
+    It is the smallest angle by which the camera can move around the target, either way, until a
+    hull hides the target or the camera passes the plane of the target's face.
 
     Args:
-        points: (V, 2) corners of all hulls [m], from the target.
-        starts: (H + 1,) where each hull's corners begin.
+        hulls: `HullCorners` of the expanded occluders.
         axis: Direction of the target's normal [rad].
         angle: Direction from the target to the camera, from the axis [rad].
         radius: Distance of the camera [m].
     """
+    points, starts = hulls.points, hulls.starts
     turn = 2.0 * math.pi
     cap = 0.5 * math.pi - abs(angle - turn * math.floor(angle / turn + 0.5))
     if cap <= 0.0:
@@ -143,16 +172,16 @@ def free_cap(points, starts, axis, angle, radius):
 
 
 @numba.njit(cache=True)
-def add_blocked(lows, highs, count, low, high):
-    """Unite one more interval with sorted disjoint ones in place; return how many there are.
+def add_blocked(intervals, count, low, high):
+    """Unite one more interval with disjoint ones in place; return how many there are then.
 
     Args:
-        lows: Where each interval begins [rad]; room for one more.
-        highs: Where each ends [rad].
-        count: How many there are.
-        low: Where the new one begins [rad].
-        high: Where it ends [rad].
+        intervals: `Intervals` with capacity for one more.
+        count: Number of intervals.
+        low: Beginning of the new interval [rad].
+        high: End of the new interval [rad].
     """
+    lows, highs = intervals.lows, intervals.highs
     begin = 0
     while begin < count and highs[begin] < low:
         begin += 1
@@ -172,26 +201,25 @@ def add_blocked(lows, highs, count, low, high):
 
 
 @numba.njit(cache=True)
-def grow_blocked(points, starts, reach, axis, inner, radius, lows, highs, count):
+def grow_blocked(hulls, reach, axis, inner, radius, intervals, count):
     """Go outwards from one distance to the next and unite what is hidden in addition.
 
     Only directions within a quarter turn of the target's normal are kept: beyond, the target is
     averted, and the plane of its face is the edge.
 
     Args:
-        points: (V, 2) corners of all hulls [m], from the target; none contains it.
-        starts: (H + 1,) where each hull's corners begin.
-        reach: (H, 2) of `nearest_and_farthest`.
+        hulls: `HullCorners`, none of which contains the target.
+        reach: (H, 2) result of `nearest_and_farthest` [m].
         axis: Direction of the target's normal [rad].
-        inner: Distance that the intervals hold for [m]; below 0 at first.
+        inner: Distance that the intervals hold for [m]; negative at first.
         radius: Distance that they shall hold for [m].
-        lows: (2 H + 1,) where each interval begins, from the axis [rad].
-        highs: (2 H + 1,) where each ends [rad].
-        count: How many there are.
+        intervals: `Intervals` of hidden directions from the axis, capacity 2 H + 1.
+        count: Number of intervals.
 
     Returns:
-        How many there are now.
+        The new number of intervals.
     """
+    points, starts = hulls.points, hulls.starts
     turn, quarter = 2.0 * math.pi, 0.5 * math.pi
     for hull in range(starts.size - 1):
         # A hull hides nothing more once all of it is within the circle.
@@ -204,8 +232,8 @@ def grow_blocked(points, starts, reach, axis, inner, radius, lows, highs, count)
         end = begin + (high - low)
         if end >= -quarter and begin <= quarter:
             low, high = max(begin, -quarter), min(end, quarter)
-            count = add_blocked(lows, highs, count, low, high)
+            count = add_blocked(intervals, count, low, high)
         if end - turn >= -quarter:
             low, high = -quarter, min(end - turn, quarter)
-            count = add_blocked(lows, highs, count, low, high)
+            count = add_blocked(intervals, count, low, high)
     return count

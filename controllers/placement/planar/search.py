@@ -1,6 +1,7 @@
-"""Where to put a camera on the plane (thesis section 4.2.3): the best view of any target.
+"""The best view of any target on the plane (Thesis section 4.2.3).
 
-`best_view` is exact and fast; `exhaustive_view` rates every candidate and is its reference.
+`best_view` is exact and fast; `exhaustive_view` rates every candidate and is its reference. Where
+no pose sees a target, the error says why.
 """
 
 from __future__ import annotations
@@ -11,73 +12,52 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from controllers.placement.planar.field import hull_around
-from controllers.placement.planar.hulls import Hulls, Occluder, expand
-from controllers.placement.planar.kernels import (
+from controllers.placement.planar.arc_search import (
+    UNKNOWN,
+    ArcTask,
+    OccupancyCells,
     climb,
     rate_places,
     rate_pose,
     search_arcs,
     search_rings,
 )
-from controllers.placement.planar.reasons import why_unseen
+from controllers.placement.planar.field import NOTHING, blocked_interval, hull_around
+from controllers.placement.planar.occluders import ExpandedOccluders, expand
+from controllers.placement.planar.sight import KnownSpace
 from controllers.placement.task import (
+    FREE_BELOW,
     Exponents,
     FloatArray,
     Lens,
+    Occluder,
     PlacementError,
     Target,
     View,
+    rating_terms,
     resolution,
 )
 
 FEWEST_DIRECTIONS = 4
-
-
-@dataclasses.dataclass(frozen=True)
-class KnownSpace:
-    """What is known of where a camera could be.
-
-    Attributes:
-        probability: (rows, columns) of being occupied; row r, column c is the square from
-            ``origin + cell * (c, r)`` on. Beyond, nothing is known.
-        cell: Side of a cell [m].
-        origin: x and y of the first cell's corner [m], world.
-    """
-
-    probability: FloatArray
-    cell: float
-    origin: tuple[float, float] = (0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        """Check the map.
-
-        Raises:
-            ValueError: Saying what is wrong.
-        """
-        values = np.ascontiguousarray(self.probability, dtype=float)
-        if values.ndim != 2 or values.size == 0:  # noqa: PLR2004
-            raise ValueError(f"probability: shape {values.shape}, expected (rows, columns)")
-        if not np.all((values >= 0.0) & (values <= 1.0)):
-            raise ValueError("probability: expected numbers from 0 to 1")
-        if not (math.isfinite(self.cell) and self.cell > 0.0):
-            raise ValueError(f"cell {self.cell} m: expected a positive length")
-        object.__setattr__(self, "probability", values)
+EDGE_ON = 1e-12
+"""Cosine to the target's normal up to which a camera sees the target edge on."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PlanarTask:
-    """All that a placement on the plane depends on.
+    """All that a placement on the plane depends on; expanded occluders are kept.
 
     Attributes:
-        targets: The primary target and any secondary ones.
-        lens: The camera.
-        occluders: What may hide the targets.
-        space: Where a camera could be.
-        exponents: Of the rating.
+        targets: Primary target and any secondary ones, each with a name of its own.
+        lens: Lens of the camera.
+        occluders: Bodies that may hide the targets.
+        space: Occupancy map: where a camera could be.
+        exponents: Exponents of the rating.
 
-    It keeps the occluders that it has expanded.
+    Raises:
+        ValueError: If there is no target, or two of one name.
     """
 
     targets: tuple[Target, ...]
@@ -85,16 +65,11 @@ class PlanarTask:
     occluders: tuple[Occluder, ...]
     space: KnownSpace
     exponents: Exponents = Exponents()
-    _expanded: dict[str, Hulls] = dataclasses.field(
+    _expanded: dict[str, ExpandedOccluders] = dataclasses.field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
     def __post_init__(self) -> None:
-        """Refuse tasks without a target, or with two of one name.
-
-        Raises:
-            ValueError: Naming the offender.
-        """
         names = [target.name for target in self.targets]
         if not names:
             raise ValueError("targets: expected at least one")
@@ -106,15 +81,24 @@ class PlanarTask:
         """Return a target by its name.
 
         Raises:
-            ValueError: If there is none of that name; it lists those that there are.
+            ValueError: If there is none of that name; the message lists those that there are.
         """
         for target in self.targets:
             if target.name == name:
                 return target
-        raise ValueError(f"target {name!r} is unknown: expected one of {self._names()}")
+        names = ", ".join(repr(target.name) for target in self.targets)
+        raise ValueError(f"target {name!r} is unknown: expected one of {names}")
 
-    def hulls(self, target: Target) -> Hulls:
-        """Return the occluders expanded by a target, but those that can hide it from no camera.
+    def chosen(self, watch: Sequence[str] | None) -> tuple[Target, ...]:
+        """Return the targets of some names, or all.
+
+        Raises:
+            ValueError: If a name is unknown.
+        """
+        return self.targets if watch is None else tuple(self.target(name) for name in watch)
+
+    def expanded(self, target: Target) -> ExpandedOccluders:
+        """Return the occluders that can hide a target, expanded by it.
 
         Left out is what lies wholly behind the plane of the target's face or beyond the lens' far
         limit: no line of sight that counts gets there, and the plane is itself an edge.
@@ -137,28 +121,35 @@ class PlanarTask:
             self._expanded[target.name] = expand(kept, target)
         return self._expanded[target.name]
 
-    def _names(self) -> str:
-        return ", ".join(repr(target.name) for target in self.targets)
+    def compiled(self, target: Target) -> ArcTask:
+        """Return what the compiled searches take of the task for one target.
+
+        Raises:
+            ValueError: If an occluder has no area.
+        """
+        x, y = map(float, target.position)
+        space = self.space
+        cells = OccupancyCells(space.probability, float(space.cell), *map(float, space.origin))
+        terms = rating_terms(self.lens, target, self.exponents)
+        return ArcTask(self.expanded(target).hulls, x, y, axis_of(target), cells, terms)
 
 
 @dataclasses.dataclass(frozen=True)
-class Candidates:
-    """Which camera poses are looked at about each target.
+class RingCandidates:
+    """Camera poses that are tried about each target.
 
     Attributes:
         rings: Number of distances, evenly from the lens' near to its far limit, both included.
         directions: Number of directions about the target, the first along its normal.
+
+    Raises:
+        ValueError: If there are too few; the message says what is expected.
     """
 
     rings: int = 64
     directions: int = 1024
 
     def __post_init__(self) -> None:
-        """Refuse too few.
-
-        Raises:
-            ValueError: Saying what is expected.
-        """
         if self.rings < 1 or self.directions < FEWEST_DIRECTIONS:
             raise ValueError(
                 f"rings {self.rings}, directions {self.directions}: expected 1 ring and "
@@ -172,73 +163,68 @@ class Candidates:
         return np.linspace(lens.near, lens.far, self.rings)
 
 
-USUAL = Candidates()
-"""65536 poses about each target."""
+DEFAULT_CANDIDATES = RingCandidates()
+"""65,536 poses about each target."""
 
 
 def best_view(
     task: PlanarTask,
-    candidates: Candidates = USUAL,
+    candidates: RingCandidates = DEFAULT_CANDIDATES,
     watch: Sequence[str] | None = None,
     refine: bool = True,
 ) -> View:
     """Find the best view of any target, by arcs on rings and their bounds.
 
     Args:
-        task: Targets, lens, occluders, space.
-        candidates: Which poses.
+        task: Targets, lens, occluders and occupancy map.
+        candidates: Camera poses that are tried.
         watch: Names of the targets to consider; all unless given.
         refine: Whether to climb from the best candidate to the peak between candidates.
 
     Raises:
         ValueError: If a target is unknown or an occluder has no area.
-        PlacementError: If no pose sees a target, with the nearest reason.
+        PlacementError: If no pose sees a target; the message gives the reasons.
     """
     return _search(search_arcs, task, candidates, watch, refine)
 
 
 def exhaustive_view(
     task: PlanarTask,
-    candidates: Candidates = USUAL,
+    candidates: RingCandidates = DEFAULT_CANDIDATES,
     watch: Sequence[str] | None = None,
 ) -> View:
     """Find the best view of any target by rating every candidate.
 
     Args:
-        task: Targets, lens, occluders, space.
-        candidates: Which poses.
+        task: Targets, lens, occluders and occupancy map.
+        candidates: Camera poses that are tried.
         watch: Names of the targets to consider; all unless given.
 
     Raises:
         ValueError: If a target is unknown or an occluder has no area.
-        PlacementError: If no pose sees a target, with the nearest reason.
+        PlacementError: If no pose sees a target; the message gives the reasons.
     """
     return _search(search_rings, task, candidates, watch, False)
 
 
 def view_from(task: PlanarTask, position: FloatArray, watch: Sequence[str] | None = None) -> View:
-    """Rate the best that a camera at a place could watch.
+    """Return the best view that a camera at a place has.
 
     Args:
-        task: Targets, lens, occluders, space.
-        position: (2,) of the camera [m], world.
+        task: Targets, lens, occluders and occupancy map.
+        position: (2,) camera position [m], world.
         watch: Names of the targets to consider; all unless given.
 
     Raises:
         ValueError: If a target is unknown or an occluder has no area.
-        PlacementError: If it sees no target.
+        PlacementError: If the camera sees no target.
     """
     best: View | None = None
-    for target in chosen_targets(task, watch):
+    for target in task.chosen(watch):
         offset = np.asarray(position, dtype=float) - target.position
         radius = float(np.hypot(*offset))
-        place = place_of(target)
-        angle = math.atan2(offset[1], offset[0]) - place[2]
-        hulls = task.hulls(target)
-        rating, cap, p = rate_pose(
-            hulls.points, hulls.starts, place, angle, radius, *space_of(task), task.lens.near,
-            task.lens.far,
-        )  # fmt: skip
+        angle = math.atan2(offset[1], offset[0]) - axis_of(target)
+        rating, cap, p = rate_pose(task.compiled(target), angle, radius)
         if rating > 0.0 and (best is None or rating > best.rating):
             best = _view(task, target, (rating, angle, radius, cap, p))
     if best is None:
@@ -250,8 +236,8 @@ def rating_field(task: PlanarTask, places: FloatArray) -> FloatArray:
     """Rate cameras at many places for every target (figure 4-8b).
 
     Args:
-        task: Targets, lens, occluders, space.
-        places: (..., 2) of the cameras [m], world.
+        task: Targets, lens, occluders and occupancy map.
+        places: (..., 2) camera positions [m], world.
 
     Returns:
         (T, ...) ratings [1/m] in the order of the task's targets; 0 where a target is not seen.
@@ -260,89 +246,45 @@ def rating_field(task: PlanarTask, places: FloatArray) -> FloatArray:
         ValueError: If an occluder has no area.
     """
     flat = np.ascontiguousarray(places, dtype=float).reshape(-1, 2)
-    fields: list[FloatArray] = []
-    for target in task.targets:
-        hulls = task.hulls(target)
-        fields.append(rate_places(
-            hulls.points, hulls.starts, place_of(target), flat, *space_of(task), task.lens.near,
-            task.lens.far,
-        ))  # fmt: skip
+    fields = [rate_places(task.compiled(target), flat) for target in task.targets]
     return np.array(fields).reshape(len(task.targets), *np.shape(places)[:-1])
 
 
-def chosen_targets(task: PlanarTask, watch: Sequence[str] | None) -> tuple[Target, ...]:
-    """Return the targets of those names, or all.
-
-    Raises:
-        ValueError: If one is unknown.
-    """
-    return task.targets if watch is None else tuple(task.target(name) for name in watch)
-
-
-def place_of(target: Target) -> FloatArray:
-    """Return what the kernels take of a target: x, y, direction of the normal, relation_error."""
-    angle = math.atan2(target.normal[1], target.normal[0])
-    return np.array([*target.position, angle, target.relation_error])
-
-
-def space_of(
-    task: PlanarTask,
-) -> tuple[FloatArray, float, float, float, float, tuple[float, ...]]:
-    """Return the kernels' arguments from ``probability`` to ``exponents``."""
-    space = task.space
-    return (
-        space.probability, float(space.cell), float(space.origin[0]), float(space.origin[1]),
-        float(task.lens.spread), tuple(map(float, dataclasses.astuple(task.exponents))),
-    )  # fmt: skip
+def axis_of(target: Target) -> float:
+    """Return the direction of a planar target's normal from the world's x axis [rad]."""
+    return math.atan2(target.normal[1], target.normal[0])
 
 
 def _search(
     kernel: Callable[..., Any],
     task: PlanarTask,
-    candidates: Candidates,
+    candidates: RingCandidates,
     watch: Sequence[str] | None,
     refine: bool,
 ) -> View:
-    """Search about each target, what is found about one being the bound for the next."""
+    """Search about each target; the best of one target is the bound for the next."""
     rings = candidates.distances(task.lens)
-    settings = space_of(task)
-    found: tuple[Target, Hulls, Any] | None = None
+    found: tuple[Target, ArcTask, Any] | None = None
     floor = 0.0
-    targets = chosen_targets(task, watch)
+    targets = task.chosen(watch)
     for target in targets:
-        hulls = task.hulls(target)
-        if hull_around(hulls.points, hulls.starts) >= 0:
+        compiled = task.compiled(target)
+        if hull_around(compiled.hulls) >= 0:
             continue
-        answer = kernel(
-            hulls.points, hulls.starts, place_of(target), rings, candidates.directions, *settings,
-            floor,
-        )  # fmt: skip
+        answer = kernel(compiled, rings, candidates.directions, floor)
         if answer[0] > floor:
-            floor, found = answer[0], (target, hulls, answer)
+            floor, found = answer[0], (target, compiled, answer)
     if found is None:
-        raise PlacementError("; ".join(_reason(task, t, candidates) for t in targets))
-    target, hulls, answer = found
+        raise PlacementError("; ".join(_why_unseen(task, t, candidates) for t in targets))
+    target, compiled, answer = found
     if refine:
-        gap = (rings[-1] - rings[0]) / max(candidates.rings - 1, 1)
-        answer = climb(
-            hulls.points, hulls.starts, place_of(target), answer[1], answer[2],
-            0.5 * math.pi / candidates.directions, 0.5 * gap, *settings, rings[0],
-            rings[-1],
-        )  # fmt: skip
+        answer = climb(compiled, rings, candidates.directions, answer[1], answer[2])
     return _view(task, target, answer)
-
-
-def _reason(task: PlanarTask, target: Target, candidates: Candidates) -> str:
-    hulls, space = task.hulls(target), task.space
-    return why_unseen(
-        target, hulls, hull_around(hulls.points, hulls.starts), candidates.distances(task.lens),
-        candidates.directions, space.probability, space.cell, space.origin,
-    )  # fmt: skip
 
 
 def _view(task: PlanarTask, target: Target, answer: tuple[float, ...]) -> View:
     rating, angle, radius, cap, p = map(float, answer)
-    direction = math.atan2(target.normal[1], target.normal[0]) + angle
+    direction = axis_of(target) + angle
     return View(
         target=target.name,
         position=target.position + radius * np.array([math.cos(direction), math.sin(direction)]),
@@ -353,3 +295,52 @@ def _view(task: PlanarTask, target: Target, answer: tuple[float, ...]) -> View:
         resolution=float(resolution(radius, task.lens, target.relation_error)),
         occupancy=p,
     )
+
+
+def _why_unseen(task: PlanarTask, target: Target, candidates: RingCandidates) -> str:
+    """Return why no candidate sees a target; each counts under its first reason."""
+    start = f"no pose sees the target {target.name!r}: "
+    expanded, space = task.expanded(target), task.space
+    around = hull_around(expanded.hulls)
+    if around >= 0:
+        return start + f"occluder {expanded.names[around]!r}, expanded by the target, covers it"
+    rings, directions = candidates.distances(task.lens), candidates.directions
+    turn = 2.0 * np.pi * np.arange(directions) / directions
+    averted = np.cos(turn) <= EDGE_ON
+    angles = turn + axis_of(target)
+    counts, by = np.zeros(3, dtype=int), np.zeros(len(expanded.names), dtype=int)
+    for radius in rings:
+        blocked = _blocked(expanded, float(radius), angles) & ~averted
+        places = target.position + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        taken = _probability(space, places) >= FREE_BELOW
+        hidden = blocked.any(axis=0)
+        counts += [averted.sum(), hidden.sum(), np.sum(taken & ~hidden & ~averted)]
+        by += blocked.sum(axis=1)
+    total = len(rings) * directions
+    behind, hid, unfree = (f"{100.0 * count / total:.3g} %" for count in counts)
+    most = f" (most by occluder {expanded.names[int(np.argmax(by))]!r})" if by.sum() > 0 else ""
+    return start + (
+        f"of {total} poses {behind} are behind it, {hid} hidden{most}, {unfree} not known to be "
+        "free"
+    )
+
+
+def _blocked(expanded: ExpandedOccluders, radius: float, angles: FloatArray) -> NDArray[np.bool_]:
+    """Return which hulls hide the target in which directions (H, N)."""
+    blocked = np.zeros((len(expanded.names), len(angles)), dtype=bool)
+    points, starts = expanded.hulls
+    for index in range(len(expanded.names)):
+        what, low, high = blocked_interval(points, starts[index], starts[index + 1], radius)
+        if what != NOTHING:
+            blocked[index] = (angles - low) % (2.0 * np.pi) <= high - low
+    return blocked
+
+
+def _probability(space: KnownSpace, places: FloatArray) -> FloatArray:
+    """Return the probability of occupancy at places (N, 2); `UNKNOWN` outside the map."""
+    columns, rows = np.floor((places - space.origin) / space.cell).astype(int).T
+    within = (rows >= 0) & (columns >= 0)
+    within &= (rows < space.probability.shape[0]) & (columns < space.probability.shape[1])
+    values = np.full(len(places), UNKNOWN)
+    values[within] = space.probability[rows[within], columns[within]]
+    return values

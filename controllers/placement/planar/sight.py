@@ -1,13 +1,14 @@
-"""Whether a camera sees the whole of a target on the plane, exactly and without hulls of sums.
+"""The occupancy map of the plane, and exact visibility of a whole target.
 
 Lines of sight from a camera to all of a convex target fill the convex hull of both, so the target
-is wholly visible just when that hull meets no occluder. For convex occluders that is decided by
-separating axes; on a map by following lines of sight from cell to cell. It is the measure of what
-expanding the occluders gives up (figure 4-6).
+is wholly visible exactly if that hull meets no occluder. For convex occluders that is decided by
+separating axes; on a map by following lines of sight from cell to cell. It measures what expanding
+the occluders gives up (figure 4-6).
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -15,15 +16,45 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.placement.planar.search import KnownSpace
 from controllers.placement.task import FloatArray, Target
 
 OCCUPIED_ABOVE = 0.5
+"""Probability of occupancy above which a cell hides what is behind it."""
 LINES = 33
 """Lines of sight to each side of a target on a map."""
 
 # The compiler's decorator has no types.
 _njit: Any = numba.njit(cache=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class KnownSpace:
+    """Occupancy map of the plane: where a camera could be.
+
+    Attributes:
+        probability: (rows, columns) probability of occupancy; the cell of row r and column c is
+            the square with its lowest corner at ``origin + cell * (c, r)``. Nothing is known
+            outside.
+        cell: Side of a cell [m].
+        origin: x and y of the first cell's lowest corner [m], world.
+
+    Raises:
+        ValueError: If the map is malformed; the message says what is expected.
+    """
+
+    probability: FloatArray
+    cell: float
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        values = np.ascontiguousarray(self.probability, dtype=float)
+        if values.ndim != 2 or values.size == 0:  # noqa: PLR2004
+            raise ValueError(f"probability: shape {values.shape}, expected (rows, columns)")
+        if not np.all((values >= 0.0) & (values <= 1.0)):
+            raise ValueError("probability: expected numbers from 0 to 1")
+        if not (math.isfinite(self.cell) and self.cell > 0.0):
+            raise ValueError(f"cell {self.cell} m: expected a positive length")
+        object.__setattr__(self, "probability", values)
 
 
 @_njit
@@ -33,11 +64,11 @@ def sees(
     """Tell whether a camera sees the whole target past convex occluders.
 
     Args:
-        x: Of the camera [m], world.
-        y: Of the camera [m], world.
+        x: x of the camera [m], world.
+        y: y of the camera [m], world.
         outline: (K, 2) corners of the convex target in order [m], world; two are a line.
         corners: (V, 2) corners of all occluders in order [m], world; each has an area.
-        starts: (H + 1,) where each occluder's corners begin.
+        starts: (H + 1,) index of the first corner of each occluder.
     """
     for hull in range(len(starts) - 1):
         if not separated(x, y, outline, corners[starts[hull] : starts[hull + 1]]):
@@ -53,10 +84,10 @@ def separated(x: float, y: float, outline: FloatArray, corners: FloatArray) -> b
     to the target's corners; all sides of the hull are among them.
 
     Args:
-        x: Of the camera [m].
-        y: Of the camera [m].
-        outline: (K, 2) corners of the target in order [m].
-        corners: (V, 2) corners of the occluder in order [m].
+        x: x of the camera [m], world.
+        y: y of the camera [m], world.
+        outline: (K, 2) corners of the target in order [m], world.
+        corners: (V, 2) corners of the occluder in order [m], world.
     """
     sides, lines = len(corners), len(outline)
     for axis in range(sides + 2 * lines):
@@ -89,10 +120,10 @@ def sees_on_map(
     """Tell whether lines of sight to a target's outline miss all occupied cells but its own.
 
     Args:
-        space: The map; a cell hides what is behind it if P > 0.5.
-        position: (2,) of the camera [m], world.
-        target: On the plane, its outline's points in order.
-        lines: How many to each side of the outline.
+        space: Occupancy map; a cell hides what is behind it if P > 0.5.
+        position: (2,) camera position [m], world.
+        target: Planar target with the points of its outline in order.
+        lines: Number of lines of sight to each side of the outline.
     """
     outline = target.position + target.outline
     step = np.linspace(0.0, 1.0, lines)[:, None]
@@ -126,11 +157,11 @@ def clear_line(opaque: NDArray[np.bool_], x: float, y: float, x_end: float, y_en
     """Tell whether a line crosses no opaque cell; outside the map nothing is opaque.
 
     Args:
-        opaque: (rows, columns) cells that stop it.
-        x: Its beginning, in cells.
-        y: Its beginning, in cells.
-        x_end: Its end, in cells.
-        y_end: Its end, in cells.
+        opaque: (rows, columns) cells that block the line.
+        x: x of the start [cells].
+        y: y of the start [cells].
+        x_end: x of the end [cells].
+        y_end: y of the end [cells].
     """
     rows, columns = opaque.shape
     column, row = math.floor(x), math.floor(y)

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial.occluders import (
-    Hulls,
-    Occluder,
+    HullParts,
     TargetField,
     expand,
     occluders_of_voxels,
@@ -31,10 +30,11 @@ from controllers.placement.spatial.occluders import (
 from controllers.placement.spatial.search import (
     Occupancy,
     SearchConfig,
+    SpatialTask,
     best_view,
     rate_positions,
 )
-from controllers.placement.task import FREE_BELOW, Lens, PlacementError, Target, View
+from controllers.placement.task import FREE_BELOW, Lens, Occluder, PlacementError, Target, View
 from perception.voxels.bricks import NEVER
 from perception.voxels.map import VoxelMap
 from perception.voxels.window import Window, window
@@ -44,7 +44,7 @@ BoolArray = NDArray[np.bool_]
 Key = tuple[int, int, int]
 
 START = 1.3
-"""Hulls are made at first within this times the nearest distance in focus,"""
+"""HullParts are made at first within this times the nearest distance in focus,"""
 GROWTH = 1.5
 """then within this times the distance of a view that is farther."""
 
@@ -206,7 +206,9 @@ class Replanner:
             made += new
             taken = _within(radius, accept)
             try:
-                best = best_view(fields, self.lens, candidates, taken, self.config.search)
+                best = best_view(
+                    SpatialTask(fields, self.lens, candidates, self.config.search), taken
+                )
             except _Beyond as beyond:
                 radius = min(self.lens.far, GROWTH * beyond.distance)
                 continue
@@ -315,7 +317,7 @@ class Replanner:
         centres = cut.grid.centres(cells)
         keep = (centres - target.position) @ target.normal > self.config.face
         for mover in movers:
-            planes = ConvexHull(mover.shape.vertices).equations
+            planes = ConvexHull(mover.shape.points).equations
             # Half a voxel's diagonal more, for those that its surface only touches.
             keep &= ~_inside(planes, centres, mover.margin + 0.87 * cut.grid.resolution)
         hiding = np.zeros_like(occupied)
@@ -342,7 +344,7 @@ class _Beyond(Exception):  # noqa: N818
 
 def _occupancy(voxels: VoxelMap, movers: Sequence[Mover]) -> Occupancy:
     """Return P by the map, and 1 within what moves."""
-    solid = [(ConvexHull(m.shape.vertices).equations, m.margin) for m in movers]
+    solid = [(ConvexHull(m.shape.points).equations, m.margin) for m in movers]
 
     def occupancy(points: FloatArray) -> FloatArray:
         chance = voxels.probabilities(points)
@@ -380,11 +382,11 @@ def _joined(target: Target, parts: Sequence[TargetField]) -> TargetField:
     columns = list(zip(*(part.hulls for part in parts), strict=True))
     arrays: list[Any] = [
         _starts(column) if name.endswith("_start") else np.concatenate(column)
-        for name, column in zip(Hulls._fields, columns, strict=True)
+        for name, column in zip(HullParts._fields, columns, strict=True)
     ]
     names = tuple(itertools.chain.from_iterable(part.names for part in parts))
     shapes = tuple(itertools.chain.from_iterable(part.shapes for part in parts))
-    return TargetField(target, empty.rotation, names, Hulls(*arrays), shapes)
+    return TargetField(target, empty.rotation, names, HullParts(*arrays), shapes)
 
 
 def _starts(column: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:

@@ -1,45 +1,44 @@
-"""Target field visibility in space: how far a camera can go about a target until it is hidden.
+"""Target field visibility in space: how far a camera can move until the target is hidden.
 
-Thesis section 4.2.3.3, step (iii), exact. Seen from the target's reference point, a hull cut off by
-the ball of the camera's distance r covers a part of the sphere; what lies beyond the camera hides
-nothing. That part is bounded by the silhouette's edges within the ball (arcs of great circles) and
-by the circles in which the ball cuts the front faces. The nearest point of each has a closed form.
+Thesis section 4.2.3.3 (iii), exact. Seen from the target's position, a hull cut off by the ball of
+the camera's distance r covers a part of the sphere; what lies beyond the camera hides nothing. That
+part is bounded by the silhouette's edges within the ball (arcs of great circles) and by the circles
+in which the ball cuts the front faces. The nearest point of each has a closed form.
 """
 
 from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.placement.spatial.occluders import TargetField
-
-FloatArray = NDArray[np.float64]
+from controllers.placement.task import FloatArray
 
 _INSIDE = 1e-8
-"""A point this far outside of a plane still counts as on it [m]."""
+"""Distance outside of a plane up to which a point counts as on it [m]."""
 PLANE = -1
-"""In place of a hull's number: the target's own plane."""
+"""The target's own plane, in place of the index of a hull."""
 
 
 def free_caps(field: TargetField, positions: ArrayLike) -> FloatArray:
-    """Return (N,) target field visibility [rad] at camera positions (N, 3) [m], world.
+    """Return the target field visibility (N,) [rad] of cameras.
 
-    It is the smallest angle, over all ways about the target at the same distance, until the target
-    is hidden or seen edge-on; 0 where it is.
+    It is the smallest angle, over all moves around the target at the same distance, until the
+    target is hidden or seen edge-on; 0 where it is.
 
     Args:
-        field: The target and its occluders.
-        positions: Of cameras, none at the target.
+        field: Target and its occluders.
+        positions: (N, 3) camera positions [m], world, none at the target.
     """
     return np.maximum(signed_caps(field, positions), 0.0)
 
 
 def signed_caps(field: TargetField, positions: ArrayLike) -> FloatArray:
-    """Return `free_caps`, but where the target is hidden minus the way to where it is not.
+    """Return `free_caps`, but negative where the target is hidden.
 
-    More precisely minus the way out of that hull (or plane) in which the camera is deepest: no
-    shorter way leads into view.
+    There it is minus the angle out of the hull (or plane) in which the camera is deepest: no
+    smaller move brings the target into view.
     """
     points = np.atleast_2d(field.to_frame(positions))
     distances = np.linalg.norm(points, axis=1)
@@ -62,18 +61,17 @@ def _caps(hulls, directions, distances):
 def signed_cap(hulls, x, y, z, radius):
     """Return the signed free cap of a direction and what bounds it.
 
-    Its change is never larger than the angle between two directions, and it never grows with the
-    radius. Compiled.
+    It changes by no more than the angle between two directions, and never grows with the radius.
 
     Args:
-        hulls: `Hulls` in the target's frame.
-        x: Of the unit vector towards the camera, target's frame.
-        y: The same.
-        z: The same, along the target's normal.
+        hulls: `HullParts` of the expanded occluders.
+        x: x of the unit vector towards the camera, target's frame.
+        y: y of the same.
+        z: z of the same, along the target's normal.
         radius: Distance of the camera [m].
 
     Returns:
-        The angle [rad], negative where hidden, and the number of the hull, or `PLANE`.
+        The angle [rad], negative where hidden, and the index of the hull, or `PLANE`.
     """
     least = np.arcsin(min(max(z, -1.0), 1.0))
     which = PLANE
@@ -101,7 +99,7 @@ def signed_cap(hulls, x, y, z, radius):
 
 @numba.njit(cache=True)
 def _hit(hulls, hull, x, y, z):
-    """Return how far a ray from the origin runs until it is in the hull; infinite if it misses."""
+    """Return the distance [m] at which a ray from the origin enters the hull, or infinity."""
     enter, leave = 0.0, np.inf
     for index in range(hulls.plane_start[hull], hulls.plane_start[hull + 1]):
         plane = hulls.planes[index]
@@ -192,7 +190,7 @@ def _cut_cosine(hulls, hull, x, y, z, radius):
 
 @numba.njit(cache=True)
 def _within(a, b, radius):
-    """Return from which to which part of the way a segment is in the ball; 1, 0 if it is not."""
+    """Return the interval of a segment, of 0 to 1, that is in the ball; 1, 0 if there is none."""
     limit = radius * radius
     near = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     far = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]

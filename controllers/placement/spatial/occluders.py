@@ -1,6 +1,6 @@
-"""What may hide a target in space: solids, clusters of voxels, and their expansion by the target.
+"""Occluders in space: solids, clusters of voxels, and their expansion by the target.
 
-Thesis section 4.2.3.3, steps (i) and (ii). An occluder is added to the *mirrored* target (Minkowski
+Thesis section 4.2.3.3 (i) and (ii). An occluder is added to the *mirrored* target (Minkowski
 sum) and replaced by its convex hull; then a camera sees the whole target if the segment from it to
 the target's reference point misses every hull.
 """
@@ -21,62 +21,35 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from controllers.placement.task import PlacementError, Target
+from controllers.placement.task import FloatArray, Occluder, PlacementError, Target
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _FLAT = 1e-9
-"""A hull thinner than this part of its size is flat."""
+"""Thickness of a hull over its size below which the hull is flat."""
 _COPLANAR = 1e-9
+"""Difference of two planes' coefficients up to which they are one plane."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Occluder:
-    """A convex solid: the hull of its points.
+class HullParts(NamedTuple):
+    """Faces and edges of the expanded hulls of one target, for compiled code.
 
-    Attributes:
-        name: Used in answers and errors.
-        vertices: (N, 3) [m], world.
-    """
-
-    name: str
-    vertices: FloatArray
-
-    def __post_init__(self) -> None:
-        """Check and freeze the points.
-
-        Raises:
-            ValueError: Naming the occluder.
-        """
-        vertices = np.array(self.vertices, dtype=float)
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) == 0:  # noqa: PLR2004
-            raise ValueError(f"occluder {self.name!r}: vertices {vertices.shape}, expected (N, 3)")
-        if not np.all(np.isfinite(vertices)):
-            raise ValueError(f"occluder {self.name!r}: a coordinate is not finite")
-        vertices.setflags(write=False)
-        object.__setattr__(self, "vertices", vertices)
-
-
-class Hulls(NamedTuple):
-    """Expanded hulls of one target, as the compiled code reads them.
-
-    All in the target's frame: origin at its reference point, z along its normal. Those parts are
-    kept that can bound what a hull hides from the origin: the edges of its silhouette, and where it
-    is cut off by the ball within which the camera is, its front faces and the edges between them.
+    All are in the target's frame: origin at its position, z along its normal. Kept are the parts
+    that can bound what a hull hides from the origin: the edges of its silhouette, and, where the
+    ball within which the camera is cuts the hull, its front faces and the edges between them.
 
     Attributes:
         planes: (M, 4) outward unit normals n and b, inside is n x + b <= 0; each hull's front ones
             (b > 0: the origin is before them) come first.
-        plane_start: (H + 1,) first plane of each hull.
-        front: (H,) how many of its planes are front ones.
-        rims: (E, 2, 3) ends of the silhouette's edges.
-        rim_start: (H + 1,).
-        ridges: (R, 2, 3) ends of the edges between two front faces.
-        ridge_start: (H + 1,).
-        axes: (H, 3) of a cone from the origin about each hull.
+        plane_start: (H + 1,) index of the first plane of each hull.
+        front: (H,) number of front planes of each hull.
+        rims: (E, 2, 3) end points of the silhouette's edges [m].
+        rim_start: (H + 1,) index of the first silhouette edge of each hull.
+        ridges: (R, 2, 3) end points of the edges between two front faces [m].
+        ridge_start: (H + 1,) index of the first such edge of each hull.
+        axes: (H, 3) axis of a cone from the origin about each hull.
         cones: (H,) half angle of that cone [rad].
-        nearest: (H,) no point of the hull is nearer to the origin [m].
+        nearest: (H,) lower bound of the distance from the origin to the hull [m].
     """
 
     planes: FloatArray
@@ -96,26 +69,26 @@ class TargetField:
     """A target with everything that may hide it.
 
     Attributes:
-        target: In three dimensions.
-        rotation: (3, 3) columns are the axes of the target's frame in the world; azimuth counts
-            from the first, elevation from the plane of the first two.
-        names: Of the occluders, one for each hull that stands out of the target's plane.
-        hulls: Expanded.
-        shapes: (N, 3) vertices [m] of each hull, world, for pictures.
+        target: Target in three dimensions.
+        rotation: (3, 3) rotation from the target's frame to the world; azimuth counts from the
+            first axis, elevation from the plane of the first two.
+        names: Name of the occluder of each hull that stands out of the target's plane.
+        hulls: Faces and edges of the expanded occluders.
+        shapes: (N, 3) vertices of each hull [m], world, for pictures.
     """
 
     target: Target
     rotation: FloatArray
     names: tuple[str, ...]
-    hulls: Hulls
+    hulls: HullParts
     shapes: tuple[FloatArray, ...]
 
     def to_frame(self, points: ArrayLike) -> FloatArray:
-        """Return points (N, 3) [m], world, in the target's frame."""
+        """Return points (N, 3) of the world in the target's frame [m]."""
         return (np.asarray(points, dtype=float) - self.target.position) @ self.rotation
 
     def to_world(self, points: ArrayLike) -> FloatArray:
-        """Return points (N, 3) [m] of the target's frame in the world."""
+        """Return points (N, 3) of the target's frame in the world [m]."""
         return np.asarray(points, dtype=float) @ self.rotation.T + self.target.position
 
 
@@ -134,7 +107,7 @@ def occluders_of_meshes(parts: Iterable[tuple[str, trimesh.Trimesh]]) -> list[Oc
     """Return one occluder for each named part, which counts as convex (as its hull).
 
     Args:
-        parts: Names and meshes in the world; cut what is not convex into convex parts before.
+        parts: Names and meshes in the world; cut into convex parts before what is not convex.
     """
     return [Occluder(name, np.asarray(mesh.vertices, dtype=float)) for name, mesh in parts]
 
@@ -149,10 +122,10 @@ def occluders_of_voxels(
     within one tile of it.
 
     Args:
-        centres: (N, 3) middles of the occupied voxels [m], world.
+        centres: (N, 3) centres of the occupied voxels [m], world.
         cell: Edge of a voxel [m].
         tile: Edge of a tile [voxels].
-        name: Of the occluders, with the number of the part behind it.
+        name: Name of the occluders; the number of the part is appended.
 
     Raises:
         ValueError: If the centres are not (N, 3) finite numbers, or cell or tile is not positive.
@@ -194,9 +167,9 @@ def before_plane(target: Target, points: ArrayLike, height: float) -> FloatArray
     occluder, and its voxels are left out by this.
 
     Args:
-        target: In three dimensions.
-        points: For instance the middles of occupied voxels.
-        height: Over the plane from which on they are kept [m]; about a voxel's diagonal.
+        target: Target in three dimensions.
+        points: (N, 3) points [m], world, for instance the centres of occupied voxels.
+        height: Height over the plane above which points are kept [m]; about a voxel's diagonal.
     """
     places = np.asarray(points, dtype=float).reshape(-1, 3)
     return places[(places - target.position) @ target.normal > height]
@@ -210,14 +183,14 @@ def expand(
     An occluder that lies wholly behind the target's plane hides nothing and is left out.
 
     Args:
-        target: In three dimensions.
-        occluders: All that may hide it.
+        target: Target in three dimensions.
+        occluders: Bodies that may hide the target.
         margin: Uncertainty of their surfaces [m], one or one for each: they grow by at least this.
 
     Raises:
-        PlacementError: If a hull holds the target's reference point: it is hidden from everywhere.
-        ValueError: If the target is not in space, the margins are not as many as the occluders,
-            one is negative or a hull is flat.
+        PlacementError: If a hull contains the target's position: it is hidden from everywhere.
+        ValueError: If the target or an occluder is planar, the margins are not as many as the
+            occluders, one is negative or a hull is flat.
     """
     if len(target.position) != 3:  # noqa: PLR2004
         raise ValueError(f"target {target.name!r}: lies on the plane, expected three dimensions")
@@ -232,7 +205,9 @@ def expand(
     for occluder, width in zip(occluders, margins):
         if not (np.isfinite(width) and width >= 0.0):
             raise ValueError(f"occluder {occluder.name!r}: margin {width} m, expected 0 or more")
-        vertices = (occluder.vertices - target.position) @ rotation
+        if occluder.points.shape[1] != 3:  # noqa: PLR2004
+            raise ValueError(f"occluder {occluder.name!r}: has two coordinates, expected three")
+        vertices = (occluder.points - target.position) @ rotation
         hull = _sum_hull(occluder.name, vertices, -outline, width)
         size = float(np.ptp(hull.points, axis=0).max())
         if hull.points[:, 2].max() <= _FLAT * size:
@@ -262,9 +237,9 @@ def _sum_hull(name: str, vertices: FloatArray, outline: FloatArray, margin: floa
     if margin > 0.0:
         outline = (outline[:, None] + _ball_about(margin)).reshape(-1, 3)
     points = (vertices[:, None] + outline).reshape(-1, 3)
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if len(points) < 4 or spread[2] <= _FLAT * spread[0]:  # noqa: PLR2004
-        shape = "a plane" if len(spread) > 1 and spread[1] > _FLAT * spread[0] else "a line"
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(points) < 4 or extents[2] <= _FLAT * extents[0]:  # noqa: PLR2004
+        shape = "a plane" if len(extents) > 1 and extents[1] > _FLAT * extents[0] else "a line"
         raise ValueError(
             f"occluder {name!r}: it and the target lie in {shape}, so their sum is flat; give it "
             "a thickness, or a margin above 0"
@@ -276,7 +251,7 @@ def _sum_hull(name: str, vertices: FloatArray, outline: FloatArray, margin: floa
         raise ValueError(f"occluder {name!r}: no hull can be made of it ({reason})") from error
 
 
-def _compile(hulls: Sequence[ConvexHull]) -> Hulls:
+def _compile(hulls: Sequence[ConvexHull]) -> HullParts:
     """Gather the parts of hulls, in the target's frame."""
     planes: list[FloatArray] = []
     rims: list[FloatArray] = []
@@ -299,7 +274,7 @@ def _compile(hulls: Sequence[ConvexHull]) -> Hulls:
         # A cone wider than the half space is not convex: it may hold the corners and not the rest.
         cones[index] = np.arccos(min(cosine, 1.0)) + _COPLANAR if cosine > 0.0 else np.pi
         nearest[index] = unique[:, 3].max()
-    return Hulls(
+    return HullParts(
         _joined(planes, (4,)), _starts(planes), front.astype(np.int64),
         _joined(rims, (2, 3)), _starts(rims), _joined(ridges, (2, 3)), _starts(ridges),
         axes, cones, nearest,

@@ -1,9 +1,9 @@
-"""Where to put a camera in space: all candidates one by one, or best first with a bound.
+"""Where to put a camera in space: the best view of any target (Thesis section 4.2.3).
 
-Thesis section 4.2.3 searches the known free space point by point. Here the candidates are
-directions about the target (the half sphere before it) at rings of distances. The fast search goes
-through a tree of triangles, best bound first; it yields the same candidates in the order of their
-ratings, so the first one is the optimum of all of them.
+The thesis searches the known free space point by point. Here the candidates are directions about
+the target (the half sphere before it) at rings of distances. The fast search goes through a tree
+of triangles, best bound first; it yields the candidates in the order of their ratings, so the
+first one is the optimum of all of them. Cameras anywhere are rated one by one (eq. 4-1).
 """
 
 from __future__ import annotations
@@ -11,60 +11,57 @@ from __future__ import annotations
 import dataclasses
 import heapq
 from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from controllers.placement.spatial import kernels
-from controllers.placement.spatial.directions import DEEPEST, DirectionTree, direction_tree
+from controllers.placement.spatial import best_first
+from controllers.placement.spatial.best_first import MAX_LEVEL, DirectionTree, direction_tree
+from controllers.placement.spatial.field import free_caps
 from controllers.placement.spatial.occluders import TargetField
-from controllers.placement.spatial.views import (
-    Occupancy,
-    probabilities_at,
-    rate_positions,
-    spherical,
-    terms_of,
-)
 from controllers.placement.task import (
     FREE_BELOW,
     Exponents,
+    FloatArray,
     Lens,
     PlacementError,
+    RatingTerms,
     View,
+    rating_terms,
+    resolution,
 )
 
-__all__ = [
-    "DEFAULT",
-    "Accept",
-    "Occupancy",
-    "Rated",
-    "SearchConfig",
-    "best_view",
-    "best_view_of_all",
-    "rate_directions",
-    "rate_positions",
-    "spherical",
-    "views_in_order",
-]
-
-FloatArray = NDArray[np.float64]
-
 Accept = Callable[[View], bool]
+"""Tells whether a view can be taken, for instance reached by an arm."""
+Occupancy = Callable[[FloatArray], FloatArray]
+"""Probability (N,) that points (N, 3) [m], world, are occupied; NaN where unknown."""
 
+UNKNOWN = 0.5
+"""Probability of occupancy where nothing is known."""
+_FOCUS_TOLERANCE = 1e-9
+"""Difference to a limit of the lens up to which a distance is at it [m]."""
 _PATTERN = 48
+"""Directions tried at once to improve a view."""
 _SHRINK = 0.8
-_FINEST = np.deg2rad(0.01)
+"""Factor of the pattern's size where none is better."""
+_MIN_TURN = np.deg2rad(0.01)
+_MIN_STRIDE = 1e-4
+"""Size of the pattern [rad] and [m] at which the improvement ends."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SearchConfig:
-    """What is tried.
+    """Candidates of a search and how they are rated.
 
     Attributes:
-        level: Of the directions' tree; 4^(level + 1) directions.
-        rings: How many distances from the lens' near to its far limit, in equal ratios.
-        exponents: Of eq. 4-1.
+        level: Level of the tree of directions, 0 to `MAX_LEVEL`; it has 4^(level + 1) directions.
+        rings: Number of distances from the lens' near to its far limit, in equal ratios.
+        exponents: Exponents of eq. 4-1.
         refine: Whether the best candidate is improved between its neighbours.
+
+    Raises:
+        ValueError: If a number is out of range; the message names it.
     """
 
     level: int = 5
@@ -73,13 +70,8 @@ class SearchConfig:
     refine: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse what is no search.
-
-        Raises:
-            ValueError: Naming the offender.
-        """
-        if not 0 <= self.level <= DEEPEST:
-            raise ValueError(f"level {self.level}: expected 0 to {DEEPEST}")
+        if not 0 <= self.level <= MAX_LEVEL:
+            raise ValueError(f"level {self.level}: expected 0 to {MAX_LEVEL}")
         if self.rings < 2:  # noqa: PLR2004
             raise ValueError(f"rings {self.rings}: expected at least 2")
 
@@ -93,103 +85,118 @@ DEFAULT = SearchConfig()
 
 
 @dataclasses.dataclass(frozen=True)
-class _Search:
+class SpatialTask:
+    """All that a placement in space depends on.
+
+    Attributes:
+        fields: Targets with what may hide them; any of them may be watched.
+        lens: Lens of the camera.
+        occupancy: Probability of occupancy at points; a camera may only be where it is below
+            `task.FREE_BELOW`. None if all is free.
+        config: Candidates and exponents.
+
+    Raises:
+        ValueError: If there is no target.
+    """
+
+    fields: Sequence[TargetField]
+    lens: Lens
+    occupancy: Occupancy | None = None
+    config: SearchConfig = DEFAULT
+
+    def __post_init__(self) -> None:
+        if not self.fields:
+            raise ValueError("no target: give at least one")
+
+    def prepared(self) -> list[_PreparedTarget]:
+        """Return each target's candidates, ready to be rated."""
+        tree, config, lens = direction_tree(self.config.level), self.config, self.lens
+        rings = np.geomspace(lens.near, lens.far, config.rings)
+        rings[[0, -1]] = lens.near, lens.far  # In spite of rounding they are in focus.
+        made: list[_PreparedTarget] = []
+        for field in self.fields:
+            if self.occupancy is None:
+                chances = np.zeros((len(tree.leaves), config.rings))
+                first, lowest = np.zeros(len(tree.centres), np.int64), np.zeros(len(tree.centres))
+            else:
+                places = (tree.leaves[:, None] * rings[:, None]).reshape(-1, 3)
+                chances = probabilities_at(self.occupancy, field.to_world(places)).reshape(
+                    -1, config.rings
+                )
+                free = chances < FREE_BELOW
+                first = np.where(free.any(axis=1), free.argmax(axis=1), config.rings)
+                first, lowest = tree.least(first), tree.least(chances.min(axis=1))
+            candidates = best_first.TreeCandidates(
+                tree.centres, tree.radii, tree.first_leaf, rings, chances, first, lowest
+            )
+            terms = rating_terms(lens, field.target, config.exponents)
+            made.append(_PreparedTarget(field, self, tree, candidates, terms))
+        return made
+
+
+@dataclasses.dataclass(frozen=True)
+class _PreparedTarget:
     """One target's candidates, ready to be rated."""
 
     field: TargetField
-    lens: Lens
-    occupancy: Occupancy | None
-    config: SearchConfig
+    task: SpatialTask
     tree: DirectionTree
-    candidates: kernels.Candidates
-    terms: kernels.Terms
+    candidates: best_first.TreeCandidates
+    terms: RatingTerms
 
     def place(self, leaf: int, ring: int) -> FloatArray:
-        """Return (3,) a candidate's position [m], world."""
+        """Return the position (3,) of a candidate [m], world."""
         radius = self.candidates.rings[ring]
         return self.field.to_world(radius * self.tree.leaves[leaf])
 
     def view(self, position: FloatArray) -> View:
-        """Describe a camera's position."""
+        """Return the view from a position (3,) [m], world."""
+        task = self.task
         return rate_positions(
-            self.field, self.lens, position[None], self.occupancy, self.config.exponents
+            self.field, task.lens, position[None], task.occupancy, task.config.exponents
         )[0]
 
 
-def best_view(
-    fields: Sequence[TargetField],
-    lens: Lens,
-    occupancy: Occupancy | None = None,
-    accept: Accept | None = None,
-    config: SearchConfig = DEFAULT,
-) -> View:
-    """Return the best of all views of any of some targets.
+def best_view(task: SpatialTask, accept: Accept | None = None) -> View:
+    """Return the best of all views of any target.
 
     Args:
-        fields: The targets with what may hide them.
-        lens: The camera.
-        occupancy: Gives P at points; a camera may only be where it is below 0.05. None: all free.
-        accept: Says whether a view can be taken, for instance reached by an arm; views are offered
-            best first until one is.
-        config: What is tried.
+        task: Targets, lens, occupancy and candidates.
+        accept: Tells whether a view can be taken; views are offered best first until one is.
 
     Raises:
-        PlacementError: If no pose sees any of the targets; it names the nearest reason.
-        ValueError: If there is no target.
+        PlacementError: If no pose sees any of the targets; the message gives the reasons.
     """
-    searches = _searches(fields, lens, occupancy, config)
+    searches = task.prepared()
     refused = 0
     for view, search in _merged(searches):
         if accept is not None and not accept(view):
             refused += 1
             continue
-        if not config.refine:
+        if not task.config.refine:
             return view
         better = _refined(search, view)
         return better if accept is None or better is view or accept(better) else view
     raise PlacementError(_reason(searches, refused))
 
 
-def views_in_order(
-    fields: Sequence[TargetField],
-    lens: Lens,
-    occupancy: Occupancy | None = None,
-    config: SearchConfig = DEFAULT,
-) -> Iterator[View]:
-    """Yield all candidates that see a target, best first; none where there is none.
-
-    Args:
-        fields: The targets with what may hide them.
-        lens: The camera.
-        occupancy: As for `best_view`.
-        config: What is tried; `refine` has no effect.
-    """
-    for view, _ in _merged(_searches(fields, lens, occupancy, config)):
+def views_in_order(task: SpatialTask) -> Iterator[View]:
+    """Yield all candidates that see a target, best first; `SearchConfig.refine` has no effect."""
+    for view, _ in _merged(task.prepared()):
         yield view
 
 
-def best_view_of_all(
-    fields: Sequence[TargetField],
-    lens: Lens,
-    occupancy: Occupancy | None = None,
-    config: SearchConfig = DEFAULT,
-) -> View:
-    """Return the best candidate by rating every one (the thesis' way); the reference.
-
-    Args:
-        fields: The targets with what may hide them.
-        lens: The camera.
-        occupancy: As for `best_view`.
-        config: What is tried; `refine` has no effect.
+def best_view_of_all(task: SpatialTask) -> View:
+    """Return the best candidate by rating every one as the thesis does; the reference.
 
     Raises:
-        PlacementError: As `best_view`.
+        PlacementError: If no pose sees any of the targets; the message gives the reasons.
     """
-    searches = _searches(fields, lens, occupancy, config)
+    searches = task.prepared()
     best, place = 0.0, None
     for search in searches:
         found = search.candidates
-        rating, leaf, ring = kernels.best_of_all(
+        rating, leaf, ring = best_first.best_of_all(
             search.field.hulls, search.terms, search.tree.leaves, found.rings, found.occupancy
         )
         if rating > best:
@@ -200,14 +207,13 @@ def best_view_of_all(
     return search.view(search.place(leaf, ring))
 
 
-@dataclasses.dataclass(frozen=True)
-class Rated:
+class RatedDirections(NamedTuple):
     """Directions that see a target, each at its best distance, in falling order of rating.
 
     Attributes:
-        ratings: (N,) eq. 4-1 [1/m], all above 0.
-        positions: (N, 3) of the camera [m], world.
-        fields: (N,) number of the target.
+        ratings: (N,) ratings by eq. 4-1 [1/m], all above 0.
+        positions: (N, 3) camera positions [m], world.
+        fields: (N,) index of the target.
     """
 
     ratings: FloatArray
@@ -215,29 +221,18 @@ class Rated:
     fields: NDArray[np.int64]
 
 
-def rate_directions(
-    fields: Sequence[TargetField],
-    lens: Lens,
-    occupancy: Occupancy | None = None,
-    config: SearchConfig = DEFAULT,
-) -> Rated:
+def rate_directions(task: SpatialTask) -> RatedDirections:
     """Rate every direction about every target at its best distance.
 
-    Args:
-        fields: The targets with what may hide them.
-        lens: The camera.
-        occupancy: As for `best_view`.
-        config: What is tried; `refine` has no effect.
-
     Raises:
-        PlacementError: As `best_view`.
+        PlacementError: If no pose sees any of the targets; the message gives the reasons.
     """
-    searches = _searches(fields, lens, occupancy, config)
+    searches = task.prepared()
     parts: list[tuple[FloatArray, FloatArray, NDArray[np.int64]]] = []
     for index, search in enumerate(searches):
         leaves = search.tree.leaves
         ratings, rings = np.empty(len(leaves)), np.empty(len(leaves), dtype=np.int64)
-        kernels.best_of_each(search.field.hulls, search.terms, search.candidates, ratings, rings)
+        best_first.best_of_each(search.field.hulls, search.terms, search.candidates, ratings, rings)
         seen = np.flatnonzero(ratings > 0.0)
         local = leaves[seen] * search.candidates.rings[rings[seen], None]
         numbers = np.full(len(seen), index)
@@ -246,65 +241,91 @@ def rate_directions(
     if len(ratings) == 0:
         raise PlacementError(_reason(searches, 0))
     order = np.argsort(-ratings, kind="stable")
-    return Rated(ratings[order], np.ascontiguousarray(positions[order]), numbers[order])
+    return RatedDirections(ratings[order], np.ascontiguousarray(positions[order]), numbers[order])
 
 
-def _searches(
-    fields: Sequence[TargetField], lens: Lens, occupancy: Occupancy | None, config: SearchConfig
-) -> list[_Search]:
-    if not fields:
-        raise ValueError("no target: give at least one")
-    tree = direction_tree(config.level)
-    rings = np.geomspace(lens.near, lens.far, config.rings)
-    rings[[0, -1]] = lens.near, lens.far  # In spite of rounding they are in focus.
-    made: list[_Search] = []
-    for field in fields:
-        if occupancy is None:
-            chances = np.zeros((len(tree.leaves), config.rings))
-            first, lowest = np.zeros(len(tree.centres), np.int64), np.zeros(len(tree.centres))
-        else:
-            places = (tree.leaves[:, None] * rings[:, None]).reshape(-1, 3)
-            chances = probabilities_at(occupancy, field.to_world(places)).reshape(-1, config.rings)
-            free = chances < FREE_BELOW
-            first = np.where(free.any(axis=1), free.argmax(axis=1), config.rings)
-            first, lowest = tree.least(first), tree.least(chances.min(axis=1))
-        candidates = kernels.Candidates(
-            tree.centres, tree.radii, tree.first_leaf, rings, chances, first, lowest
-        )
-        terms = terms_of(field, lens, config.exponents)
-        made.append(_Search(field, lens, occupancy, config, tree, candidates, terms))
-    return made
+def rate_positions(
+    field: TargetField,
+    lens: Lens,
+    positions: ArrayLike,
+    occupancy: Occupancy | None = None,
+    exponents: Exponents | None = None,
+) -> list[View]:
+    """Rate cameras anywhere; the rating is 0 where the target is not seen or the place not free.
+
+    Args:
+        field: Target with what may hide it.
+        lens: Lens of the camera.
+        positions: (N, 3) camera positions [m], world, none at the target.
+        occupancy: Probability of occupancy at points; None if all is free.
+        exponents: Exponents of eq. 4-1; 1 by default.
+    """
+    places = np.atleast_2d(np.asarray(positions, dtype=float))
+    local = field.to_frame(places)
+    distances = np.linalg.norm(local, axis=1)
+    directions = local / distances[:, None]
+    for limit in (lens.near, lens.far):  # A camera put at the limit is in focus despite rounding.
+        distances[np.abs(distances - limit) < _FOCUS_TOLERANCE] = limit
+    chances = probabilities_at(occupancy, places)
+    terms = rating_terms(lens, field.target, exponents or Exponents())
+    ratings = best_first.rate_places(field.hulls, terms, directions, distances, chances)
+    caps = free_caps(field, places)
+    details = resolution(distances, lens, field.target.relation_error)
+    return [
+        View(field.target.name, places[i], float(distances[i]), float(ratings[i]), float(caps[i]),
+             max(float(directions[i, 2]), 0.0), float(details[i]), float(chances[i]))
+        for i in range(len(places))
+    ]  # fmt: skip
 
 
-def _in_order(search: _Search, number: int) -> Iterator[tuple[float, int, int, int]]:
-    """Yield minus rating, number, leaf and ring of a target's candidates, best first."""
-    room = len(search.tree.centres) + len(search.tree.leaves) * (search.config.rings + 1)
-    heap = kernels.Heap(np.empty(room), np.empty(room, dtype=np.int64), np.zeros(1, np.int64))
+def spherical(field: TargetField, position: ArrayLike) -> tuple[float, float, float]:
+    """Return a camera's distance [m], azimuth and elevation above the target's plane [rad]."""
+    x, y, z = field.to_frame(np.asarray(position, dtype=float))
+    return (
+        float(np.sqrt(x * x + y * y + z * z)),
+        float(np.arctan2(y, x)),
+        float(np.arctan2(z, np.hypot(x, y))),
+    )
+
+
+def probabilities_at(occupancy: Occupancy | None, points: FloatArray) -> FloatArray:
+    """Return the probability of occupancy (N,) at points (N, 3); `UNKNOWN` where unknown."""
+    if occupancy is None:
+        return np.zeros(len(points))
+    return np.nan_to_num(np.asarray(occupancy(points), dtype=float), nan=UNKNOWN)
+
+
+def _in_order(search: _PreparedTarget, number: int) -> Iterator[tuple[float, int, int, int]]:
+    """Yield negative rating, index, leaf and ring of a target's candidates, best first."""
+    capacity = len(search.tree.centres) + len(search.tree.leaves) * (search.task.config.rings + 1)
+    heap = best_first.Heap(
+        np.empty(capacity), np.empty(capacity, dtype=np.int64), np.zeros(1, np.int64)
+    )
     hulls, terms, candidates = search.field.hulls, search.terms, search.candidates
-    kernels.start(hulls, terms, candidates, heap)
+    best_first.start(hulls, terms, candidates, heap)
     while True:
-        rating, leaf, ring = kernels.following(hulls, terms, candidates, heap)
+        rating, leaf, ring = best_first.following(hulls, terms, candidates, heap)
         if leaf < 0:
             return
         yield -rating, number, leaf, ring
 
 
-def _merged(searches: Sequence[_Search]) -> Iterator[tuple[View, _Search]]:
+def _merged(searches: Sequence[_PreparedTarget]) -> Iterator[tuple[View, _PreparedTarget]]:
     streams = [_in_order(search, number) for number, search in enumerate(searches)]
     for _, index, leaf, ring in heapq.merge(*streams):
         search = searches[index]
         yield search.view(search.place(leaf, ring)), search
 
 
-def _refined(search: _Search, view: View) -> View:
+def _refined(search: _PreparedTarget, view: View) -> View:
     """Improve a view between its neighbours, in steps down to 0.01 deg and 0.1 mm; never worse.
 
-    The rating has ridges, on which moves along fixed axes would stall: a disc of places spread
+    The rating has ridges, on which moves along fixed axes would stall: a disc of places laid out
     by the golden angle is tried about the best one, and shrunk when none is better. Along a sharp
     ridge it may still stop some tenths of a degree off the top, where the rating differs by parts
     in a million.
     """
-    hulls, terms, lens = search.field.hulls, search.terms, search.lens
+    hulls, terms, lens = search.field.hulls, search.terms, search.task.lens
     index = np.arange(_PATTERN) + 0.5
     turn = np.pi * (1.0 + 5.0**0.5) * index
     disc = np.sqrt(index / _PATTERN)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
@@ -314,7 +335,7 @@ def _refined(search: _Search, view: View) -> View:
     width = 2.0 * float(search.tree.radii[-1])
     step = 0.5 * (search.candidates.rings[1] / search.candidates.rings[0] - 1.0)
     tried = 0
-    while width > _FINEST or step * lens.far > 1e-4:  # noqa: PLR2004
+    while width > _MIN_TURN or step * lens.far > _MIN_STRIDE:
         side = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
         side /= np.linalg.norm(side)
         c, s = np.cos(tried), np.sin(tried)
@@ -329,8 +350,8 @@ def _refined(search: _Search, view: View) -> View:
         sides = np.repeat(around, len(lengths), axis=0)
         radii = np.tile(lengths, len(around))
         places = search.field.to_world(sides * radii[:, None])
-        chances = probabilities_at(search.occupancy, places)
-        ratings = kernels.rate_places(hulls, terms, sides, radii, chances)
+        chances = probabilities_at(search.task.occupancy, places)
+        ratings = best_first.rate_places(hulls, terms, sides, radii, chances)
         top = int(np.argmax(ratings))
         tried += 1
         if ratings[top] > best * (1.0 + 1e-9):
@@ -342,16 +363,16 @@ def _refined(search: _Search, view: View) -> View:
     return found if found.rating > view.rating else view
 
 
-def _reason(searches: Sequence[_Search], refused: int) -> str:
-    """Say why no pose sees any target, with the share of each reason."""
+def _reason(searches: Sequence[_PreparedTarget], refused: int) -> str:
+    """Return why no pose sees any target, with the share of each reason."""
     lines: list[str] = []
     for search in searches:
         hiding = np.zeros(max(len(search.field.names), 1), dtype=np.int64)
-        found, total = search.candidates, search.config.size
-        not_free = kernels.count_reasons(
+        found, total = search.candidates, search.task.config.size
+        not_free = best_first.count_reasons(
             search.field.hulls, search.tree.leaves, found.rings, found.occupancy, hiding
         )
-        lens, shares = search.lens, list[tuple[int, str]]()
+        lens, shares = search.task.lens, list[tuple[int, str]]()
         if hiding.sum():
             worst = search.field.names[int(np.argmax(hiding))]
             shares.append((int(hiding.sum()), f"hidden (most by {worst!r})"))

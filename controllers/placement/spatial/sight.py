@@ -1,10 +1,10 @@
-"""Whether a camera in space sees the whole of a target, exactly and without expanded hulls.
+"""Exact visibility of a whole target in space, without expanded hulls.
 
 All lines of sight from a camera to a convex target together are the convex hull of camera and
 target. The target is wholly visible if that misses every occluder. Two convex bodies miss each
 other if and only if an axis separates them, and one of these does: the normals of their faces, and
 the products of an edge of each (separating axis theorem). So the answer is exact for convex
-occluders; it is what the method of hulls gives up some views against (thesis figure 4-6).
+occluders; it measures what expanding the occluders gives up (Thesis figure 4-6).
 """
 
 from __future__ import annotations
@@ -17,17 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from controllers.placement.spatial.occluders import Occluder
-from controllers.placement.task import Target
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from controllers.placement.task import FloatArray, Occluder, Target
 
 _FLAT = 1e-9
+"""Extent of points over their size below which they have one dimension less."""
 AVERTED = -2
-"""In place of an occluder's number: the camera is behind the target's plane."""
+"""The camera is behind the target's plane, in place of the index of an occluder."""
 VISIBLE = -1
-"""In place of an occluder's number: nothing hides the target."""
+"""Nothing hides the target, in place of the index of an occluder."""
 
 
 class _Solid(NamedTuple):
@@ -41,19 +38,19 @@ class _Solid(NamedTuple):
 def first_hiding(
     target: Target, occluders: Sequence[Occluder], positions: ArrayLike
 ) -> NDArray[np.int64]:
-    """Return (N,) which occluder first hides a part of the target, `VISIBLE` or `AVERTED`.
+    """Return the index (N,) of the first occluder that hides a part, `VISIBLE` or `AVERTED`.
 
     Args:
-        target: In three dimensions; the hull of its outline is what must be seen.
-        occluders: In the order in which they are asked.
-        positions: (N, 3) of cameras [m], world.
+        target: Target in three dimensions; the hull of its outline is what must be seen.
+        occluders: Bodies that may hide the target, in the order in which they are tried.
+        positions: (N, 3) camera positions [m], world.
     """
     places = np.atleast_2d(np.asarray(positions, dtype=float)) - target.position
     result = np.full(len(places), VISIBLE)
     shape = _solid(target.outline)
     result[places @ target.normal <= 0.0] = AVERTED
     for index, occluder in enumerate(occluders):
-        solid = _solid(occluder.vertices - target.position)
+        solid = _solid(occluder.points - target.position)
         _ask(places, shape, solid, index, result)
     return result
 
@@ -61,16 +58,16 @@ def first_hiding(
 def sees_all(
     target: Target, occluders: Sequence[Occluder], positions: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Return (N,) whether cameras (N, 3) [m], world, see the whole target."""
+    """Return (N,) whether cameras at positions (N, 3) [m], world, see the whole target."""
     return first_hiding(target, occluders, positions) == VISIBLE
 
 
 def _solid(points: FloatArray) -> _Solid:
     """Return the hull of points; of fewer dimensions where they are."""
     middle = points.mean(axis=0)
-    _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
+    _, extents, axes = np.linalg.svd(points - middle, full_matrices=False)
     size = np.zeros(3)
-    size[: len(spread)] = spread
+    size[: len(extents)] = extents
     rank = int(np.count_nonzero(size > _FLAT * max(size[0], 1e-300)))
     nothing = np.empty((0, 3))
     if rank == 0:
@@ -103,7 +100,7 @@ def _different(directions: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True)
 def _ask(places, shape, solid, number, result):
-    """Note the number of a solid at the places that it hides and no other did before."""
+    """Write the index of a solid at the places that it hides and no other did before."""
     rays = np.empty_like(shape.corners)
     for index in range(len(places)):
         if result[index] == VISIBLE and not _missed(places[index], shape, solid, rays):
@@ -112,7 +109,7 @@ def _ask(places, shape, solid, number, result):
 
 @numba.njit(cache=True)
 def _missed(place, shape, solid, rays):
-    """Whether the hull of a place and a target misses a solid; `rays` is room to work in."""
+    """Whether the hull of a place and a target misses a solid; ``rays`` is overwritten."""
     count = len(shape.corners)
     for i in range(count):
         for k in range(3):

@@ -52,7 +52,7 @@ class Scenario(NamedTuple):
         focal: Focal length [px].
         baseline: Of the stereo pair [m].
         field_of_view: Field of view [rad].
-        spread: `task.Lens.spread` of the same camera.
+        pixel_per_metre: `task.Lens.pixel_per_metre` of the same camera [m/m].
         near: Nearest distance in focus [m].
         far: Farthest distance in focus [m].
         head: Radius of the stereo head [m].
@@ -79,7 +79,7 @@ class Scenario(NamedTuple):
     focal: float = CAMERA.pinhole.fx
     baseline: float = CAMERA.baseline
     field_of_view: float = CAMERA.field_of_view[0]
-    spread: float = 2.0 * math.tan(CAMERA.field_of_view[0] / 2.0) / CAMERA.width
+    pixel_per_metre: float = 2.0 * math.tan(CAMERA.field_of_view[0] / 2.0) / CAMERA.width
     near: float = 5.0 * INCH
     far: float = 1.1
     head: float = 0.5 * math.hypot(CAMERA.baseline + CAMERA.housing[0], CAMERA.housing[2])

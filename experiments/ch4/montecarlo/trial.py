@@ -13,12 +13,16 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from controllers.placement.planar.field import hull_around
-from controllers.placement.planar.hulls import convex_sum
-from controllers.placement.planar.kernels import probability_at, search_arcs
-from controllers.placement.task import FREE_BELOW
+from controllers.placement.planar.arc_search import (
+    ArcTask,
+    OccupancyCells,
+    probability_at,
+    search_arcs,
+)
+from controllers.placement.planar.field import HullCorners, hull_around
+from controllers.placement.planar.occluders import convex_sum
+from controllers.placement.task import FREE_BELOW, RatingTerms
 from experiments.ch4.montecarlo.scenario import (
     CANDIDATES,
     DENSITIES,
@@ -223,10 +227,8 @@ def guide(
 
 
 @_njit
-def expanded(
-    scenario: Scenario, corners: FloatArray, target: int, gap: float
-) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Return all occluders expanded by the gap, from its middle, as `planar_field` takes them.
+def expanded(scenario: Scenario, corners: FloatArray, target: int, gap: float) -> HullCorners:
+    """Return all occluders expanded by the gap, from its middle.
 
     Args:
         scenario: The numbers.
@@ -235,7 +237,7 @@ def expanded(
         gap: Between the markers [m].
 
     Returns:
-        Corners (V, 2) [m] and where each hull's begin (N + 2,); the object is the last.
+        Corners of N + 1 hulls [m]; the object is the last.
     """
     x, y = scenario.marker, 0.5 * gap + scenario.marker
     outline = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])  # its own mirror image
@@ -245,7 +247,7 @@ def expanded(
     for i in range(len(corners) + 1):
         occluder = object_corners(scenario, gap, 0.0) if i == len(corners) else corners[i]
         starts[i + 1] = starts[i] + convex_sum(occluder - place, outline, points[starts[i] :])
-    return points[: starts[-1]], starts
+    return HullCorners(points[: starts[-1]], starts)
 
 
 @_njit
@@ -268,19 +270,19 @@ def _place(
     rings = np.linspace(near, far, RINGS)
     floor, watch, half = 0.0, -1, 0.5 * scenario.side
     for target in range(2 if secondary else 1):
-        points, starts = expanded(scenario, world.corners, target, gap)
-        if hull_around(points, starts) >= 0:
+        hulls = expanded(scenario, world.corners, target, gap)
+        if hull_around(hulls) >= 0:
             continue
         error = scenario.relation if target == 1 else 0.0
-        place = np.array([marker_side(scenario, target), 0.5 * gap, 0.5 * math.pi, error])
-        rating, angle, radius, _, _ = search_arcs(
-            points, starts, place, rings, DIRECTIONS, world.occupied, scenario.cell, -half, -half,
-            scenario.spread, (1.0, 1.0, 1.0, 1.0), floor,
-        )  # fmt: skip
+        terms = RatingTerms(scenario.pixel_per_metre, near, far, error, 1.0, 1.0, 1.0, 1.0)
+        cells = OccupancyCells(world.occupied, scenario.cell, -half, -half)
+        x, y, axis = marker_side(scenario, target), 0.5 * gap, 0.5 * math.pi
+        task = ArcTask(hulls, x, y, axis, cells, terms)
+        rating, angle, radius, _, _ = search_arcs(task, rings, DIRECTIONS, floor)
         if rating > floor:
             floor, watch = rating, target
-            camera[0] = place[0] + radius * math.cos(place[2] + angle)
-            camera[1] = place[1] + radius * math.sin(place[2] + angle)
+            camera[0] = x + radius * math.cos(axis + angle)
+            camera[1] = y + radius * math.sin(axis + angle)
     return watch >= 0, max(watch, 0)
 
 
@@ -305,7 +307,7 @@ def _draw(
         if not near <= math.hypot(dx, dy) <= far:
             continue
         x, y = marker_side(scenario, 0) + dx, 0.5 * gap + dy
-        p = probability_at(world.occupied, scenario.cell, -half, -half, x, y)
+        p = probability_at(OccupancyCells(world.occupied, scenario.cell, -half, -half), x, y)
         if p < FREE_BELOW:
             camera[0], camera[1] = x, y
             return True

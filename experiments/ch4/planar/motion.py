@@ -25,9 +25,9 @@ from controllers.placement.moving import (
     swollen,
     take_out,
 )
-from controllers.placement.planar.clusters import occluders_of_map
-from controllers.placement.planar.search import KnownSpace, PlanarTask
-from controllers.placement.planar.sight import clear_line, sees, sees_on_map
+from controllers.placement.planar.occluders import occluders_of_map
+from controllers.placement.planar.search import PlanarTask
+from controllers.placement.planar.sight import KnownSpace, clear_line, sees, sees_on_map
 from controllers.placement.task import PlacementError, View
 from experiments.ch3.planar.trial import Round, Trial, run_trial
 from experiments.ch3.planar.worlds import World

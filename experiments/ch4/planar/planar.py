@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from controllers.placement.planar.search import Candidates, best_view
+from controllers.placement.planar.search import RingCandidates, best_view
 from experiments.ch4.planar.figures import (
     draw_hull_cost,
     draw_instances,
@@ -72,7 +72,7 @@ class Options(contract.Options):
         """
         super().__post_init__()
         try:
-            Candidates(self.rings, self.directions)
+            RingCandidates(self.rings, self.directions)
         except ValueError as error:
             raise OptionError(f"--rings, --directions: {error}") from None
         if not (np.isfinite(self.factor) and self.factor >= 1.0):

@@ -75,7 +75,7 @@ def _log(stream: rr.RecordingStream, site: Site, moment: Moment) -> None:
     stream.log("map", rr.Image(grey, color_model="L").compress(95))
     stream.log("map/panel/true", rr.LineStrips2D([_closed(pixels(moment.panel))], colors=[ORANGE]))
     for target in task.targets:
-        hulls = task.hulls(target)
+        hulls = task.expanded(target)
         strips = [_closed(pixels(target.position + hulls.hull(i))) for i in range(len(hulls.names))]
         stream.log(f"map/targets/{target.name}/hulls", rr.LineStrips2D(strips, colors=[GREY]))
         line = pixels(target.position + target.outline)

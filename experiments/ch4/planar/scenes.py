@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from controllers.placement.moving import cell_centres, covers
-from controllers.placement.planar.hulls import Occluder
-from controllers.placement.planar.search import KnownSpace, PlanarTask
-from controllers.placement.task import Lens, Target
+from controllers.placement.planar.search import PlanarTask
+from controllers.placement.planar.sight import KnownSpace
+from controllers.placement.task import Lens, Occluder, Target
 from experiments.ch3.planar.worlds import World, make_world
 from models.datasheets import CAMERA
 from perception.planar.map import Grid

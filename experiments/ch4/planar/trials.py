@@ -12,21 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.placement.moving import cell_centres
-from controllers.placement.planar.clusters import occluders_of_map
+from controllers.placement.planar.arc_search import ArcTask, search_arcs, search_rings
 from controllers.placement.planar.field import blocked_interval, free_cap, hull_around
-from controllers.placement.planar.hulls import Hulls, Occluder, expand
-from controllers.placement.planar.kernels import search_arcs, search_rings
+from controllers.placement.planar.occluders import expand, occluders_of_map
 from controllers.placement.planar.search import (
-    Candidates,
-    KnownSpace,
-    PlanarTask,
+    RingCandidates,
     best_view,
-    place_of,
     rating_field,
-    space_of,
 )
-from controllers.placement.planar.sight import sees, sees_on_map
-from controllers.placement.task import PlacementError, Target
+from controllers.placement.planar.sight import KnownSpace, sees, sees_on_map
+from controllers.placement.task import Occluder, PlacementError, Target
 from experiments.ch4.planar.scenes import BOX, convex_obstacle, face, random_task
 from experiments.harness import timing
 
@@ -83,17 +78,18 @@ def compare_searches(trial: SearchTrial) -> dict[str, Any]:
         optimum (NaN where no target is seen), ``hulls`` how many occluders, and ``distance`` the
         optimum's [m].
     """
-    candidates = Candidates(trial.rings, trial.directions)
+    candidates = RingCandidates(trial.rings, trial.directions)
     rows: list[list[float]] = []
     for index in range(trial.scenes):
         root = [trial.seed, index, round(1e3 * trial.density)]
         task = random_task(trial.density, np.random.default_rng(root))
-        expanded = [task.hulls(target) for target in task.targets]
-        every = _search(search_rings, task, expanded, candidates)
-        fast = _search(search_arcs, task, expanded, candidates)
+        compiled = [task.compiled(target) for target in task.targets]
+        rings = candidates.distances(task.lens)
+        every = _search(search_rings, compiled, rings, candidates)
+        fast = _search(search_arcs, compiled, rings, candidates)
         times = timing.compare(
-            functools.partial(_repeat, search_arcs, task, expanded, candidates),
-            functools.partial(_search, search_rings, task, expanded, candidates),
+            functools.partial(_repeat, search_arcs, compiled, rings, candidates),
+            functools.partial(_search, search_rings, compiled, rings, candidates),
             ROUNDS,
         )
         fresh = dataclasses.replace(task)
@@ -116,22 +112,23 @@ def compare_searches(trial: SearchTrial) -> dict[str, Any]:
     return dict(zip(names, np.array(rows, dtype=float).T))
 
 
-def _search(kernel: Any, task: PlanarTask, expanded: list[Hulls], candidates: Candidates) -> float:
+def _search(
+    kernel: Any, compiled: list[ArcTask], rings: Floats, candidates: RingCandidates
+) -> float:
     """Return the best rating by one of the searches [1/m]."""
-    rings, settings, best = candidates.distances(task.lens), space_of(task), 0.0
-    for target, hulls in zip(task.targets, expanded):
-        if hull_around(hulls.points, hulls.starts) < 0:
-            best = kernel(
-                hulls.points, hulls.starts, place_of(target), rings, candidates.directions,
-                *settings, best,
-            )[0]  # fmt: skip
+    best = 0.0
+    for task in compiled:
+        if hull_around(task.hulls) < 0:
+            best = kernel(task, rings, candidates.directions, best)[0]
     return best
 
 
-def _repeat(kernel: Any, task: PlanarTask, expanded: list[Hulls], candidates: Candidates) -> None:
+def _repeat(
+    kernel: Any, compiled: list[ArcTask], rings: Floats, candidates: RingCandidates
+) -> None:
     """Search `REPEATS` times."""
     for _ in range(REPEATS):
-        _search(kernel, task, expanded, candidates)
+        _search(kernel, compiled, rings, candidates)
 
 
 def compare_sights(trial: HullTrial) -> dict[str, Any]:
@@ -195,10 +192,10 @@ def _random_target(generator: np.random.Generator) -> Target:
 
 def hulls_see(occluders: Any, target: Target, camera: Floats) -> bool:
     """Tell whether the line to the reduced target misses all expanded occluders."""
-    hulls = expand(occluders, target)
+    hulls = expand(occluders, target).hulls
     offset = camera - target.position
     angle = math.atan2(offset[1], offset[0])
-    cap = free_cap(hulls.points, hulls.starts, angle, 0.0, float(np.hypot(*offset)))
+    cap = free_cap(hulls, angle, 0.0, float(np.hypot(*offset)))
     return bool(cap > 0.0)
 
 
@@ -229,7 +226,7 @@ def occluded_angles(distances: Floats, radius: float) -> Floats:
         for _ in range(40):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if hidden(middle) else (low, middle)
-        hulls = expand([Occluder("box", corners)], target)
-        _, begin, end = blocked_interval(hulls.points, 0, len(hulls.points), radius)
+        hull = expand([Occluder("box", corners)], target).hull(0)
+        _, begin, end = blocked_interval(hull, 0, len(hull), radius)
         angles[i] = 2.0 * low, end - begin
     return angles

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from controllers.placement.spatial.directions import direction_tree
-from controllers.placement.spatial.occluders import Occluder, TargetField, expand
-from controllers.placement.spatial.search import best_view, rate_positions, spherical
-from controllers.placement.task import PlacementError, Target
+from controllers.placement.spatial.best_first import direction_tree
+from controllers.placement.spatial.occluders import TargetField, expand
+from controllers.placement.spatial.search import SpatialTask, best_view, rate_positions, spherical
+from controllers.placement.task import Occluder, PlacementError, Target
 from experiments.ch4.spatial.search import LENS, disc
 from models.blocks import (
     CAMERA_NAME,
@@ -162,7 +162,7 @@ def run_blocks(trial: BlocksTrial) -> dict[str, Any]:
     target, occupancy = hole_of(arrangement), occupancy_of(told, margins)
     try:
         field = expand(target, occluders_of(told), margins)
-        view = best_view([field], LENS, occupancy)
+        view = best_view(SpatialTask([field], LENS, occupancy))
     except PlacementError as error:
         return {"placed": False, "reason": str(error)}
     rendered = Rendered(arrangement)

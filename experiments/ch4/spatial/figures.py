@@ -33,7 +33,7 @@ def wall_curve(field: TargetField, lens: Lens, view: View) -> Figure:
     places = lens.near * np.column_stack([np.cos(elevation), 0.0 * elevation, np.sin(elevation)])
     rated = rate_positions(field, lens, field.to_world(places))
     closed = np.sin(elevation) * np.clip(np.minimum(elevation, 2 * np.pi / 3 - elevation), 0, None)
-    closed /= lens.near * lens.spread
+    closed /= lens.near * lens.pixel_per_metre
     figure = Figure(figsize=(6.5, 4))
     axes = figure.add_subplot()
     degrees = np.rad2deg(elevation)

@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from controllers.placement.spatial.directions import direction_tree
+from controllers.placement.spatial.best_first import direction_tree
 from controllers.placement.spatial.field import signed_caps
 from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.task import View

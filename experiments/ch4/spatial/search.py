@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controllers.placement.spatial.field import free_caps
-from controllers.placement.spatial.occluders import Occluder, TargetField, expand
+from controllers.placement.spatial.occluders import TargetField, expand
 from controllers.placement.spatial.search import (
     Occupancy,
     SearchConfig,
+    SpatialTask,
     best_view,
     best_view_of_all,
 )
 from controllers.placement.spatial.sight import sees_all
-from controllers.placement.task import Lens, PlacementError, Target, View
+from controllers.placement.task import Lens, Occluder, PlacementError, Target, View
 from models.datasheets import CAMERA, INCH
 
 FloatArray = NDArray[np.float64]
@@ -127,7 +128,7 @@ def run_search(trial: SearchTrial) -> dict[str, Any]:
     if slow is None or fast is None:
         result |= {"match": slow is None and fast is None, "gain": 1.0}
     else:
-        refined = best_view([field], LENS, occupancy)
+        refined = best_view(SpatialTask([field], LENS, occupancy))
         result["match"] = fast.rating >= slow.rating * (1.0 - 1e-12)
         result["match"] = bool(result["match"] and refined.rating >= fast.rating)
         result["gain"] = refined.rating / slow.rating
@@ -147,7 +148,7 @@ def _timed(
 ) -> tuple[View | None, float]:
     start = time.process_time()
     try:
-        view = search([field], LENS, occupancy, config=PLAIN)
+        view = search(SpatialTask([field], LENS, occupancy, PLAIN))
     except PlacementError:
         view = None
     return view, time.process_time() - start

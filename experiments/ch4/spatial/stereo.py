@@ -21,7 +21,7 @@ import numpy as np
 
 from controllers.placement.pairs import SEPARATION, VisionSystem, best_pair, go_together
 from controllers.placement.spatial.occluders import TargetField, expand
-from controllers.placement.spatial.search import best_view, rate_positions, spherical
+from controllers.placement.spatial.search import SpatialTask, best_view, rate_positions, spherical
 from controllers.placement.task import View
 from experiments.ch4.spatial import figures
 from experiments.ch4.spatial.blocks import (
@@ -103,7 +103,7 @@ def run(options: Options, output: Output) -> None:
 def _wall(output: Output) -> None:
     """Find the optimum of the scene that has a closed form."""
     field = expand(hole_of(FIGURE_4_12), occluders_of(FIGURE_4_12.blocks))
-    view = best_view([field], LENS)
+    view = best_view(SpatialTask([field], LENS))
     distance, azimuth, elevation = spherical(field, view.position)
     values = (distance / INCH, np.rad2deg(azimuth), np.rad2deg(elevation))
     units = (("r_inch", 5.0, 0.05), ("theta_deg", 0.0, 0.5), ("phi_deg", 60.0, 0.5))
@@ -122,7 +122,7 @@ def _figure_scene(options: Options, output: Output) -> None:
     target = hole_of(FIGURE_4_12, int(options.target.removeprefix("hole")))
     field = expand(target, occluders_of(told), margins)
     occupancy = occupancy_of(told, margins)
-    view = best_view([field], LENS, occupancy)
+    view = best_view(SpatialTask([field], LENS, occupancy))
     distance, azimuth, elevation = spherical(field, view.position)
     output.measure("uncertain_r_inch", distance / INCH)
     output.measure("uncertain_theta_deg", np.rad2deg(azimuth))
@@ -147,7 +147,7 @@ def _figure_scene(options: Options, output: Output) -> None:
 def _pair(field: TargetField, occupancy: Any, output: Output) -> tuple[View, View]:
     """Place two cameras at once."""
     pair = best_pair([field], SYSTEMS, occupancy)
-    alone = best_view([field], LENS, occupancy)
+    alone = best_view(SpatialTask([field], LENS, occupancy))
     ways = [(v.position - field.target.position) / v.distance for v in pair]
     apart = float(np.rad2deg(np.arccos(np.clip(ways[0] @ ways[1], -1.0, 1.0))))
     output.measure("pair_separation_deg", apart)

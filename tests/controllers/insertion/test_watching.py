@@ -16,7 +16,7 @@ from controllers.insertion.watching import (
     target_field,
 )
 from controllers.kinematics.arm_inverse import standing_views
-from controllers.placement.spatial.views import rate_positions
+from controllers.placement.spatial.search import rate_positions
 from experiments.ch3.stereo.mapping_scene import head_geometry
 from experiments.ch5.insertion_scene import MASTER, transform
 from experiments.ch5.insertion_stand import best_stand, reference_arm, watch_plan

@@ -19,13 +19,14 @@ from controllers.placement.moving import (
     swollen,
     take_out,
 )
-from controllers.placement.planar.search import Candidates, KnownSpace, PlanarTask, best_view
+from controllers.placement.planar.search import PlanarTask, RingCandidates, best_view
+from controllers.placement.planar.sight import KnownSpace
 from controllers.placement.task import Lens, PlacementError, Target
 
 PANEL = MovingObject("panel", [[-1.5, -0.5], [1.5, -0.5], [1.5, 0.5], [-1.5, 0.5]])
 SPREAD = np.diag([0.05, 0.05, 0.03]) ** 2
 SPACE = KnownSpace(np.full((60, 60), 0.02), 0.2)
-FEW = Candidates(16, 128)
+FEW = RingCandidates(16, 128)
 
 
 def drawn(pose, generator):

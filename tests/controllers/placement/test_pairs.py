@@ -7,7 +7,12 @@ import pytest
 
 from controllers.placement.pairs import VisionSystem, _apart, best_pair, go_together
 from controllers.placement.spatial.occluders import expand
-from controllers.placement.spatial.search import SearchConfig, rate_directions, rate_positions
+from controllers.placement.spatial.search import (
+    SearchConfig,
+    SpatialTask,
+    rate_directions,
+    rate_positions,
+)
 from controllers.placement.spatial.sight import sees_all
 from controllers.placement.task import Lens, PlacementError
 from tests.controllers.placement.spatial.scenes import LENS, box, disc_target, random_occluders
@@ -36,7 +41,7 @@ def test_best_pair_is_the_best_of_all_pairs(targets):
         found = best_pair(fields, (FIRST, SECOND), config=COARSE)
         lists = []
         for system in (FIRST, SECOND):
-            rated = rate_directions(fields, system.lens, None, COARSE)
+            rated = rate_directions(SpatialTask(fields, system.lens, None, COARSE))
             lists.append([
                 rate_positions(fields[number], system.lens, place)[0]
                 for place, number in zip(rated.positions, rated.fields)
@@ -75,7 +80,7 @@ def test_each_still_sees_all_of_its_target_past_the_others_body():
         side /= np.linalg.norm(side)
         axes = np.array([side, np.cross(way, side), way])
         body = box("body", np.zeros(3), [FIRST.body_radius / 2**0.5] * 2 + [0.075])
-        rod = type(body)("body", body.vertices @ axes + other.position + 0.075 * way)
+        rod = type(body)("body", body.points @ axes + other.position + 0.075 * way)
         assert sees_all(field.target, [rod], [mine.position])[0]
 
 

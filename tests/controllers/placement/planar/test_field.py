@@ -10,13 +10,15 @@ from controllers.placement.planar.field import (
     EVERYTHING,
     NOTHING,
     SOMETHING,
+    HullCorners,
+    Intervals,
     add_blocked,
     blocked_interval,
     free_cap,
     hull_around,
 )
-from controllers.placement.planar.hulls import Occluder, convex_sum, expand
-from controllers.placement.task import Target
+from controllers.placement.planar.occluders import convex_sum, expand
+from controllers.placement.task import Occluder, Target
 
 SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 POINT = Target("hole", [0.0, 0.0], [1.0, 0.0], [[0.0, 0.0]])
@@ -56,17 +58,17 @@ def test_circle_through_the_square_cuts_its_interval():
 
 def test_hull_about_the_target_hides_it_from_everywhere():
     assert blocked_interval(SQUARE, 0, 4, 5.0)[0] == EVERYTHING
-    assert hull_around(SQUARE, np.array([0, 4])) == 0
-    assert free_cap(SQUARE, np.array([0, 4]), 0.0, 0.0, 5.0) == 0.0
+    assert hull_around(HullCorners(SQUARE, np.array([0, 4]))) == 0
+    assert free_cap(HullCorners(SQUARE, np.array([0, 4])), 0.0, 0.0, 5.0) == 0.0
 
 
 def test_wall_that_the_target_is_fixed_to_hides_half_a_turn():
     what, low, high = blocked_interval(SQUARE - [1.0, 0.0], 0, 4, 0.5)
     assert what == SOMETHING
     assert high - low == pytest.approx(math.pi)
-    assert free_cap(SQUARE - [1.0, 0.0], np.array([0, 4]), 0.0, 0.0, 5.0) == pytest.approx(
-        math.pi / 2
-    )
+    assert free_cap(
+        HullCorners(SQUARE - [1.0, 0.0], np.array([0, 4])), 0.0, 0.0, 5.0
+    ) == pytest.approx(math.pi / 2)
 
 
 def test_intervals_are_those_of_dense_rays():
@@ -94,12 +96,9 @@ def test_free_cap_changes_no_faster_than_the_camera_turns_and_falls_with_distanc
     for _ in range(30):
         hulls = [polygon(generator, 4.0 * np.array([math.cos(a), math.sin(a)]))
                  for a in generator.uniform(-np.pi, np.pi, 4)]  # fmt: skip
-        starts = np.cumsum([0, *map(len, hulls)])
-        points = np.concatenate(hulls)
+        packed = HullCorners(np.concatenate(hulls), np.cumsum([0, *map(len, hulls)]))
         angles = np.linspace(-1.5, 1.5, 200)
-        near, far = (
-            np.array([free_cap(points, starts, 0.3, a, r) for a in angles]) for r in (3.5, 4.5)
-        )
+        near, far = (np.array([free_cap(packed, 0.3, a, r) for a in angles]) for r in (3.5, 4.5))
         assert np.abs(np.diff(near)).max() <= angles[1] - angles[0] + 1e-12
         assert np.all(far <= near + 1e-12)
 
@@ -107,12 +106,13 @@ def test_free_cap_changes_no_faster_than_the_camera_turns_and_falls_with_distanc
 def test_added_intervals_are_the_union():
     generator = np.random.default_rng(3)
     for _ in range(50):
-        lows, highs, count = np.empty(21), np.empty(21), 0
+        intervals, count = Intervals(np.empty(21), np.empty(21)), 0
+        lows, highs = intervals
         grid, covered = np.linspace(0.0, 10.0, 4001), np.zeros(4001, dtype=bool)
         for _ in range(12):
             low = generator.uniform(0.0, 9.5)
             high = low + generator.uniform(0.0, 1.0)
-            count = add_blocked(lows, highs, count, low, high)
+            count = add_blocked(intervals, count, low, high)
             covered |= (grid >= low) & (grid <= high)
         assert np.all(lows[1:count] > highs[: count - 1])
         united = np.any((grid >= lows[:count, None]) & (grid <= highs[:count, None]), axis=0)
@@ -156,3 +156,8 @@ def test_occluder_without_area_is_refused_by_name(points):
 def test_target_in_space_is_refused_on_the_plane():
     with pytest.raises(ValueError, match="'hole': has three coordinates"):
         expand([], Target("hole", np.zeros(3), [0.0, 0.0, 1.0], np.zeros((1, 3))))
+
+
+def test_occluder_in_space_is_refused_on_the_plane_by_name():
+    with pytest.raises(ValueError, match="occluder 'box': has three coordinates, expected two"):
+        expand([Occluder("box", np.ones((4, 3)))], POINT)

@@ -6,25 +6,33 @@ import math
 import numpy as np
 import pytest
 
+from controllers.placement.planar.arc_search import arc_optimum
 from controllers.placement.planar.field import free_cap
-from controllers.placement.planar.hulls import Occluder, expand
-from controllers.placement.planar.kernels import arc_optimum
+from controllers.placement.planar.occluders import expand
 from controllers.placement.planar.search import (
-    Candidates,
-    KnownSpace,
     PlanarTask,
+    RingCandidates,
+    axis_of,
     best_view,
     exhaustive_view,
-    place_of,
     view_from,
 )
-from controllers.placement.task import Exponents, Lens, PlacementError, Target, rate_view
+from controllers.placement.planar.sight import KnownSpace
+from controllers.placement.task import (
+    Exponents,
+    Lens,
+    Occluder,
+    PlacementError,
+    Target,
+    rate_view,
+    rating_terms,
+)
 from experiments.ch4.planar.scenes import random_task
 
 LENS = Lens(0.72, 510, 1.0, 5.0)
 HOLE = Target("hole", [0.0, 0.0], [0.0, 1.0], [[-0.1, 0.0], [0.1, 0.0]])
 FREE = KnownSpace(np.full((240, 240), 0.0), 0.05, (-6.0, -6.0))
-FEW = Candidates(12, 128)
+FEW = RingCandidates(12, 128)
 EVEN = Exponents()
 
 
@@ -41,7 +49,7 @@ def wall_at(elevation):
 
 def test_wall_behind_the_hole_puts_the_camera_at_60_degrees_and_nearest():
     """RF ~ sin(phi) min(phi, 2 pi / 3 - phi) has its only peak at phi = pi / 3."""
-    view = best_view(task([wall_at(math.pi / 3)]), Candidates(64, 1000))
+    view = best_view(task([wall_at(math.pi / 3)]), RingCandidates(64, 1000))
     offset = view.position - HOLE.position
     assert math.degrees(math.atan2(offset[1], offset[0])) == pytest.approx(60.0, abs=0.01)
     assert view.distance == pytest.approx(LENS.near)
@@ -51,7 +59,7 @@ def test_wall_behind_the_hole_puts_the_camera_at_60_degrees_and_nearest():
 def test_nothing_in_the_way_puts_the_camera_head_on_and_nearest():
     view = best_view(task())
     np.testing.assert_allclose(view.position, [0.0, 1.0], atol=1e-9)
-    assert view.rating == pytest.approx(1.0 / (LENS.spread * 1.0) * math.pi / 2)
+    assert view.rating == pytest.approx(1.0 / (LENS.pixel_per_metre * 1.0) * math.pi / 2)
 
 
 @pytest.mark.parametrize("density", [0.05, 0.2, 0.35])
@@ -75,21 +83,20 @@ def test_fast_search_is_exact_under_any_exponents(values):
 
 def test_exhaustive_search_is_the_plain_loop_over_equation_4_1():
     scene = random_task(0.2, np.random.default_rng(5))
-    target, few = scene.targets[0], Candidates(6, 64)
-    hulls, place = expand(scene.occluders, target), place_of(target)
+    target, few = scene.targets[0], RingCandidates(6, 64)
+    hulls, axis = expand(scene.occluders, target).hulls, axis_of(target)
+    terms = rating_terms(scene.lens, target, EVEN)
     best = 0.0
     for radius in few.distances(scene.lens):
         for k in range(64):
             angle = 2.0 * math.pi * k / 64
-            direction = np.array([math.cos(place[2] + angle), math.sin(place[2] + angle)])
+            direction = np.array([math.cos(axis + angle), math.sin(axis + angle)])
             column, row = np.floor(target.position + radius * direction).astype(int)
             if not (0 <= row < 100 and 0 <= column < 100):
                 continue
-            cap = free_cap(hulls.points, hulls.starts, place[2], angle, radius)
-            rating = rate_view(
-                radius, cap, float(direction @ target.normal), scene.space.probability[row, column],
-                scene.lens.spread, scene.lens.near, scene.lens.far, 0.0, (1.0, 1.0, 1.0, 1.0),
-            )  # fmt: skip
+            cap = free_cap(hulls, axis, angle, radius)
+            occupancy = scene.space.probability[row, column]
+            rating = rate_view(terms, radius, cap, float(direction @ target.normal), occupancy)
             best = max(best, rating if cap > 0.0 else 0.0)
     assert exhaustive_view(scene, few, ["primary"]).rating == pytest.approx(best, rel=1e-9)
 
@@ -160,6 +167,6 @@ def test_impossible_maps_and_candidates_are_refused():
     with pytest.raises(ValueError, match="numbers from 0 to 1"):
         KnownSpace(np.array([[np.nan]]), 1.0)
     with pytest.raises(ValueError, match="directions 3"):
-        Candidates(1, 3)
+        RingCandidates(1, 3)
     with pytest.raises(ValueError, match="2 are called 'hole'"):
         task(targets=(HOLE, HOLE))

@@ -8,11 +8,9 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from controllers.placement.moving import cell_centres, covers
-from controllers.placement.planar.clusters import occluders_of_map
 from controllers.placement.planar.field import free_cap
-from controllers.placement.planar.hulls import expand
-from controllers.placement.planar.search import KnownSpace
-from controllers.placement.planar.sight import sees, sees_on_map, separated
+from controllers.placement.planar.occluders import expand, occluders_of_map
+from controllers.placement.planar.sight import KnownSpace, sees, sees_on_map, separated
 from controllers.placement.task import Target
 from experiments.ch4.planar.scenes import convex_obstacle
 
@@ -45,7 +43,7 @@ def hull_says_visible(occluders, target, camera):
     hulls = expand(occluders, target)
     offset = camera - target.position
     angle = math.atan2(offset[1], offset[0])
-    return free_cap(hulls.points, hulls.starts, angle, 0.0, float(np.hypot(*offset))) > 0.0
+    return free_cap(hulls.hulls, angle, 0.0, float(np.hypot(*offset))) > 0.0
 
 
 def test_a_target_visible_past_hulls_of_a_map_is_visible_on_the_map():

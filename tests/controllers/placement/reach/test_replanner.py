@@ -6,14 +6,9 @@ import numpy as np
 import pytest
 
 from controllers.placement.reach.replanner import Mover, ReplanConfig, Replanner
-from controllers.placement.spatial.occluders import (
-    Occluder,
-    before_plane,
-    expand,
-    occluders_of_voxels,
-)
-from controllers.placement.spatial.search import SearchConfig, best_view_of_all
-from controllers.placement.task import Lens, PlacementError, Target
+from controllers.placement.spatial.occluders import before_plane, expand, occluders_of_voxels
+from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view_of_all
+from controllers.placement.task import Lens, Occluder, PlacementError, Target
 from experiments.bench.mapping import frustum
 from experiments.ch3.stereo.mapping_scene import Scene, look_at, see
 from perception.voxels.grid import VoxelGrid
@@ -52,7 +47,7 @@ def exhaustive(voxels, margin=0.0):
     centres = before_plane(HOLE, voxels.grid.centres(voxels.occupied_cells()[0]), 0.035)
     near = np.abs(centres - HOLE.position).max(axis=1) < LENS.far
     field = expand(HOLE, occluders_of_voxels(centres[near], 0.02, 4), margin)
-    return best_view_of_all([field], LENS, voxels.probabilities, SEARCH)
+    return best_view_of_all(SpatialTask([field], LENS, voxels.probabilities, SEARCH))
 
 
 def test_replan_is_the_exhaustive_optimum_with_few_hulls_made(voxels):

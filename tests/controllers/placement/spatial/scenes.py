@@ -4,8 +4,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from controllers.placement.spatial.occluders import Occluder
-from controllers.placement.task import Lens, PlacementError, Target
+from controllers.placement.task import Lens, Occluder, PlacementError, Target
 
 LENS = Lens(field_of_view=0.72, pixels=510, near=0.127, far=0.6)
 
@@ -42,8 +41,8 @@ def random_occluders(rng, count, target):
             made = box(name, place, size * rng.uniform(0.3, 1.0, 3), Rotation.random(rng=rng))
         else:
             made = Occluder(name, place + size * rng.uniform(-1.0, 1.0, (8, 3)))
-        made = Occluder(name, made.vertices + target.position)
-        equations = ConvexHull(made.vertices).equations
+        made = Occluder(name, made.points + target.position)
+        equations = ConvexHull(made.points).equations
         if np.max(equations[:, :3] @ target.position + equations[:, 3]) > 2.0 * reach:
             found.append(made)
     return found

@@ -6,13 +6,8 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial.field import free_caps
-from controllers.placement.spatial.occluders import (
-    Occluder,
-    expand,
-    occluders_of_meshes,
-    occluders_of_voxels,
-)
-from controllers.placement.task import PlacementError, Target
+from controllers.placement.spatial.occluders import expand, occluders_of_meshes, occluders_of_voxels
+from controllers.placement.task import Occluder, PlacementError, Target
 from tests.controllers.placement.spatial.scenes import box, disc_target
 
 
@@ -85,10 +80,15 @@ def test_flat_sum_is_refused_by_name_unless_it_has_a_margin():
         expand(point, [wire])
 
 
-@pytest.mark.parametrize("vertices", [np.zeros((0, 3)), np.zeros((3, 2)), [[np.nan, 0, 0]]])
-def test_occluder_without_proper_points_is_refused_by_name(vertices):
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 4)), [[np.nan, 0, 0]]])
+def test_occluder_without_proper_points_is_refused_by_name(points):
     with pytest.raises(ValueError, match="occluder 'odd'"):
-        Occluder("odd", np.asarray(vertices))
+        Occluder("odd", np.asarray(points))
+
+
+def test_planar_occluder_is_refused_in_space_by_name():
+    with pytest.raises(ValueError, match="occluder 'flat': has two coordinates, expected three"):
+        expand(disc_target(), [Occluder("flat", np.ones((3, 2)))])
 
 
 def test_voxel_hulls_hold_every_voxel_and_leave_a_bay_free():
@@ -98,7 +98,7 @@ def test_voxel_hulls_hold_every_voxel_and_leave_a_bay_free():
     bay = (np.abs(keys[:, 0]) < 7) & (keys[:, 1] > -7)
     centres = (keys[~bay] + 0.5) * cell
     parts = occluders_of_voxels(centres, cell, tile=8)
-    planes = [ConvexHull(part.vertices).equations for part in parts]
+    planes = [ConvexHull(part.points).equations for part in parts]
     depths = [(centres @ p[:, :3].T + p[:, 3]).max(axis=1) for p in planes]
     np.testing.assert_allclose(np.min(depths, axis=0).max(), -cell / 2)
     field = expand(disc_target(position=[0.0, 0.0, 0.005]), parts)

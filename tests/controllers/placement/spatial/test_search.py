@@ -6,10 +6,11 @@ import itertools
 import numpy as np
 import pytest
 
-from controllers.placement.spatial.directions import direction_tree
+from controllers.placement.spatial.best_first import direction_tree
 from controllers.placement.spatial.occluders import before_plane, expand, occluders_of_voxels
 from controllers.placement.spatial.search import (
     SearchConfig,
+    SpatialTask,
     best_view,
     best_view_of_all,
     rate_directions,
@@ -70,17 +71,22 @@ def test_fast_search_finds_the_best_of_all_candidates():
         occupancy = patchy if case % 3 == 0 else None
         exponents = Exponents(*rng.uniform(0.3, 2.0, 4)) if case % 5 == 0 else Exponents()
         config = dataclasses.replace(COARSE, exponents=exponents)
-        slow = best_view_of_all(fields, LENS, occupancy, config)
-        fast = best_view(fields, LENS, occupancy, config=config)
+        task = SpatialTask(fields, LENS, occupancy, config)
+        slow = best_view_of_all(task)
+        fast = best_view(task)
         assert fast.rating == pytest.approx(slow.rating, rel=1e-12)
-        finer = best_view(fields, LENS, occupancy, config=dataclasses.replace(config, refine=True))
+        finer = best_view(
+            dataclasses.replace(task, config=dataclasses.replace(config, refine=True))
+        )
         assert finer.rating >= fast.rating * (1.0 - 1e-12)
 
 
 def test_candidates_come_in_falling_order_and_none_is_left_out():
     rng = np.random.default_rng(5)
     fields = random_fields(rng, 2)
-    ordered = np.array([view.rating for view in views_in_order(fields, LENS, patchy, COARSE)])
+    ordered = np.array(
+        [view.rating for view in views_in_order(SpatialTask(fields, LENS, patchy, COARSE))]
+    )
     assert np.all(np.diff(ordered) <= 1e-9 * ordered[1:])
     rings = np.geomspace(LENS.near, LENS.far, COARSE.rings)
     places = direction_tree(COARSE.level).leaves[:, None] * rings[:, None]
@@ -96,9 +102,9 @@ def test_candidates_come_in_falling_order_and_none_is_left_out():
 
 def test_each_direction_is_rated_at_its_best_distance():
     field = random_fields(np.random.default_rng(6))
-    rated = rate_directions(field, LENS, patchy, COARSE)
+    rated = rate_directions(SpatialTask(field, LENS, patchy, COARSE))
     best = {}
-    for view in views_in_order(field, LENS, patchy, COARSE):
+    for view in views_in_order(SpatialTask(field, LENS, patchy, COARSE)):
         way = tuple(np.round((view.position - field[0].target.position) / view.distance, 9))
         best.setdefault(way, view.rating)
     np.testing.assert_allclose(rated.ratings, sorted(best.values(), reverse=True), rtol=1e-9)
@@ -110,7 +116,7 @@ def test_wall_at_sixty_degrees_gives_five_inch_zero_and_sixty_degrees():
     slope = np.tan(np.pi / 3)
     foot = 0.05  # The expanded wall's upper edge is at x = -foot and z = slope * foot.
     wall = box("wall", [-foot - 0.06, 0.0, -0.5 + slope * foot], [0.05, 20.0, 0.5])
-    view = best_view([expand(target, [wall])], LENS)
+    view = best_view(SpatialTask([expand(target, [wall])], LENS))
     distance, azimuth, elevation = spherical(expand(target, [wall]), view.position)
     assert distance == pytest.approx(0.127, abs=1e-6)
     np.testing.assert_allclose(np.rad2deg([azimuth, elevation]), [0.0, 60.0], atol=0.25)
@@ -125,8 +131,11 @@ def test_views_are_offered_best_first_until_one_is_accepted():
         asked.append(view.rating)
         return len(asked) == 30
 
-    view = best_view(field, LENS, accept=accept, config=COARSE)
-    expected = [v.rating for v in itertools.islice(views_in_order(field, LENS, None, COARSE), 30)]
+    view = best_view(SpatialTask(field, LENS, config=COARSE), accept)
+    expected = [
+        v.rating
+        for v in itertools.islice(views_in_order(SpatialTask(field, LENS, None, COARSE)), 30)
+    ]
     assert asked == expected
     assert view.rating == expected[-1]
 
@@ -138,13 +147,13 @@ def test_cameras_only_stand_where_a_voxel_map_is_known_to_be_free():
     points = before_plane(target, voxels.grid.centres(cells), 0.02)
     parts = occluders_of_voxels(points, voxels.grid.resolution)
     lens = dataclasses.replace(LENS, near=0.2)
-    view = best_view([expand(target, parts)], lens, voxels.probabilities)
+    view = best_view(SpatialTask([expand(target, parts)], lens, voxels.probabilities))
     assert view.position[2] < 0.6
     assert view.occupancy < 0.05
     assert view.occupancy == voxels.probabilities(view.position[None])[0]
     behind = disc_target(position=[0.0, 0.0, 0.62])
     with pytest.raises(PlacementError, match="100% are not known to be free"):
-        best_view([expand(behind, [])], lens, voxels.probabilities)
+        best_view(SpatialTask([expand(behind, [])], lens, voxels.probabilities))
 
 
 def test_no_pose_is_answered_with_the_share_of_each_reason():
@@ -159,11 +168,12 @@ def test_no_pose_is_answered_with_the_share_of_each_reason():
     ]
     for search in (best_view, best_view_of_all):
         with pytest.raises(PlacementError, match=r"'hole': of 2048 .*% are hidden.*'(lid|side .)'"):
-            search([expand(disc_target(), [lid, *sides])], LENS, patchy, config=COARSE)
+            search(SpatialTask([expand(disc_target(), [lid, *sides])], LENS, patchy, COARSE))
+    field = expand(disc_target(), [])
     with pytest.raises(PlacementError, match="100% are not known to be free"):
-        best_view([expand(disc_target(), [])], LENS, lambda p: np.full(len(p), np.nan))
+        best_view(SpatialTask([field], LENS, lambda p: np.full(len(p), np.nan)))
     with pytest.raises(PlacementError, match="100% are refused"):
-        best_view([expand(disc_target(), [])], LENS, accept=lambda view: False, config=COARSE)
+        best_view(SpatialTask([field], LENS, config=COARSE), lambda view: False)
 
 
 def test_senseless_searches_are_refused():
@@ -172,4 +182,4 @@ def test_senseless_searches_are_refused():
     with pytest.raises(ValueError, match="rings 1"):
         SearchConfig(rings=1)
     with pytest.raises(ValueError, match="no target"):
-        best_view([], LENS)
+        SpatialTask([], LENS)

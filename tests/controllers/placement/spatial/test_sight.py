@@ -8,18 +8,18 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial.field import free_caps
-from controllers.placement.spatial.occluders import Occluder, expand
+from controllers.placement.spatial.occluders import expand
 from controllers.placement.spatial.sight import AVERTED, VISIBLE, first_hiding, sees_all
-from controllers.placement.task import PlacementError, Target
+from controllers.placement.task import Occluder, PlacementError, Target
 from tests.controllers.placement.spatial.scenes import box, disc_target, random_occluders
 
 
 def meets(camera, target, occluder):
     """Whether two hulls share a point: weights of both that give the same one (HiGHS)."""
     ours = np.vstack([camera, target.position + target.outline])
-    n, m = len(ours), len(occluder.vertices)
+    n, m = len(ours), len(occluder.points)
     equal = np.zeros((5, n + m))
-    equal[:3, :n], equal[:3, n:] = ours.T, -occluder.vertices.T
+    equal[:3, :n], equal[:3, n:] = ours.T, -occluder.points.T
     equal[3, :n], equal[4, n:] = 1.0, 1.0
     return linprog(np.zeros(n + m), A_eq=equal, b_eq=[0, 0, 0, 1, 1]).status == 0
 
@@ -45,7 +45,7 @@ def test_sight_is_what_a_linear_program_finds(kind):
             target = Target(kind, target.position, target.normal, outline)
         occluder = random_occluders(rng, 1, target)[0]
         cameras = target.position + rng.normal(size=(8, 3)) * 0.3
-        cameras[:4] = occluder.vertices.mean(axis=0) * 1.5 - target.position * 0.5
+        cameras[:4] = occluder.points.mean(axis=0) * 1.5 - target.position * 0.5
         cameras[:4] += rng.normal(scale=0.1, size=(4, 3))
         for camera, found in zip(cameras, first_hiding(target, [occluder], cameras)):
             if (camera - target.position) @ target.normal <= 0.0:
@@ -68,7 +68,7 @@ def test_dense_rays_of_a_visible_target_are_all_clear():
     points = target.position + weights @ target.outline
     clear = np.ones(len(cameras), dtype=bool)
     for block in blocks:
-        planes = ConvexHull(block.vertices).equations
+        planes = ConvexHull(block.points).equations
         for index, camera in enumerate(cameras):
             start, end = (
                 planes[:, :3] @ camera + planes[:, 3],
@@ -120,4 +120,4 @@ def test_a_fine_mesh_takes_no_more_room_than_its_corners():
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert found.tolist() == [0, VISIBLE]
-    assert most < 200 * ball.vertices.nbytes
+    assert most < 200 * ball.points.nbytes

@@ -8,15 +8,14 @@ import math
 import numpy as np
 import pytest
 
-from controllers.placement.planar.hulls import Occluder
 from controllers.placement.planar.search import (
-    Candidates,
-    KnownSpace,
     PlanarTask,
+    RingCandidates,
     exhaustive_view,
     view_from,
 )
-from controllers.placement.task import Lens, Target
+from controllers.placement.planar.sight import KnownSpace
+from controllers.placement.task import Lens, Occluder, Target
 from experiments.ch4.montecarlo import montecarlo as ch4_montecarlo
 from experiments.ch4.montecarlo.montecarlo import CHUNK, TABLE_4_1, Options, run, succeeded
 from experiments.ch4.montecarlo.orderings import compare_all, second_chance
@@ -141,7 +140,7 @@ def test_optimal_pose_is_the_exhaustive_optimum_of_the_same_task():
         lens = Lens(CAMERA.field_of_view[0], CAMERA.width, near, far)
         space = KnownSpace(world.occupied, SCENARIO.cell, (-half, -half))
         task = PlanarTask(targets, lens, (*occluders, Occluder("object", body)), space)
-        best = exhaustive_view(task, Candidates(RINGS, DIRECTIONS))
+        best = exhaustive_view(task, RingCandidates(RINGS, DIRECTIONS))
         chosen = view_from(
             dataclasses.replace(task, lens=dataclasses.replace(lens, near=near * (1 - 1e-9))),
             np.array([x, y]),

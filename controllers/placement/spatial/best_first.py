@@ -1,33 +1,111 @@
-"""The compiled part of the search in space: candidates one by one, and best first."""
+"""Directions before a target in a tree, and searches over them: exhaustive, and best first.
+
+The tree is the upper half of an octahedron, each triangle cut into four level by level. The
+triangles of the last level stand for their centres: those are the directions that a search tries.
+The rest is compiled.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+import functools
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.placement.spatial.field import signed_cap
-from controllers.placement.task import FREE_BELOW, rate_view
+from controllers.placement.task import FREE_BELOW, FloatArray, rate_view, sharpness
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+MAX_LEVEL = 8
 _SAFE = 1.0 + 1e-12  # Keeps a bound above what it bounds in spite of rounding.
 
 
-class Candidates(NamedTuple):
-    """What a search chooses among: every direction of a tree at every ring.
+@dataclasses.dataclass(frozen=True)
+class DirectionTree:
+    """All triangles of all levels; those within triangle k are 4 k + 4 to 4 k + 7.
 
     Attributes:
-        centres: (N, 3) of the tree's triangles, target's frame.
-        radii: (N,) [rad].
+        centres: (N, 3) unit vectors, z along the target's normal.
+        radii: (N,) largest angle from the centre to a point of the triangle [rad].
+        level: Of the last triangles; the first four have level 0.
         first_leaf: Number of the first triangle of the last level.
-        rings: (R,) distances, growing [m].
-        occupancy: (leaves, R) P at each candidate.
-        ring: (N,) first ring at which a leaf within the triangle is free, R if none.
-        lowest: (N,) least P of all leaves within the triangle.
+    """
+
+    centres: FloatArray
+    radii: FloatArray
+    level: int
+    first_leaf: int
+
+    @property
+    def leaves(self) -> FloatArray:
+        """(4^(level + 1), 3) directions that a search tries."""
+        return self.centres[self.first_leaf :]
+
+    def least(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return (N,) the least of the leaves' values (leaves,) within each triangle."""
+        parts = [values]
+        while len(parts[0]) > 4:  # noqa: PLR2004
+            parts.insert(0, parts[0].reshape(-1, 4).min(axis=1))
+        return np.concatenate(parts)
+
+
+@functools.cache
+def direction_tree(level: int) -> DirectionTree:
+    """Return the tree down to a level: 4^(level + 1) directions.
+
+    Args:
+        level: 0 to `MAX_LEVEL`; at 5 neighbours are about 2 deg apart, at 6 about 1 deg.
+
+    Raises:
+        ValueError: If it is another.
+    """
+    if not 0 <= level <= MAX_LEVEL:
+        raise ValueError(f"level {level}: expected 0 to {MAX_LEVEL}")
+    x, y, top = np.eye(3)
+    corners = np.array([[x, y, top], [y, -x, top], [-x, -y, top], [-y, x, top]])
+    centres: list[FloatArray] = []
+    radii: list[FloatArray] = []
+    for step in range(level + 1):
+        if step:
+            corners = _quartered(corners)
+        middle = corners.sum(axis=1)
+        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+        centres.append(middle)
+        # Half chords keep small angles exact.
+        chord = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
+        radii.append(2.0 * np.arcsin(chord / 2.0))
+    first = sum(len(part) for part in centres[:-1])
+    tree = DirectionTree(np.concatenate(centres), np.concatenate(radii), level, first)
+    tree.centres.setflags(write=False)
+    tree.radii.setflags(write=False)
+    return tree
+
+
+def _quartered(corners: FloatArray) -> FloatArray:
+    """Return (4 N, 3, 3) corners of the four parts of each of N triangles, in order."""
+    middles = corners + np.roll(corners, -1, axis=1)
+    middles /= np.linalg.norm(middles, axis=2, keepdims=True)
+    a, b, c = (corners[:, i] for i in range(3))
+    ab, bc, ca = (middles[:, i] for i in range(3))
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return np.stack([np.stack(part, axis=1) for part in parts], axis=1).reshape(-1, 3, 3)
+
+
+class TreeCandidates(NamedTuple):
+    """Candidates of a search in space: every direction of a tree at every ring.
+
+    Attributes:
+        centres: (N, 3) centres of the tree's triangles, unit vectors in the target's frame.
+        radii: (N,) largest angle from the centre to a point of the triangle [rad].
+        first_leaf: Index of the first triangle of the last level.
+        rings: (R,) distances from the target [m], ascending.
+        occupancy: (leaves, R) probability of occupancy at each candidate.
+        ring: (N,) index of the first ring at which a leaf within the triangle is free, R if none.
+        lowest: (N,) least probability of occupancy of all leaves within the triangle.
     """
 
     centres: FloatArray
@@ -39,23 +117,13 @@ class Candidates(NamedTuple):
     lowest: FloatArray
 
 
-class Terms(NamedTuple):
-    """What the rating depends on besides the place; see `task.rate_view`."""
-
-    spread: float
-    near: float
-    far: float
-    relation_error: float
-    exponents: tuple[float, float, float, float]
-
-
 class Heap(NamedTuple):
-    """A binary heap, the largest key first.
+    """A binary heap with the largest key first.
 
     Attributes:
-        keys: (C,) ratings, or bounds of them.
-        items: (C,) what they are of.
-        size: (1,) how many.
+        keys: (C,) ratings, or bounds of ratings [1/m].
+        items: (C,) code of the node, the ring and the kind of each entry.
+        size: (1,) number of entries.
     """
 
     keys: FloatArray
@@ -64,30 +132,30 @@ class Heap(NamedTuple):
 
 
 @numba.njit(cache=True)
-def rate(terms, radius, cap, cosine, occupancy):
-    """Return eq. 4-1 of one view; 0 where the target is hidden, whatever the exponents."""
-    if cap <= 0.0 or cosine <= 0.0:
-        return 0.0
-    return rate_view(
-        radius, cap, cosine, occupancy, terms.spread, terms.near, terms.far, terms.relation_error,
-        terms.exponents,
-    )  # fmt: skip
-
-
-@numba.njit(cache=True)
 def rate_places(hulls, terms, directions, distances, occupancy):
-    """Return (N,) ratings of cameras in directions (N, 3) of the target's frame."""
+    """Rate cameras in directions (N, 3) of the target's frame.
+
+    Args:
+        hulls: `HullParts` of the expanded occluders.
+        terms: `RatingTerms` of the task.
+        directions: (N, 3) unit vectors to the cameras, target's frame.
+        distances: (N,) distances of the cameras [m].
+        occupancy: (N,) probability of occupancy at the cameras.
+
+    Returns:
+        (N,) ratings [1/m].
+    """
     ratings = np.empty(len(directions))
     for i in range(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
         cap, _ = signed_cap(hulls, x, y, z, distances[i])
-        ratings[i] = rate(terms, distances[i], cap, z, occupancy[i])
+        ratings[i] = rate_view(terms, distances[i], cap, z, occupancy[i])
     return ratings
 
 
 @numba.njit(cache=True)
 def best_of_all(hulls, terms, directions, rings, occupancy):
-    """Rate every candidate, one by one; return the best rating, its direction and ring."""
+    """Rate every candidate; return the best rating and the indices of its direction and ring."""
     best, leaf, ring = 0.0, -1, -1
     for i in range(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -95,7 +163,7 @@ def best_of_all(hulls, terms, directions, rings, occupancy):
             if occupancy[i, k] >= FREE_BELOW:
                 continue
             cap, _ = signed_cap(hulls, x, y, z, rings[k])
-            rating = rate(terms, rings[k], cap, z, occupancy[i, k])
+            rating = rate_view(terms, rings[k], cap, z, occupancy[i, k])
             if rating > best:
                 best, leaf, ring = rating, i, k
     return best, leaf, ring
@@ -103,7 +171,7 @@ def best_of_all(hulls, terms, directions, rings, occupancy):
 
 @numba.njit(cache=True)
 def best_of_each(hulls, terms, candidates, ratings, chosen):
-    """Fill in, for every direction, the best rating over the rings (leaves,) and its ring."""
+    """Write the best rating of every direction over the rings, and the index of its ring."""
     rings = candidates.rings
     for leaf in range(len(ratings)):
         node = candidates.first_leaf + leaf
@@ -113,7 +181,7 @@ def best_of_each(hulls, terms, candidates, ratings, chosen):
             cap, _ = signed_cap(hulls, centre[0], centre[1], centre[2], rings[k])
             if cap <= 0.0:
                 break
-            rating = rate(terms, rings[k], cap, centre[2], candidates.occupancy[leaf, k])
+            rating = rate_view(terms, rings[k], cap, centre[2], candidates.occupancy[leaf, k])
             if rating > ratings[leaf]:
                 ratings[leaf], chosen[leaf] = rating, k
             if _bound(terms, rings[k], cap, centre[2], candidates.lowest[node]) <= ratings[leaf]:
@@ -122,7 +190,7 @@ def best_of_each(hulls, terms, candidates, ratings, chosen):
 
 @numba.njit(cache=True)
 def count_reasons(hulls, directions, rings, occupancy, hiding):
-    """Count the candidates that are not free; add to `hiding` (H,) those that each hull hides."""
+    """Return how many candidates are not free; add to ``hiding`` (H,) those that a hull hides."""
     not_free = 0
     for i in range(len(directions)):
         x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -138,17 +206,17 @@ def count_reasons(hulls, directions, rings, occupancy, hiding):
 
 @numba.njit(cache=True)
 def start(hulls, terms, candidates, heap):
-    """Put the whole half sphere on an empty heap."""
+    """Push the whole half sphere on an empty heap."""
     for node in range(min(4, len(candidates.centres))):
         _open(hulls, terms, candidates, heap, node)
 
 
 @numba.njit(cache=True)
 def following(hulls, terms, candidates, heap):
-    """Return the next best candidate: rating, leaf and ring; leaf -1 when there is none left.
+    """Return rating, leaf and ring of the next best candidate; leaf is -1 if there is none.
 
-    On the heap are triangles with a bound of all that is within, leaves with a bound from some ring
-    on, and rated candidates. What comes off first is beaten by nothing that is left.
+    The heap holds triangles with a bound of all that is within, leaves with a bound from some ring
+    on, and rated candidates. Nothing that is left beats what comes off first.
     """
     rings = len(candidates.rings)
     while heap.size[0] > 0:
@@ -166,19 +234,18 @@ def following(hulls, terms, candidates, heap):
 
 @numba.njit(cache=True)
 def _bound(terms, radius, cap, cosine, occupancy):
-    """Return `rate` without the sharp ends: what no view in a box can beat."""
-    exponents = terms.exponents
+    """Return an upper bound of `rate_view` for all views that are no nearer and no better."""
     return _SAFE * (
-        (1.0 / (radius * terms.spread + terms.relation_error)) ** exponents[1]
-        * min(cap, 0.5 * np.pi) ** exponents[2]
-        * cosine ** exponents[3]
+        sharpness(terms, radius)
+        * min(cap, 0.5 * np.pi) ** terms.field_exponent
+        * cosine**terms.angle_exponent
         * (1.0 - occupancy)
     )
 
 
 @numba.njit(cache=True)
 def _open(hulls, terms, candidates, heap, node):
-    """Put a triangle on the heap, if anything in it may be seen from.
+    """Push a triangle on the heap, if the target may be visible from within it.
 
     Resolution and free cap fall with the distance, so its nearest free ring bounds it; the cap is
     1-Lipschitz in the direction.
@@ -209,7 +276,7 @@ def _try_leaf(hulls, terms, candidates, heap, node, ring):
         return  # Farther away it is hidden as well.
     occupancy = candidates.occupancy[leaf, ring]
     item = 2 * (rings * node + ring)
-    rating = rate(terms, candidates.rings[ring], cap, centre[2], occupancy)
+    rating = rate_view(terms, candidates.rings[ring], cap, centre[2], occupancy)
     if rating > 0.0:
         _push(heap, rating, item + 1)
     if ring + 1 < rings:

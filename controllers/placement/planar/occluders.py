@@ -1,0 +1,229 @@
+"""Occluders on the plane: clusters of a map, and their expansion by the target.
+
+Thesis section 4.2.3.3 (i) and (ii). Expanding an occluder by the mirrored target shrinks the
+target to a point: if the line from camera to that point misses the hull of the sum, the whole
+target is visible.
+
+On an occupancy map, clusters of occupied cells are occluders. The hull of a cluster that is not
+convex, for instance the wall of a room, would hide what stands free in it. So a cluster is halved
+across its longer side until its cells fill most of their hull.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import ConvexHull, QhullError
+
+from controllers.placement.planar.field import HullCorners
+from controllers.placement.planar.sight import OCCUPIED_ABOVE, KnownSpace, own_cells
+from controllers.placement.task import FloatArray, Occluder, Target
+
+Cells = NDArray[np.int64]
+
+FLAT = 1e-9
+"""Area of a hull over its circumference squared below which the hull is flat."""
+MIN_HULL_FILL = 0.85
+"""Share of a hull that the cells of its cluster must fill."""
+MAX_UNDIVIDED_CELLS = 2
+"""Width and height up to which a cluster is not halved [cells]."""
+_CELL_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+
+# The compiler's decorator has no types.
+_njit: Any = numba.njit(cache=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class ExpandedOccluders:
+    """Expanded occluders as seen from one target.
+
+    Attributes:
+        names: Names of the occluders, one for each hull.
+        hulls: Corners of the hulls, from the target.
+    """
+
+    names: tuple[str, ...]
+    hulls: HullCorners
+
+    def hull(self, index: int) -> FloatArray:
+        """Return the corners (K, 2) of one hull [m], from the target."""
+        points, starts = self.hulls
+        return points[starts[index] : starts[index + 1]]
+
+
+def hull_corners(name: str, points: FloatArray) -> FloatArray:
+    """Return the corners (K, 2) of points' convex hull [m], anticlockwise.
+
+    Args:
+        name: Name of the occluder, for the error.
+        points: (N, 2) [m].
+
+    Raises:
+        ValueError: If all points are in one line or at one place.
+    """
+    flat = f"occluder {name!r}: its {len(points)} points are in one line with nothing to widen them"
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        raise ValueError(flat + "; give it a thickness") from None
+    if hull.volume <= FLAT * hull.area**2:
+        raise ValueError(flat + "; give it a thickness")
+    return points[hull.vertices]
+
+
+def expand(occluders: Sequence[Occluder], target: Target) -> ExpandedOccluders:
+    """Expand occluders by a target: hull of the Minkowski sum with the mirrored outline.
+
+    An occluder may be a line, where the target's outline gives the sum an area.
+
+    Args:
+        occluders: Planar occluders.
+        target: Planar target.
+
+    Raises:
+        ValueError: If the target or an occluder is not planar, or a sum is flat; the message names
+            the offender.
+    """
+    if len(target.position) != 2:  # noqa: PLR2004
+        raise ValueError(f"target {target.name!r}: has three coordinates, expected a planar one")
+    hulls: list[FloatArray] = []
+    for occluder in occluders:
+        if occluder.points.shape[1] != 2:  # noqa: PLR2004
+            raise ValueError(f"occluder {occluder.name!r}: has three coordinates, expected two")
+        sums = (occluder.points - target.position)[:, None] - target.outline
+        hulls.append(hull_corners(occluder.name, sums.reshape(-1, 2)))
+    starts = np.cumsum([0, *(len(hull) for hull in hulls)]).astype(np.int64)
+    points = np.concatenate(hulls) if hulls else np.zeros((0, 2))
+    corners = HullCorners(np.ascontiguousarray(points), starts)
+    return ExpandedOccluders(tuple(occluder.name for occluder in occluders), corners)
+
+
+@_njit
+def convex_sum(first: FloatArray, second: FloatArray, out: FloatArray) -> int:
+    """Write the Minkowski sum of two convex polygons by merging their edges by direction.
+
+    For scenes drawn by the thousand, where no general hull is needed.
+
+    Args:
+        first: (N, 2) corners of one polygon, anticlockwise; two corners are a line.
+        second: (M, 2) corners of the other polygon, anticlockwise.
+        out: (N + M, 2) receives the corners of the sum, anticlockwise.
+
+    Returns:
+        Number of corners of the sum.
+    """
+    n, m = len(first), len(second)
+    i = j = 0
+    for k in range(1, n):
+        if first[k, 1] < first[i, 1] or (first[k, 1] == first[i, 1] and first[k, 0] < first[i, 0]):
+            i = k
+    for k in range(1, m):
+        if second[k, 1] < second[j, 1] or (
+            second[k, 1] == second[j, 1] and second[k, 0] < second[j, 0]
+        ):
+            j = k
+    a = b = count = 0
+    while a < n or b < m:
+        p, q = (i + a) % n, (j + b) % m
+        out[count, 0] = first[p, 0] + second[q, 0]
+        out[count, 1] = first[p, 1] + second[q, 1]
+        count += 1
+        p2, q2 = (p + 1) % n, (q + 1) % m
+        turn = (first[p2, 0] - first[p, 0]) * (second[q2, 1] - second[q, 1]) - (
+            first[p2, 1] - first[p, 1]
+        ) * (second[q2, 0] - second[q, 0])
+        # Both begin at their lowest corners, so the edges' directions rise from 0 to a full turn.
+        if b >= m or (a < n and _before(first, p, p2, second, q, q2, turn)):
+            a += 1
+        else:
+            b += 1
+    return count
+
+
+@_njit
+def _before(
+    first: FloatArray, p: int, p2: int, second: FloatArray, q: int, q2: int, turn: float
+) -> bool:
+    """Tell whether one edge's direction, from 0 to a full turn, comes before another's."""
+    down_first = _downwards(first, p, p2)
+    down_second = _downwards(second, q, q2)
+    if down_first != down_second:
+        return down_second
+    return turn >= 0.0
+
+
+@_njit
+def _downwards(corners: FloatArray, a: int, b: int) -> bool:
+    """Tell whether an edge's direction is from half a turn on."""
+    dy = corners[b, 1] - corners[a, 1]
+    return dy < 0.0 or (dy == 0.0 and corners[b, 0] < corners[a, 0])
+
+
+def occluders_of_map(
+    space: KnownSpace, targets: Sequence[Target] = (), filled: float = MIN_HULL_FILL
+) -> tuple[Occluder, ...]:
+    """Return the hulls of the clusters of occupied cells, P > 0.5, of a map.
+
+    Args:
+        space: Occupancy map.
+        targets: Targets whose own cells, those that touch their outlines, are no occluders.
+        filled: Share of a hull that its cells must fill, or the cluster is halved; 0 halves none.
+
+    Returns:
+        Occluders in the world, named ``cluster 1``, ``cluster 2`` and so on; parts of one cluster
+        are named ``cluster 1.1``, ``cluster 1.2``.
+
+    Raises:
+        ValueError: If ``filled`` is not from 0 up to below 1.
+    """
+    if not 0.0 <= filled < 1.0:
+        raise ValueError(f"filled {filled}: expected from 0 up to below 1")
+    opaque = space.probability > OCCUPIED_ABOVE
+    for target in targets:
+        opaque &= ~own_cells(space, target)
+    labels, _ = ndimage.label(opaque, structure=np.ones((3, 3)))
+    occluders: list[Occluder] = []
+    for number, window in enumerate(ndimage.find_objects(labels), start=1):
+        first = np.array([window[0].start, window[1].start])
+        parts = _halve(np.argwhere(labels[window] == number) + first, filled)
+        for index, corners in enumerate(parts, start=1):
+            name = f"cluster {number}" + (f".{index}" if len(parts) > 1 else "")
+            world = corners[:, ::-1] * space.cell + np.asarray(space.origin)
+            occluders.append(Occluder(name, world))
+    return tuple(occluders)
+
+
+def _halve(cells: Cells, filled: float) -> list[FloatArray]:
+    """Return hull corners (K, 2) (row, column) of cells, or of their halves."""
+    corners, area = _hull(cells)
+    extent = cells.max(axis=0) - cells.min(axis=0) + 1
+    if len(cells) >= filled * area or extent.max() <= MAX_UNDIVIDED_CELLS:
+        return [corners]
+    axis = int(np.argmax(extent))
+    middle = cells[:, axis].min() + extent[axis] // 2
+    below = cells[:, axis] < middle
+    return _halve(cells[below], filled) + _halve(cells[~below], filled)
+
+
+def _hull(cells: Cells) -> tuple[FloatArray, float]:
+    """Return hull corners (K, 2) of whole cells and the hull's area, in cells.
+
+    Only the first and the last cell of a row can be at the hull.
+    """
+    low, high = cells.min(axis=0), cells.max(axis=0) + 1
+    if len(cells) == np.prod(high - low):
+        box = np.array([low, [low[0], high[1]], high, [high[0], low[1]]], dtype=float)
+        return box, float(len(cells))
+    order = np.lexsort((cells[:, 1], cells[:, 0]))
+    cells = cells[order]
+    new_row = np.diff(cells[:, 0]) != 0
+    ends = cells[np.r_[True, new_row] | np.r_[new_row, True]]
+    points = (ends[:, None] + _CELL_CORNERS).reshape(-1, 2).astype(float)
+    hull = ConvexHull(points)
+    return points[hull.vertices], float(hull.volume)
