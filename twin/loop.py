@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from typing import NamedTuple
 
 from twin.clock import Clock
 from twin.robot import Command, Controller, Lifecycle, Observation, Robot, RobotError
@@ -13,45 +13,31 @@ from twin.robot import Command, Controller, Lifecycle, Observation, Robot, Robot
 _ERROR = Lifecycle.ERROR
 
 
-class LoopRecorder(Protocol):
+class Tick(NamedTuple):
+    """What one tick of the loop was.
+
+    Attributes:
+        step: Number of the tick, from 0.
+        time: Robot time [s].
+        observations: What each robot observed, by robot name.
+        applied: Duty that was really applied, by robot name.
+    """
+
+    step: int
+    time: float
+    observations: Mapping[str, Observation]
+    applied: Mapping[str, Command]
+
+
+class LoopRecorder:
     """What the loop asks of a recorder."""
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
-        ...
+        raise NotImplementedError
 
     def flush(self) -> None:
-        """Bring everything taken so far to its place; nothing, unless it is buffered."""
-
-
-class Recorders:
-    """Several recorders as one."""
-
-    def __init__(self, recorders: Sequence[LoopRecorder]) -> None:
-        """Pass on to these."""
-        self._recorders = recorders
-
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
-        """Take one tick."""
-        for recorder in self._recorders:
-            recorder.record(step, time, observations, applied)
-
-    def flush(self) -> None:
-        """Bring everything to its place."""
-        for recorder in self._recorders:
-            recorder.flush()
+        """Bring everything taken so far to its place, when a run ends; here nothing is buffered."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +61,7 @@ def run(
     robots: Mapping[str, Robot],
     controllers: Sequence[Controller],
     clock: Clock,
-    recorder: LoopRecorder | None = None,
+    recorders: Sequence[LoopRecorder] = (),
     duration: float = 10.0,
     until: Callable[[], bool] | None = None,
 ) -> RunSummary:
@@ -88,7 +74,7 @@ def run(
         robots: By name.
         controllers: Each sees all observations and commands robots that no other one commands.
         clock: Paces the loop.
-        recorder: Takes every tick; None for none. It is flushed, not closed.
+        recorders: Take every tick, in this order; they are flushed, not closed.
         duration: Robot time to run for, at most [s].
         until: Asked after each tick; the run ends when it says yes.
 
@@ -116,20 +102,22 @@ def run(
                     if name in applied or name not in robots:
                         raise _wrong_target(name, robots)
                     applied[name] = robots[name].command(command)
-            if recorder is not None:
-                recorder.record(step, clock.time, observations, applied)
+            if recorders:
+                tick = Tick(step, clock.time, observations, applied)
+                for recorder in recorders:
+                    recorder.record(tick)
             clock.tick()
             done = step + 1
             if until is not None and until():
                 break
     except BaseException as error:
         try:
-            _end(robots, recorder)
+            _end(robots, recorders)
         except RobotError as another:
             # What ended the run is what the caller must hear of first.
             error.add_note(f"and at the end: {another}")
         raise
-    _end(robots, recorder)
+    _end(robots, recorders)
     return RunSummary(done, clock.time - begin, time.perf_counter() - wall, clock.misses - missed)
 
 
@@ -139,7 +127,7 @@ def _wrong_target(name: str, robots: Mapping[str, Robot]) -> ValueError:
     return ValueError(f"a controller commands unknown robot {name!r}; there are {list(robots)}")
 
 
-def _end(robots: Mapping[str, Robot], recorder: LoopRecorder | None) -> None:
+def _end(robots: Mapping[str, Robot], recorders: Sequence[LoopRecorder]) -> None:
     """Deactivate every robot and flush, even when one of them cannot be reached any more."""
     errors: list[RobotError] = []
     for robot in robots.values():
@@ -147,7 +135,7 @@ def _end(robots: Mapping[str, Robot], recorder: LoopRecorder | None) -> None:
             robot.deactivate()
         except RobotError as error:
             errors.append(error)
-    if recorder is not None:
+    for recorder in recorders:
         recorder.flush()
     if errors:
         raise errors[0]

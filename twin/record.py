@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import types
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -20,7 +21,8 @@ import rerun.blueprint as rrb
 import tyro
 
 from twin.layout import default_blueprint
-from twin.robot import ARM_JOINTS, WHEELS, Channel, Command, FloatArray, Observation, Validity
+from twin.loop import LoopRecorder, Tick
+from twin.robot import ARM_JOINTS, WHEELS, Channel, FloatArray, Robot, Validity
 from twin.scene_mesh import body_mesh
 from twin.screenshot import screenshot
 from twin.sensors import CHANNEL_WIDTHS
@@ -70,7 +72,7 @@ class _Curve:
     values: list[FloatArray] = dataclasses.field(default_factory=list[FloatArray])
 
 
-class Recorder:
+class Recorder(LoopRecorder):
     """Writes a run to a file; an argument of `twin.loop.run`.
 
     Controllers and experiments add their own curves by `log_scalars` and `log_band`.
@@ -79,6 +81,7 @@ class Recorder:
     def __init__(
         self,
         path: Path | str,
+        robots: Mapping[str, Robot] = types.MappingProxyType({}),
         simulation: Simulation | None = None,
         blueprint: rrb.Blueprint | None = None,
         config: RecorderConfig | None = None,
@@ -87,6 +90,7 @@ class Recorder:
 
         Args:
             path: File to write, ``.rrd``; folders are made.
+            robots: Robots that are recorded, by name.
             simulation: Scene whose bodies are recorded; None for real robots.
             blueprint: Layout of the viewer; None for `default_blueprint`.
             config: How densely to record.
@@ -95,8 +99,7 @@ class Recorder:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._config = config or RecorderConfig()
         self._stream = rr.RecordingStream("fieldtwin")
-        names = list(simulation.robots) if simulation is not None else []
-        self._stream.save(self.path, default_blueprint=blueprint or default_blueprint(names))
+        self._stream.save(self.path, default_blueprint=blueprint or default_blueprint(list(robots)))
         self._curves: dict[str, _Curve] = {}
         self._named: set[str] = set()
         self._step, self._time = 0, 0.0
@@ -119,35 +122,22 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
-        """Take one servo tick.
-
-        Args:
-            step: Number of the tick.
-            time: Robot time [s].
-            observations: By robot name; channels that say nothing new are left out.
-            applied: Duty by robot name.
-        """
-        self._step, self._time = step, time
-        for name, observation in observations.items():
+    def record(self, tick: Tick) -> None:
+        """Take one servo tick; channels that say nothing new are left out."""
+        self._step, self._time = tick.step, tick.time
+        for name, observation in tick.observations.items():
             for channel in CHANNEL_WIDTHS:
                 self._take_channel(name, channel, getattr(observation, channel))
             if observation.stereo.validity is not Validity.MISSING:
                 self._take_stereo(name, observation.stereo)
-        for name, command in applied.items():
+        for name, command in tick.applied.items():
             self.log_scalars(f"{name}/duty/wheels", command.wheels, WHEELS)
             self.log_scalars(f"{name}/duty/arm", command.arm, ARM_JOINTS)
-        if time >= self._next_bodies - _SLACK:
-            self._next_bodies = time + 1.0 / self._config.body_rate
+        if tick.time >= self._next_bodies - _SLACK:
+            self._next_bodies = tick.time + 1.0 / self._config.body_rate
             self._take_bodies()
-        if time >= self._next_flush - _SLACK:
-            self._next_flush = time + self._config.flush_period
+        if tick.time >= self._next_flush - _SLACK:
+            self._next_flush = tick.time + self._config.flush_period
             self._write_curves()
 
     def log_scalars(

@@ -29,7 +29,7 @@ from twin.hardware.connect_boards import (
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import SerialLink
-from twin.loop import LoopRecorder, run
+from twin.loop import LoopRecorder, Tick, run
 from twin.robot import ArmMode, Channel, Command, Observation, RobotError, WheelMode
 
 SPEED = 3.0  # [rad/s] of the wheels
@@ -45,15 +45,9 @@ class _Keep(LoopRecorder):
     def __init__(self) -> None:
         self.ticks: list[tuple[Observation, Command]] = []
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
-        self.ticks.append((observations[ROBOT], applied[ROBOT]))
+        self.ticks.append((tick.observations[ROBOT], tick.applied[ROBOT]))
 
 
 def compare_boards(config: dict[str, Any]) -> dict[str, Any]:
@@ -78,7 +72,7 @@ def compare_boards(config: dict[str, Any]) -> dict[str, Any]:
         placements = [RobotPlacement(ROBOT)]
         with connect(target, robots=placements, seed=seed, line_faults=faults) as connection:
             with contextlib.suppress(RobotError):  # Then there are fewer cycles than were wanted.
-                run(connection.robots, [controller], connection.clock, keep, identifier.total)
+                run(connection.robots, [controller], connection.clock, [keep], identifier.total)
             if connection.emulator is not None:
                 damaged = sum(connection.emulator.state()[ROBOT]["damage"].values())
     pairs = zip(kept["quantised"].ticks, kept["emulated"].ticks)

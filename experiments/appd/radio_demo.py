@@ -17,7 +17,7 @@ from twin.connect import connect
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.messages import PoseMessage, WrenchMessage, unpack
-from twin.loop import LoopRecorder, Recorders
+from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 from twin.record import Recorder
 from twin.robot import ArmMode, Command, Observation, WheelMode
@@ -147,15 +147,9 @@ class _Truth(LoopRecorder):
         self.rows: list[list[float]] = []
         self._bodies = [data.body(f"{name}/chassis") for name in ROBOTS]
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Keep one tick."""
-        self.rows.append([time, *(float(x) for body in self._bodies for x in body.xpos[:2])])
+        self.rows.append([tick.time, *(float(x) for body in self._bodies for x in body.xpos[:2])])
 
 
 def converse(
@@ -181,12 +175,12 @@ def converse(
         connection = stack.enter_context(connect(robot, robots=PLACEMENTS, field=FIELD, seed=noise))
         assert connection.simulation is not None
         truth = _Truth(connection.simulation.data)
-        recorders: list[Any] = [truth]
+        recorders: list[LoopRecorder] = [truth]
         if record is not None:
-            recorders.append(stack.enter_context(Recorder(record, connection.simulation)))
-        run_loop(
-            connection.robots, [conversation], connection.clock, Recorders(recorders), duration
-        )
+            recorders.append(
+                stack.enter_context(Recorder(record, connection.robots, connection.simulation))
+            )
+        run_loop(connection.robots, [conversation], connection.clock, recorders, duration)
     result: dict[str, Any] = {"truth": np.array(truth.rows)}
     for rover in conversation.rovers:
         known = dataclasses.asdict(rover.knowledge)

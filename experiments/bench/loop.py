@@ -13,7 +13,7 @@ from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.clock import SimClock
-from twin.loop import LoopRecorder, run
+from twin.loop import LoopRecorder, Tick, run
 from twin.robot import ArmMode, Command, FloatArray, Observation, WheelMode
 from twin.simulation import Simulation
 
@@ -59,15 +59,9 @@ class VoltageRecorder(LoopRecorder):
         self.voltages: list[np.ndarray] = []
         self._data = data
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Keep the voltages that the tick before this one ended with."""
-        if step > 0:
+        if tick.step > 0:
             self.voltages.append(self._data.ctrl.copy())
 
 
@@ -113,7 +107,7 @@ def contestants(field: FieldConfig) -> tuple[Callable[[], object], Callable[[], 
         run(simulation.robots, controllers, clock, duration=SPAN)
 
     recorder = VoltageRecorder(simulation.data)
-    run(simulation.robots, controllers, clock, recorder, duration=SPAN + simulation.period)
+    run(simulation.robots, controllers, clock, [recorder], duration=SPAN + simulation.period)
     data = mujoco.MjData(model)
 
     def peer() -> None:

@@ -31,6 +31,7 @@ from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.compose import FieldConfig, RobotPlacement, make_model
 from twin.connect import connect
+from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
 from twin.record import Recorder
 
@@ -105,10 +106,11 @@ def probe(
     placement = RobotPlacement(ROBOT)
     with contextlib.ExitStack() as stack:
         connection = stack.enter_context(connect(robot, robots=[placement], field=field, seed=seed))
-        recorder = None
+        recorders: list[LoopRecorder] = []
         if record is not None:
-            recorder = stack.enter_context(Recorder(record, connection.simulation))
-        run_loop(connection.robots, [controller], connection.clock, recorder, DURATION)
+            recorder = Recorder(record, connection.robots, connection.simulation)
+            recorders.append(stack.enter_context(recorder))
+        run_loop(connection.robots, [controller], connection.clock, recorders, DURATION)
     return controller.estimate()
 
 

@@ -29,6 +29,7 @@ from models.compose import FieldConfig, RobotPlacement, make_model
 from models.configuration import PayloadConfig as Box
 from perception.geometry.gravity import GRAVITY
 from twin.connect import connect
+from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
 from twin.record import Recorder
 
@@ -146,10 +147,11 @@ def identify(
     placement = RobotPlacement(ROBOT, payload=box)
     with contextlib.ExitStack() as stack:
         connection = stack.enter_context(connect(robot, robots=[placement], field=FIELD, seed=seed))
-        recorder = None
+        recorders: list[LoopRecorder] = []
         if record is not None:
-            recorder = stack.enter_context(Recorder(record, connection.simulation))
-        run_loop(connection.robots, [identifier], connection.clock, recorder, duration)
+            recorder = Recorder(record, connection.robots, connection.simulation)
+            recorders.append(stack.enter_context(recorder))
+        run_loop(connection.robots, [identifier], connection.clock, recorders, duration)
     return identifier.estimate()
 
 

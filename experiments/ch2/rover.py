@@ -42,8 +42,8 @@ from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.layout import default_blueprint
+from twin.loop import LoopRecorder, Tick
 from twin.record import Recorder
-from twin.robot import Command, Observation
 
 Results = dict[str, list[dict[str, Any]]]
 
@@ -192,10 +192,10 @@ def record_run(options: Options, output: Output) -> str:
             stereo=StereoConfig(),
             seed=options.seed,
         ) as connection,
-        Recorder(path, connection.simulation, _blueprint()) as recorder,
+        Recorder(path, connection.robots, connection.simulation, _blueprint()) as recorder,
     ):
-        story = EstimateRecorder(recorder, controller)
-        loop.run(connection.robots, [controller], connection.clock, story, config.total)
+        recorders = [recorder, EstimateRecorder(recorder, controller)]
+        loop.run(connection.robots, [controller], connection.clock, recorders, config.total)
     return str(output.directory / "run.rrd")
 
 
@@ -209,22 +209,15 @@ def _blueprint() -> rrb.Blueprint:
     return default_blueprint([ROBOT], [rrb.Grid(excitation, *views, grid_columns=3)])
 
 
-class EstimateRecorder:
-    """Records what the recorder does, and what the controller thinks meanwhile."""
+class EstimateRecorder(LoopRecorder):
+    """Adds the controller's estimates and excitations to a recording."""
 
     def __init__(self, recorder: Recorder, controller: RoverIdentifier) -> None:
         """Watch a controller."""
         self._recorder, self._controller, self._told = recorder, controller, 0
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick; new estimates and excitations go in with their bands."""
-        self._recorder.record(step, time, observations, applied)
         log = self._controller.log
         if len(log.estimates) == self._told:
             return
@@ -235,7 +228,3 @@ class EstimateRecorder:
             self._recorder.log_band(f"estimates/{name}", value, value - band, value + band, [name])
         names = ("offset [rad]", "amplitude [rad]", "frequency [rad/s]")
         self._recorder.log_scalars("excitation", log.excitations[-1].vector(), names)
-
-    def flush(self) -> None:
-        """Bring everything to the file."""
-        self._recorder.flush()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -16,8 +15,7 @@ from experiments.ch2.rover_trial import ROBOT, known_swinging_arm
 from models.compose import FLAT, RobotPlacement, build_scene, compile_scene, settle
 from twin.camera import renderer
 from twin.clock import SimClock
-from twin.loop import LoopRecorder, run
-from twin.robot import Command, Observation
+from twin.loop import LoopRecorder, Tick, run
 from twin.simulation import Simulation
 
 CAMERA = "overview"
@@ -38,15 +36,9 @@ class Filming(LoopRecorder):
         self._simulation, self._first, self._every = simulation, first, every
         self.frames: list[NDArray[np.uint8]] = []
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
-        if step >= self._first and step % self._every == 0:
+        if tick.step >= self._first and tick.step % self._every == 0:
             scene = self._simulation
             self.frames.append(renderer().render(scene.model, scene.data, CAMERA, *SIZE))
 
@@ -69,7 +61,7 @@ def film(seconds: float, rate: float, seed: int) -> list[NDArray[np.uint8]]:
     controller = RoverIdentifier(config, np.random.default_rng(seed))
     lead = round((config.approach + config.rest) / 0.01)
     filming = Filming(simulation, lead, round(100 / rate))
-    run(simulation.robots, [controller], SimClock(simulation), filming, config.total)
+    run(simulation.robots, [controller], SimClock(simulation), [filming], config.total)
     simulation.close()
     return filming.frames
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -26,8 +26,7 @@ from controllers.identification.rover_identifier import (
 )
 from models.compose import FLAT, RobotPlacement, make_model
 from twin.connect import Connection, connect
-from twin.loop import LoopRecorder, run
-from twin.robot import Command, Observation
+from twin.loop import LoopRecorder, Tick, run
 from twin.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
@@ -96,11 +95,11 @@ def identify(
     connection: Connection,
     config: RoverIdentifierConfig,
     generator: np.random.Generator,
-    recorder: LoopRecorder | None = None,
+    recorders: Sequence[LoopRecorder] = (),
 ) -> RoverIdentifier:
     """Run one identification on a robot and return the controller with its log."""
     controller = RoverIdentifier(config, generator)
-    run(connection.robots, [controller], connection.clock, recorder, config.total)
+    run(connection.robots, [controller], connection.clock, recorders, config.total)
     controller.finish()
     return controller
 
@@ -127,7 +126,9 @@ def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
             config, excitation="random", limits=GENTLE_ARM_LIMITS, duration=trial.unseen
         )
         truth = TrueTilt(connection.simulation) if connection.simulation else None
-        trying = identify(connection, unseen, np.random.default_rng(other), truth)
+        trying = identify(
+            connection, unseen, np.random.default_rng(other), [truth] if truth else []
+        )
     log, estimate = controller.log, controller.fit.estimate
     sigmas = np.array([np.sqrt(np.diag(e.covariance)) for e in log.estimates])
     parameters = np.array([e.parameters for e in log.estimates])
@@ -157,13 +158,7 @@ class TrueTilt(LoopRecorder):
         self._chassis = simulation.data.body(f"{ROBOT}/chassis")
         self.values: list[float] = []
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
         self.values.append(float(np.arcsin(self._chassis.xmat.reshape(3, 3)[2, 1])))
 

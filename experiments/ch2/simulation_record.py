@@ -11,6 +11,7 @@ import numpy as np
 from controllers.identification.arm_motion import MODES
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.parameters import NAMES
+from twin.loop import Tick
 from twin.record import Recorder
 
 BAND = 2.0
@@ -33,7 +34,7 @@ def record_trial(trial: Mapping[str, Any], path: Path) -> None:
             for sample in range(per_window):
                 step = window * per_window + sample
                 time = start + sample * REPLAN_PERIOD / per_window
-                recorder.record(step, time, {}, {})
+                recorder.record(Tick(step, time, {}, {}))
                 recorder.log_scalars("excitation/arm_angle", angles[:, step], MODES)
             for index, mode in enumerate(MODES):
                 values = trial["history_excitation"][window][index]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,8 +20,8 @@ from models.card_and_slot.stand import OVERVIEW
 from perception.markers.poses import BodyFit
 from twin.camera import renderer
 from twin.layout import task_blueprint
+from twin.loop import LoopRecorder, Tick
 from twin.record import Recorder
-from twin.robot import Command, Observation
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -64,7 +63,7 @@ class Film:
         images[0].save(path, save_all=True, append_images=images[1:], duration=times, loop=0)
 
 
-class _Camera:
+class _Camera(LoopRecorder):
     """Takes pictures of scene and eyes every few ticks."""
 
     def __init__(self, setting: Setting) -> None:
@@ -73,20 +72,14 @@ class _Camera:
         self.scenes: list[tuple[float, ImageArray]] = []
         self.pairs: dict[str, tuple[ImageArray, Sequence[FloatArray]]] = {}
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
-        if step % EVERY:
+        if tick.step % EVERY:
             return
         scene = self._setting.simulation
         picture = renderer().render(scene.model, scene.data, OVERVIEW, *SIZE).copy()
-        self.scenes.append((time, picture))
-        pair = np.asarray(observations[MASTER].stereo.value, dtype=np.uint8)
+        self.scenes.append((tick.time, picture))
+        pair = np.asarray(tick.observations[MASTER].stereo.value, dtype=np.uint8)
         ellipses = seen_ellipses(self._setting.team.marker_guide.fits)
         self.frames.append(np.hstack([_small(picture), eye_picture(pair[0], ellipses[0])]))
         stage = self._setting.team.inserter.stage.value
@@ -95,11 +88,8 @@ class _Camera:
             if stage != "approach" or not self.pairs:
                 self.pairs[moment[stage]] = (pair, ellipses)
 
-    def flush(self) -> None:
-        """Nothing is buffered."""
 
-
-class _Curves:
+class _Curves(LoopRecorder):
     """Adds errors, contact and stages to a recording."""
 
     def __init__(self, recorder: Recorder, setting: Setting) -> None:
@@ -107,15 +97,8 @@ class _Curves:
         self._told = ""
         self._stamp = math.nan
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
-        self._recorder.record(step, time, observations, applied)
         team = self._setting.team
         inserter = team.inserter
         if np.isfinite(inserter.error).all():
@@ -126,7 +109,7 @@ class _Curves:
             ]
             names = ("across [mm]", "ahead [mm]", "turn [deg]")
             self._recorder.log_scalars("insertion/error", error, names)
-        stamp = observations[MASTER].stereo.stamp
+        stamp = tick.observations[MASTER].stereo.stamp
         if stamp != self._stamp:
             self._stamp = stamp
             for side, ellipses in zip(("left", "right"), seen_ellipses(team.marker_guide.fits)):
@@ -139,10 +122,6 @@ class _Curves:
             self._told = told
             self._recorder.log_text("insertion/stage", told)
 
-    def flush(self) -> None:
-        """Write everything taken so far."""
-        self._recorder.flush()
-
 
 def film_trial(trial: InsertionTrial, recording: Path | None) -> Film:
     """Run a trial again and film it.
@@ -153,11 +132,11 @@ def film_trial(trial: InsertionTrial, recording: Path | None) -> Film:
     """
     setting = prepare(trial)
     camera = _Camera(setting)
-    recorders: list[Any] = [camera]
+    recorders: list[LoopRecorder] = [camera]
     recorder = None
     if recording is not None:
-        recorder = Recorder(recording, setting.simulation, _blueprint())
-        recorders.append(_Curves(recorder, setting))
+        recorder = Recorder(recording, setting.simulation.robots, setting.simulation, _blueprint())
+        recorders += [recorder, _Curves(recorder, setting)]
     traced = dataclasses.replace(trial, trace=True)
     done = perform(traced, recorders, setting)
     if recorder is not None:

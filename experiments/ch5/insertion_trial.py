@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -16,8 +16,7 @@ from controllers.insertion.guidance import Guidance
 from experiments.ch5.insertion_scene import MASTER, SLAVE, card_in_slot, contact_force, transform
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
 from twin.clock import SimClock
-from twin.loop import LoopRecorder, Recorders, run
-from twin.robot import Command, Observation
+from twin.loop import LoopRecorder, Tick, run
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +42,7 @@ COURSE = (
 """Columns of a course: true pose, pose as last seen, measured and true contact, stage. SI units."""
 
 
-class Scorer:
+class Scorer(LoopRecorder):
     """Keeps what a trial is scored by: truth, which no controller sees.
 
     Attributes:
@@ -71,13 +70,7 @@ class Scorer:
         self.nees: list[float] = []
         self._setting, self._trace, self._stamp = setting, trace, math.nan
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
         simulation, team = self._setting.simulation, self._setting.team
         inserter, marker_guide = team.inserter, team.marker_guide
@@ -86,7 +79,7 @@ class Scorer:
         self.finite &= bool(np.isfinite(simulation.data.qpos).all())
         if inserter.guide is not None and math.isnan(self.hand_over[0]):
             self.hand_over = card_in_slot(simulation.data)[[0, 3]]
-        stereo = observations[MASTER].stereo
+        stereo = tick.observations[MASTER].stereo
         if stereo.usable and stereo.stamp != self._stamp:
             self._stamp = stereo.stamp
             self.looks += 1
@@ -97,11 +90,8 @@ class Scorer:
             felt = inserter.contact[[0, 1, 5]]
             stage = STAGES.index(inserter.stage)
             pose = card_in_slot(simulation.data)
-            row = [time, *pose[:4], *inserter.error[:3], *felt, *force[:2], stage]
+            row = [tick.time, *pose[:4], *inserter.error[:3], *felt, *force[:2], stage]
             self.course.append([float(value) for value in row])
-
-    def flush(self) -> None:
-        """Nothing is buffered."""
 
 
 def _nees(data: mujoco.MjData, told: Guidance) -> float:
@@ -144,7 +134,7 @@ def perform(
         simulation.robots,
         [ready.team],
         SimClock(simulation),
-        Recorders([scorer, *recorders]),
+        [scorer, *recorders],
         LIMIT,
         until=lambda: inserter.over,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +17,8 @@ from experiments.mission.trial import Mission, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
 from twin.camera import renderer
 from twin.layout import task_blueprint
-from twin.loop import LoopRecorder
+from twin.loop import LoopRecorder, Tick
 from twin.record import Recorder
-from twin.robot import Command, Observation
 
 ImageArray = NDArray[np.uint8]
 
@@ -45,7 +43,7 @@ class Film:
     steps: list[tuple[str, float, ImageArray]]
 
 
-class _Bars:
+class _Bars(LoopRecorder):
     """A progress bar for each stage."""
 
     def __init__(self, mission: Mission, progress: Progress) -> None:
@@ -53,23 +51,19 @@ class _Bars:
         self._stage, self._since = "", 0.0
         self._bar: TaskID | None = None
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
         name = self._mission.team.stage.name
         if name != self._stage:
             if self._bar is not None:
                 self._progress.update(self._bar, completed=1.0, total=1.0)
-            self._stage, self._since = name, time
+            self._stage, self._since = name, tick.time
             self._bar = self._progress.add_task(name, total=1.0, robot_time="")
-        if step % 20 == 0 and self._bar is not None:
-            part = (time - self._since) / _LASTS.get(name, _ANY_LASTS)
-            self._progress.update(self._bar, completed=min(part, 0.99), robot_time=f"{time:6.1f} s")
+        if tick.step % 20 == 0 and self._bar is not None:
+            part = (tick.time - self._since) / _LASTS.get(name, _ANY_LASTS)
+            self._progress.update(
+                self._bar, completed=min(part, 0.99), robot_time=f"{tick.time:6.1f} s"
+            )
 
     def flush(self) -> None:
         """End the last bar."""
@@ -77,20 +71,14 @@ class _Bars:
             self._progress.update(self._bar, completed=1.0)
 
 
-class _Steps:
+class _Steps(LoopRecorder):
     """Takes a picture at the end of each stage."""
 
     def __init__(self, mission: Mission) -> None:
         self.steps: list[tuple[str, float, ImageArray]] = []
         self._mission = mission
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
         simulation = self._mission.connection.simulation
         if simulation is None:
@@ -99,11 +87,8 @@ class _Steps:
             picture = renderer().render(simulation.model, simulation.data, SITE_VIEW, *SIZE)
             self.steps.append((name, ended, picture.copy()))
 
-    def flush(self) -> None:
-        """Nothing is buffered."""
 
-
-class _Notes:
+class _Notes(LoopRecorder):
     """Adds stages, the map, what is seen and what is felt to a recording."""
 
     def __init__(self, recorder: Recorder, mission: Mission) -> None:
@@ -111,15 +96,8 @@ class _Notes:
         self._told, self._looks = "", 0
         self._stage: MissionStage | None = None
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
-        self._recorder.record(step, time, observations, applied)
         team = self._mission.team
         insertion = team.insertion
         told = team.stage.name
@@ -151,10 +129,6 @@ class _Notes:
             "mission/map", surface.means[chosen], surface.probabilities[chosen]
         )
 
-    def flush(self) -> None:
-        """Write everything taken so far."""
-        self._recorder.flush()
-
 
 def film_mission(trial: MissionTrial, recording: Path | None) -> Film:
     """Run a mission, tell of its stages, and film it.
@@ -172,8 +146,10 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> Film:
         recorders: list[LoopRecorder] = [_Bars(mission, progress), steps]
         recorder = None
         if recording is not None:
-            recorder = Recorder(recording, mission.connection.simulation, _blueprint())
-            recorders.append(_Notes(recorder, mission))
+            recorder = Recorder(
+                recording, mission.connection.robots, mission.connection.simulation, _blueprint()
+            )
+            recorders += [recorder, _Notes(recorder, mission)]
         try:
             result = perform(mission, recorders)
         finally:
@@ -187,6 +163,6 @@ def _blueprint() -> rrb.Blueprint:
         rrb.Spatial3DView(origin="mission/map", name="Map, about the panel"),
         rrb.TimeSeriesView(origin="mission/contact", name="Contact as felt"),
         rrb.TimeSeriesView(origin=f"{SLAVE}/sensors/arm_base_wrench", name="Wrench"),
-        rrb.TextLogView(origin="mission/stage", name="MissionStage"),
+        rrb.TextLogView(origin="mission/stage", name="Stage"),
     ]
     return task_blueprint(MASTER, (1.5, -2.0, 1.3), (0.1, -0.3, 0.15), views)

@@ -23,8 +23,8 @@ from models.datasheets import CARD_AND_SLOT
 from perception.geometry.se3 import point_jacobian
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
-from twin.loop import LoopRecorder, Recorders, run
-from twin.robot import Command, Observation, RobotError
+from twin.loop import LoopRecorder, Tick, run
+from twin.robot import RobotError
 
 FloatArray = NDArray[np.float64]
 
@@ -114,7 +114,7 @@ class StageResult:
     turn_share: float
 
 
-class MissionScorer:
+class MissionScorer(LoopRecorder):
     """Keeps what a mission is scored by: truth, which no controller sees.
 
     Attributes:
@@ -131,13 +131,7 @@ class MissionScorer:
         self.misses: list[tuple[float, float]] = []
         self._mission = mission
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
         mission = self._mission
         simulation = mission.connection.simulation
@@ -148,7 +142,7 @@ class MissionScorer:
         if isinstance(going, GoToStand) and going.stops > len(self.misses):
             self.misses.append(_miss(mission.poses(MASTER), going.stand))
         for name, ended in mission.team.ended[len(self.stages) :]:
-            tilt = np.asarray(observations[MASTER].inclinometer.value, dtype=float)
+            tilt = np.asarray(tick.observations[MASTER].inclinometer.value, dtype=float)
             self.stages.append(self._result(name, ended, tilt))
 
     def _result(self, name: str, ended: float, tilt: FloatArray) -> StageResult:
@@ -165,9 +159,6 @@ class MissionScorer:
             _sigma(told, knowledge.slave_covariance),
             knowledge.turn_share,
         )
-
-    def flush(self) -> None:
-        """Nothing is buffered."""
 
 
 @contextlib.contextmanager
@@ -220,7 +211,7 @@ def perform(
             mission.connection.robots,
             [team],
             mission.connection.clock,
-            Recorders([scorer, *recorders]),
+            [scorer, *recorders],
             LIMIT,
             until=over,
         )

@@ -3,7 +3,7 @@ import pytest
 
 from tests.twin.scene import SERVO, compile_scene
 from twin.clock import SimClock, WallClock
-from twin.loop import run
+from twin.loop import LoopRecorder, run
 from twin.robot import Command, Lifecycle, RobotError
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
@@ -32,12 +32,12 @@ class Push:
         return {name: Command(np.full(4, 0.5)) for name in self.names}
 
 
-class Log:
+class Log(LoopRecorder):
     def __init__(self):
         self.ticks, self.flushed = [], 0
 
-    def record(self, step, time, observations, applied):
-        self.ticks.append((step, time, sorted(observations), sorted(applied)))
+    def record(self, tick):
+        self.ticks.append((tick.step, tick.time, sorted(tick.observations), sorted(tick.applied)))
 
     def flush(self):
         self.flushed += 1
@@ -50,7 +50,7 @@ def all_inactive(simulation):
 
 def test_loop_ticks_at_the_servo_rate_and_deactivates_at_the_end(simulation):
     log = Log()
-    summary = run(simulation.robots, [Push("rover1")], SimClock(simulation), log, duration=0.5)
+    summary = run(simulation.robots, [Push("rover1")], SimClock(simulation), [log], duration=0.5)
     assert summary.steps == 50 and summary.duration == pytest.approx(0.5)
     assert log.ticks[0] == (0, 0.0, ["rover1", "rover2"], ["rover1"])
     assert log.ticks[-1][1] == pytest.approx(0.49)
@@ -70,7 +70,9 @@ def test_loop_ends_early_when_it_is_told_to(simulation):
 def test_interrupted_run_stops_every_robot_and_flushes(simulation, error):
     log = Log()
     with pytest.raises(type(error)):
-        run(simulation.robots, [Push("rover1", fail_at=7, error=error)], SimClock(simulation), log)
+        run(
+            simulation.robots, [Push("rover1", fail_at=7, error=error)], SimClock(simulation), [log]
+        )
     assert len(log.ticks) == 7 and log.flushed == 1 and all_inactive(simulation)
 
 
@@ -99,7 +101,7 @@ def test_robot_that_cannot_be_stopped_hides_neither_the_others_nor_what_went_wro
     monkeypatch.setattr(simulation.robots["rover1"], "deactivate", unreachable)
     log, push = Log(), Push("rover1", "rover2", fail_at=bug and 3, error=bug)
     with pytest.raises(ValueError if bug else RobotError) as raised:
-        run(simulation.robots, [push], SimClock(simulation), log, duration=0.05)
+        run(simulation.robots, [push], SimClock(simulation), [log], duration=0.05)
     said = str(raised.value), *getattr(raised.value, "__notes__", ())
     assert said == (("bug", "and at the end: no answer") if bug else ("no answer",))
     assert log.flushed == 1

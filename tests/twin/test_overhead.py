@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twin.connect import connect
-from twin.loop import run
+from twin.loop import LoopRecorder, run
 from twin.robot import ArmMode, Command, WheelMode
 
 pytestmark = pytest.mark.real_time
@@ -28,16 +28,13 @@ class Drive:
         return {"rover1": self.command}
 
 
-class Voltages:
+class Voltages(LoopRecorder):
     def __init__(self):
         self.rows = []
 
-    def record(self, step, time, observations, applied):
-        duty = applied["rover1"]
+    def record(self, tick):
+        duty = tick.applied["rover1"]
         self.rows.append(12.0 * np.concatenate([duty.wheels, duty.arm]))
-
-    def flush(self):
-        pass
 
 
 def test_loop_of_one_rover_on_a_plane_costs_less_than_its_physics():
@@ -48,14 +45,14 @@ def test_loop_of_one_rover_on_a_plane_costs_less_than_its_physics():
     with connect("sim") as link:
         simulation = link.simulation
         saved, log = simulation.save(), Voltages()
-        run(link.robots, [Drive()], link.clock, log, TICKS * 0.01)
+        run(link.robots, [Drive()], link.clock, [log], TICKS * 0.01)
         reached = simulation.data.qpos.copy()
         ratios = []
         # Each turn compares its own neighbours: a shared machine changes pace from turn to turn.
         for _ in range(15):
             simulation.restore(saved)
             begin = time.process_time()
-            run(link.robots, [Drive()], link.clock, None, TICKS * 0.01)
+            run(link.robots, [Drive()], link.clock, (), TICKS * 0.01)
             loop = time.process_time() - begin
             simulation.restore(saved)
             begin = time.process_time()

@@ -17,7 +17,7 @@ from tests.twin.scene import SERVO, compile_scene
 from twin.camera import StereoConfig
 from twin.clock import SimClock
 from twin.connect import connect
-from twin.loop import run
+from twin.loop import Tick, run
 from twin.record import Recorder
 from twin.robot import ArmMode, Command, WheelMode
 from twin.scene_mesh import body_mesh, geom_colour
@@ -68,8 +68,8 @@ def columns(path):
 def recorded(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "deep" / "run.rrd"
     simulation = small(StereoConfig(10.0))
-    with Recorder(path, simulation) as recorder:
-        run(simulation.robots, [Drive(recorder)], SimClock(simulation), recorder, 1.0)
+    with Recorder(path, simulation.robots, simulation) as recorder:
+        run(simulation.robots, [Drive(recorder)], SimClock(simulation), [recorder], 1.0)
     return path, simulation, columns(path)
 
 
@@ -105,8 +105,8 @@ def test_both_timelines_count_together(recorded):
 
 def test_recorded_poses_are_those_of_the_simulation(tmp_path):
     simulation = small()
-    with Recorder(tmp_path / "run.rrd", simulation) as recorder:
-        recorder.record(0, simulation.time, {}, {})
+    with Recorder(tmp_path / "run.rrd", simulation.robots, simulation) as recorder:
+        recorder.record(Tick(0, simulation.time, {}, {}))
     rows = columns(tmp_path / "run.rrd")["/world/rover1/shoulder"]
     body = simulation.model.body("rover1/shoulder").id
     np.testing.assert_allclose(
@@ -120,9 +120,9 @@ def test_missing_channels_leave_no_curve(tmp_path):
     simulation = small()
     simulation.robots["rover1"].disconnect_sensor("gyro")
     simulation.settle(0.02)
-    with Recorder(tmp_path / "run.rrd", simulation) as recorder:
+    with Recorder(tmp_path / "run.rrd", simulation.robots, simulation) as recorder:
         observations = {"rover1": simulation.robots["rover1"].observe()}
-        recorder.record(0, simulation.time, observations, {})
+        recorder.record(Tick(0, simulation.time, observations, {}))
     rows = columns(tmp_path / "run.rrd")
     assert "/rover1/sensors/gyro" not in rows and "/rover1/sensors/heading" in rows
 
@@ -138,8 +138,8 @@ KILLED = """
 import sys, time
 from tests.twin.test_record import Drive, Recorder, SimClock, run, small
 simulation = small()
-recorder = Recorder(sys.argv[1], simulation)
-run(simulation.robots, [Drive(recorder)], SimClock(simulation), recorder, 1.0)
+recorder = Recorder(sys.argv[1], simulation.robots, simulation)
+run(simulation.robots, [Drive(recorder)], SimClock(simulation), [recorder], 1.0)
 print("flushed", flush=True)
 time.sleep(60)
 """
@@ -192,8 +192,8 @@ def test_height_field_mesh_lies_on_the_physical_ground():
 def test_recordings_with_stereo_on_rough_ground_stay_below_a_megabyte_a_second(tmp_path):
     path = tmp_path / "run.rrd"
     with connect("sim", field=ROUGH, stereo=StereoConfig(4.0)) as link:
-        with Recorder(path, link.simulation) as recorder:
-            run(link.robots, [Drive(recorder)], link.clock, recorder, 6.0)
+        with Recorder(path, link.robots, link.simulation) as recorder:
+            run(link.robots, [Drive(recorder)], link.clock, [recorder], 6.0)
     assert path.stat().st_size <= 6.0e6
     assert len(columns(path)["/rover1/stereo/left"]["sim_time"]) >= 24
 

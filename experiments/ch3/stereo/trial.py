@@ -25,8 +25,8 @@ from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
+from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
-from twin.robot import Command, Observation
 
 FloatArray = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ def map_scene(
             connection.robots,
             [mapper],
             connection.clock,
-            witness,
+            [witness],
             duration=LONGEST,
             until=lambda: mapper.done,
         )
@@ -190,7 +190,7 @@ def named_frame(shared: SharedMap, scene: StereoScene) -> RigidTransform:
     return (level_target(panel) if named is None else named) * panel.inv()
 
 
-class Witness:
+class Witness(LoopRecorder):
     """Notes where the cameras truly are when they look; a recorder of the loop."""
 
     def __init__(self, connection: Connection) -> None:
@@ -198,17 +198,11 @@ class Witness:
         self.cameras: dict[tuple[str, float], RigidTransform] = {}
         self._connection = connection
 
-    def record(
-        self,
-        step: int,
-        time: float,
-        observations: Mapping[str, Observation],
-        applied: Mapping[str, Command],
-    ) -> None:
+    def record(self, tick: Tick) -> None:
         """Take one tick."""
-        for name, seen in observations.items():
-            if seen.stereo.stamp == time:
-                self.cameras[name, time] = self._camera(name)
+        for name, seen in tick.observations.items():
+            if seen.stereo.stamp == tick.time:
+                self.cameras[name, tick.time] = self._camera(name)
 
     def _camera(self, name: str) -> RigidTransform:
         simulation, emulator = self._connection.simulation, self._connection.emulator
@@ -218,9 +212,6 @@ class Witness:
         told = emulator.state()[name]["camera"]
         turn = Rotation.from_matrix(told["rotation"])
         return RigidTransform.from_components(told["translation"], turn)
-
-    def flush(self) -> None:
-        """Nothing is held back."""
 
 
 def shared_errors(config: MapperConfig) -> float:

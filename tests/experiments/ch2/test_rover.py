@@ -40,7 +40,7 @@ def test_a_disconnected_sensor_is_named(sensor):
     with connect("sim", robots=[RobotPlacement(ROBOT)], settling=0.1) as connection:
         connection.robots[ROBOT].disconnect_sensor(sensor)
         with pytest.raises(RobotError, match=sensor):
-            run(connection.robots, [controller], connection.clock, None, 0.1)
+            run(connection.robots, [controller], connection.clock, duration=0.1)
 
 
 def test_same_seed_gives_the_same_run():

@@ -16,7 +16,7 @@ from models.datasheets import CARD_AND_SLOT
 from tests.twin.test_truth_barrier import leaks
 from twin.camera import StereoRig
 from twin.clock import SimClock
-from twin.loop import run
+from twin.loop import LoopRecorder, run
 from twin.robot import ArmMode, Command, WheelMode
 
 HARD = CARD_AND_SLOT.slot_widths[-1]
@@ -24,7 +24,7 @@ FIRST = 2.0
 """Time after which the slave gives up in these tests [s]: as 15 s are, but shorter."""
 
 
-class Notes:
+class Notes(LoopRecorder):
     """Takes each tick's commands and true joint angles."""
 
     def __init__(self, setting):
@@ -36,14 +36,11 @@ class Notes:
         self.commands, self.arms, self.places, self.reasons = [], [], [], []
         self._inserter = setting.team.inserter
 
-    def record(self, step, time, observations, applied):
-        self.commands.append(applied)
+    def record(self, tick):
+        self.commands.append(tick.applied)
         self.arms.append(self._data.qpos[self._arms])
         self.places.append(self._data.qpos[self._places])
         self.reasons.append(self._inserter.reason)
-
-    def flush(self):
-        pass
 
 
 class Told:
@@ -92,7 +89,7 @@ def blind(request):
         trial = InsertionTrial(HARD, request.param, 4, 0.7)
         still = prepare(trial)
         held = Notes(still)
-        run(still.simulation.robots, [Hold()], SimClock(still.simulation), held, FIRST)
+        run(still.simulation.robots, [Hold()], SimClock(still.simulation), [held], FIRST)
         still.simulation.close()
         setting = prepare(trial)
         simulation, team = setting.simulation, setting.team
@@ -103,7 +100,7 @@ def blind(request):
         simulation.model.site_rgba[:, 3] = 0.0
         team.inserter.config = dataclasses.replace(team.inserter.config, first=FIRST)
         notes, told = Notes(setting), Told(team)
-        run(simulation.robots, [told], SimClock(simulation), notes, FIRST + 1.0)
+        run(simulation.robots, [told], SimClock(simulation), [notes], FIRST + 1.0)
     assert copies and simulation.model.nsite > 0
     yield setting, notes, told, held
     simulation.close()

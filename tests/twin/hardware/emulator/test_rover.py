@@ -25,7 +25,7 @@ from twin.hardware.emulator.rover import ANALOGUE_SENSORS
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.roboclaw.codec import Status
 from twin.hardware.serial_link import LinkError
-from twin.loop import run
+from twin.loop import LoopRecorder, run
 from twin.robot import ArmMode, Command, Observation, Validity, WheelMode
 
 ROBOT = "rover1"
@@ -38,18 +38,15 @@ TILT = VOLTS / np.array([1.9900543098278882, 1.9269143608044716])  # pitch, roll
 WRENCH = 1e-6
 
 
-class Keep:
+class Keep(LoopRecorder):
     """Keeps all ticks."""
 
     def __init__(self):
         self.observations, self.applied = [], []
 
-    def record(self, step, time, observations, applied):
-        self.observations.append(observations[ROBOT])
-        self.applied.append(applied[ROBOT])
-
-    def flush(self):
-        pass
+    def record(self, tick):
+        self.observations.append(tick.observations[ROBOT])
+        self.applied.append(tick.applied[ROBOT])
 
 
 def identified(target, config, **options):
@@ -57,7 +54,7 @@ def identified(target, config, **options):
     keep = Keep()
     controller = RoverIdentifier(config, np.random.default_rng(7))
     with connect(target, seed=3, **options) as link:
-        run(link.robots, [controller], link.clock, keep, config.total)
+        run(link.robots, [controller], link.clock, [keep], config.total)
         damage = link.emulator.state()[ROBOT]["damage"] if link.emulator else {}
         statistics = link.robots[ROBOT].statistics
     return keep, damage, statistics
