@@ -19,7 +19,7 @@ from controllers.kinematics.camera_arm import CameraArm
 from perception.geometry.se3 import composed_covariance, inverse_covariance
 from perception.markers.ellipses import MarkerExpectation
 from perception.markers.markers import find_bodies
-from perception.markers.poses import BodyCad, BodyFit, PosePrior
+from perception.markers.poses import BodyCad, BodyFit, BodyPrior
 from perception.stereo.geometry import StereoGeometry
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
@@ -160,8 +160,8 @@ class MarkerGuide:
             MarkerExpectation(near, far, config.diameter),
             config.detector,
             (
-                PosePrior(to_camera * self.card, loose),
-                PosePrior(slot, np.asarray(np.linalg.inv(spread), dtype=float)),
+                BodyPrior(to_camera * self.card, loose),
+                BodyPrior(slot, np.asarray(np.linalg.inv(spread), dtype=float)),
             ),
         )
         card_fit, slot_fit = fits

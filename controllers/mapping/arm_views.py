@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.camera_arm import CameraArm
-from perception.voxels.view_information import (
+from perception.voxels.views import (
     PlanningGrid,
     claimed_by_view,
     expected_occupancy,

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.standing import CameraPose
-from perception.registration.fiducial_terms import FiducialConfig
-from perception.registration.fiducials import select_fiducials
-from perception.registration.map import FiducialMap
-from perception.registration.prior import PosePrior
-from perception.registration.tracking import TrackerConfig, track
+from perception.registration.fiducial_map import FiducialMap, PosePrior
+from perception.registration.fiducials import FiducialConfig, select_fiducials
+from perception.registration.patch_matching import TrackerConfig, track
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.stereo import StereoPoints
 

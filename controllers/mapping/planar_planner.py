@@ -21,9 +21,9 @@ from controllers.mapping.planar_situation import (
     draw_candidates,
     frontier_cells,
 )
+from perception.planar.information import READINGS, Reading, new_information, undecided_entropy
 from perception.planar.map import PlanarMap
 from perception.planar.raycast import RangeSensor, ray_sums, sector_sums
-from perception.voxels.information import READINGS, Reading, new_information, undecided_entropy
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -54,7 +54,7 @@ class PlannerConfig:
         sensor: The vision system.
         method: (i) random, (ii) raster, (iii) max_new, (iv) min_old, (v) information of Thesis
             3.3.1, or frontier (the nearest) and rate.
-        reading: What new information means, see `perception.voxels.information`.
+        reading: What new information means, see `perception.planar.information`.
         utility: What method information makes of it: "going_rate", or "fixed" for eq. 3-15.
         candidates: Positions that are rated.
         headings: Headings at each of them.

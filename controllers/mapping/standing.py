@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.camera_arm import CameraArm
 from perception.geometry.se3 import adjoint, transport_covariance
-from perception.registration.prior import PosePrior
+from perception.registration.fiducial_map import PosePrior
 
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.intp]

@@ -31,7 +31,7 @@ from perception.registration.target import TargetCad, possible_markers
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.stereo import StereoMatcher
 from perception.voxels.map import VoxelMap
-from perception.voxels.view_information import planning_grid
+from perception.voxels.views import planning_grid
 from twin.robot import Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]

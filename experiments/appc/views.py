@@ -31,7 +31,7 @@ from perception.stereo.stereo import StereoMatcher, StereoPoints
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from perception.voxels.occupancy import State
-from perception.voxels.view_information import (
+from perception.voxels.views import (
     PlanningGrid,
     expected_occupancy,
     planning_grid,

@@ -18,7 +18,7 @@ from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from perception.markers.ellipses import MarkerExpectation
 from perception.markers.markers import DETECTORS, MarkerPairs, match_bodies, triangulate
-from perception.markers.poses import PosePrior
+from perception.markers.poses import BodyPrior
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -167,7 +167,7 @@ def _times(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
     output.check("markers, cv2.HoughCircles' time over the THT's", ratio, ">= 1", ratio >= 1.0)
 
 
-def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> PosePrior:
+def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> BodyPrior:
     """Return what a tilt sensor tells: two turns of a body to `TILT_SIGMA`, nothing else."""
     normal = pose.rotation.apply([0.0, 0.0, 1.0])
     level = np.eye(3) - np.outer(normal, normal)
@@ -177,7 +177,7 @@ def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> PosePrior:
     # Roughly which way it heads: two markers look the same upside down.
     information[:3, :3] += np.outer(normal, normal) / math.radians(30.0) ** 2
     guess = RigidTransform.from_components(pose.translation, turned * pose.rotation)
-    return PosePrior(guess, information)
+    return BodyPrior(guess, information)
 
 
 def _poses(views: list[MarkerView], scene: MarkerScene, seed: int, output: Output) -> None:

@@ -10,15 +10,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from numpy.typing import NDArray
 
-from perception.markers.circles import circle_of_three, hough_circles
 from perception.markers.ellipses import ImageArray, MarkerExpectation, Markers
 from perception.markers.hough import (
     BELOW_PEAK,
     LEAST_COVERAGE,
     black_markers,
+    circle_of_three,
     drop_specks,
     equalise,
     fewest_pixels,
+    hough_circles,
     low_pass,
     rim_points,
     signed_laplacian,

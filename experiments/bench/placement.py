@@ -36,8 +36,7 @@ from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
-from perception.voxels.map import VoxelMap
-from perception.voxels.window import window
+from perception.voxels.map import VoxelMap, window
 
 FloatArray = NDArray[np.float64]
 

@@ -86,7 +86,7 @@ def image_information(image: ByteArray, method: int = BEST_PREDICTOR) -> float:
     """Return how much an image tells [bit]: `coded_bits` of all its pixels.
 
     It tells of the image, not of what is new in it: by itself it chooses the next view of a map no
-    better than chance (``appc-compression``), where `perception.voxels.view_information` does.
+    better than chance (``appc-compression``), where `perception.voxels.views` does.
 
     Args:
         image: (H, W) uint8.

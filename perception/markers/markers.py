@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from perception.markers.blobs import detect_blobs
 from perception.markers.ellipses import MarkerExpectation, Markers
 from perception.markers.hough import detect_hough
-from perception.markers.poses import BodyCad, BodyFit, PosePrior, SeenDiscs, fit_body
+from perception.markers.poses import BodyCad, BodyFit, BodyPrior, SeenDiscs, fit_body
 from perception.stereo.geometry import StereoGeometry
 
 FloatArray = NDArray[np.float64]
@@ -131,7 +131,7 @@ def find_bodies(
     cads: Sequence[BodyCad],
     expected: MarkerExpectation,
     detector: str = "blob",
-    priors: Sequence[PosePrior | None] | None = None,
+    priors: Sequence[BodyPrior | None] | None = None,
     limits: MatchLimits | None = None,
 ) -> tuple[BodyFit | None, ...]:
     """Return the poses of bodies whose markers a rectified pair shows.
@@ -167,7 +167,7 @@ def match_bodies(
     geometry: StereoGeometry,
     cads: Sequence[BodyCad],
     expected: MarkerExpectation,
-    priors: Sequence[PosePrior | None] | None = None,
+    priors: Sequence[BodyPrior | None] | None = None,
     limits: MatchLimits | None = None,
 ) -> tuple[BodyFit | None, ...]:
     """Return the poses of bodies among triangulated markers; arguments as of `find_bodies`.

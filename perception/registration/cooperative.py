@@ -21,10 +21,8 @@ from perception.registration.checks import (
     checked_image_points,
     checked_sigma,
 )
-from perception.registration.consensus import GATE, agreeing
-from perception.registration.cooperative_likelihood import Fit, RelativePose, descend
-from perception.registration.likelihood import innovation
-from perception.registration.registration import Registration, register
+from perception.registration.likelihood import RelativeFit, RelativePose, innovation, solve_relative
+from perception.registration.motion import GATE, Registration, agreeing, register
 from perception.registration.reprojection import (
     KnownPoints,
     Pose,
@@ -216,10 +214,10 @@ def triangulate_together(
         prior = dataclasses.replace(prior, covariance=_checked_pose_covariance(prior.covariance))
         inliers = _fits(prior, known, other)
         start = Pose.of(prior.transform_second_to_first)
-    fit = descend(start, known.chosen(inliers), other.chosen(inliers), prior)
+    fit = solve_relative(start, known.chosen(inliers), other.chosen(inliers), prior)
     while (wrong := _worst(fit, known, other, inliers)) is not None:
         inliers[wrong] = False
-        fit = descend(start, known.chosen(inliers), other.chosen(inliers), prior)
+        fit = solve_relative(start, known.chosen(inliers), other.chosen(inliers), prior)
     freedom = 3 * len(fit.points) - (6 if prior is None else 0)
     return SharedPoints(fit.points, fit.covariance, fit.relative, inliers, fit.cost / freedom)
 
@@ -242,7 +240,7 @@ def _fits(prior: RelativePose, known: KnownPoints, sight: Sighting) -> BoolArray
     return fits
 
 
-def _worst(fit: Fit, known: KnownPoints, sight: Sighting, inliers: BoolArray) -> int | None:
+def _worst(fit: RelativeFit, known: KnownPoints, sight: Sighting, inliers: BoolArray) -> int | None:
     """Return the point that least agrees with the pose that all have told; None if all do."""
     pose = Pose.of(fit.relative.transform_second_to_first)
     far = np.where(inliers, squared_distances(pose, known, sight), 0.0)

@@ -1,4 +1,4 @@
-"""Where a sparse map keeps its voxels: bricks of 8 x 8 x 8 behind a dense index.
+"""Storage of a sparse map: bricks of 8 x 8 x 8 voxels behind a dense index.
 
 A brick whose voxels are all alike is one number in the index. Others hold 512 log-odds of 8 bits;
 those that surfaces pass through also hold which surface estimate stands in which voxel.
@@ -11,16 +11,18 @@ those that surfaces pass through also hold which surface estimate stands in whic
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.voxels.raycast import KERNEL
-
 FloatArray = NDArray[np.float64]
 
+KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+"""Options of kernels that make no arrays. Without numba's runtime they count no references: handing
+a tuple of arrays from one to another would else cost a third of their time. Such a tuple is handed
+over word by word, some hundred of them: what is called for each brick, group or part is inlined."""
 SIDE = 8
 """Voxels along a brick."""
 CELLS = SIDE**3
@@ -93,6 +95,13 @@ def with_room(store: Bricks, bricks: int, blocks: int, records: int) -> Bricks:
         records=longer(store.records, records),
         free_records=longer(store.free_records, records),
     )
+
+
+@numba.njit(**KERNEL, inline="always")
+def whole(value: float) -> int:
+    """Return the floor; `math.floor` is a call, which costs more than all around it."""
+    nearer_zero = int(value)
+    return nearer_zero - 1 if value < nearer_zero else nearer_zero
 
 
 @numba.njit(**KERNEL, inline="always")

@@ -17,6 +17,7 @@ from perception.voxels.bricks import (
     CELLS,
     DROPPED,
     FREE_BRICKS,
+    KERNEL,
     NEVER,
     SCAN,
     SIDE,
@@ -24,9 +25,9 @@ from perception.voxels.bricks import (
     dense_brick,
     release_record,
     room_left,
+    whole,
 )
 from perception.voxels.fusion import WEAK
-from perception.voxels.raycast import KERNEL, whole
 from perception.voxels.scan import TILE, Camera, Scan
 
 Carving = tuple[float, int, int, int, bool, bool]

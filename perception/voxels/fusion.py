@@ -3,7 +3,7 @@
 A voxel may be far smaller than the noise. Merging only what falls into one takes the truncated
 part of the noise for all of it, and is over-confident. Here a group of points looks along its ray,
 as far as its own uncertainty reaches, for estimates of the same surface; what agrees is merged into
-one, which stands in the voxel where it then lies.
+one, which stands in the voxel where it then lies. Covariances are packed as xx, xy, xz, yy, yz, zz.
 """
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
@@ -18,9 +18,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.geometry.gaussians import copy, merge, variance_along
 from perception.voxels.bricks import (
     DROPPED,
+    KERNEL,
     NEVER,
     NOWHERE,
     POINTS,
@@ -32,8 +32,8 @@ from perception.voxels.bricks import (
     release_record,
     room_left,
     slot_block,
+    whole,
 )
-from perception.voxels.raycast import KERNEL, whole
 from perception.voxels.scan import FLAT, GONE, TILE, Camera, Scan
 
 FloatArray = NDArray[np.float64]
@@ -189,7 +189,7 @@ def _fuse_group(
     rx, ry, rz = mean[0] - origin[0], mean[1] - origin[1], mean[2] - origin[2]
     length = math.sqrt(rx * rx + ry * ry + rz * rz)
     rx, ry, rz = rx / length, ry / length, rz / length
-    sigma = math.sqrt(variance_along(covariance, rx, ry, rz) / _effective(count, correlated))
+    sigma = math.sqrt(_variance_along(covariance, rx, ry, rz) / _effective(count, correlated))
     sure = normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0
     ax, ay, az = (normal[0], normal[1], normal[2]) if sure else (rx, ry, rz)
     reach = REACH * sigma
@@ -200,7 +200,7 @@ def _fuse_group(
     fused_mean, fused, other_mean, other = work[2], work[3], work[4], work[5]
     floor = (FLOOR * resolution) ** 2
     spread = resolution * resolution / 12.0
-    gate_group = variance_along(covariance, ax, ay, az) / _effective(count, correlated)
+    gate_group = _variance_along(covariance, ax, ay, az) / _effective(count, correlated)
     gate_group += floor + (0.0 if sure else spread)
     lx, ly, lz = -1, -1, -1
     scale = 1.0 / resolution
@@ -226,7 +226,7 @@ def _fuse_group(
         # Another voxel's estimate is of the same patch only if it lies before or behind it.
         if j > 0 and beside > 0.25 * resolution * resolution:
             continue
-        if off * off > GATE * (gate_group + variance_along(other, ax, ay, az)):
+        if off * off > GATE * (gate_group + _variance_along(other, ax, ay, az)):
             continue
         if store.records[record, SCAN] == now:
             before = max(before, int(store.records[record, POINTS]))
@@ -236,9 +236,9 @@ def _fuse_group(
         store.values[brick, cell] = WEAK
         release_record(store, store.block[brick], cell)
         if merged:
-            merge(fused_mean, fused, other_mean, other)
+            _merge(fused_mean, fused, other_mean, other)
         else:
-            copy(fused_mean, fused, other_mean, other)
+            _copy(fused_mean, fused, other_mean, other)
             merged = True
     # What points of one scan have in common is counted once.
     worth = _effective(before + count, correlated) - _effective(before, correlated)
@@ -254,9 +254,9 @@ def _fuse_group(
         own_covariance[4] -= spread * (ay * az if sure else 0.0)
         own_covariance[5] += spread * (1.0 - (az * az if sure else 0.0))
         if merged:
-            merge(fused_mean, fused, own, own_covariance)
+            _merge(fused_mean, fused, own, own_covariance)
         else:
-            copy(fused_mean, fused, own, own_covariance)
+            _copy(fused_mean, fused, own, own_covariance)
     _put_down(store, fused_mean, fused, carried, before, count, settings)
 
 
@@ -350,3 +350,57 @@ def _put_down(
     if not seen:
         value = (0 if value == NEVER else value) + hit
     store.values[brick, cell] = min(max(value, lowest), highest)
+
+
+@numba.njit(**KERNEL)
+def _merge(
+    mean: FloatArray, covariance: FloatArray, other_mean: FloatArray, other_covariance: FloatArray
+) -> None:
+    """Merge two Gaussians in place: C1 - C1 (C1 + C2)^-1 C1 (Thesis eq. 3-8 and 3-10, mended).
+
+    Args:
+        mean: (3,) changed.
+        covariance: (6,) xx, xy, xz, yy, yz, zz; changed.
+        other_mean: (3,).
+        other_covariance: (6,).
+    """
+    a, b, c = covariance[0], covariance[1], covariance[2]
+    d, e, f = covariance[3], covariance[4], covariance[5]
+    sa, sb, sc = a + other_covariance[0], b + other_covariance[1], c + other_covariance[2]
+    sd, se, sf = d + other_covariance[3], e + other_covariance[4], f + other_covariance[5]
+    ia, ib, ic = sd * sf - se * se, sc * se - sb * sf, sb * se - sc * sd
+    scale = 1.0 / (sa * ia + sb * ib + sc * ic)
+    ia, ib, ic = ia * scale, ib * scale, ic * scale
+    id_, ie = (sa * sf - sc * sc) * scale, (sb * sc - sa * se) * scale
+    if_ = (sa * sd - sb * sb) * scale
+    k00, k01, k02 = a * ia + b * ib + c * ic, a * ib + b * id_ + c * ie, a * ic + b * ie + c * if_
+    k10, k11, k12 = b * ia + d * ib + e * ic, b * ib + d * id_ + e * ie, b * ic + d * ie + e * if_
+    k20, k21, k22 = c * ia + e * ib + f * ic, c * ib + e * id_ + f * ie, c * ic + e * ie + f * if_
+    x, y, z = other_mean[0] - mean[0], other_mean[1] - mean[1], other_mean[2] - mean[2]
+    mean[0] += k00 * x + k01 * y + k02 * z
+    mean[1] += k10 * x + k11 * y + k12 * z
+    mean[2] += k20 * x + k21 * y + k22 * z
+    covariance[0] = a - (k00 * a + k01 * b + k02 * c)
+    covariance[1] = b - (k00 * b + k01 * d + k02 * e)
+    covariance[2] = c - (k00 * c + k01 * e + k02 * f)
+    covariance[3] = d - (k10 * b + k11 * d + k12 * e)
+    covariance[4] = e - (k10 * c + k11 * e + k12 * f)
+    covariance[5] = f - (k20 * c + k21 * e + k22 * f)
+
+
+@numba.njit(**KERNEL)
+def _copy(
+    mean: FloatArray, covariance: FloatArray, from_mean: FloatArray, from_covariance: FloatArray
+) -> None:
+    """Overwrite a Gaussian by another."""
+    for axis in range(3):
+        mean[axis] = from_mean[axis]
+    for k in range(6):
+        covariance[k] = from_covariance[k]
+
+
+@numba.njit(**KERNEL)
+def _variance_along(covariance: FloatArray, x: float, y: float, z: float) -> float:
+    """Return the variance in a direction."""
+    diagonal = x * x * covariance[0] + y * y * covariance[3] + z * z * covariance[5]
+    return diagonal + 2.0 * (x * y * covariance[1] + x * z * covariance[2] + y * z * covariance[4])

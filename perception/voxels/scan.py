@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.pinhole import Frustum
-from perception.voxels.raycast import KERNEL, whole
+from perception.voxels.bricks import KERNEL, whole
 
 FloatArray = NDArray[np.float64]
 

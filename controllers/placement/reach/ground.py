@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from controllers.mapping.planar_paths import Paths, shortest_paths
 from controllers.placement.task import FREE_BELOW
 from perception.voxels.bricks import NEVER
-from perception.voxels.window import Window
+from perception.voxels.map import Window
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

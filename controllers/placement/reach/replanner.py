@@ -36,8 +36,7 @@ from controllers.placement.spatial.search import (
 )
 from controllers.placement.task import FREE_BELOW, Lens, Occluder, PlacementError, Target, View
 from perception.voxels.bricks import NEVER
-from perception.voxels.map import VoxelMap
-from perception.voxels.window import Window, window
+from perception.voxels.map import VoxelMap, Window, window
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -30,7 +30,7 @@ from perception.registration.cooperative import (
     relative_pose_by_target,
     triangulate_together,
 )
-from perception.registration.registration import RegistrationError
+from perception.registration.motion import RegistrationError
 from perception.registration.reprojection import Sighting
 
 FloatArray = NDArray[np.float64]

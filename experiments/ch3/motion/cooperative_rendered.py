@@ -30,8 +30,8 @@ from perception.registration.cooperative import (
     relative_pose_by_target,
     triangulate_together,
 )
-from perception.registration.cooperative_matching import match_across, surface_normals
-from perception.registration.registration import RegistrationError
+from perception.registration.motion import RegistrationError
+from perception.registration.patch_matching import match_across, surface_normals
 from perception.registration.reprojection import Sighting
 from perception.registration.target import SeenTarget, find_target
 from perception.stereo.geometry import StereoGeometry

@@ -22,8 +22,8 @@ from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CAMERA
-from perception.registration.map import FiducialMap
-from perception.registration.registration import SOLVERS, RegistrationError, estimate_motion
+from perception.registration.fiducial_map import FiducialMap
+from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
 from perception.stereo.geometry import StereoGeometry
 
 FloatArray = NDArray[np.float64]

@@ -23,11 +23,10 @@ from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from perception.registration.fiducial_terms import FiducialConfig
-from perception.registration.fiducials import select_fiducials
-from perception.registration.map import FiducialMap
-from perception.registration.registration import SOLVERS, RegistrationError, estimate_motion
-from perception.registration.tracking import Tracks, track
+from perception.registration.fiducial_map import FiducialMap
+from perception.registration.fiducials import FiducialConfig, select_fiducials
+from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
+from perception.registration.patch_matching import Tracks, track
 from perception.stereo.stereo import StereoMatcher
 
 FloatArray = NDArray[np.float64]

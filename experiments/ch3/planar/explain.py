@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from experiments.ch3.planar.trial import Trial, build_world
 from perception.planar.beams import fan
+from perception.planar.information import READINGS, new_information
 from perception.planar.map import Grid, PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, scan
-from perception.voxels.information import READINGS, new_information
 
 FloatArray = NDArray[np.float64]
 

@@ -26,8 +26,8 @@ from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.planar.information import READINGS, Reading
 from perception.planar.raycast import RangeSensor
-from perception.voxels.information import READINGS, Reading
 
 QUICK_METHODS: tuple[Method, ...] = ("max_new", "information")
 THESIS_METHODS: tuple[Method, ...] = ("random", "raster", "max_new", "min_old", "information")

@@ -14,9 +14,9 @@ import numpy as np
 from controllers.mapping.planar_planner import Method, PlannerConfig, Utility, View
 from controllers.mapping.planar_team import make_team
 from experiments.ch3.planar.worlds import World, image_world, indoor_world, unstructured_world
+from perception.planar.information import Reading
 from perception.planar.map import IntArray, PlanarMap
 from perception.planar.raycast import RangeSensor, scan
-from perception.voxels.information import Reading
 from perception.voxels.occupancy import State
 
 TARGET = 0.9

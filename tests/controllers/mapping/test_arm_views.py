@@ -9,7 +9,7 @@ from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
 from perception.voxels.occupancy import State
-from perception.voxels.view_information import PlanningGrid
+from perception.voxels.views import PlanningGrid
 
 PLACE = RigidTransform.from_components([0.4, -0.3, 0.1], Rotation.from_euler("z", 0.5))
 HOME = np.array(ARM.home)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.localiser import Localiser
 from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
-from perception.registration.prior import PosePrior
+from perception.registration.fiducial_map import PosePrior
 from perception.stereo.stereo import StereoMatcher
 
 pytestmark = pytest.mark.slow

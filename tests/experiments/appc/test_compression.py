@@ -25,7 +25,7 @@ from experiments.appc.pictures import (
 from experiments.appc.views import expected_pictures
 from perception.compression.image_predictors import PREDICTORS
 from perception.voxels.occupancy import State
-from perception.voxels.view_information import PlanningGrid
+from perception.voxels.views import PlanningGrid
 
 REACH = (0.25, 2.0)
 

@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.markers.ellipses import MarkerExpectation, project_discs, shape_matrices
 from perception.markers.markers import DETECTORS, find_bodies
-from perception.markers.poses import BodyCad, PosePrior
+from perception.markers.poses import BodyCad, BodyPrior
 from tests.perception.markers.marker_pictures import HEAD, picture, seen
 
 CARD = BodyCad(np.array([[-0.038, -0.02, 0.0], [0.038, -0.02, 0.0]]))
@@ -95,7 +95,7 @@ def test_a_known_normal_makes_the_turn_about_the_markers_line_surer():
     bodies = poses(0.7, 0.0, rng)
     images = pair(bodies, rng)
     information = np.diag([1, 1, 1, 0, 0, 0]) / np.deg2rad(1.0) ** 2
-    priors = [PosePrior(body, information) for body in bodies]
+    priors = [BodyPrior(body, information) for body in bodies]
     alone = find_bodies(images, HEAD, (CARD, SLOT), expected(0.7))
     helped = find_bodies(images, HEAD, (CARD, SLOT), expected(0.7), priors=priors)
     for first, second in zip(alone, helped):
@@ -115,7 +115,7 @@ def test_upside_down_is_told_by_a_prior():
     card = poses(0.5, 0.3, rng)[0]
     over = card * RigidTransform.from_rotation(Rotation.from_euler("z", np.pi))
     images = np.stack([picture(e, rng) for e in seen(over, CARD.points)])
-    prior = PosePrior(over, np.diag([4.0, 4.0, 4.0, 0, 0, 0]))
+    prior = BodyPrior(over, np.diag([4.0, 4.0, 4.0, 0, 0, 0]))
     (fit,) = find_bodies(images, HEAD, (CARD,), expected(0.5), priors=[prior])
     assert fit is not None
     assert (fit.transform_body_to_camera.rotation.inv() * over.rotation).magnitude() < 0.2

@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from perception.registration.fiducial_terms import (
+from perception.registration.fiducials import (
     FiducialConfig,
     depth_term,
     inverse_radius,
     match_sigma,
+    select_fiducials,
     visual_term,
     window_contrast,
 )
-from perception.registration.fiducials import select_fiducials
-from perception.registration.registration import RegistrationError
+from perception.registration.motion import RegistrationError
 from tests.perception.registration.fiducial_views import HEAD
 
 SHAPE = (HEAD.height, HEAD.width)

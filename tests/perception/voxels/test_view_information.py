@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.voxels.occupancy import State, binary_entropy
-from perception.voxels.view_information import (
+from perception.voxels.views import (
     ExpectedOccupancy,
     PlanningGrid,
     claimed_by_view,

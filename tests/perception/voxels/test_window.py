@@ -6,8 +6,7 @@ from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.pinhole import Frustum
 from perception.voxels.grid import MapError, VoxelGrid
-from perception.voxels.map import VoxelMap
-from perception.voxels.window import window
+from perception.voxels.map import VoxelMap, window
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from experiments.ch3.motion.motion import (
 )
 from experiments.harness import contract
 from experiments.harness.output import Output
-from perception.registration.registration import SOLVERS
+from perception.registration.motion import SOLVERS
 
 
 def test_fiducials_are_in_both_views_at_the_range():

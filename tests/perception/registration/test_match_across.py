@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from perception.registration.checks import RegistrationError
-from perception.registration.cooperative_matching import AcrossConfig, match_across, surface_normals
+from perception.registration.patch_matching import AcrossConfig, match_across, surface_normals
 from tests.perception.registration.fiducial_views import HEAD
 from tests.perception.stereo.textured_plane import TexturedPlane
 

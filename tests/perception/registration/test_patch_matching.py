@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from perception.registration.registration import RegistrationError, estimate_motion
-from perception.registration.tracking import TrackerConfig, predict, track
+from perception.registration.motion import RegistrationError, estimate_motion
+from perception.registration.patch_matching import TrackerConfig, predict, track
 from perception.stereo.patch_fit import EVERYTHING, fit_patch, sample_patch
 from tests.perception.registration.fiducial_views import HEAD, error_of, random_motion
 from tests.perception.stereo.textured_plane import TexturedPlane

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from perception.planar.beams import fan
-from perception.planar.map import Grid
-from perception.voxels.information import (
+from perception.planar.information import (
     READINGS,
     histogram_entropy,
     new_information,
     stretch,
     undecided_entropy,
 )
+from perception.planar.map import Grid
 
 GRID = Grid(30, 30, 0.5)
 DEPTH, FOV, RAYS = 5.0, np.radians(90.0), 48

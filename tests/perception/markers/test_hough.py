@@ -4,14 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
-from perception.markers import circles as marker_circles
-from perception.markers.circles import circle_of_three, hough_circles
+from perception.markers import hough
 from perception.markers.ellipses import MarkerExpectation, project_discs
 from perception.markers.hough import (
     black_markers,
+    circle_of_three,
     drop_specks,
     equalise,
     fewest_pixels,
+    hough_circles,
     low_pass,
     reduce_image,
     signed_laplacian,
@@ -108,7 +109,7 @@ def test_rings_drawn_by_opencv_are_found_in_square_pixels():
 
 def test_a_crowd_of_points_does_not_overrun_a_chain(monkeypatch):
     """Compiled code does not look where it writes; interpreted it does."""
-    monkeypatch.setattr(marker_circles, "_chain", marker_circles._chain.py_func)
+    monkeypatch.setattr(hough, "_chain", hough._chain.py_func)
     rows, columns = np.divmod(np.random.default_rng(0).permutation(144).astype(np.int32), 12)
-    circles = marker_circles._track.py_func(columns, rows, 12, 12, 1.0, 3.0, 12.0, 16.5, 1)
+    circles = hough._track.py_func(columns, rows, 12, 12, 1.0, 3.0, 12.0, 16.5, 1)
     assert circles.shape[1] == 4

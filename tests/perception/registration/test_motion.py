@@ -6,12 +6,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.registration.closed_form import kabsch_pose, nearest_rotation
-from perception.registration.registration import (
-    SOLVERS,
-    RegistrationError,
-    estimate_motion,
-    register,
-)
+from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion, register
 from perception.registration.reprojection import KnownPoints, Pose, linearise
 from tests.perception.registration.fiducial_views import (
     HEAD,

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from perception.registration.map import FiducialMap
-from perception.registration.prior import PosePrior
-from perception.registration.registration import RegistrationError, estimate_motion
+from perception.registration.fiducial_map import FiducialMap, PosePrior
+from perception.registration.motion import RegistrationError, estimate_motion
 from tests.perception.registration.fiducial_views import (
     HEAD,
     error_of,

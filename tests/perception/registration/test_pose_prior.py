@@ -9,9 +9,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.se3 import adjoint
-from perception.registration.map import FiducialMap
-from perception.registration.prior import PosePrior
-from perception.registration.registration import RegistrationError
+from perception.registration.fiducial_map import FiducialMap, PosePrior
+from perception.registration.motion import RegistrationError
 from tests.perception.registration.fiducial_views import HEAD, error_of, random_motion
 
 SIGMA = 0.2
