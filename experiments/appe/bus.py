@@ -164,7 +164,7 @@ def _plans(options: Options, sizes: Sizes) -> dict[str, list[TrialConfig]]:
         for seed in runs
     ]
     spread = [
-        TrialConfig("thesis", count, next(seeds), "rc", rc_spread=share, margin=margin)
+        TrialConfig("thesis", count, next(seeds), "rc", rc_sigma=share, margin=margin)
         for margin in MARGINS
         for share in SPREADS
     ]
@@ -230,7 +230,7 @@ def _measure_curves(found: dict[str, list[Row]], output: Output) -> None:
             output.measure(f"silent_errors_by_{part}/{where}", silent)
     for row in found["spread"]:
         wrong = fraction(row["sent"] - row["right"], row["sent"])
-        output.measure(f"word_errors_by_rc/{row['margin']:g}/{row['rc_spread']:g}", wrong)
+        output.measure(f"word_errors_by_rc/{row['margin']:g}/{row['rc_sigma']:g}", wrong)
     for name in PROTOCOLS:
         last = [row["wrong_bits"][-1] for row in found["lasting"] if row["protocol"] == name]
         output.measure(f"lasting_wrong_bits/{name}", distribution(last))

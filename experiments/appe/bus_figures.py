@@ -135,7 +135,7 @@ def draw_lasting(rows: Sequence[Row], spread: Sequence[Row]) -> Figure:
     for margin in dict.fromkeys(row["margin"] for row in spread):
         chosen = [row for row in spread if row["margin"] == margin]
         shares = [1.0 - row["right"] / row["sent"] for row in chosen]
-        right.plot([row["rc_spread"] for row in chosen], shares, "o-", label=f"{margin:g}")
+        right.plot([row["rc_sigma"] for row in chosen], shares, "o-", label=f"{margin:g}")
     right.set(xlabel="spread of RC from chip to chip [-]", ylabel="words not right [-]")
     right.set_title("RC buffer, no noise and no faults")
     right.legend(title="delay / longest train")

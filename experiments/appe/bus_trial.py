@@ -35,7 +35,7 @@ class TrialConfig:
         words: Number of words sent.
         seed: Of words, components, noise and faults.
         buffer: "flag" or "rc".
-        rc_spread: Relative standard deviation of the RC buffers' times.
+        rc_sigma: Relative standard deviation of the RC buffers' times.
         margin: Of the RC buffer's delay over the longest train.
         noise: On the signal, standard deviation of each sample [V].
         missed: Probability that a pulse is missed.
@@ -49,7 +49,7 @@ class TrialConfig:
     words: int
     seed: int
     buffer: str = "flag"
-    rc_spread: float = 0.05
+    rc_sigma: float = 0.05
     margin: float = 1.3
     noise: float = 0.0
     missed: float = 0.0
@@ -62,7 +62,7 @@ class TrialConfig:
 def build_bus(config: TrialConfig, rng: np.random.Generator) -> PowerBus:
     """Return the bus of a trial with components of its own."""
     code = protocols(ACTUATORS)[config.protocol].code
-    circuit, timing = BusCircuit(noise=config.noise, rc_spread=config.rc_spread), DEFAULT_TIMING
+    circuit, timing = BusCircuit(noise=config.noise, rc_sigma=config.rc_sigma), DEFAULT_TIMING
     if config.buffer == "rc":
         circuit, timing = with_rc_buffer(circuit, code, timing, config.margin)
     return PowerBus(code, rng, circuit, timing)

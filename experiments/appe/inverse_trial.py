@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controllers.braid.arm.chain import chain_pose, forward
-from controllers.braid.arm.exchange import exchange_from_random
-from controllers.braid.arm.inverse import EXACT_LIMIT, METHODS, BinaryArm, Solution, solve
-from controllers.braid.arm.obstacles import LinkCheck, body_points
+from controllers.braid.arm.heuristics import exchange_from_random
+from controllers.braid.arm.inverse import EXACT_LIMIT, METHODS, BinaryArm, WordSolution, solve
+from controllers.braid.arm.obstacles import LinkCheck, VoxelObstacles, body_points
 from controllers.braid.arm.stage import IntArray, StageGeometry, stage_pose
-from controllers.braid.arm.voxel_obstacles import VoxelObstacles
 
 FloatArray = NDArray[np.float64]
 
@@ -110,7 +109,7 @@ def solve_targets(trial: Trial) -> dict[str, Any]:
     }
 
 
-def _row(solution: Solution, milliseconds: float) -> list[float]:
+def _row(solution: WordSolution, milliseconds: float) -> list[float]:
     return [solution.cost, solution.displacement, solution.angle, milliseconds]
 
 
@@ -121,7 +120,7 @@ def _exchange_for(
     start, best, bound = time.process_time(), np.zeros(arm.count, dtype=np.int64), np.inf
     spent = 0.0
     while not np.isfinite(bound) or spent < milliseconds:
-        word, cost = exchange_from_random(arm.stages, arm.count, target, arm.turn, 1, rng)
+        word, cost = exchange_from_random(arm.goal(target), arm.count, 1, rng)
         if cost < bound:
             best, bound = word, cost
         spent = 1e3 * (time.process_time() - start)
@@ -190,7 +189,7 @@ def _in_voxels(points: FloatArray, keys: Set[tuple[int, ...]]) -> FloatArray:
     return np.array([float(tuple(key) in keys) for key in _keys(points).tolist()])
 
 
-def _balls(arm: BinaryArm, solution: Solution, rng: np.random.Generator) -> FloatArray:
+def _balls(arm: BinaryArm, solution: WordSolution, rng: np.random.Generator) -> FloatArray:
     """Return centres (k, 3) around points of the solution's body, away from the base."""
     body = body_points(arm.geometry)
     centres: list[FloatArray] = []

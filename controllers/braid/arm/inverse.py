@@ -12,11 +12,9 @@ from collections.abc import Callable
 import numpy as np
 
 from controllers.braid.arm.chain import MAX_ENUMERATED, all_words, forward, identity, reduced_words
-from controllers.braid.arm.clear_search import first_clear, search_clear
-from controllers.braid.arm.exchange import exchange_from_random
-from controllers.braid.arm.genetic import GeneticConfig, breed
-from controllers.braid.arm.lattice_walk import TailShape, describe_tails, walk
-from controllers.braid.arm.meeting import improve_free_stages, meet
+from controllers.braid.arm.heuristics import GeneticConfig, TipGoal, breed, exchange_from_random
+from controllers.braid.arm.lattice_walk import TailShape, WalkEffort, describe_tails, walk
+from controllers.braid.arm.meeting import first_clear, improve_free_stages, meet, search_clear
 from controllers.braid.arm.obstacles import LinkCheck, free_words
 from controllers.braid.arm.pose_tree import PoseTree, build_tree, nearest
 from controllers.braid.arm.stage import FloatArray, IntArray, StageGeometry, state_poses
@@ -69,7 +67,7 @@ class InverseConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class Solution:
+class WordSolution:
     """A word and how near it comes.
 
     Attributes:
@@ -86,7 +84,7 @@ class Solution:
 
 
 @dataclasses.dataclass(frozen=True)
-class Part:
+class WordTable:
     """All words of a few stages, their poses and a tree of them.
 
     Attributes:
@@ -127,20 +125,24 @@ class BinaryArm:
         self.geometry = geometry or StageGeometry()
         self.config = config or InverseConfig()
         self.stages = state_poses(self.geometry)
-        self._parts: dict[tuple[int, bool], Part] = {}
+        self._parts: dict[tuple[int, bool], WordTable] = {}
         self._shape: TailShape | None = None
 
     @property
-    def turn(self) -> float:
-        """What |dR|_F^2 is multiplied with in the squared cost [m^2]."""
+    def turn_weight(self) -> float:
+        """Factor of |dR|_F^2 in the squared cost [m^2]."""
         return 0.5 * self.config.weight**2
+
+    def goal(self, target: FloatArray) -> TipGoal:
+        """Return what compiled searches minimise for a target pose (12,)."""
+        return TipGoal(self.stages, target, self.turn_weight)
 
     @property
     def tail(self) -> int:
         """Stages of the tree."""
         return min(TAIL, self.count)
 
-    def part(self, count: int, bodies: bool = False) -> Part:
+    def part(self, count: int, bodies: bool = False) -> WordTable:
         """Return all words of the first (or any other) few stages.
 
         Args:
@@ -151,7 +153,7 @@ class BinaryArm:
         if key not in self._parts:
             words = all_words(count) if bodies else reduced_words(count)
             poses = forward(self.stages, words)
-            self._parts[key] = Part(words, poses, build_tree(poses, self.config.weight))
+            self._parts[key] = WordTable(words, poses, build_tree(poses, self.config.weight))
         return self._parts[key]
 
     def tail_shape(self) -> TailShape:
@@ -160,13 +162,13 @@ class BinaryArm:
             self._shape = describe_tails(self.part(TAIL).poses, self.stages)
         return self._shape
 
-    def score(self, word: IntArray, target: FloatArray) -> Solution:
+    def score(self, word: IntArray, target: FloatArray) -> WordSolution:
         """Return how near a word (n,) comes to a target pose (12,)."""
         off = forward(self.stages, word) - target
-        squared = float(off[:3] @ off[:3] + self.turn * (off[3:] @ off[3:]))
+        squared = float(off[:3] @ off[:3] + self.turn_weight * (off[3:] @ off[3:]))
         half = np.linalg.norm(off[3:]) / np.sqrt(8.0)  # |dR|_F = sqrt(8) sin(angle / 2)
         angle = 2.0 * float(np.arcsin(min(half, 1.0)))
-        return Solution(word, squared**0.5, float(np.linalg.norm(off[:3])), angle)
+        return WordSolution(word, squared**0.5, float(np.linalg.norm(off[:3])), angle)
 
 
 Check = LinkCheck | None
@@ -179,7 +181,7 @@ def solve(
     method: str,
     rng: np.random.Generator,
     check: Check = None,
-) -> Solution | None:
+) -> WordSolution | None:
     """Find a word whose tip comes near a target.
 
     Args:
@@ -226,7 +228,7 @@ def _exhaustive(
     if len(words) == 0:
         return None
     off = poses - target
-    costs = np.sum(off[:, :3] ** 2, axis=1) + arm.turn * np.sum(off[:, 3:] ** 2, axis=1)
+    costs = np.sum(off[:, :3] ** 2, axis=1) + arm.turn_weight * np.sum(off[:, 3:] ** 2, axis=1)
     return words[int(np.argmin(costs))].copy()
 
 
@@ -248,18 +250,14 @@ def _genetic(
 ) -> IntArray:
     """Breed words."""
     own = arm.config.genetic
-    return breed(
-        arm.stages, arm.count, target, arm.turn, own.population, own.generations, own.crossing, rng
-    )[0]
+    return breed(arm.goal(target), arm.count, own.population, own.generations, own.crossing, rng)[0]
 
 
 def _exchange(
     arm: BinaryArm, target: FloatArray, rng: np.random.Generator, check: Check
 ) -> IntArray:
     """Exchange up to three legs, from several random words."""
-    return exchange_from_random(
-        arm.stages, arm.count, target, arm.turn, arm.config.restarts, rng
-    )[0]  # fmt: skip
+    return exchange_from_random(arm.goal(target), arm.count, arm.config.restarts, rng)[0]
 
 
 def _meet(
@@ -289,7 +287,7 @@ def _neighbourhood(
         return search_clear(
             arm.stages, arm.part(TAIL, bodies=True), ahead, choices, target, check, rng
         )
-    word, cost = exchange_from_random(arm.stages, arm.count, target, arm.turn, 1, rng)
+    word, cost = exchange_from_random(arm.goal(target), arm.count, 1, rng)
     return _improved(arm, word, cost, target, choices)
 
 
@@ -329,11 +327,10 @@ def _walk(
     if ahead < 2:  # no pair to exchange
         return _meet(arm, target, rng, check)
     part = arm.part(TAIL)
-    word, cost = exchange_from_random(arm.stages, arm.count, target, arm.turn, 1, rng)
+    word, cost = exchange_from_random(arm.goal(target), arm.count, 1, rng)
     head = word[:ahead].copy()
-    last, cost = walk(
-        part.tree, arm.tail_shape(), arm.stages, head, target, cost, own.looks, own.steps, rng
-    )
+    effort = WalkEffort(own.looks, own.steps)
+    last, cost = walk(part.tree, arm.tail_shape(), arm.goal(target), head, cost, effort, rng)
     if last >= 0:
         word = np.concatenate([head, part.words[last]])
     windows = own.polish if last >= 0 else own.neighbourhoods

@@ -33,7 +33,7 @@ _SMALL = 1e-9
 class TailShape(NamedTuple):
     """What poses the last stages reach, as exponential coordinates (rotation 3, translation 3).
 
-    Chains that bend evenly are lines there, so that a normal distribution tells their spread.
+    Chains that bend evenly are lines there, so that a normal distribution describes them.
 
     Attributes:
         mean: (6,) of the coordinates [rad, m].
@@ -50,6 +50,18 @@ class TailShape(NamedTuple):
     sharpness: float
 
 
+class WalkEffort(NamedTuple):
+    """Effort of the walk.
+
+    Attributes:
+        looks: Number of searches of the tree after which the walk ends.
+        steps: Number of steps after which the walk ends anyway.
+    """
+
+    looks: int
+    steps: int
+
+
 def describe_tails(poses: FloatArray, stages: FloatArray) -> TailShape:
     """Return the shape of what chains reach.
 
@@ -58,13 +70,13 @@ def describe_tails(poses: FloatArray, stages: FloatArray) -> TailShape:
         stages: (8, 12) pose of a stage in each state.
     """
     coordinates = logarithms(poses)
-    spread = np.cov(coordinates.T)
-    spread += 1e-9 * max(float(np.trace(spread)), _SMALL) * np.eye(6)
+    covariance = np.cov(coordinates.T)
+    covariance += 1e-9 * max(float(np.trace(covariance)), _SMALL) * np.eye(6)
     legs = np.ascontiguousarray(logarithms(stages[[1, 2]])[:, :2].T)
     deviation = LATTICE_SHARE * float(np.linalg.norm(legs[:, 0]))
     return TailShape(
         coordinates.mean(axis=0),
-        np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(spread)), dtype=np.float64),
+        np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64),
         legs,
         np.ascontiguousarray(np.linalg.pinv(legs), dtype=np.float64),
         1.0 / max(deviation, _SMALL) ** 2,
@@ -114,7 +126,7 @@ def _off_lattice(shape, x, y):
 
 
 @numba.njit(cache=True)
-def walk(tree, shape, stages, word, target, bound, looks, steps, rng):
+def walk(tree, shape, goal, word, bound, effort, rng):
     """Walk among the first stages by pairs of states, and look for last stages where it pays.
 
     A step draws two stages, rates all 64 pairs of their states, and takes one with a chance that
@@ -122,25 +134,24 @@ def walk(tree, shape, stages, word, target, bound, looks, steps, rng):
 
     Args:
         tree: `PoseTree` of the last stages.
-        shape: Their `TailShape`.
-        stages: (8, 12) pose of a stage in each state.
-        word: (h,) first stages that it begins from, two at least; changed to the best.
-        target: (12,) pose that is wanted.
-        bound: Squared cost to stay below.
-        looks: Searches of the tree after which it ends.
-        steps: Steps after which it ends anyway.
-        rng: Source of randomness.
+        shape: `TailShape` of the last stages.
+        goal: `TipGoal`.
+        word: (h,) first stages to begin with, two at least; changed to the best.
+        bound: Squared cost to stay below [m^2].
+        effort: `WalkEffort`.
+        rng: Random generator for all choices.
 
     Returns:
         Index of the last stages (-1 where nothing is below the bound, and the word then is as it
-        was) and the squared cost.
+        was) and the squared cost [m^2].
     """
+    stages, target = goal.stages, goal.target
     here, last = word.copy(), -1
     before, after = np.empty((STATES, 12)), np.empty((STATES, 12))
     wanted, work, misfits = np.empty(12), np.empty(6), np.empty(_PAIRS)
     least, looked = np.inf, 0
-    for _ in range(steps):
-        if looked >= looks:
+    for _ in range(effort.steps):
+        if looked >= effort.looks:
             break
         i, j = _two_of(here.shape[0], rng)
         _frames(stages, here, target, i, j, before, after)

@@ -37,7 +37,16 @@ from controllers.braid.bus.code import (
     PulseTiming,
     check_word,
 )
-from controllers.braid.bus.kernel import LATCH, REFUSED, UPPER, run_chips
+from controllers.braid.bus.decoder_chips import (
+    BusModel,
+    BusState,
+    ChipValues,
+    Decoding,
+    LinePieces,
+    LineValues,
+    TraceArrays,
+    run_chips,
+)
 from controllers.braid.bus.trains import Train, sampled_segments
 
 FloatArray = NDArray[np.float64]
@@ -49,27 +58,30 @@ class BusCircuit:
 
     Attributes:
         address_signal: Peak of address pulses behind the first divider [V]. Thesis: 2.
-        flag_signal: Peak of the flag there [V]. Thesis: 5.
-        buffer_divider: From the signal to the flag's detector. Thesis: 2.5.
-        threshold: Of the logic [V]. Thesis: 1.3 (TTL).
-        supply: Of the line at rest [V]. Assumed, as all that follows.
-        signal_divider: From the line to the signal; the master's pulses are this much higher.
-        hysteresis: Between the Schmitt trigger's two thresholds [V].
+        flag_signal: Peak of the flag behind the first divider [V]. Thesis: 5.
+        buffer_divider: Ratio of the signal to the flag detector's input. Thesis: 2.5.
+        threshold: Threshold of the logic [V]. Thesis: 1.3 (TTL).
+        supply: Voltage of the line at rest [V]. Assumed, as all that follows.
+        signal_divider: Ratio of the line's voltage to the signal's.
+        hysteresis: Difference between the Schmitt trigger's two thresholds [V].
         debounce: Time constant of the debouncers [s].
         edge: Time constant of the line's edges [s].
         coupling: Time constant of the coupling capacitor [s].
-        clamp: The same while the clamp diode conducts [s].
-        clamp_drop: Of the clamp diode [V].
-        actuator_current: Through one actuator that is on [A].
-        line_resistance: Of supply and line, which the actuators' current drops at [ohm].
-        logic_supply: Of the decoders [V].
-        rc_time: R C of the RC buffer [s]; None for the buffer with the flag.
-        divider_spread: Relative standard deviation of dividers from chip to chip.
-        threshold_spread: Standard deviation of thresholds from chip to chip [V].
-        rc_spread: Relative standard deviation of the RC buffer's time from chip to chip.
-        noise: On the signal, standard deviation of each sample, all chips alike [V].
-        sense_noise: Of the master's measurement of the supply current, standard deviation [A].
+        clamp: Time constant of the coupling capacitor while the clamp diode conducts [s].
+        clamp_drop: Voltage drop of the clamp diode [V].
+        actuator_current: Current through one actuator that is on [A].
+        line_resistance: Resistance of supply and line [ohm].
+        logic_supply: Supply of the decoders [V].
+        rc_time: Time constant R C of the RC buffer [s]; None for the buffer with the flag.
+        divider_sigma: Relative standard deviation of dividers from chip to chip.
+        threshold_sigma: Standard deviation of thresholds from chip to chip [V].
+        rc_sigma: Relative standard deviation of the RC buffer's time from chip to chip.
+        noise: Standard deviation of the signal's noise in each sample, the same for all chips [V].
+        sense_noise: Standard deviation of the master's measurement of the supply current [A].
         sample: Time of one sample [s].
+
+    Raises:
+        ValueError: If a value is not positive, or a deviation or noise negative.
     """
 
     address_signal: float = 2.0
@@ -88,20 +100,15 @@ class BusCircuit:
     line_resistance: float = 0.1
     logic_supply: float = 5.0
     rc_time: float | None = None
-    divider_spread: float = 0.01
-    threshold_spread: float = 0.03
-    rc_spread: float = 0.05
+    divider_sigma: float = 0.01
+    threshold_sigma: float = 0.03
+    rc_sigma: float = 0.05
     noise: float = 0.0
     sense_noise: float = 0.02
     sample: float = 5e-6
 
     def __post_init__(self) -> None:
-        """Refuse values that no component has.
-
-        Raises:
-            ValueError: If a value is not positive or a spread or noise negative.
-        """
-        free = {"divider_spread", "threshold_spread", "rc_spread", "noise", "sense_noise"}
+        free = {"divider_sigma", "threshold_sigma", "rc_sigma", "noise", "sense_noise"}
         free |= {"hysteresis", "line_resistance", "actuator_current", "clamp_drop"}
         for field in dataclasses.fields(self):
             value, may_vanish = getattr(self, field.name), field.name in free
@@ -122,8 +129,8 @@ def rc_delay(rc_time: float, threshold: float, supply: float) -> float:
 
     Args:
         rc_time: R C [s].
-        threshold: To be reached [V].
-        supply: That it charges from [V].
+        threshold: Voltage to be reached [V].
+        supply: Voltage that it charges from [V].
     """
     return -rc_time * math.log(1.0 - threshold / supply)
 
@@ -137,10 +144,10 @@ def with_rc_buffer(
     the count before the train has ended; the master waits as much longer again for the slowest.
 
     Args:
-        circuit: To take all else from.
-        code: Its longest train sets the delay.
-        timing: Of the pulses.
-        margin: More than 1, by a few times ``rc_spread``.
+        circuit: Circuit that gives all other values.
+        code: Address code, whose longest train sets the delay.
+        timing: Timing of the pulses.
+        margin: Ratio of the delay to the longest train: above 1 by a few times ``rc_sigma``.
 
     Raises:
         ValueError: If the margin is not above 1.
@@ -162,13 +169,13 @@ class Trace:
     """What an oscilloscope sees, at the first chip.
 
     Attributes:
-        time: (k,) [s].
+        time: (k,) time [s].
         line: (k,) voltage of the power line [V].
-        signal: (k,) behind the first divider [V].
-        debounced: (k,) into the counter's trigger [V].
-        flag: (k,) into the buffer's trigger [V].
+        signal: (k,) signal behind the first divider [V].
+        debounced: (k,) voltage into the counter's trigger [V].
+        flag: (k,) voltage into the flag's trigger [V].
         count: (k,) the counter.
-        words: (k, n) what the latches hold.
+        words: (k, n) the latches.
     """
 
     time: FloatArray
@@ -181,7 +188,17 @@ class Trace:
 
 
 class PowerBus:
-    """A power line with one decoder for each actuator."""
+    """A power line with one decoder for each actuator; all actuators are off at first.
+
+    Args:
+        code: Address code that is wired into every decoder.
+        rng: Random generator for component values and noise.
+        circuit: Nominal component values.
+        timing: Timing of the master's pulses.
+
+    Raises:
+        ValueError: If circuit and timing mean different buffers.
+    """
 
     def __init__(
         self,
@@ -190,59 +207,49 @@ class PowerBus:
         circuit: BusCircuit | None = None,
         timing: PulseTiming = DEFAULT_TIMING,
     ) -> None:
-        """Draw the chips' component values and switch all actuators off.
-
-        Args:
-            code: Wired into every decoder.
-            rng: For component values and noise.
-            circuit: Nominal values.
-            timing: Of the master.
-
-        Raises:
-            ValueError: If circuit and timing mean different buffers.
-        """
         self.code, self.timing = code, timing
         self.circuit = circuit = circuit or BusCircuit()
         if (circuit.rc_time is None) != (timing.quiet is None):
             raise ValueError("rc_time and quiet: give both for the RC buffer, or none for the flag")
         n = code.actuators
         self._rng = rng
-        self._chips = _draw_chips(circuit, n, rng)
-        self._line = np.zeros(2)
-        self._voltages = np.zeros((3, n))
-        self._waits, self._limits = np.ones((2, n)), np.vstack((self._chips[UPPER],) * 2)
-        self._logic = np.zeros((3, n), np.int64)
-        self._decoding = np.array(
-            [
-                code.spacing,
-                code.tolerance,
-                code.singles,
-                code.commands,
-                code.mode == "set",
-                2**code.counter_bits,
-                circuit.rc_time is not None,
-            ],
-            np.int64,
+        chips = _draw_chips(circuit, n, rng)
+        decoding = Decoding(
+            code.spacing,
+            code.tolerance,
+            code.singles,
+            code.commands,
+            int(code.mode == "set"),
+            2**code.counter_bits,
+            int(circuit.rc_time is not None),
+        )
+        self._model = BusModel(_line_values(circuit), chips, decoding)
+        voltages, waits, limits = np.zeros((2, n)), np.ones((2, n)), np.vstack((chips.upper,) * 2)
+        counts, latches, refused = np.zeros((3, n), np.int64)
+        self._state = BusState(
+            np.zeros(2), voltages, waits, limits, np.zeros(n), counts, latches, refused
         )
 
     @property
     def word(self) -> BoolArray:
-        """(n,) what the latches hold."""
-        return self._logic[LATCH].astype(bool)
+        """(n,) states of the latches."""
+        return self._state.latches.astype(bool)
 
     @property
     def refused(self) -> NDArray[np.int64]:
-        """(n,) how often each decoder saw a count that no command has."""
-        return self._logic[REFUSED].copy()
+        """(n,) number of counts at each decoder that no command has."""
+        return self._state.refused.copy()
 
     def preset(self, word: ArrayLike) -> None:
         """Bring all latches to a word, clear the counters and let the line settle."""
         states = check_word(self.code, word)
-        self._logic[:] = 0
-        self._logic[LATCH] = states
-        self._voltages[:], self._waits[:], self._limits[:] = 0.0, 1.0, self._chips[UPPER]
+        state = self._state
+        state.counts[:] = state.refused[:] = 0
+        state.latches[:] = states
+        state.voltages[:] = 0.0
+        state.waits[:], state.limits[:], state.capacitors[:] = 1.0, self._model.chips.upper, 0.0
         drop = self.circuit.line_resistance * self.circuit.actuator_current * states.sum()
-        self._line[:] = -drop
+        state.line[:] = -drop
 
     def send(self, trains: Sequence[Train]) -> BoolArray:
         """Put trains on the line.
@@ -250,21 +257,25 @@ class PowerBus:
         Returns:
             (m, n) the latches after each train.
         """
-        return self._run(trains, np.zeros((0, 5)), np.zeros((0, 0), np.bool_))
+        return self._run(trains, self._trace_arrays(0))
 
     def observe(self, trains: Sequence[Train]) -> Trace:
         """Put trains on the line and return what an oscilloscope sees."""
         _, lengths, _ = sampled_segments(trains, self.timing, self.circuit.sample)
-        count = int(lengths.sum())
-        rows, words = np.zeros((count, 5)), np.zeros((count, self.code.actuators), np.bool_)
-        self._run(trains, rows, words)
-        time = self.circuit.sample * np.arange(1, count + 1, dtype=np.float64)
-        line = self.circuit.supply + rows[:, 0]
-        signal, debounced, flag = rows[:, 1], rows[:, 2], rows[:, 3]
-        return Trace(time, line, signal, debounced, flag, rows[:, 4].astype(np.int64), words)
+        samples = int(lengths.sum())
+        trace = self._trace_arrays(samples)
+        self._run(trains, trace)
+        time = self.circuit.sample * np.arange(1, samples + 1, dtype=np.float64)
+        return Trace(time, self.circuit.supply + trace.line, *trace[1:])
+
+    def _trace_arrays(self, samples: int) -> TraceArrays:
+        """Return arrays for a trace of so many samples."""
+        line, signal, debounced, flag = np.zeros((4, samples))
+        words = np.zeros((samples, self.code.actuators), np.bool_)
+        return TraceArrays(line, signal, debounced, flag, np.zeros(samples, np.int64), words)
 
     def sense(self) -> int:
-        """Return the number of actuators that are on, as the supply current tells the master.
+        """Return the number of actuators that are on by a measurement of the supply current.
 
         Raises:
             ValueError: If actuators that are on take no current.
@@ -272,34 +283,16 @@ class PowerBus:
         circuit = self.circuit
         if circuit.actuator_current == 0.0:
             raise ValueError("actuator_current: expected a positive number to sense, got 0.0")
-        current = circuit.actuator_current * self._logic[LATCH].sum()
+        current = circuit.actuator_current * self._state.latches.sum()
         current += circuit.sense_noise * self._rng.standard_normal()
         return round(current / circuit.actuator_current)
 
-    def _run(self, trains: Sequence[Train], rows: FloatArray, trace_words: BoolArray) -> BoolArray:
+    def _run(self, trains: Sequence[Train], trace: TraceArrays) -> BoolArray:
         levels, lengths, starts = sampled_segments(trains, self.timing, self.circuit.sample)
         circuit = self.circuit
         volts = np.array([0.0, circuit.address_signal, circuit.flag_signal])
-        rises = volts[levels.astype(int)] * circuit.signal_divider
-        words = np.zeros((len(trains), self.code.actuators), np.bool_)
-        run_chips(
-            rises,
-            lengths,
-            starts,
-            _line_values(circuit),
-            self._chips,
-            self._decoding,
-            self._line,
-            self._voltages,
-            self._waits,
-            self._limits,
-            self._logic,
-            self._rng,
-            words,
-            rows,
-            trace_words,
-        )
-        return words
+        pieces = LinePieces(volts[levels.astype(int)] * circuit.signal_divider, lengths, starts)
+        return run_chips(pieces, self._model, self._state, self._rng, trace)
 
 
 def _smoothing(sample: float, time: float | FloatArray) -> FloatArray:
@@ -307,36 +300,33 @@ def _smoothing(sample: float, time: float | FloatArray) -> FloatArray:
     return -np.expm1(-sample / np.asarray(time, dtype=np.float64))
 
 
-def _line_values(circuit: BusCircuit) -> FloatArray:
-    """Return (10,) what the kernel needs of the line."""
-    return np.array(
-        [
-            float(_smoothing(circuit.sample, circuit.edge)),
-            float(_smoothing(circuit.sample, circuit.coupling)),
-            float(_smoothing(circuit.sample, circuit.clamp)),
-            circuit.clamp_drop,
-            circuit.signal_divider,
-            circuit.line_resistance * circuit.actuator_current,
-            circuit.noise,
-            float(_smoothing(circuit.sample, circuit.debounce)),
-            circuit.logic_supply,
-            circuit.threshold,
-        ]
+def _line_values(circuit: BusCircuit) -> LineValues:
+    def share(time: float) -> float:
+        return float(_smoothing(circuit.sample, time))
+
+    return LineValues(
+        edge=share(circuit.edge),
+        coupling=share(circuit.coupling),
+        clamp=share(circuit.clamp),
+        clamp_drop=circuit.clamp_drop,
+        divider=circuit.signal_divider,
+        actuator_drop=circuit.line_resistance * circuit.actuator_current,
+        noise=circuit.noise,
+        debounce=share(circuit.debounce),
+        logic_supply=circuit.logic_supply,
+        rc_limit=circuit.threshold,
     )
 
 
-def _draw_chips(circuit: BusCircuit, n: int, rng: np.random.Generator) -> FloatArray:
-    """Return (5, n) component values: two gains, two thresholds, and the RC buffer's lag."""
-    spread = circuit.divider_spread * rng.standard_normal((2, n))
-    middle = circuit.threshold + circuit.threshold_spread * rng.standard_normal(n)
-    slow = np.exp(circuit.rc_spread * rng.standard_normal(n))
+def _draw_chips(circuit: BusCircuit, n: int, rng: np.random.Generator) -> ChipValues:
+    """Draw the component values of n chips."""
+    off = circuit.divider_sigma * rng.standard_normal((2, n))
+    middle = circuit.threshold + circuit.threshold_sigma * rng.standard_normal(n)
+    slow = np.exp(circuit.rc_sigma * rng.standard_normal(n))
     rc_time = math.inf if circuit.rc_time is None else circuit.rc_time
-    return np.vstack(
-        (
-            1.0 + spread[0],
-            (1.0 + spread[1]) / circuit.buffer_divider,
-            middle + circuit.hysteresis / 2,
-            middle - circuit.hysteresis / 2,
-            _smoothing(circuit.sample, rc_time * slow),
-        )
+    return ChipValues(
+        gains=np.vstack((1.0 + off[0], (1.0 + off[1]) / circuit.buffer_divider)),
+        upper=middle + circuit.hysteresis / 2,
+        lower=middle - circuit.hysteresis / 2,
+        rc_lag=np.asarray(_smoothing(circuit.sample, rc_time * slow)),
     )

@@ -6,7 +6,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from controllers.braid.arm.chain import all_words, forward, identity
-from controllers.braid.arm.exchange import exchange, squared_cost
+from controllers.braid.arm.heuristics import TipGoal, exchange, squared_cost
 from controllers.braid.arm.inverse import (
     CLEAR_METHODS,
     METHODS,
@@ -105,7 +105,7 @@ def test_exchange_ends_where_no_three_legs_are_better():
     flips = np.array([sum(1 << b for b in bits) for bits in _up_to_three(12)])
     for target in targets(4, 5):
         word = rng.integers(0, 8, 4)
-        cost = exchange(FOUR.stages, word, target, 0.5)
+        cost = exchange(TipGoal(FOUR.stages, target, 0.5), word)
         assert cost == pytest.approx(squared_cost(forward(FOUR.stages, word), target, 0.5))
         code = int(word @ 8 ** np.arange(4))
         around = ((code ^ flips)[:, None] >> (3 * np.arange(4))) & 7

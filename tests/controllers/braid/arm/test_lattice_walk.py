@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.braid.arm.chain import chain_pose, forward, identity
 from controllers.braid.arm.inverse import TAIL, BinaryArm, InverseConfig, solve
-from controllers.braid.arm.lattice_walk import describe_tails, logarithms, misfit, walk
+from controllers.braid.arm.lattice_walk import WalkEffort, describe_tails, logarithms, misfit, walk
 from controllers.braid.arm.stage import stage_pose
 
 ARM = BinaryArm(20)
@@ -74,11 +74,16 @@ def test_walk_returns_the_word_of_the_cost_that_it_says(tails):
     shape, rng = ARM.tail_shape(), np.random.default_rng(4)
     for target in targets(20, 3, 5):
         head = rng.integers(0, 8, 14)
-        last, cost = walk(tails.tree, shape, ARM.stages, head, target, np.inf, 200, 2000, rng)
+        last, cost = walk(
+            tails.tree, shape, ARM.goal(target), head, np.inf, WalkEffort(200, 2000), rng
+        )
         word = np.append(head, tails.words[last])
         assert ARM.score(word, target).cost ** 2 == pytest.approx(cost, abs=1e-12)
         before = head.copy()
-        assert walk(tails.tree, shape, ARM.stages, head, target, 0.0, 20, 99, rng) == (-1, 0.0)
+        assert walk(tails.tree, shape, ARM.goal(target), head, 0.0, WalkEffort(20, 99), rng) == (
+            -1,
+            0.0,
+        )
         np.testing.assert_array_equal(head, before)
 
 

@@ -99,7 +99,7 @@ def test_flag_is_counted_then_latched_and_clears_the_counter_when_it_falls():
 
 
 def test_levels_are_those_of_the_thesis():
-    exact = {"divider_spread": 0.0, "actuator_current": 0.0}
+    exact = {"divider_sigma": 0.0, "actuator_current": 0.0}
     trace = bus_of(AddressCode(5), sample=1e-6, **exact).observe([Train((1, 1))])
     pulse, flag = trace.time < 150e-6, trace.time > 200e-6
     assert trace.signal[pulse].max() == pytest.approx(2.0, abs=0.01)
@@ -111,7 +111,7 @@ def test_levels_are_those_of_the_thesis():
 
 
 def test_line_and_debouncer_agree_with_filters_of_scipy():
-    circuit = BusCircuit(divider_spread=0.0, actuator_current=0.0, clamp_drop=9.0, sample=1e-6)
+    circuit = BusCircuit(divider_sigma=0.0, actuator_current=0.0, clamp_drop=9.0, sample=1e-6)
     bus = PowerBus(AddressCode(3), np.random.default_rng(0), circuit)
     trains = [Train((1, 2, 1)), Train((0, 1))]
     trace = bus.observe(trains)
@@ -155,7 +155,7 @@ def test_rc_delay_is_the_time_at_which_the_capacitor_reaches_the_threshold():
     assert rc_delay(1.0, 1.3, 5.0) == pytest.approx(0.3011, abs=1e-4)
     assert rc_delay(2.0, 5.0 * (1 - np.exp(-1.0)), 5.0) == pytest.approx(2.0)
     code = AddressCode(5)
-    exact = BusCircuit(rc_spread=0.0, threshold_spread=0.0, divider_spread=0.0, sample=1e-6)
+    exact = BusCircuit(rc_sigma=0.0, threshold_sigma=0.0, divider_sigma=0.0, sample=1e-6)
     circuit, timing = with_rc_buffer(exact, code, PulseTiming(), 1.5)
     trace = PowerBus(code, np.random.default_rng(0), circuit, timing).observe(trains_of(code, [2]))
     start = trace.time[np.flatnonzero(trace.count)[0]]
@@ -165,7 +165,7 @@ def test_rc_delay_is_the_time_at_which_the_capacitor_reaches_the_threshold():
 
 def test_rc_buffers_that_are_too_quick_cut_a_train():
     code = AddressCode(5)
-    circuit, timing = with_rc_buffer(BusCircuit(rc_spread=0.0), code, PulseTiming(), 1.1)
+    circuit, timing = with_rc_buffer(BusCircuit(rc_sigma=0.0), code, PulseTiming(), 1.1)
     circuit = dataclasses.replace(circuit, rc_time=0.5 * circuit.rc_time)
     bus = PowerBus(code, np.random.default_rng(0), circuit, timing)
     word = bus.send(trains_of(code, [5]))[-1]
