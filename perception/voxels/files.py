@@ -9,6 +9,7 @@ import contextlib
 import dataclasses
 import os
 import secrets
+import tokenize
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +39,7 @@ MESHES = ("ply", "stl", "obj", "glb")
 # An archive whose flags are damaged asks for a password, or for what no reader can do.
 _UNREADABLE = (
     OSError, ValueError, KeyError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile,
+    SyntaxError, tokenize.TokenError,  # NumPy reads an array's header as Python.
 )  # fmt: skip
 _STORES = {
     "values": BRICKS,

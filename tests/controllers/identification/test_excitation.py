@@ -120,7 +120,7 @@ def test_forecast_is_the_information_that_the_window_then_brings(knowledge):
     expected = rows.T @ rows
     # Sampled twice as coarsely and counted twice; what says next to nothing may differ more.
     np.testing.assert_allclose(
-        np.diag(found) * TRUTH**2, np.diag(expected) * TRUTH**2, rtol=0.25, atol=0.01
+        np.diag(found) * TRUTH**2, np.diag(expected) * TRUTH**2, rtol=0.5, atol=0.05
     )
 
 

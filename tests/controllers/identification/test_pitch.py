@@ -106,6 +106,7 @@ def test_a_measurement_that_is_not_a_number_is_named(name):
         PitchFit(SENSORS).fit(wrench, np.arange(len(tilt)), tilt)
 
 
+@pytest.mark.chosen_seed  # One whose first step goes there.
 def test_a_step_to_where_the_model_overflows_is_no_gain(monkeypatch):
     _, wrench = rich_wrench(1.0)
     tilt = predict_tilt(TRUTH, wrench, SENSORS, SENSORS.wrench_age)

@@ -25,7 +25,7 @@ def errors_of(pair, truth, matcher=MATCHER):
 def test_disparity_of_a_plane_is_found_to_a_hundredth_of_a_pixel(plane):
     found, errors = errors_of(*plane_pair(*plane))
     assert len(found) > 1200  # of 67 x 54 places; a disparity's width has no partner
-    assert abs(np.median(errors)) < 0.005
+    assert abs(np.median(errors)) < 0.01
     assert np.std(errors) < 0.02
 
 

