@@ -10,8 +10,7 @@ import atexit
 import dataclasses
 import importlib
 import os
-from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import mujoco
@@ -21,11 +20,21 @@ from numpy.typing import NDArray
 from models.datasheets import CAMERA
 from perception.geometry.pinhole import NO_DISTORTION, DistortedPinhole, Pinhole
 from twin.out_of_sight import leave_out_unseen
-from twin.robot import Channel, FloatArray, Validity
+from twin.robot import FloatArray, ImageArray, ImageChannel, RobotError
 
-ImageArray = NDArray[np.uint8]
 _MAX_SAMPLES = 4  # Software rasterisers offer no more.
 _HIDDEN_GROUP = 4  # Truth markers stand in groups from here on; no camera may see them.
+_POSITIONS = mujoco.mjtState.mjSTATE_QPOS | (
+    mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
+)
+_PLACING = (
+    mujoco.mj_kinematics,
+    mujoco.mj_comPos,
+    mujoco.mj_camlight,
+    mujoco.mj_flex,
+    mujoco.mj_tendon,
+)
+"""What computes, from joint and mocap positions, where everything that is drawn stands."""
 
 
 def camera_model(model: mujoco.MjModel, name: str) -> Pinhole:
@@ -204,12 +213,16 @@ class StereoConfig:
             raise ValueError(f"stereo rate must be positive, got {self.rate}")
 
 
-@dataclasses.dataclass(frozen=True)
-class StereoState:
-    """Complete state of a `StereoRig`."""
+class StereoState(NamedTuple):
+    """Complete state of a `StereoHead`.
+
+    Attributes:
+        due: Time of the next pair [s].
+        frame: Number of the next pair.
+    """
 
     due: float
-    random: Mapping[str, Any]
+    frame: int
 
 
 def has_stereo(model: mujoco.MjModel, prefix: str) -> bool:
@@ -223,67 +236,124 @@ def has_stereo(model: mujoco.MjModel, prefix: str) -> bool:
 
 
 class StereoRig:
-    """The two cameras of one robot."""
+    """Two cameras that are drawn together.
 
-    def __init__(
-        self, model: mujoco.MjModel, prefix: str, config: StereoConfig, rng: np.random.Generator
-    ) -> None:
-        """Find the cameras.
+    Args:
+        model: The scene.
+        prefix: What the cameras' names begin with, before stereo_left and stereo_right.
+        config: How they see.
 
-        Args:
-            model: The scene.
-            prefix: Of the robot's names; the cameras are stereo_left and stereo_right.
-            config: How they see.
-            rng: Source of image noise.
+    Raises:
+        ValueError: If a camera is missing or the two differ in size.
+    """
 
-        Raises:
-            ValueError: If a camera is missing or the two differ in size.
-        """
+    def __init__(self, model: mujoco.MjModel, prefix: str, config: StereoConfig) -> None:
         self._names = (f"{prefix}stereo_left", f"{prefix}stereo_right")
         lenses = (camera_model(model, name) for name in self._names)
         self.cameras = tuple(DistortedPinhole(*c.intrinsics, config.distortion) for c in lenses)
         if len({(c.width, c.height) for c in self.cameras}) > 1:
             raise ValueError(f"cameras {self._names} differ in size")
-        self._model, self._config, self._rng = model, config, rng
-        self._due = 0.0
+        self._model, self._noise_db = model, config.noise_db
         distorted = any(config.distortion)
         self._maps = tuple(_distortion_map(c) if distorted else None for c in self.cameras)
 
-    def poll(self, data: mujoco.MjData, time: float) -> Channel | None:
-        """Return a new pair if one is due at `time` [s], else None."""
-        if time < self._due - 1e-9:
-            return None
-        self._due = max(self._due + 1.0 / self._config.rate, time)
-        return Channel(self.capture(data), time, Validity.MEASURED)
+    def capture(
+        self, data: mujoco.MjData, noise: tuple[np.random.Generator, np.random.Generator]
+    ) -> ImageArray:
+        """Return (2, height, width) uint8, left and right, read-only.
 
-    def capture(self, data: mujoco.MjData) -> ImageArray:
-        """Return (2, height, width) uint8, left and right, read-only."""
+        Args:
+            data: The scene's state, after positions were computed.
+            noise: Random generators for the noise of the left and of the right image; may be one.
+        """
         first = self.cameras[0]
         pair = np.empty((2, first.height, first.width), np.uint8)
-        for image, name, warp in zip(pair, self._names, self._maps):
+        for image, name, warp, rng in zip(pair, self._names, self._maps, noise, strict=True):
             colour = renderer().render(self._model, data, name, first.width, first.height)
             grey = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_RGB2GRAY)
             if warp is not None:
                 grey = cv2.remap(grey, warp[0], warp[1], cv2.INTER_LINEAR)
-            image[:] = self._noisy(np.asarray(grey, dtype=np.uint8))
+            image[:] = self._noisy(np.asarray(grey, dtype=np.uint8), rng)
         pair.flags.writeable = False
         return pair
 
-    def _noisy(self, image: ImageArray) -> ImageArray:
-        if self._config.noise_db is None:
+    def _noisy(self, image: ImageArray, rng: np.random.Generator) -> ImageArray:
+        if self._noise_db is None:
             return image
-        sigma = 255.0 * 10.0 ** (-self._config.noise_db / 20.0)
-        noise = self._rng.standard_normal(image.shape, dtype=np.float32)
+        sigma = 255.0 * 10.0 ** (-self._noise_db / 20.0)
+        noise = rng.standard_normal(image.shape, dtype=np.float32)
         return np.clip(np.rint(image + np.float32(sigma) * noise), 0, 255).astype(np.uint8)
+
+
+class StereoHead:
+    """The stereo pairs of one robot of a simulation, drawn when they are read.
+
+    A pair keeps the scene's positions at which it was taken. Its noise is that of its number: who
+    reads which pairs, and when, changes no pixel.
+
+    Args:
+        model: The scene.
+        prefix: What the robot's names begin with.
+        config: How its cameras see.
+        seed: Seed of the image noise, this head's own; each eye and frame has a child of it.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        prefix: str,
+        config: StereoConfig,
+        seed: np.random.SeedSequence,
+    ) -> None:
+        self._rig = StereoRig(model, prefix, config)
+        self._model, self._seed = model, seed
+        self._period = 1.0 / config.rate
+        self._next = StereoState(0.0, 0)
+        self._closed = False
+
+    def poll(self, data: mujoco.MjData, time: float) -> ImageChannel | None:
+        """Return a new pair if one is due at `time` [s], else None."""
+        due, frame = self._next
+        if time < due - 1e-9:
+            return None
+        self._next = StereoState(max(due + self._period, time), frame + 1)
+        positions = np.empty(mujoco.mj_stateSize(self._model, _POSITIONS))
+        mujoco.mj_getState(self._model, data, positions, _POSITIONS)
+        return ImageChannel.deferred(lambda: self._draw(positions, frame, time), time)
+
+    def _draw(self, positions: FloatArray, frame: int, time: float) -> ImageArray:
+        """Return the pair that was taken at these positions.
+
+        Raises:
+            RobotError: If the simulation is closed.
+        """
+        if self._closed:
+            raise RobotError(
+                f"the stereo pair of {time:.3f} s was not read before its simulation was closed"
+            )
+        data = mujoco.MjData(self._model)
+        mujoco.mj_setState(self._model, data, positions, _POSITIONS)
+        for compute in _PLACING:
+            compute(self._model, data)
+        left, right = (
+            np.random.SeedSequence(
+                self._seed.entropy, spawn_key=(*self._seed.spawn_key, eye, frame)
+            )
+            for eye in range(2)
+        )
+        return self._rig.capture(data, (np.random.default_rng(left), np.random.default_rng(right)))
 
     def save(self) -> StereoState:
         """Return the complete state."""
-        return StereoState(self._due, dict(self._rng.bit_generator.state))
+        return self._next
 
     def restore(self, state: StereoState) -> None:
         """Go back to a saved state."""
-        self._due = state.due
-        self._rng.bit_generator.state = dict(state.random)
+        self._next = state
+
+    def close(self) -> None:
+        """Let pairs that were not read be read no more."""
+        self._closed = True
 
 
 def _distortion_map(camera: DistortedPinhole) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

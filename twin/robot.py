@@ -9,13 +9,15 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from collections.abc import Mapping
+import weakref
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
@@ -64,6 +66,71 @@ class Channel(NamedTuple):
         return self.validity in (Validity.MEASURED, Validity.PREDICTED)
 
 
+class DeferredImages:
+    """A stereo pair that is drawn or fetched when it is read first.
+
+    What draws it is kept apart from it, and as long as it: through what it observes, no controller
+    reaches the scene.
+
+    Args:
+        make: Returns the images (2, height, width) uint8, read-only; asked once, by the first
+            `read` that succeeds.
+    """
+
+    __slots__ = ("__weakref__", "_images")
+
+    def __init__(self, make: Callable[[], ImageArray]) -> None:
+        self._images: ImageArray | None = None
+        _MAKERS[self] = make
+
+    def read(self) -> ImageArray:
+        """Return the images (2, height, width) uint8, left and right, read-only."""
+        if self._images is None:
+            self._images = _MAKERS[self]()
+            del _MAKERS[self]
+        return self._images
+
+
+_MAKERS: weakref.WeakKeyDictionary[DeferredImages, Callable[[], ImageArray]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+class ImageChannel(Channel):
+    """A channel of images that are drawn or fetched when `value` is read first.
+
+    Copies made by `_replace`, of the channel or of its observation, share the images and draw
+    nothing; nor do `copy` and `deepcopy`. A pickle holds the images.
+    """
+
+    __slots__ = ()
+
+    @classmethod
+    def deferred(cls, make: Callable[[], ImageArray], stamp: float) -> ImageChannel:
+        """Return a measured pair.
+
+        Args:
+            make: See `DeferredImages`.
+            stamp: Robot time at which the pair was taken [s].
+        """
+        return cls(DeferredImages(make), stamp, Validity.MEASURED)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def value(self) -> NDArray[np.generic]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The images (2, height, width) uint8, left and right, read-only."""
+        held: DeferredImages | NDArray[np.generic] = self[0]
+        return held.read() if isinstance(held, DeferredImages) else held
+
+    def __copy__(self) -> ImageChannel:
+        return self
+
+    def __deepcopy__(self, memo: object) -> ImageChannel:
+        return self
+
+    def __reduce__(self) -> tuple[type[Channel], tuple[object, ...]]:
+        return Channel, (self.value, self.stamp, self.validity)
+
+
 MISSING = Channel(np.empty(0), float("nan"), Validity.MISSING)
 
 
@@ -82,7 +149,8 @@ class Observation(NamedTuple):
         accelerometer: (3,) specific force in the front half's frame [m/s^2].
         gyro: (3,) angular velocity in the front half's frame [rad/s].
         heading: (1,) yaw about the vertical [rad].
-        stereo: (2, height, width) uint8, left and right grey images.
+        stereo: (2, height, width) uint8, left and right grey images; an `ImageChannel` where
+            they are drawn or fetched when they are read.
     """
 
     time: float

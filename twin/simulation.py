@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from twin.camera import StereoConfig, StereoRig, StereoState, has_stereo
+from twin.camera import StereoConfig, StereoHead, StereoState, has_stereo
 from twin.robot import FloatArray
 from twin.sensors import DATASHEET, SensorSuite
 from twin.servo import ROVER_SERVO, SERVO_PERIOD, ServoConfig
@@ -31,7 +31,7 @@ class SavedRun:
     physics: FloatArray
     sensordata: FloatArray
     robots: Mapping[str, RobotState]
-    rigs: Mapping[str, StereoState]
+    heads: Mapping[str, StereoState]
 
 
 class Simulation:
@@ -80,18 +80,17 @@ class Simulation:
         prefixes = robots if isinstance(robots, Mapping) else {name: f"{name}/" for name in robots}
         if not prefixes:
             raise ValueError("a simulation needs at least one robot")
-        sources = np.random.default_rng(seed).spawn(2 * len(prefixes))
+        seeds = np.random.SeedSequence(seed).spawn(2 * len(prefixes))
         self.robots: dict[str, SimRobot] = {
-            name: SimRobot(name, prefix, model, self.data, suite, servo, period, source)
-            for (name, prefix), source in zip(prefixes.items(), sources)
+            name: SimRobot(name, prefix, model, self.data, suite, servo, period, rng)
+            for (name, prefix), rng in zip(prefixes.items(), map(np.random.default_rng, seeds))
         }
         self._robots = tuple(self.robots.values())
-        self.rigs: dict[str, StereoRig] = {}
+        self._heads: dict[str, StereoHead] = {}
         if stereo is not None:
-            eyes = sources[len(prefixes) :]
-            self.rigs = {
-                name: StereoRig(model, prefix, stereo, source)
-                for (name, prefix), source in zip(prefixes.items(), eyes)
+            self._heads = {
+                name: StereoHead(model, prefix, stereo, source)
+                for (name, prefix), source in zip(prefixes.items(), seeds[len(prefixes) :])
                 if has_stereo(model, prefix)
             }
         mujoco.mj_forward(model, self.data)
@@ -138,13 +137,13 @@ class Simulation:
         self._time = time
         for robot in self._robots:
             robot.sense(time)
-        if self.rigs:
+        if self._heads:
             self._look()
 
     def _look(self) -> None:
         """Give robots the stereo pairs that are due."""
-        for name, rig in self.rigs.items():
-            pair = rig.poll(self.data, self._time)
+        for name, head in self._heads.items():
+            pair = head.poll(self.data, self._time)
             if pair is not None:
                 self.robots[name].see(pair)
 
@@ -158,8 +157,8 @@ class Simulation:
         physics = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, physics, _STATE)
         robots = {name: robot.save() for name, robot in self.robots.items()}
-        rigs = {name: rig.save() for name, rig in self.rigs.items()}
-        return SavedRun(physics, self.data.sensordata.copy(), robots, rigs)
+        heads = {name: head.save() for name, head in self._heads.items()}
+        return SavedRun(physics, self.data.sensordata.copy(), robots, heads)
 
     def restore(self, saved: SavedRun) -> None:
         """Go back to a saved state of the same scene, bit for bit.
@@ -177,10 +176,10 @@ class Simulation:
         self._time = self.data.time
         for name, state in saved.robots.items():
             self.robots[name].restore(state)
-        for name, state in saved.rigs.items():
-            self.rigs[name].restore(state)
+        for name, state in saved.heads.items():
+            self._heads[name].restore(state)
 
     def close(self) -> None:
         """Take the robots down; they are UNCONFIGURED afterwards."""
-        for robot in self._robots:
-            robot.close()
+        for part in (*self._robots, *self._heads.values()):
+            part.close()

@@ -10,7 +10,7 @@ import numpy as np
 
 from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_scene import MASTER, SLAVE
-from twin.robot import MISSING, Channel, Observation, Validity
+from twin.robot import MISSING, Channel, ImageChannel, Observation, Validity
 
 
 class Fault(enum.Enum):
@@ -108,7 +108,10 @@ class FaultyEyes:
         if not stereo.usable:
             return seen
         if self.fault in (Fault.BLACK, Fault.LOST) or (self.fault is Fault.HIDDEN and age < _SHORT):
-            return seen._replace(stereo=stereo._replace(value=np.zeros_like(stereo.value)))
+            black = ImageChannel.deferred(
+                lambda: np.zeros_like(stereo.value, np.uint8), stereo.stamp
+            )
+            return seen._replace(stereo=black)
         if self.fault is Fault.FROZEN:
             self._frozen = self._frozen or stereo
             # New stamps on an old picture: the worst way to freeze.

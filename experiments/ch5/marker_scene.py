@@ -88,7 +88,7 @@ class MarkerScene:
         scene.attach(head, frame=rig.add_frame(), prefix="rig/")
         self._model = compile_scene(scene)
         self._data = mujoco.MjData(self._model)
-        self._rig = StereoRig(self._model, "rig/", StereoConfig(noise_db=noise_db), rng)
+        self._rig = StereoRig(self._model, "rig/", StereoConfig(noise_db=noise_db))
 
     def view(self, distance: float, slant: float) -> MarkerView:
         """Draw a pair.
@@ -146,5 +146,5 @@ class MarkerScene:
         eyes = np.stack([centres, centres - [self.geometry.baseline, 0.0, 0.0]])
         radius = CARD_AND_SLOT.marker_diameter / 2.0
         ellipses = project_discs(eyes, np.concatenate(normals)[None], radius, self.geometry)
-        pair = self._rig.capture(self._data)
+        pair = self._rig.capture(self._data, (self._rng, self._rng))
         return MarkerView(pair, (bodies[0], bodies[1]), ellipses, distance, slant)

@@ -1,24 +1,30 @@
+import copy
 import os
+import pickle
 
 import cv2
 import mujoco
 import numpy as np
 import pytest
 
+import twin.robot
 from perception.geometry.pinhole import DistortedPinhole
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import (
     StereoConfig,
+    StereoHead,
     StereoRig,
     camera_model,
     camera_pose,
     renderer,
 )
-from twin.robot import Validity
+from twin.record import Recorder, RecorderConfig
+from twin.robot import ArmMode, Command, DeferredImages, ImageChannel, RobotError, Validity
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
 
 MODEL = compile_scene()
+PAIR = compile_scene(("rover1", "rover2"))
 BALLS = """
 <mujoco><visual><headlight ambient="1 1 1"/><map znear="0.01"/></visual>
 <worldbody>
@@ -34,7 +40,12 @@ SPOTS = np.array([[0.0, 0.3, 0.2], [0.15, 0.2, 0.3], [-0.15, 0.1, 0.25], [0.1, 0
 
 def rig(**changes):
     config = StereoConfig(**{"noise_db": None, **changes})
-    return StereoRig(MODEL, "rover1/", config, np.random.default_rng(0))
+    return StereoRig(MODEL, "rover1/", config)
+
+
+def noise():
+    rng = np.random.default_rng(0)
+    return rng, rng
 
 
 def settled(model=MODEL):
@@ -98,8 +109,8 @@ def test_distorted_image_matches_distorted_projection():
     )
     data = settled(model)
     config = StereoConfig(noise_db=None, distortion=(-0.3, 0.1, 0.0, 0.0, 0.0))
-    eyes = StereoRig(model, "", config, np.random.default_rng(0))
-    image = eyes.capture(data)[0]
+    eyes = StereoRig(model, "", config)
+    image = eyes.capture(data, noise())[0]
     rotation, translation = camera_pose(data, 0)
     expected = eyes.cameras[0].pixels((SPOTS - translation) @ rotation)
     _, _, _, centres = cv2.connectedComponentsWithStats((image > 70).astype(np.uint8))
@@ -108,7 +119,7 @@ def test_distorted_image_matches_distorted_projection():
 
 
 def test_pair_is_grey_read_only_and_shows_the_baseline():
-    pair = rig().capture(settled())
+    pair = rig().capture(settled(), noise())
     assert pair.shape == (2, 98, 102) and pair.dtype == np.uint8
     assert pair.std() > 3 and np.any(pair[0] != pair[1])
     with pytest.raises(ValueError):
@@ -117,8 +128,8 @@ def test_pair_is_grey_read_only_and_shows_the_baseline():
 
 def test_image_noise_has_the_given_signal_to_noise_ratio():
     data = settled()
-    clean = rig().capture(data).astype(float)
-    noisy = rig(noise_db=30.0).capture(data).astype(float)
+    clean = rig().capture(data, noise()).astype(float)
+    noisy = rig(noise_db=30.0).capture(data, noise()).astype(float)
     inside = (clean > 40) & (clean < 215)
     measured = 20 * np.log10(255.0 / np.std((noisy - clean)[inside]))
     assert measured == pytest.approx(30.0, abs=0.3)
@@ -154,6 +165,178 @@ def test_restored_run_sees_the_same_images():
         simulation.settle(0.1)
         seen.append(simulation.robots["rover1"].observe().stereo.value.tobytes())
     assert seen[0] == seen[1]
+
+
+def simulated(names=("rover1",), model=MODEL, **changes):
+    config = StereoConfig(**{"rate": 20.0, **changes})
+    return Simulation(model, names, suite=IDEAL, servo=SERVO, stereo=config, seed=3)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Names of the cameras that were drawn, in their order."""
+    cameras, render = [], renderer().render
+
+    def counted(model, data, camera, width, height):
+        cameras.append(camera)
+        return render(model, data, camera, width, height)
+
+    monkeypatch.setattr(renderer(), "render", counted)
+    return cameras
+
+
+def moved(simulation, frames):
+    """Swing the arm, and return the pairs taken meanwhile, not read, and what was seen of them."""
+    robot = simulation.robots["rover1"]
+    robot.activate()
+    eyes, pairs, eager = rig(), [], []
+    for frame in range(frames):
+        pairs.append(robot.observe().stereo)
+        eager.append(eyes.capture(simulation.data, noise()))
+        robot.command(Command(arm=np.full(4, 0.5 * (-1) ** (frame // 4)), arm_mode=ArmMode.RATE))
+        simulation.settle(0.05)
+    return pairs, eager
+
+
+def test_pair_read_late_shows_the_scene_as_it_was_when_it_was_taken():
+    simulation = simulated(noise_db=None)
+    pairs, eager = moved(simulation, 8)
+    for pair, seen in zip(reversed(pairs), reversed(eager), strict=True):
+        np.testing.assert_array_equal(pair.value, seen)
+    assert len({seen.tobytes() for seen in eager}) == 8
+
+
+def test_free_bodies_and_mocap_bodies_are_drawn_where_they_were():
+    model = mujoco.MjModel.from_xml_string(
+        (BALLS % '<body mocap="true"><geom size="0.05" pos="0.1 0.1 0.4"/></body>')
+        .replace('name="eye"', 'name="stereo_left"')
+        .replace(
+            "<site",
+            '<camera name="stereo_right" pos="0.1 -1 0.4" xyaxes="1 0.1 0 0 0.2 1" '
+            'focal="0.0085 0.0085" sensorsize="0.0064 0.0048" resolution="510 492"/>'
+            '<body pos="-0.1 0 0.4"><freejoint/><geom size="0.05"/></body><site',
+        )
+    )
+    data = settled(model)
+    head = StereoHead(model, "", StereoConfig(noise_db=None), np.random.SeedSequence(0))
+    eyes = StereoRig(model, "", StereoConfig(noise_db=None))
+    before = head.poll(data, 0.0), eyes.capture(data, noise())
+    for pose in (data.qpos, data.mocap_pos[0]):
+        pose[:3] += 0.02
+        mujoco.mj_forward(model, data)
+        after = head.poll(data, head.save().due), eyes.capture(data, noise())
+        np.testing.assert_array_equal(before[0].value, before[1])
+        assert np.any(before[1] != after[1])
+        before = after
+
+
+def test_nothing_is_drawn_that_nobody_reads(drawn, tmp_path):
+    simulation = simulated()
+    robot = simulation.robots["rover1"]
+    pairs = []
+    for _ in range(6):
+        seen = robot.observe()
+        assert seen.stereo.usable and seen.stereo.stamp == pytest.approx(simulation.time)
+        aged = seen._replace(stereo=seen.stereo._replace(validity=Validity.STALE))
+        assert not aged.stereo.usable
+        pairs.append(copy.deepcopy(aged).stereo)
+        saved = simulation.save()
+        simulation.settle(0.05)
+        simulation.restore(saved)
+        simulation.settle(0.05)
+    assert drawn == []
+    first, again = pairs[2].value, pairs[2].value
+    assert first is again and drawn == ["rover1/stereo_left", "rover1/stereo_right"]
+
+
+def test_recorder_draws_at_its_own_rate(drawn, tmp_path):
+    simulation = simulated()
+    robot = simulation.robots["rover1"]
+    with Recorder(tmp_path / "run.rrd", config=RecorderConfig(image_rate=4.0)) as recorder:
+        for step in range(50):
+            recorder.record(step, simulation.time, {"rover1": robot.observe()}, {})
+            simulation.step()
+    # Ten pairs in half a second, of which the recording takes those of 0 and 0.25 s.
+    assert len(drawn) == 4
+
+
+def test_noise_of_a_pair_is_its_own_whoever_reads_and_in_whatever_order():
+    def pixels(chosen):
+        simulation = simulated(("rover1", "rover2"), PAIR)
+        taken = []
+        for _ in range(4):
+            for name, robot in simulation.robots.items():
+                taken.append((name, len(taken) // 2, robot.observe().stereo))
+            simulation.settle(0.05)
+        return {(name, k): taken[i][2].value for i in chosen for name, k, _ in [taken[i]]}
+
+    everything, backwards, few = pixels(range(8)), pixels(reversed(range(8))), pixels([5])
+    assert len(everything) == 8
+    for key, seen in everything.items():
+        np.testing.assert_array_equal(backwards[key], seen)
+    np.testing.assert_array_equal(few["rover2", 2], everything["rover2", 2])
+
+
+def test_noise_differs_by_seed_robot_eye_and_frame():
+    data = settled()
+    clean = rig().capture(data, noise()).astype(float)
+    inside = (clean[0] > 40) & (clean[0] < 215) & (clean[1] > 40) & (clean[1] < 215)
+    parts = []
+    for source in (np.random.SeedSequence(3).spawn(2)[0], *np.random.SeedSequence(4).spawn(2)):
+        head = StereoHead(MODEL, "rover1/", StereoConfig(rate=10.0, noise_db=20.0), source)
+        for frame in range(2):
+            pair = head.poll(data, 0.1 * frame).value.astype(float)
+            parts += [eye[inside] for eye in pair - clean]
+    alike = np.corrcoef(parts)
+    np.fill_diagonal(alike, 0.0)
+    # Of independent noise over so many pixels; the same stream gives 1.
+    assert inside.sum() > 2000 and np.abs(alike).max() < 0.12
+
+
+def test_pair_that_was_not_read_before_its_simulation_was_closed_says_so():
+    simulation = simulated()
+    read = simulation.robots["rover1"].observe().stereo
+    seen = read.value
+    simulation.settle(0.05)
+    unread = simulation.robots["rover1"].observe().stereo
+    simulation.close()
+    assert read.value is seen and unread.usable
+    with pytest.raises(RobotError, match=r"stereo pair of 0.050 s was not read before"):
+        _ = unread.value
+
+
+def test_images_that_fail_are_asked_for_again_and_kept_once_they_are_there():
+    asked = []
+
+    def make():
+        asked.append(1)
+        if len(asked) == 1:
+            raise RobotError("not yet")
+        return np.zeros((2, 3, 4), np.uint8)
+
+    channel = ImageChannel.deferred(make, 1.5)
+    with pytest.raises(RobotError, match="not yet"):
+        _ = channel.value
+    assert channel._replace(stamp=2.0).value is channel.value and len(asked) == 2
+
+
+def test_pickled_pair_holds_its_pixels():
+    pair = simulated().robots["rover1"].observe().stereo
+    again = pickle.loads(pickle.dumps(pair))
+    np.testing.assert_array_equal(again.value, pair.value)
+    assert again[1:] == pair[1:]
+
+
+def test_what_draws_a_pair_is_given_up_with_it():
+    simulation = simulated()
+    waiting = len(twin.robot._MAKERS)
+    simulation.settle(1.0)
+    # One held by the robot, however many were taken.
+    assert len(twin.robot._MAKERS) == waiting
+    images = DeferredImages(lambda: np.zeros((2, 3, 4), np.uint8))
+    assert len(twin.robot._MAKERS) == waiting + 1
+    images.read()
+    assert len(twin.robot._MAKERS) == waiting
 
 
 def test_one_renderer_serves_scenes_and_sizes_in_turn():

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration.calibration import AngleSensor, Calibration
-from twin.hardware.cameras.camera import StereoFrame
 from twin.hardware.roboclaw import codec
 from twin.hardware.serial_link import LinkError
 from twin.robot import MISSING, Channel, FloatArray, Observation, Validity
@@ -88,7 +87,7 @@ class BoardSamples:
         self._stamps = np.full(8, math.nan)
         self._codes: dict[int, tuple[int, float]] = {}
         self._wrench: tuple[FloatArray, float] | None = None
-        self._stereo: StereoFrame | None = None
+        self._stereo = MISSING
 
     @property
     def rates(self) -> FloatArray:
@@ -147,9 +146,9 @@ class BoardSamples:
         wrench = MISSING
         if self._wrench is not None:
             wrench = self._aged(*self._wrench, config.wrench_age)
-        stereo = MISSING
-        if self._stereo is not None:
-            stereo = self._aged(*self._stereo, config.stereo_age)
+        stereo = self._stereo
+        if stereo is not MISSING:
+            stereo = stereo._replace(validity=self._validity(stereo.stamp, config.stereo_age))
         return Observation(
             time=self._clock(),
             wheel_speeds=self._aged(rates[:4], wheels, config.encoder_age),
@@ -212,5 +211,8 @@ class BoardSamples:
         if math.isnan(stamp):
             return MISSING
         values.flags.writeable = False
+        return Channel(values, stamp, self._validity(stamp, age))
+
+    def _validity(self, stamp: float, age: float) -> Validity:
         stale = self._clock() - stamp > age + 1e-9
-        return Channel(values, stamp, Validity.STALE if stale else Validity.MEASURED)
+        return Validity.STALE if stale else Validity.MEASURED

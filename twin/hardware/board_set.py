@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from twin.hardware.analogue.firmata import AnalogueBoard
 from twin.hardware.calibration.calibration import Calibration
-from twin.hardware.cameras.camera import StereoCapture, StereoFrame
+from twin.hardware.cameras.camera import StereoCapture
 from twin.hardware.force_torque.net_ft import NetForceTorque
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import Command, Status
 from twin.hardware.serial_link import LinkError
+from twin.robot import Channel
 
 IntArray = NDArray[np.int64]
 
@@ -115,7 +116,7 @@ class BoardSet(Protocol):
         """Return the force/torque sensor's counts (6,), None if there is no new sample."""
         ...
 
-    def stereo(self, now: float) -> StereoFrame | None:
+    def stereo(self, now: float) -> Channel | None:
         """Return the cameras' newest pair at `now` [s], None if there is no new one."""
         ...
 
@@ -253,7 +254,7 @@ class WiredBoards:
             return None
         return None if reading is None else np.rint(reading.wrench).astype(np.int64)
 
-    def stereo(self, now: float) -> StereoFrame | None:
+    def stereo(self, now: float) -> Channel | None:
         """Return the cameras' newest pair."""
         if self.camera is None:
             return None

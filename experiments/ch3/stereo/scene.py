@@ -135,7 +135,10 @@ class StereoScene:
         self.data = settle(self.model)
         streams = np.random.SeedSequence((config.seed, 2)).spawn(len(self.robots) + 1)
         self._rigs = {
-            name: StereoRig(self.model, f"{name}/", config.stereo, np.random.default_rng(stream))
+            name: (
+                StereoRig(self.model, f"{name}/", config.stereo),
+                np.random.default_rng(stream),
+            )
             for name, stream in zip((*self.robot_names, RIG), streams, strict=True)
         }
         left = camera_model(self.model, f"{RIG}/stereo_left")
@@ -213,7 +216,8 @@ class StereoScene:
         """
         pose = self.transform_camera_to_world(name)
         joints = np.full(4, np.nan) if name == RIG else self.joints(name)
-        return StereoView(self._rigs[name].capture(self.data), pose, joints)
+        rig, rng = self._rigs[name]
+        return StereoView(rig.capture(self.data, (rng, rng)), pose, joints)
 
     def true_depths(self, name: str, pixels: ArrayLike) -> FloatArray:
         """Return the depth of what a left camera sees, exactly, by casting rays.

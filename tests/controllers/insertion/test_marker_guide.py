@@ -36,7 +36,7 @@ class Eyes:
     def __init__(self, seed: int = 0):
         self.model, self.data = fresh()
         self.rng = np.random.default_rng(seed)
-        self.rig = StereoRig(self.model, f"{MASTER}/", StereoConfig(), self.rng)
+        self.rig = StereoRig(self.model, f"{MASTER}/", StereoConfig())
         self.angles = best_stand(WIDTH).angles
 
     def place(self, offset) -> None:
@@ -60,7 +60,7 @@ class Eyes:
         return MarkerGuide(config, reference_arm(), head_geometry(), (slot, PRIOR), card)
 
     def observe(self, stamp: float = 0.0, pair=None) -> Observation:
-        image = self.rig.capture(self.data) if pair is None else pair
+        image = self.rig.capture(self.data, (self.rng, self.rng)) if pair is None else pair
         return Observation(
             stamp,
             arm_angles=Channel(np.array(self.angles), stamp, Validity.MEASURED),
@@ -143,7 +143,7 @@ def test_hidden_card_gives_no_pose(eyes):
 
 @pytest.mark.parametrize("kind", ["black", "white", "noise"])
 def test_pair_that_shows_nothing_gives_no_pose(eyes, kind):
-    shape = eyes.rig.capture(eyes.data).shape
+    shape = eyes.rig.capture(eyes.data, (eyes.rng, eyes.rng)).shape
     rng = np.random.default_rng(1)
     pair = {
         "black": np.zeros(shape, np.uint8),
@@ -161,7 +161,7 @@ def test_pair_that_shows_nothing_gives_no_pose(eyes, kind):
 def test_frozen_camera_gives_no_pose_though_its_stamps_go_on(eyes):
     eyes.place((0.0, 0.0))
     marker_guide = eyes.marker_guide()
-    pair = eyes.rig.capture(eyes.data)
+    pair = eyes.rig.capture(eyes.data, (eyes.rng, eyes.rng))
     _, first = marker_guide.step(eyes.observe(0.0, pair))
     _, frozen = marker_guide.step(eyes.observe(0.25, pair.copy()))
     _, alive = marker_guide.step(eyes.observe(0.5))

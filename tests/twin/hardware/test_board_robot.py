@@ -16,9 +16,17 @@ from tests.twin.hardware.board_tables import (
 )
 from twin import servo
 from twin.hardware.board_set import WiredBoards
-from twin.hardware.cameras.camera import StereoFrame
 from twin.hardware.serial_link import LinkError
-from twin.robot import NOTHING, ArmMode, Command, Lifecycle, RobotError, Validity, WheelMode
+from twin.robot import (
+    NOTHING,
+    ArmMode,
+    Channel,
+    Command,
+    Lifecycle,
+    RobotError,
+    Validity,
+    WheelMode,
+)
 
 pytestmark = pytest.mark.virtual_time
 
@@ -247,7 +255,7 @@ def test_stereo_pair_is_kept_with_its_stamp_until_it_is_too_old(bench):
     images = np.zeros((2, 4, 6), np.uint8)
     bench.homed()
     assert bench.cycle().stereo.validity is Validity.MISSING
-    bench.boards.pair = StereoFrame(images, bench.time)
+    bench.boards.pair = Channel(images, bench.time, Validity.MEASURED)
     stamp = bench.time
     seen = bench.cycle().stereo
     assert seen.value is images and seen.stamp == stamp and seen.usable

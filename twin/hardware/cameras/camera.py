@@ -8,10 +8,11 @@ rate. Images are as the cameras give them: rectification is not done here.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import threading
 import time
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import cv2
 import numpy as np
@@ -19,22 +20,10 @@ from numpy.typing import NDArray
 
 from twin.hardware.cameras import frames
 from twin.hardware.serial_link import LinkError
+from twin.robot import Channel, ImageArray, ImageChannel, Validity
 
 Source: TypeAlias = int | str | Path
-ImageArray: TypeAlias = NDArray[np.uint8]
 _STOP_TIME = 2.0  # [s] A capture that hangs is left behind after this.
-
-
-class StereoFrame(NamedTuple):
-    """A pair of images.
-
-    Attributes:
-        images: (2, height, width) uint8 grey, left and right, read-only.
-        stamp: When they were taken, on the caller's clock [s].
-    """
-
-    images: ImageArray
-    stamp: float
 
 
 @dataclasses.dataclass
@@ -54,16 +43,11 @@ class CameraStatistics:
     skewed: int = 0
 
 
-class _Taken(NamedTuple):
-    images: ImageArray
-    taken: float  # On the clock of `time.monotonic`, or a file's own time [s].
-
-
 class _Feed(Protocol):
     """Where pairs come from."""
 
-    def newest(self, now: float) -> _Taken | None:
-        """Return the newest pair not returned before, its time on the caller's clock [s]."""
+    def newest(self, now: float) -> Channel | None:
+        """Return the newest pair not returned before, stamped on the caller's clock [s]."""
         ...
 
     def close(self) -> None:
@@ -124,8 +108,11 @@ class StereoCapture:
         """Whether a file has come to its end."""
         return isinstance(self._feed, _FileFeed) and self._feed.finished
 
-    def read(self, now: float) -> StereoFrame | None:
+    def read(self, now: float) -> Channel | None:
         """Return the newest pair; None if there is none that is new and young enough.
+
+        Its value is (2, height, width) uint8 grey, left and right, read-only; an emulator's pair is
+        drawn when that is read.
 
         Args:
             now: The caller's clock, on which the stamp is given [s].
@@ -136,11 +123,11 @@ class StereoCapture:
         taken = self._feed.newest(now)
         if taken is None:
             return None
-        if now - taken.taken > self._max_age:
+        if now - taken.stamp > self._max_age:
             self.statistics.stale += 1
             return None
         self.statistics.frames += 1
-        return StereoFrame(taken.images, taken.taken)
+        return taken
 
     def close(self) -> None:
         """Release the captures."""
@@ -219,14 +206,14 @@ class _FileFeed:
         if self._next is None:
             raise LinkError(f"{' and '.join(eyes.names)}: no image")
 
-    def newest(self, now: float) -> _Taken | None:
+    def newest(self, now: float) -> Channel | None:
         """Return the latest pair that is due at `now` [s]."""
         if self._start is None:
             self._start = now
-        newest: _Taken | None = None
+        newest: Channel | None = None
         while self._next is not None and now >= self._due() - 1e-9:
             self._statistics.skipped += newest is not None
-            newest = _Taken(self._next[0], self._due())
+            newest = Channel(self._next[0], self._due(), Validity.MEASURED)
             self._count += 1
             self._next = None  # So that a failure does not bring the same pair again.
             self.finished = True
@@ -250,14 +237,15 @@ class _SceneFeed:
         self._reader = frames.FrameReader(path)
         self._scene_time, self._statistics = scene_time, statistics
 
-    def newest(self, now: float) -> _Taken | None:
+    def newest(self, now: float) -> Channel | None:
         """Return the newest pair, its time as the scene says or carried over to `now` [s]."""
         found = self._reader.newest()
         if found is None:
             return None
         self._statistics.skipped += found.skipped
         carried = now - (time.monotonic() - found.moment)
-        return _Taken(found.images, found.stamp if self._scene_time else carried)
+        stamp = found.stamp if self._scene_time else carried
+        return ImageChannel.deferred(functools.partial(self._reader.fetch, found.number), stamp)
 
     def close(self) -> None:
         """Nothing is held but memory."""
@@ -271,13 +259,13 @@ class _DeviceFeed:
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._error: str | None = None
-        self._newest: _Taken | None = None
+        self._newest: Channel | None = None  # Stamped by `time.monotonic`.
         if eyes.take() is None:
             raise LinkError(f"{' and '.join(eyes.names)}: no image")
         self._thread = threading.Thread(target=self._run, name="stereo capture", daemon=True)
         self._thread.start()
 
-    def newest(self, now: float) -> _Taken | None:
+    def newest(self, now: float) -> Channel | None:
         """Return the newest pair, its time carried over to the clock of `now` [s]."""
         with self._lock:
             taken, self._newest = self._newest, None
@@ -286,7 +274,7 @@ class _DeviceFeed:
             raise LinkError(error)
         if taken is None:
             return None
-        return _Taken(taken.images, now - (time.monotonic() - taken.taken))
+        return taken._replace(stamp=now - (time.monotonic() - taken.stamp))
 
     def close(self) -> None:
         """Stop the thread, which releases the captures."""
@@ -313,7 +301,7 @@ class _DeviceFeed:
                 self._statistics.skewed += 1
                 return
             self._statistics.skipped += self._newest is not None
-            self._newest = _Taken(images, moment)
+            self._newest = Channel(images, moment, Validity.MEASURED)
 
 
 def _name(source: Source) -> str:

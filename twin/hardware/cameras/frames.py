@@ -1,24 +1,26 @@
 """A file in memory through which an emulator hands on the stereo pairs of its scene.
 
-It holds the newest pair, its time in the scene and on the machine's clock, and two counters that
-differ while a pair is being written. Nothing listens: who knows the file's name reads it.
+It holds the number of the newest pair, its time in the scene and on the machine's clock, and two
+counters that differ while these are being written. Images are drawn when they are asked for: the
+host writes the number of the pair that it wants, the emulator draws that pair and writes the same
+number beside the images. Who knows the file's name reads it, one host at a time.
 """
 
 from __future__ import annotations
 
 import time
+from collections import OrderedDict
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.hardware.serial_link import LinkError
-
-ImageArray = NDArray[np.uint8]
+from twin.robot import ImageArray, RobotError
 
 SUFFIX = ".frames"
-_MAGIC, _VERSION = b"FTFRAMES", 1
+_MAGIC, _VERSION = b"FTFRAMES", 2
 _HEADER = np.dtype(
     [
         ("magic", "S8"),
@@ -26,84 +28,112 @@ _HEADER = np.dtype(
         ("height", "<u4"),
         ("width", "<u4"),
         ("unplugged", "<u4"),
+        ("closed", "<u8"),
         ("begun", "<u8"),
         ("ended", "<u8"),
         ("stamp", "<f8"),
         ("moment", "<f8"),
+        ("wanted", "<u8"),
+        ("drawn", "<u8"),
+        ("lost", "<u8"),
     ]
 )
 _TRIES = 5
-"""Copies of a pair that is overwritten meanwhile, before it is left for the next cycle."""
+"""Readings of a header that is overwritten meanwhile, before it is left for the next cycle."""
+_KEPT = 16
+"""Newest pairs that can still be drawn."""
+_PATIENCE = 5.0
+"""Longest wait for a pair to be drawn [s]."""
 
 
 class Taken(NamedTuple):
-    """A pair that was read.
+    """A pair that can be fetched.
 
     Attributes:
-        images: (2, height, width) uint8, left and right, read-only.
+        number: Its number.
         stamp: When it was taken, in the scene's time [s].
-        moment: When it was written, on the clock of `time.monotonic` [s].
-        skipped: Pairs since the one read before that were never read.
+        moment: When it was announced, on the clock of `time.monotonic` [s].
+        skipped: Pairs since the one returned before that were never returned.
     """
 
-    images: ImageArray
+    number: int
     stamp: float
     moment: float
     skipped: int
 
 
 class FrameWriter:
-    """The emulator's end of the file."""
+    """The emulator's end of the file, made without a pair.
+
+    Args:
+        path: File to make; its name ends in ``.frames``.
+        height: Rows of an image [px].
+        width: Columns of an image [px].
+    """
 
     def __init__(self, path: Path, height: int, width: int) -> None:
-        """Make the file, without a pair.
-
-        Args:
-            path: It; its name ends in ``.frames``.
-            height: Rows of an image.
-            width: Columns.
-        """
         self.path = path
         size = _HEADER.itemsize + 2 * height * width
         raw = np.memmap(path, np.uint8, "w+", shape=(size,))
         self._header, self._images = _parts(raw, height, width)
-        self._header["version"], self._header["height"], self._header["width"] = (
-            _VERSION,
-            height,
-            width,
-        )
-        self._header["magic"] = _MAGIC
+        header = self._header
+        header["version"], header["height"], header["width"] = _VERSION, height, width
+        header["magic"] = _MAGIC
+        self._kept: OrderedDict[int, Callable[[], ImageArray]] = OrderedDict()
 
-    def write(self, images: ImageArray, stamp: float) -> None:
-        """Put a pair (2, height, width) in the place of the one before.
+    def announce(self, stamp: float, draw: Callable[[], ImageArray]) -> None:
+        """Say that there is a new pair.
 
         Args:
-            images: It.
             stamp: When it was taken, in the scene's time [s].
+            draw: Returns its images (2, height, width); asked when the host wants them.
         """
         header = self._header
         header["begun"] += 1
-        self._images[:] = images
+        number = int(header["begun"])
+        self._kept[number] = draw
+        if len(self._kept) > _KEPT:
+            self._kept.popitem(last=False)
         header["stamp"], header["moment"] = stamp, time.monotonic()
-        header["ended"] = header["begun"]
+        header["ended"] = number
+
+    def serve(self) -> None:
+        """Draw the pair that the host waits for, if it waits."""
+        header = self._header
+        wanted = int(header["wanted"])
+        if wanted in (int(header["drawn"]), int(header["lost"])):
+            return
+        draw = self._kept.get(wanted)
+        if draw is None:
+            header["lost"] = wanted
+            return
+        self._images[:] = draw()
+        header["drawn"] = wanted
 
     def unplug(self, gone: bool = True) -> None:
         """Say whether the cameras are gone."""
         self._header["unplugged"] = int(gone)
 
+    def close(self) -> None:
+        """Say that nothing will be drawn any more."""
+        self.unplug()
+        self._header["closed"] = 1
+
 
 class FrameReader:
-    """The host's end of the file."""
+    """The host's end of the file.
+
+    Args:
+        path: File that an emulator made.
+
+    Raises:
+        LinkError: If it is not there, or no emulator's.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Open the file.
-
-        Raises:
-            LinkError: If it is not there, or no emulator's.
-        """
         self.path = path
         try:
-            raw = np.memmap(path, np.uint8, "r")
+            raw = np.memmap(path, np.uint8, "r+")
         except (OSError, ValueError) as error:
             raise LinkError(f"{path}: cannot be opened ({error})") from None
         if raw.size < _HEADER.itemsize:
@@ -117,7 +147,7 @@ class FrameReader:
         self._count = 0
 
     def newest(self) -> Taken | None:
-        """Return the newest pair not returned before, None if there is none.
+        """Return the newest pair not returned before, None if there is none; draws nothing.
 
         Raises:
             LinkError: If the cameras are gone.
@@ -129,14 +159,33 @@ class FrameReader:
             count = int(header["ended"])
             if count == self._count:
                 return None
-            images = self._images.copy()
             stamp, moment = float(header["stamp"]), float(header["moment"])
             if int(header["begun"]) == count:
                 skipped = count - self._count - 1
                 self._count = count
-                images.flags.writeable = False
-                return Taken(images, stamp, moment, skipped)
+                return Taken(count, stamp, moment, skipped)
         return None
+
+    def fetch(self, number: int) -> ImageArray:
+        """Wait for a pair to be drawn, and return it (2, height, width), read-only.
+
+        Args:
+            number: Number of a pair that `newest` returned.
+
+        Raises:
+            RobotError: If the emulator is gone, or keeps the pair no more.
+        """
+        header, latest = self._header, time.monotonic() + _PATIENCE
+        header["wanted"] = number
+        while int(header["drawn"]) != number:
+            if int(header["lost"]) == number:
+                raise RobotError(f"{self.path}: pair {number} is too old to be drawn")
+            if header["closed"] or time.monotonic() > latest:
+                raise RobotError(f"{self.path}: the emulator is gone, and pair {number} with it")
+            time.sleep(2e-4)
+        images = self._images.copy()
+        images.flags.writeable = False
+        return images
 
 
 def _parts(raw: Any, height: int, width: int) -> tuple[Any, ImageArray]:

@@ -114,6 +114,7 @@ class Emulator:
         now = time.monotonic()
         for rig in self.rigs.values():
             rig.serve_late(now)
+            rig.serve_frames()
         return True
 
     def _obey(self) -> bool:

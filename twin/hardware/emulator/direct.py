@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.hardware.board_set import BoardState
-from twin.hardware.cameras.camera import StereoFrame
 from twin.hardware.emulator.rover import EmulatedRover
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Status
+from twin.robot import Channel
 
 IntArray = NDArray[np.int64]
 
@@ -59,12 +59,10 @@ class DirectBoards:
         """Return the force/torque sensor's counts (6,)."""
         return self._rover.wrench()
 
-    def stereo(self, now: float) -> StereoFrame | None:
+    def stereo(self, now: float) -> Channel | None:
         """Return the latest stereo pair, if there is one."""
         pair = self._rover.stereo()
-        if not pair.usable:
-            return None
-        return StereoFrame(np.asarray(pair.value, dtype=np.uint8), pair.stamp)
+        return pair if pair.usable else None
 
     def status(self, address: int) -> Status:
         """Return that all is well."""

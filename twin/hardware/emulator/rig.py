@@ -145,20 +145,19 @@ class EmulatedRig:
                     self._rover.codes[axis] = code
 
     def show(self) -> None:
-        """Put a new stereo pair in its file, if there is one."""
+        """Announce a new stereo pair in its file, if there is one."""
         pair = self._rover.stereo()
         if self.frames is None or not pair.usable or pair.stamp <= self._shown:
             return
         self._shown = pair.stamp
         if not self._absent & set(CameraFault):
-            self.frames.write(np.asarray(pair.value, dtype=np.uint8), pair.stamp)
+            self.frames.announce(pair.stamp, lambda: np.asarray(pair.value, dtype=np.uint8))
 
     def _open_frames(self, folder: Path | None) -> FrameWriter | None:
-        pair = self._rover.stereo()
-        if folder is None or not pair.usable:
+        if folder is None or not self._rover.stereo().usable:
             return None
-        _, height, width = pair.value.shape
-        return FrameWriter(folder / f"{self._rover.name}{SUFFIX}", height, width)
+        camera = self._rover.camera()
+        return FrameWriter(folder / f"{self._rover.name}{SUFFIX}", camera.height, camera.width)
 
     def _pass(self, time: float) -> None:
         """Begin and end the faults that are due at `time` [s]."""
@@ -202,6 +201,11 @@ class EmulatedRig:
             self.analogue.write(report)
         for record, address in self.net_ft.due(now):
             self._send(record, address)
+
+    def serve_frames(self) -> None:
+        """Draw the stereo pair that the host waits for, if it waits."""
+        if self.frames is not None:
+            self.frames.serve()
 
     def _send(self, record: bytes, address: Hashable) -> None:
         if RobotFault.NO_WRENCH not in self._absent:
@@ -257,7 +261,7 @@ class EmulatedRig:
     def close(self) -> None:
         """Take all ports away."""
         if self.frames is not None:
-            self.frames.unplug()
+            self.frames.close()
         self.bus.close()
         self.analogue.close()
         self.wrench.close()

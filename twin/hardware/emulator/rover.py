@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.pinhole import Pinhole
+from twin.camera import camera_model
 from twin.hardware.calibration.calibration import Calibration
 from twin.hardware.emulator.amplifier import (
     AmplifierConfig,
@@ -64,7 +66,7 @@ class EmulatedRover:
         self.codes = np.zeros(8, dtype=np.int64)
         self.battery = 12.0
         self._robot = robot
-        self._data = data
+        self._model, self._data = model, data
         self._config = amplifier or AmplifierConfig()
         joints = [model.joint(f"{robot.name}/{axis}_joint") for axis in AXES]
         self._positions = np.array([int(joint.qposadr[0]) for joint in joints])
@@ -119,6 +121,10 @@ class EmulatedRover:
     def wrench(self) -> IntArray:
         """Return the counts (6,) of the force/torque sensor."""
         return self.calibration.force_torque.counts(self._robot.observe().arm_base_wrench.value)
+
+    def camera(self) -> Pinhole:
+        """Return the intrinsics of the left camera of its head."""
+        return camera_model(self._model, f"{self._robot.name}/stereo_left")
 
     def stereo(self) -> Channel:
         """Return the latest stereo pair of its cameras, which count nothing."""

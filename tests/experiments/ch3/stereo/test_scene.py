@@ -145,8 +145,9 @@ def test_layouts_of_many_seeds_can_be_built_and_differ():
 def test_rectified_pair_of_distorting_lenses_gives_true_depths(scene):
     scene.set_rig(EYE)
     bent = (-0.25, 0.08, 0.001, -0.001, 0.0)
-    rig = StereoRig(scene.model, f"{RIG}/", StereoConfig(4.0, None, bent), np.random.default_rng(0))
-    pair, g = rig.capture(scene.data), scene.geometry
+    rig = StereoRig(scene.model, f"{RIG}/", StereoConfig(4.0, None, bent))
+    rng = np.random.default_rng(0)
+    pair, g = rig.capture(scene.data, (rng, rng)), scene.geometry
     lens = Lens(g.matrix, np.array(bent))
     mount = RigidTransform.from_translation([-g.baseline, 0.0, 0.0])
     rectified = Rectification(lens, lens, mount, (g.width, g.height)).apply(pair)

@@ -1,5 +1,6 @@
 """Stereo pairs of an emulator's own scene, on their way to a robot in another process."""
 
+import contextlib
 import dataclasses
 import threading
 import time
@@ -9,21 +10,23 @@ import pytest
 
 from models.clutter import PanelConfig, PanelMarker
 from models.compose import FieldConfig, PayloadConfig, RobotPlacement
-from twin.camera import StereoConfig
+from twin.camera import StereoConfig, renderer
 from twin.connect import connect
+from twin.hardware.cameras import frames
 from twin.hardware.cameras.camera import StereoCapture
 from twin.hardware.cameras.frames import FrameReader, FrameWriter
+from twin.hardware.emulator.__main__ import Emulator
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import LinkError
-from twin.robot import ArmMode, Command, Lifecycle, RobotError
+from twin.robot import ArmMode, Command, Lifecycle, RobotError, Validity
 
 ROBOT = "rover1"
 FIELD = FieldConfig(texture_pixels=64)
 
 
 def pairs(target, cycles, turn=0.0, **options):
-    """What a robot saw in each cycle while its arm turned, and the stamps."""
+    """What a robot saw in each cycle while its arm turned; all of it is read at the end."""
     seen = []
     with connect(target, field=FIELD, seed=3, **options) as link:
         robot = link.robots[ROBOT]
@@ -34,6 +37,8 @@ def pairs(target, cycles, turn=0.0, **options):
             goal = start + turn * cycle * np.array([1.0, 0.0, 0.0, 0.0])
             robot.command(Command(arm=goal, arm_mode=ArmMode.POSITION))
             link.clock.tick()
+        for pair in reversed(seen):
+            _ = pair.value
     return seen
 
 
@@ -98,26 +103,120 @@ def test_emulator_renders_no_pairs_in_real_time():
         EmulatorProcess(SceneConfig(stereo=StereoConfig()), realtime=True)
 
 
+@contextlib.contextmanager
+def serving(writer):
+    """Let a writer draw in a thread of its own, as the emulator does in its process."""
+    over = threading.Event()
+
+    def serve():
+        while not over.is_set():
+            writer.serve()
+            time.sleep(1e-4)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def flat(level, drawn=None):
+    """What draws a grey pair, and notes that it did."""
+
+    def draw():
+        if drawn is not None:
+            drawn.append(level)
+        return np.full((2, 3, 4), level, np.uint8)
+
+    return draw
+
+
 def test_capture_reads_the_newest_pair_on_either_clock(tmp_path):
     writer = FrameWriter(tmp_path / "rover1.frames", 3, 4)
     by_scene = StereoCapture(tmp_path / "rover1.frames", scene_time=True)
     by_wall = StereoCapture(str(tmp_path / "rover1.frames"))
     assert by_scene.read(0.0) is None
     for level in (10, 20, 30):
-        writer.write(np.full((2, 3, 4), level, np.uint8), 0.1 * level)
+        writer.announce(0.1 * level, flat(level))
     frame = by_scene.read(3.0)
-    assert frame.stamp == 0.1 * 30 and np.all(frame.images == 30)
+    with serving(writer):
+        assert frame.stamp == 0.1 * 30 and np.all(frame.value == 30)
     assert by_scene.statistics.skipped == 2 and by_scene.read(3.0) is None
     with pytest.raises(ValueError):
-        frame.images[0, 0, 0] = 1
+        frame.value[0, 0, 0] = 1
     offset = 100.0 - time.monotonic()
     assert by_wall.read(time.monotonic() + offset).stamp == pytest.approx(100.0, abs=0.3)
     writer.unplug()
     with pytest.raises(LinkError, match=r"rover1.frames: no more images"):
         by_scene.read(3.1)
     writer.unplug(False)
-    writer.write(np.zeros((2, 3, 4), np.uint8), 3.2)
+    writer.announce(3.2, flat(0))
     assert by_scene.read(3.2).stamp == 3.2
+
+
+def test_only_the_pairs_that_the_host_reads_are_drawn_each_once_in_any_order(tmp_path):
+    writer, drawn = FrameWriter(tmp_path / "a.frames", 3, 4), []
+    capture, pairs = StereoCapture(tmp_path / "a.frames", scene_time=True), []
+    with serving(writer):
+        for level in range(10):
+            writer.announce(0.1 * level, flat(level, drawn))
+            pairs.append(capture.read(0.1 * level)._replace(validity=Validity.STALE))
+        assert drawn == []
+        for level in (7, 2, 7):
+            assert np.all(pairs[level].value == level)
+        # A camera that is unplugged takes no more pairs, but those that it took are there.
+        writer.unplug()
+        assert np.all(pairs[9].value == 9)
+    assert drawn == [7, 2, 9]
+
+
+def test_pair_that_is_too_old_or_whose_emulator_is_gone_is_an_error_of_the_robot(tmp_path):
+    writer = FrameWriter(tmp_path / "a.frames", 3, 4)
+    capture, pairs = StereoCapture(tmp_path / "a.frames", scene_time=True), []
+    for level in range(17):
+        writer.announce(0.1 * level, flat(level))
+        pairs.append(capture.read(0.1 * level))
+    with serving(writer):
+        assert np.all(pairs[1].value == 1)
+        with pytest.raises(RobotError, match="pair 1 is too old"):
+            _ = pairs[0].value
+    writer.close()
+    with pytest.raises(RobotError, match="the emulator is gone, and pair 17 with it"):
+        _ = pairs[16].value
+
+
+def test_host_does_not_wait_for_ever_for_a_pair(monkeypatch, tmp_path):
+    monkeypatch.setattr(frames, "_PATIENCE", 0.05)
+    writer = FrameWriter(tmp_path / "a.frames", 3, 4)
+    writer.announce(0.0, flat(1))
+    pair = StereoCapture(tmp_path / "a.frames", scene_time=True).read(0.0)
+    with pytest.raises(RobotError, match="the emulator is gone"):
+        _ = pair.value
+
+
+def test_emulator_draws_no_pair_that_its_host_does_not_read(tmp_path):
+    scene = SceneConfig((RobotPlacement(ROBOT),), FIELD, 3, 0.0, stereo=StereoConfig(rate=50.0))
+    emulator = Emulator(scene, 0.0, [], tmp_path)
+    try:
+        counted, render = [], renderer().render
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(renderer(), "render", lambda *a: counted.append(1) or render(*a))
+            for _ in range(20):
+                emulator.tick()
+                emulator.serve(0.0)
+            assert counted == []
+            reader = FrameReader(emulator.rigs[ROBOT].frames.path)
+            newest = reader.newest()
+            thread = threading.Thread(target=reader.fetch, args=(newest.number,))
+            thread.start()
+            while thread.is_alive():
+                emulator.serve(0.001)
+            thread.join()
+            assert len(counted) == 2
+    finally:
+        emulator.close()
 
 
 def test_pair_is_never_read_half_written(tmp_path):
@@ -129,7 +228,9 @@ def test_pair_is_never_read_half_written(tmp_path):
         level = 0
         while not over.is_set():
             level = (level + 1) % 256
-            writer.write(np.full((2, 200, 300), level, np.uint8), float(level))
+            image = np.full((2, 200, 300), level, np.uint8)
+            writer.announce(float(level), lambda image=image: image)
+            writer.serve()
             time.sleep(0.0002)
 
     thread = threading.Thread(target=write)
@@ -138,13 +239,13 @@ def test_pair_is_never_read_half_written(tmp_path):
         found, latest = [], time.monotonic() + 5.0
         while len(found) < 50 and time.monotonic() < latest:
             taken = reader.newest()
-            found += [] if taken is None else [taken]
+            found += [] if taken is None else [(taken.stamp, reader.fetch(taken.number))]
     finally:
         over.set()
         thread.join()
     assert len(found) == 50
-    for taken in found:
-        assert taken.images.min() == taken.images.max() == taken.stamp
+    for stamp, images in found:
+        assert images.min() == images.max() == stamp
 
 
 def len_of(content):

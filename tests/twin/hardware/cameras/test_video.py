@@ -94,11 +94,11 @@ def test_two_video_files_give_pairs_at_their_rate(tmp_path):
     np.testing.assert_allclose([t for t, _ in frames], 100.0 + 0.1 * np.arange(5), atol=1e-6)
     np.testing.assert_allclose([f.stamp for _, f in frames], 100.0 + 0.1 * np.arange(5), atol=1e-9)
     for k, (_, frame) in enumerate(frames):
-        assert frame.images.shape == (2, HEIGHT, WIDTH) and frame.images.dtype == np.uint8
-        means = frame.images.mean(axis=(1, 2))
+        assert frame.value.shape == (2, HEIGHT, WIDTH) and frame.value.dtype == np.uint8
+        means = frame.value.mean(axis=(1, 2))
         np.testing.assert_allclose(means, [20 + 10 * k, 120 + 10 * k], atol=2)
         with pytest.raises(ValueError):
-            frame.images[0, 0, 0] = 1
+            frame.value[0, 0, 0] = 1
     assert source.finished and source.statistics.frames == 5
     source.close()
 
@@ -106,7 +106,7 @@ def test_two_video_files_give_pairs_at_their_rate(tmp_path):
 def test_side_by_side_stream_is_split_left_first(tmp_path):
     images = [np.hstack([flat(30), flat(220)]) for _ in range(2)]
     source = StereoCapture(sequence(tmp_path, "both", images), rate=4.0)
-    pair = source.read(0.0).images
+    pair = source.read(0.0).value
     assert np.all(pair[0] == 30) and np.all(pair[1] == 220)
     assert pair.shape == (2, HEIGHT, WIDTH)
     assert source.read(0.2) is None
@@ -126,7 +126,7 @@ def test_twins_own_frames_come_back_bit_for_bit(tmp_path):
     right = sequence(tmp_path, "right", [pair[1] for pair in pairs])
     source = StereoCapture((left, right), rate=10.0)
     for k, pair in enumerate(pairs):
-        np.testing.assert_array_equal(source.read(0.1 * k).images, pair)
+        np.testing.assert_array_equal(source.read(0.1 * k).value, pair)
     source.close()
 
 
@@ -135,7 +135,7 @@ def test_frames_missed_in_a_pause_are_skipped_and_old_ones_refused(tmp_path):
     source = StereoCapture(video, max_age=0.15, rate=10.0)
     assert source.read(0.0) is not None
     frame = source.read(0.55)
-    assert frame.stamp == pytest.approx(0.5) and frame.images.max() == 50
+    assert frame.stamp == pytest.approx(0.5) and frame.value.max() == 50
     assert source.statistics.skipped == 4
     assert source.read(5.0) is None
     assert source.statistics.stale == 1 and source.finished
@@ -149,7 +149,7 @@ def test_devices_give_the_newest_pair_stamped_on_the_callers_clock(devices):
     frame = source.read(time.monotonic() + offset)
     age = time.monotonic() + offset - frame.stamp
     assert 0.0 <= age < 0.15
-    np.testing.assert_array_equal(frame.images.max(axis=(1, 2)), [50, 200])
+    np.testing.assert_array_equal(frame.value.max(axis=(1, 2)), [50, 200])
     assert source.read(time.monotonic() + offset) is None
     assert source.statistics.skipped > 0
     assert not source.finished
