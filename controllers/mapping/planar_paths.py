@@ -20,8 +20,8 @@ class Paths:
     """Shortest paths from one cell to all others.
 
     Attributes:
-        start: Row and column that they begin at.
-        lengths: (rows, columns) length [m]; infinite where no path leads.
+        start: Row and column of the first cell.
+        lengths: (rows, columns) length of the path [m]; infinite where there is none.
         previous: (rows, columns) flat index of the cell before, -1 where none.
     """
 
@@ -53,12 +53,9 @@ def shortest_paths(
 
     Args:
         enterable: (rows, columns) cells that may be entered.
-        start: Row and column; it need not be enterable.
+        start: Row and column of the first cell; it need not be enterable.
         cell: Side of a cell [m].
-        limit: Paths longer are not looked for [m].
-
-    Returns:
-        Lengths and how to get there.
+        limit: Length beyond which paths are not searched for [m].
     """
     lengths, previous = _dijkstra(enterable, start[0], start[1], limit / cell)
     return Paths(start, lengths * cell, previous)

@@ -1,29 +1,39 @@
-"""The next pose of a planar vision system, by any of the methods of Thesis 3.3.1 and two peers."""
+"""The next pose of planar vision systems, by any of the methods of Thesis 3.3.1 and two peers.
+
+The thesis rates a view by RF = (NI - K (d/D)^n)(1 - P) (eq. 3-15, with the distance over the depth
+of field D so that K has no unit). A constant K is a constant price of a metre. That suits one world
+only: indoors, where views are half hidden, the same K buys mere slivers of what is near.
+
+The price of a metre should be what the metre could earn elsewhere: K = max V / (d + s), the best
+information by distance on offer, where s is the path that a scan is worth. With n = 1 the best view
+then is the one with the greatest V / (d + s): the rule has no scale of its own, so it serves both
+worlds alike. V is NI with unknown cells amid known ones worth more: to come back for them later
+costs a trip of its own.
+
+Several vision systems choose in rounds, each for itself or claiming what it will see.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from controllers.mapping.planar_ratings import (
-    fixed_price_rating,
-    isolation_weights,
-    rate_rating,
-)
 from controllers.mapping.planar_situation import (
     Situation,
     believe,
     draw_candidates,
     frontier_cells,
 )
+from perception.planar.beams import fan
 from perception.planar.information import READINGS, Reading, new_information, undecided_entropy
 from perception.planar.map import PlanarMap
-from perception.planar.raycast import RangeSensor, ray_sums, sector_sums
+from perception.planar.raycast import RangeSensor, expected_view, ray_sums, sector_sums
 
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
@@ -38,11 +48,11 @@ UTILITIES: tuple[Utility, ...] = get_args(Utility)
 
 NEAR = 2.0
 """Half of the candidates lie within this path length, in depths of field."""
-LEAST = 1e-6
-"""A view of less new information or area, over that of the whole sector, brings nothing."""
-FRONTIERS = 64
-"""How many frontier cells are looked at together, the nearest first."""
-ENOUGH = 0.1
+MIN_NEW = 1e-6
+"""New information or area, over that of the whole sector, up to which a view brings nothing."""
+FRONTIER_BATCH = 64
+"""Number of frontier cells that are rated together, the nearest first."""
+MIN_FRONTIER_AREA = 0.1
 """New area in view, over that of the sector, that makes method frontier stop at a cell."""
 
 
@@ -51,18 +61,21 @@ class PlannerConfig:
     """How views are chosen.
 
     Attributes:
-        sensor: The vision system.
+        sensor: Field of view and depth of field of the vision system.
         method: (i) random, (ii) raster, (iii) max_new, (iv) min_old, (v) information of Thesis
             3.3.1, or frontier (the nearest) and rate.
         reading: What new information means, see `perception.planar.information`.
         utility: What method information makes of it: "going_rate", or "fixed" for eq. 3-15.
-        candidates: Positions that are rated.
-        headings: Headings at each of them.
-        rays: Rays of a full fan, a multiple of ``headings``.
+        candidates: Number of positions that are rated.
+        headings: Number of headings at each position.
+        rays: Number of rays of a full fan, a multiple of ``headings``.
         price: K of eq. 3-15, utility "fixed" only.
         exponent: n of eq. 3-15, utility "fixed" only.
-        scan_path: Path that takes as long as a scan, over the depth of field.
-        isolation: What an unknown cell amid known ones is worth more, utility "going_rate" only.
+        scan_path: Length of path that takes as long as a scan, over the depth of field.
+        isolation: Additional worth of an unknown cell amid known ones, utility "going_rate" only.
+
+    Raises:
+        ValueError: If a setting is out of range; the message names it.
     """
 
     sensor: RangeSensor = RangeSensor()
@@ -78,11 +91,6 @@ class PlannerConfig:
     isolation: float = 2.0
 
     def __post_init__(self) -> None:
-        """Refuse what no planner could follow.
-
-        Raises:
-            ValueError: Naming the setting.
-        """
         for name, valid in (("method", METHODS), ("reading", READINGS), ("utility", UTILITIES)):
             if getattr(self, name) not in valid:
                 raise ValueError(f"{name} {getattr(self, name)}: expected {', '.join(valid)}")
@@ -98,16 +106,16 @@ class PlannerConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class PlannedView:
     """A pose to look from next.
 
     Attributes:
-        cell: Row and column.
-        heading: Of the sector's middle, from the x axis [rad].
+        cell: Row and column to look from.
+        heading: Direction of the sector's middle from the x axis [rad].
         path: (n, 2) cells from the present one to ``cell``.
-        length: Of the path [m].
+        length: Length of the path [m].
         candidates: (m, 2) cells that were rated.
-        ratings: (m,) rating of each in its best heading.
+        ratings: (m,) rating of each candidate in its best heading.
     """
 
     cell: tuple[int, int]
@@ -119,28 +127,27 @@ class View:
 
 
 class ViewPlanner:
-    """Chooses the next pose of one vision system on a map."""
+    """Chooses the next pose of one vision system on a map.
+
+    Args:
+        config: Method and constants.
+        generator: Random generator for the candidates.
+    """
 
     def __init__(self, config: PlannerConfig, generator: np.random.Generator) -> None:
-        """Begin.
-
-        Args:
-            config: Method and constants.
-            generator: Of candidates.
-        """
         self.config = config
         self._generator = generator
         self._stood: dict[tuple[int, int], int] = {}
 
     def choose(
         self, world: PlanarMap, cell: tuple[int, int], claimed: BoolArray | None = None
-    ) -> View | None:
+    ) -> PlannedView | None:
         """Choose the next pose.
 
         All candidates are free (P < 0.05) and reached by a collision-free path on the map.
 
         Args:
-            world: The map.
+            world: Map of the plane.
             cell: Present row and column.
             claimed: (rows, columns) cells that another robot is about to see; they count as seen.
 
@@ -168,7 +175,7 @@ class ViewPlanner:
         near = NEAR * self.config.sensor.depth
         return draw_candidates(situation, self.config.candidates, near, self._generator)
 
-    def _best_view(self, situation: Situation, cells: IntArray) -> View | None:
+    def _best_view(self, situation: Situation, cells: IntArray) -> PlannedView | None:
         if len(cells) == 0:
             return None
         ratings, worthwhile = RATINGS[self.config.method](self.config, situation, cells)
@@ -178,14 +185,14 @@ class ViewPlanner:
         index, heading = divmod(int(np.argmax(ratings)), ratings.shape[1])
         return self._view(situation, cells, index, heading, ratings.max(axis=1))
 
-    def _anywhere(self, situation: Situation) -> View:
+    def _anywhere(self, situation: Situation) -> PlannedView:
         """Method (i): anywhere that can be reached, in any heading."""
         cells = np.argwhere(np.isfinite(situation.paths.lengths))
         index = int(self._generator.integers(len(cells)))
         heading = int(self._generator.integers(self.config.headings))
         return self._view(situation, cells[index : index + 1], 0, heading, np.zeros(1))
 
-    def _next_in_raster(self, situation: Situation, cell: tuple[int, int]) -> View | None:
+    def _next_in_raster(self, situation: Situation, cell: tuple[int, int]) -> PlannedView | None:
         """Method (ii): a full turn at each free lattice point, row by row, then a finer lattice."""
         turn = math.ceil(2.0 * math.pi / self.config.sensor.fov - 1e-9)
         count = self._stood.get(cell, 0)
@@ -214,7 +221,7 @@ class ViewPlanner:
             pitch //= 2
         return None
 
-    def _nearest_frontier(self, situation: Situation) -> View | None:
+    def _nearest_frontier(self, situation: Situation) -> PlannedView | None:
         """Look from the nearest free cell beside the unknown that shows enough of it.
 
         Without "enough" it would clear up every sliver around it, a scan for each. Where no cell
@@ -223,24 +230,26 @@ class ViewPlanner:
         cells = frontier_cells(situation)
         cells = cells[np.argsort(situation.distance(cells), kind="stable")]
         gains = np.zeros((len(cells), self.config.headings))
-        for first in range(0, len(cells), FRONTIERS):
-            batch = slice(first, first + FRONTIERS)
+        for first in range(0, len(cells), FRONTIER_BATCH):
+            batch = slice(first, first + FRONTIER_BATCH)
             gains[batch], _ = new_and_old_area(self.config, situation, cells[batch])
-            if gains[batch].max() >= ENOUGH:
+            if gains[batch].max() >= MIN_FRONTIER_AREA:
                 break
         best = gains.max(axis=1, initial=0.0)
-        if not (best > LEAST).any():
+        if not (best > MIN_NEW).any():
             return None
-        index = int(np.argmax(best >= ENOUGH if (best >= ENOUGH).any() else best))
+        index = int(
+            np.argmax(best >= MIN_FRONTIER_AREA if (best >= MIN_FRONTIER_AREA).any() else best)
+        )
         return self._view(situation, cells, index, int(np.argmax(gains[index])), best)
 
     def _view(
         self, situation: Situation, cells: IntArray, index: int, heading: int, ratings: FloatArray
-    ) -> View:
+    ) -> PlannedView:
         cell = int(cells[index, 0]), int(cells[index, 1])
         path = situation.paths.to(cell)
         angle = 2.0 * math.pi * heading / self.config.headings
-        return View(cell, angle, path, float(situation.paths.lengths[cell]), cells, ratings)
+        return PlannedView(cell, angle, path, float(situation.paths.lengths[cell]), cells, ratings)
 
 
 def new_and_old_area(
@@ -250,11 +259,11 @@ def new_and_old_area(
 
     Args:
         config: Sensor and headings.
-        situation: What is known.
-        cells: (n, 2) where to look from.
+        situation: Map as believed.
+        cells: (n, 2) cells to look from.
 
     Returns:
-        Both (n, headings).
+        New and old area, both (n, headings).
     """
     layers = np.stack([~situation.known, situation.known]).astype(float)
     sums = ray_sums(layers, situation.opaque, cells, situation.table)
@@ -267,9 +276,9 @@ Rated: TypeAlias = tuple[FloatArray, BoolArray]
 
 
 def _rate_max_new(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
-    """Method (iii): the largest expected new region, whatever the way there."""
+    """Method (iii): the largest expected new region, whatever the path to it."""
     new, _ = new_and_old_area(config, situation, cells)
-    return new, new > LEAST
+    return new, new > MIN_NEW
 
 
 def _rate_min_old(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
@@ -278,11 +287,11 @@ def _rate_min_old(config: PlannerConfig, situation: Situation, cells: IntArray) 
     Without that condition it would face the nearest wall for ever.
     """
     new, old = new_and_old_area(config, situation, cells)
-    return -old, new > LEAST
+    return -old, new > MIN_NEW
 
 
 def _rate_information(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
-    """Method (v): expected information against the way there."""
+    """Method (v): expected information against the length of the path."""
     distance = situation.distance(cells) / config.sensor.depth
     occupied = situation.probability[cells[:, 0], cells[:, 1]]
     information, undecided, weight = expected_information(config, situation, cells)
@@ -290,7 +299,7 @@ def _rate_information(config: PlannerConfig, situation: Situation, cells: IntArr
         rating = fixed_price_rating(information, distance, occupied, config.price, config.exponent)
     else:
         rating = rate_rating(information * weight, distance, occupied, config.scan_path)
-    return rating, undecided > LEAST
+    return rating, undecided > MIN_NEW
 
 
 def _rate_rate(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
@@ -298,18 +307,18 @@ def _rate_rate(config: PlannerConfig, situation: Situation, cells: IntArray) -> 
     distance = situation.distance(cells) / config.sensor.depth
     occupied = situation.probability[cells[:, 0], cells[:, 1]]
     information, undecided, _ = expected_information(config, situation, cells)
-    return rate_rating(information, distance, occupied, config.scan_path), undecided > LEAST
+    return rate_rating(information, distance, occupied, config.scan_path), undecided > MIN_NEW
 
 
 def expected_information(
     config: PlannerConfig, situation: Situation, cells: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Evaluate views.
+    """Return the information that views are expected to bring.
 
     Args:
         config: Sensor, reading and headings.
-        situation: What is known.
-        cells: (n, 2) where to look from.
+        situation: Map as believed.
+        cells: (n, 2) cells to look from.
 
     Returns:
         All (n, headings): NI in the configured reading; NI in the reading "entropy", 0 where all is
@@ -323,7 +332,7 @@ def expected_information(
     layers = np.stack([worth, worth * weights])
     sums = ray_sums(layers, situation.opaque, cells, situation.table)
     undecided, weighted = sector_sums(sums, sensor.fov, config.headings) / sensor.area
-    weight = np.where(undecided > LEAST, weighted / np.maximum(undecided, LEAST), 1.0)
+    weight = np.where(undecided > MIN_NEW, weighted / np.maximum(undecided, MIN_NEW), 1.0)
     if config.reading == "entropy":
         return undecided, undecided, weight
     information = new_information(
@@ -333,9 +342,134 @@ def expected_information(
     return information, undecided, weight
 
 
+def fixed_price_rating(
+    information: FloatArray,
+    distance: FloatArray,
+    probability: FloatArray,
+    price: float,
+    exponent: float,
+) -> FloatArray:
+    """Rate views by Thesis eq. 3-15, a fixed price of distance.
+
+    (1 - P) multiplies positive ratings only: it would raise a negative one of an occupied cell.
+
+    Args:
+        information: (n, headings) NI.
+        distance: (n,) length of the path there over the depth of field, d / D.
+        probability: (n,) P that the pose is occupied.
+        price: Price K of the distance.
+        exponent: Exponent n of the distance.
+
+    Returns:
+        (n, headings) ratings.
+    """
+    rating = information - price * distance[:, None] ** exponent
+    return np.where(rating > 0.0, rating * (1.0 - probability[:, None]), rating)
+
+
+def rate_rating(
+    information: FloatArray, distance: FloatArray, probability: FloatArray, scan_path: float
+) -> FloatArray:
+    """Rate views by information over path and time, NI (1 - P) / (d / D + s / D).
+
+    Args:
+        information: (n, headings) NI or a weighted one.
+        distance: (n,) length of the path there over the depth of field, d / D.
+        probability: (n,) P that the pose is occupied.
+        scan_path: Path that a scan is worth over the depth of field, s / D = v t_scan / D.
+
+    Returns:
+        (n, headings) ratings.
+    """
+    return information * ((1.0 - probability) / (distance + scan_path))[:, None]
+
+
+def isolation_weights(known: BoolArray, width: int, gain: float) -> FloatArray:
+    """Return the weight of cells by the share of known cells around them.
+
+    Args:
+        known: (rows, columns) cells that were measured; outside the map all counts as known.
+        width: Side of the square neighbourhood [cells], made odd.
+        gain: Additional worth of a cell amid known ones only.
+
+    Returns:
+        (rows, columns) 1 + gain * share of known cells around.
+    """
+    share = ndimage.uniform_filter(known.astype(float), width | 1, mode="constant", cval=1.0)
+    return 1.0 + gain * np.clip(share, 0.0, 1.0)
+
+
 RATINGS: Mapping[str, Callable[[PlannerConfig, Situation, IntArray], Rated]] = {
     "max_new": _rate_max_new,
     "min_old": _rate_min_old,
     "information": _rate_information,
     "rate": _rate_rate,
 }
+
+
+@dataclasses.dataclass
+class PlanarTeam:
+    """Robots that share a map and choose their next poses in rounds.
+
+    A round: every robot chooses a pose, goes there and scans. Cooperating robots choose one after
+    the other; each claims the cells that its view should see, so that the next ones do not count
+    them. Independent robots choose by the map alone. Robots are points to each other: they neither
+    hide ground nor block paths.
+
+    Attributes:
+        planners: Planner of each robot.
+        cooperative: Whether robots claim what they will see.
+    """
+
+    planners: Sequence[ViewPlanner]
+    cooperative: bool = True
+
+    def choose(
+        self, world: PlanarMap, cells: Sequence[tuple[int, int]]
+    ) -> list[PlannedView | None]:
+        """Choose the next pose of every robot.
+
+        Args:
+            world: Common map of the robots.
+            cells: Present row and column of each robot.
+
+        Returns:
+            A view for each, or None where nothing new is left for it.
+
+        Raises:
+            ValueError: If there is not one cell for each robot.
+        """
+        if len(cells) != len(self.planners):
+            raise ValueError(f"cells: expected {len(self.planners)}, got {len(cells)}")
+        claimed: BoolArray = np.zeros(world.grid.shape, dtype=bool)
+        opaque = world.measured & (world.probability() >= world.model.occupied_above)
+        views: list[PlannedView | None] = []
+        for planner, cell in zip(self.planners, cells):
+            view = planner.choose(world, cell, claimed if self.cooperative else None)
+            views.append(view)
+            if view is not None and self.cooperative:
+                sensor, rays = planner.config.sensor, planner.config.rays
+                table = fan(sensor.depth, world.grid.cell, rays)
+                claimed |= expected_view(opaque, view.cell, view.heading, sensor.fov, table)
+        return views
+
+
+def make_team(
+    robots: int, config: PlannerConfig, generator: np.random.Generator, cooperative: bool = True
+) -> PlanarTeam:
+    """Return a team of equal robots, each with random numbers of its own.
+
+    Args:
+        robots: Number of robots.
+        config: Configuration of every planner.
+        generator: Random generator that is split among the robots.
+        cooperative: Whether robots claim what they will see.
+
+    Raises:
+        ValueError: If there is no robot.
+    """
+    if robots < 1:
+        raise ValueError(f"robots: expected 1 or more, got {robots}")
+    return PlanarTeam(
+        [ViewPlanner(config, child) for child in generator.spawn(robots)], cooperative
+    )

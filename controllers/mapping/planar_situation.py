@@ -1,4 +1,4 @@
-"""What a planner may judge by: the map as believed, ways on it, and where to look from."""
+"""The map as a planner believes it, paths on it, and cells to look from."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ IntArray = NDArray[np.int64]
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """What a method may judge by: the map as believed, and how to get about on it.
+    """The map as believed, and the paths on it.
 
     Attributes:
-        probability: (rows, columns) of occupancy; claimed cells count as free.
+        probability: (rows, columns) probability of occupancy; claimed cells count as free.
         known: (rows, columns) measured or claimed cells.
         opaque: (rows, columns) cells measured as occupied.
         paths: Shortest paths from the present cell.
         cell: Side of a cell [m].
-        table: Fan of the sensor.
+        table: Fan of the sensor's rays.
     """
 
     probability: FloatArray
@@ -49,10 +49,10 @@ def believe(
     """Return what is known, taking claimed cells for seen and empty.
 
     Args:
-        world: The map.
+        world: Map of the plane.
         cell: Present row and column.
-        sensor: The vision system.
-        rays: Of a full fan.
+        sensor: Field of view and depth of field of the vision system.
+        rays: Number of rays of a full fan.
         claimed: (rows, columns) cells that another robot is about to see.
     """
     probability = world.probability()
@@ -74,10 +74,10 @@ def draw_candidates(
     Few evenly drawn positions would leave none near enough to go on where one is.
 
     Args:
-        situation: What is known.
-        count: How many, at most.
+        situation: Map as believed.
+        count: Greatest number of cells.
         near: Path length within which half of them lie [m].
-        generator: Of the draw.
+        generator: Random generator for the draw.
     """
     lengths = situation.paths.lengths
     anywhere = np.flatnonzero(np.isfinite(lengths))

@@ -11,8 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from controllers.mapping.planar_planner import Method, PlannerConfig, Utility, View
-from controllers.mapping.planar_team import make_team
+from controllers.mapping.planar_planner import (
+    Method,
+    PlannedView,
+    PlannerConfig,
+    Utility,
+    make_team,
+)
 from experiments.ch3.planar.worlds import World, image_world, indoor_world, unstructured_world
 from perception.planar.information import Reading
 from perception.planar.map import IntArray, PlanarMap
@@ -79,7 +84,7 @@ class Round:
     map: PlanarMap
     cells: list[tuple[int, int]]
     headings: list[float]
-    views: list[View | None]
+    views: list[PlannedView | None]
     fraction: float
     metres: float
 
@@ -121,7 +126,7 @@ def run_trial(
     cells = world.starts(trial.robots)
     turns = generator.integers(config.headings, size=trial.robots)
     headings = [2.0 * np.pi * int(turn) / config.headings for turn in turns]
-    views: list[View | None] = [None] * trial.robots
+    views: list[PlannedView | None] = [None] * trial.robots
     fractions, metres, plan_ms, bumps = [], [0.0], [], 0
     paths: list[IntArray] = [_numbered(r, np.array([cell])) for r, cell in enumerate(cells)]
     stands = list(paths)

@@ -13,15 +13,13 @@ from controllers.mapping.planar_planner import (
     PlannerConfig,
     ViewPlanner,
     expected_information,
-    new_and_old_area,
-)
-from controllers.mapping.planar_ratings import (
     fixed_price_rating,
     isolation_weights,
+    make_team,
+    new_and_old_area,
     rate_rating,
 )
 from controllers.mapping.planar_situation import believe, draw_candidates, frontier_cells
-from controllers.mapping.planar_team import make_team
 from perception.planar.beams import fan
 from perception.planar.map import Grid, PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, scan
