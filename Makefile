@@ -11,7 +11,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 PACKAGES := $(VENV)/.packages
 RENDERING := $(VENV)/.rendering
-BROWSER := $(VENV)/.browser
+VIEWERS := $(VENV)/.viewers
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test lint lock
@@ -24,7 +24,7 @@ setup: $(PACKAGES) $(RENDERING) ## install all into .venv; quick when it is ther
 demo: setup ## run the mission: two rovers find out what they need and insert a card
 	$(BIN)/python -m experiments mission --quick --record
 
-test: setup $(BROWSER) ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones
+test: setup $(VIEWERS) ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones
 	@sh tools/run_tests.sh $(BIN)/python $(PYTEST_ARGS)
 
 lint: setup ## check style, format and types
@@ -44,6 +44,6 @@ $(RENDERING): $(PACKAGES) tools/ensure_rendering.sh
 	@sh tools/ensure_rendering.sh $(BIN)/python
 	@touch $@
 
-$(BROWSER): $(PACKAGES) tools/ensure_browser.sh
-	@sh tools/ensure_browser.sh
+$(VIEWERS): $(PACKAGES) tools/ensure_viewers.sh
+	@sh tools/ensure_viewers.sh
 	@touch $@

@@ -37,7 +37,9 @@ def screenshot(run: Path, out: Path, at: float | None = None, patience: float = 
     try:
         with _spawn() as viewer:
             _open(viewer, run, deadline)
-            viewer.set_time("sim_time", duration=_end(viewer) if at is None else at)
+            # A viewer that follows the latest data would go back there.
+            shown = _end(viewer) if at is None else at
+            viewer.set_time("sim_time", duration=shown, play_state="paused")
             time.sleep(2.0)  # The viewer decodes images and meshes over several frames.
             viewer.save_screenshot(str(out.resolve()))
             _wait_for(out, deadline)
