@@ -130,7 +130,9 @@ def test_recorded_images_are_what_the_eye_saw(recorded):
     for time_, blob in zip(left["sim_time"], left["EncodedImage:blob"], strict=True):
         shown = cv2.imdecode(np.array(blob[0], np.uint8), cv2.IMREAD_GRAYSCALE)
         seen = truth.images[round(time_.total_seconds(), 3)]
-        assert np.corrcoef(shown.ravel(), seen.ravel())[0, 1] > 0.95
+        # JPEG blurs a ground of noise; of other pictures there is nothing in it.
+        assert np.corrcoef(shown.ravel(), seen.ravel())[0, 1] > 0.7
+        assert abs(np.corrcoef(shown.ravel(), seen[::-1].ravel())[0, 1]) < 0.5
 
 
 def test_images_are_throttled_to_the_recorders_rate(recorded):
