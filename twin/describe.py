@@ -167,7 +167,15 @@ def _wheel(
     tyres = (model.geom_bodyid == body) & (model.geom_group == _COLLISION_GROUP)
     # Of a wheel's three half extents two are its radius.
     radius = np.median(model.geom_aabb[tyres, 3:], axis=1).max(initial=0.0)
-    return WheelDescription(name, np.asarray(centre), float(radius))
+    sliding = np.flatnonzero(
+        (model.jnt_bodyid == body) & (model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
+    )
+    spring, damper = math.inf, 0.0
+    if len(sliding):
+        spring = float(model.jnt_stiffness[sliding[0]])
+        damper = float(model.dof_damping[model.jnt_dofadr[sliding[0]]])
+    mass = float(model.body_mass[body])
+    return WheelDescription(name, np.asarray(centre), float(radius), mass, spring, damper)
 
 
 def _arm(

@@ -90,17 +90,23 @@ class ArmDescription:
 
 @dataclasses.dataclass(frozen=True)
 class WheelDescription:
-    """A driven wheel.
+    """A driven wheel on its spring, which lets it move up and down.
 
     Attributes:
         name: Name of the wheel and of its axis in the contract.
         centre: (3,) the wheel's centre [m], robot frame, at rest.
         radius: Rolling radius [m].
+        mass: Mass of what moves with the wheel [kg].
+        spring: Stiffness of its spring [N/m]; infinite for a wheel that is fixed to the body.
+        damper: Damping of its spring [N s/m].
     """
 
     name: str
     centre: FloatArray
     radius: float
+    mass: float
+    spring: float
+    damper: float
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from controllers.kinematics.arm_model import ArmModel
 from controllers.kinematics.camera_arm import CameraArm
 from controllers.kinematics.chain import Chain, at_rest
-from controllers.kinematics.serial_arm import RigidBody
+from controllers.kinematics.serial_arm import RigidBody, SerialArm
 from perception.geometry.gravity import GRAVITY
 from perception.geometry.se3 import cross_matrix
+from twin.description import RobotDescription
 
 FloatArray = NDArray[np.float64]
 
@@ -77,6 +78,24 @@ class CardArm:
         self._chain = chain
         self._card = np.eye(4)
         self._card[:3, :3], self._card[:3, 3] = CARD_IN_WRIST, [0.0, tip, 0.0]
+
+    @classmethod
+    def of(cls, robot: RobotDescription, tip: float) -> CardArm:
+        """Return the arm of a robot as drawn, with the card in its gripper.
+
+        Args:
+            robot: The rover; its wrist's body counts the card.
+            tip: From the wrist's joint to the middle of the card's leading edge [m].
+
+        Raises:
+            ValueError: If it has no arm, naming it.
+        """
+        arm = robot.arm
+        if arm is None or robot.head is None:
+            raise ValueError(f"robot {robot.name!r} has no arm with a stereo head to hold a card")
+        known = SerialArm.of(arm)
+        chain = Chain.of_arm(known, arm.joints[0].rotor_inertia)
+        return cls(CameraArm.of(arm, robot.head), chain, tip, known.base)
 
     @property
     def limits(self) -> FloatArray:

@@ -6,12 +6,15 @@ steps of 20 um and 0.1 mrad, and its covariance's 21 numbers in half precision.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import struct
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
+
+from twin.link import Link
 
 FloatArray = NDArray[np.float64]
 
@@ -93,6 +96,34 @@ def unpack(message: bytes) -> Guidance:
         pose = RigidTransform.from_components(np.array(numbers[3:6]) * _LENGTH, turn)
         covariance = _positive(covariance)
     return Guidance(time * _TIME, bool(flags & _CARD), bool(flags & _SLOT), pose, covariance)
+
+
+class GuidanceLink:
+    """One robot's end of the radio, for guidance alone.
+
+    Args:
+        link: The robot's end of the radio.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+
+    def send(self, guidance: Guidance | None) -> None:
+        """Send guidance in place of what still waits; to be called every tick.
+
+        What lies out of a message's range is left out: something was mistaken for card or slot.
+
+        Args:
+            guidance: What the master sees; None for nothing new.
+        """
+        if guidance is not None:
+            with contextlib.suppress(GuidanceError):
+                self._link.send_latest(guidance.pack())
+        self._link.poll()
+
+    def receive(self) -> list[Guidance]:
+        """Return what has arrived since the last call, in order."""
+        return [unpack(message) for message in self._link.poll().messages]
 
 
 def _positive(covariance: FloatArray) -> FloatArray:

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from twin.description import ArmDescription, StereoHeadDescription
+
 FloatArray = NDArray[np.float64]
 
 
@@ -48,6 +50,18 @@ class CameraArm:
     transform_camera_to_wrist: RigidTransform
     body_points: tuple[FloatArray, ...]
     body_radius: float
+
+    @classmethod
+    def of(cls, arm: ArmDescription, head: StereoHeadDescription) -> CameraArm:
+        """Return the arm of a robot as drawn, with its stereo head."""
+        hinges = [Hinge(j.transform_link_to_parent, j.axis, j.limits) for j in arm.joints]
+        return cls(
+            arm.transform_base_to_robot,
+            tuple(hinges),
+            head.transform_camera_to_wrist,
+            tuple(joint.cover_points for joint in arm.joints),
+            arm.cover_radius,
+        )
 
     @property
     def limits(self) -> FloatArray:

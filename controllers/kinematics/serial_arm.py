@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.geometry.se3 import axis_rotation, cross_matrix
+from twin.description import ArmDescription
 
 FloatArray = NDArray[np.float64]
 
@@ -79,6 +80,20 @@ class SerialArm:
 
     base: RigidBody
     links: tuple[Link, ...]
+
+    @classmethod
+    def of(cls, arm: ArmDescription) -> SerialArm:
+        """Return the arm of a robot as drawn."""
+        links = [
+            Link(
+                RigidBody(j.body.mass, j.body.centre, j.body.inertia),
+                j.transform_link_to_parent.translation,
+                j.transform_link_to_parent.rotation.as_matrix(),
+                np.array(j.axis),
+            )
+            for j in arm.joints
+        ]
+        return cls(RigidBody(arm.base.mass, arm.base.centre, arm.base.inertia), tuple(links))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -13,6 +13,7 @@ import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from controllers.sensing.surrogate_wrench import Prediction
+from twin.description import RobotDescription
 from twin.robot import Observation
 
 FloatArray = NDArray[np.float64]
@@ -52,6 +53,49 @@ class TiltAxis:
         """Return the axis that `PitchEstimate.parameters` (5,) describe."""
         inertia, ry, rz, damping, stiffness = np.asarray(parameters, dtype=float).tolist()
         return cls(inertia, damping, stiffness, (ry, rz))
+
+
+def roll_axis(pitch: TiltAxis, robot: RobotDescription) -> TiltAxis:
+    """Return how a base rolls by the springs on which it pitches, at half its track (eq. A-1).
+
+    Args:
+        pitch: How it pitches.
+        robot: The rover as drawn.
+    """
+    ratio = (robot.half_track / robot.half_wheelbase) ** 2
+    return TiltAxis(
+        pitch.inertia * ratio,
+        pitch.damping * ratio,
+        pitch.stiffness * ratio,
+        (0.0, pitch.lever[1]),
+    )
+
+
+def drawn_springs(robot: RobotDescription) -> tuple[TiltAxis, TiltAxis]:
+    """Return how a rover pitches and rolls by its drawing (Thesis eq. A-1).
+
+    It turns about the line where its tyres meet the ground: braked wheels roll with the body. The
+    springs leave the wheels on the ground, so that these add nothing by their distance from the
+    middle.
+
+    Args:
+        robot: The rover as drawn, with springs and an arm.
+
+    Raises:
+        ValueError: If it has none, naming it.
+    """
+    if robot.arm is None:
+        raise ValueError(f"robot {robot.name!r} has no arm: nothing tilts it")
+    far = np.array([wheel.centre[1] for wheel in robot.wheels])
+    masses, springs, dampers = np.array(
+        [(wheel.mass, wheel.spring, wheel.damper) for wheel in robot.wheels]
+    ).T
+    body, mount = robot.body, robot.arm.transform_base_to_robot.translation
+    height = body.centre[2] + robot.centre_height
+    inertia = body.inertia[0, 0] + body.mass * height**2 - masses @ far**2
+    lever = (float(mount[1]), float(mount[2]) + robot.centre_height)
+    pitch = TiltAxis(float(inertia), float(dampers @ far**2), float(springs @ far**2), lever)
+    return pitch, roll_axis(pitch, robot)
 
 
 def tilting_moments(pitch: TiltAxis, roll: TiltAxis) -> FloatArray:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
 import enum
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, cast
 
 import numpy as np
 
 from controllers.insertion.card_inserter import InsertionStage
-from experiments.ch5.insertion_scene import MASTER, SLAVE
-from twin.robot import MISSING, Channel, ImageChannel, Observation, Validity
+from experiments.ch5.insertion_scene import MASTER
+from twin.link import Link, Polled
+from twin.robot import MISSING, Channel, ImageChannel, Observation, Robot, Validity
 
 
 class Fault(enum.Enum):
@@ -56,76 +58,118 @@ _SPIKE = np.array([40.0, -60.0, 50.0, 5.0, 3.0, 2.0])
 _SPIKE_EVERY = 0.5
 
 
-@dataclasses.dataclass
-class FaultyEyes:
-    """Changes observations as a fault has it.
+class FaultInjector:
+    """Changes what robots observe and hear as a fault has it.
 
-    Attributes:
-        fault: What goes wrong; None for nothing.
+    Args:
+        fault: What goes wrong.
+        stage: Returns the slave's present stage.
+        clock: Returns robot time [s].
     """
 
-    fault: Fault | None
-
-    def __post_init__(self) -> None:
-        """Nothing has begun."""
-        self._since = 0.0
-        self._stage: InsertionStage | None = None
+    def __init__(
+        self, fault: Fault, stage: Callable[[], InsertionStage], clock: Callable[[], float]
+    ) -> None:
+        self._fault, self._stage, self._clock = fault, stage, clock
+        self._since: float | None = None
         self._frozen: Channel | None = None
 
-    def outage(self, time: float, stage: InsertionStage) -> bool:
-        """Say whether the radio is silent now."""
-        return self.fault is Fault.RADIO and 0.0 <= self._age(time, stage) < _SHORT
+    def robots(self, robots: Mapping[str, Robot]) -> dict[str, Robot]:
+        """Return robots whose sensors suffer from the fault."""
+        return {
+            name: cast(Robot, _FaultyRobot(robot, functools.partial(self.observed, name)))
+            for name, robot in robots.items()
+        }
 
-    def change(
-        self, observations: Mapping[str, Observation], stage: InsertionStage
-    ) -> Mapping[str, Observation]:
-        """Return what the robots observe under the fault.
+    def links(self, links: Mapping[str, Link]) -> dict[str, Link]:
+        """Return ends of the radio that suffer from the fault."""
+        return {name: _FaultyLink(link, self.outage) for name, link in links.items()}
+
+    def outage(self) -> bool:
+        """Say whether the radio is silent now."""
+        return self._fault is Fault.RADIO and 0.0 <= self._age(self._clock()) < _SHORT
+
+    def observed(self, robot: str, seen: Observation) -> Observation:
+        """Return what a robot observes under the fault.
 
         Args:
-            observations: Of both, as they are.
-            stage: Of the slave.
+            robot: Name of the robot.
+            seen: What it would observe without.
         """
-        if self.fault is None:
-            return observations
-        master, slave = observations[MASTER], observations[SLAVE]
-        age = self._age(slave.time, stage)
-        if age >= 0.0:
-            master, slave = self._eyes(master, age), self._senses(slave, age)
-        return {MASTER: master, SLAVE: slave}
+        age = self._age(seen.time)
+        if age < 0.0:
+            return seen
+        return self._eyes(seen, age) if robot == MASTER else self._senses(seen, age)
 
-    def _age(self, time: float, stage: InsertionStage) -> float:
+    def _age(self, time: float) -> float:
         """Return the time since the fault began; negative before."""
-        assert self.fault is not None
-        begin = BEGINS[self.fault]
+        begin = BEGINS[self._fault]
         if begin is None:
             return time
-        if self._stage is None and stage is begin:
-            self._stage, self._since = stage, time + AFTER
-        return time - self._since if self._stage is not None else -1.0
+        if self._since is None and self._stage() is begin:
+            self._since = time + AFTER
+        return time - self._since if self._since is not None else -1.0
 
     def _eyes(self, seen: Observation, age: float) -> Observation:
         stereo = seen.stereo
         if not stereo.usable:
             return seen
-        if self.fault in (Fault.BLACK, Fault.LOST) or (self.fault is Fault.HIDDEN and age < _SHORT):
+        if self._fault in (Fault.BLACK, Fault.LOST) or (
+            self._fault is Fault.HIDDEN and age < _SHORT
+        ):
             black = ImageChannel.deferred(
                 lambda: np.zeros_like(stereo.value, np.uint8), stereo.stamp
             )
             return seen._replace(stereo=black)
-        if self.fault is Fault.FROZEN:
+        if self._fault is Fault.FROZEN:
             self._frozen = self._frozen or stereo
             # New stamps on an old picture: the worst way to freeze.
             return seen._replace(stereo=self._frozen._replace(stamp=stereo.stamp))
         return seen
 
     def _senses(self, seen: Observation, age: float) -> Observation:
-        if self.fault is Fault.TILT:
+        if self._fault is Fault.TILT:
             return seen._replace(inclinometer=MISSING)
-        if self.fault is Fault.WRENCH:
+        if self._fault is Fault.WRENCH:
             return seen._replace(arm_base_wrench=MISSING)
-        if self.fault is Fault.SPIKE and age % _SPIKE_EVERY < 0.5e-2:
+        if self._fault is Fault.SPIKE and age % _SPIKE_EVERY < 0.5e-2:
             wrench = np.asarray(seen.arm_base_wrench.value, dtype=float) + _SPIKE
             return seen._replace(
                 arm_base_wrench=Channel(wrench, seen.arm_base_wrench.stamp, Validity.MEASURED)
             )
         return seen
+
+
+class _FaultyRobot:
+    """A robot with other observations."""
+
+    def __init__(self, robot: Robot, observed: Callable[[Observation], Observation]) -> None:
+        self._robot, self._observed = robot, observed
+
+    def observe(self) -> Observation:
+        """Return the changed observation."""
+        return self._observed(self._robot.observe())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
+
+
+class _FaultyLink:
+    """An end of the radio that is silent at times: what is sent or arrives then is lost."""
+
+    def __init__(self, link: Link, outage: Callable[[], bool]) -> None:
+        self._link, self._outage = link, outage
+
+    def send(self, message: bytes) -> int:
+        """Queue a message as the link does."""
+        return self._link.send(message)
+
+    def send_latest(self, message: bytes) -> None:
+        """Send a value, unless the radio is silent."""
+        if not self._outage():
+            self._link.send_latest(message)
+
+    def poll(self) -> Polled:
+        """Return what has arrived, unless the radio is silent."""
+        polled = self._link.poll()
+        return Polled([], []) if self._outage() else polled

@@ -80,9 +80,9 @@ class _Camera(LoopRecorder):
         picture = renderer().render(scene.model, scene.data, OVERVIEW, *SIZE).copy()
         self.scenes.append((tick.time, picture))
         pair = np.asarray(tick.observations[MASTER].stereo.value, dtype=np.uint8)
-        ellipses = seen_ellipses(self._setting.team.marker_guide.fits)
+        ellipses = seen_ellipses(self._setting.team.master.marker_guide.fits)
         self.frames.append(np.hstack([_small(picture), eye_picture(pair[0], ellipses[0])]))
-        stage = self._setting.team.inserter.stage.value
+        stage = self._setting.team.slave.inserter.stage.value
         moment = {"approach": "approach", "align": "almost contact", "insert": "insertion"}
         if stage in moment and any(len(e) for e in ellipses):
             if stage != "approach" or not self.pairs:
@@ -100,7 +100,7 @@ class _Curves(LoopRecorder):
     def record(self, tick: Tick) -> None:
         """Take one tick."""
         team = self._setting.team
-        inserter = team.inserter
+        inserter = team.slave.inserter
         if np.isfinite(inserter.error).all():
             error = [
                 1e3 * inserter.error[0],
@@ -112,12 +112,15 @@ class _Curves(LoopRecorder):
         stamp = tick.observations[MASTER].stereo.stamp
         if stamp != self._stamp:
             self._stamp = stamp
-            for side, ellipses in zip(("left", "right"), seen_ellipses(team.marker_guide.fits)):
+            for side, ellipses in zip(
+                ("left", "right"), seen_ellipses(team.master.marker_guide.fits)
+            ):
                 self._recorder.log_marks(f"{MASTER}/stereo/{side}/markers", ellipses[:, :2])
         names = ("across [N]", "ahead [N]", "moment [N m]")
         self._recorder.log_scalars("insertion/contact", inserter.contact[[0, 1, 5]], names)
         phase = inserter.guide.phase.value if inserter.guide is not None else ""
-        told = f"{inserter.stage.value} {phase} {inserter.reason} {' '.join(team.failed)}".strip()
+        failed = " ".join(team.slave.failed)
+        told = f"{inserter.stage.value} {phase} {inserter.reason} {failed}".strip()
         if told != self._told:
             self._told = told
             self._recorder.log_text("insertion/stage", told)

@@ -8,14 +8,17 @@ slave's arm, in which it can move the card across, ahead and in pitch (thesis as
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from experiments.ch3.stereo.known_camera_arm import body_pose
-from models.card_and_slot.stand import CARD_FORCE
+from controllers.insertion.camera_station import CameraStation, best_camera_station
+from controllers.insertion.drawing import InsertionDrawing
+from models.card_and_slot.build import PAINT
+from models.card_and_slot.stand import CARD_AXES, CARD_FORCE, SLOT_HEIGHT, TIP
 from models.compose import (
     ARM_JOINTS,
     FieldConfig,
@@ -24,6 +27,9 @@ from models.compose import (
     build_scene,
     compile_scene,
 )
+from models.datasheets import CARD_AND_SLOT
+from perception.markers.poses import BodyCad
+from twin.describe import body_pose, describe_rover
 
 FloatArray = NDArray[np.float64]
 
@@ -45,6 +51,50 @@ class InsertionScene:
     slave: tuple[float, float, float]
     master: tuple[float, float, float]
     field: FieldConfig
+
+
+@functools.cache
+def insertion_drawing(width: float) -> InsertionDrawing:
+    """Return the drawing of card and slot.
+
+    Args:
+        width: Width between the slot's walls [m].
+    """
+    sheet = CARD_AND_SLOT
+    height = sheet.card_thickness / 2.0 + PAINT
+    card = np.array([[x, y, height] for x, y in sheet.card_markers])
+    outward, inward = sheet.slot_marker_inset
+    side, height = width / 2.0 + outward, sheet.wall_height / 2.0 + PAINT
+    slot = np.array([[-side, inward, height], [side, inward, height]])
+    across = (-1.0, 0.0, 0.0)  # points down in the images
+    return InsertionDrawing(
+        BodyCad(card, up=across),
+        BodyCad(slot, up=across),
+        sheet.marker_diameter,
+        sheet.card_width,
+        sheet.card_length,
+        sheet.friction,
+        TIP,
+        RigidTransform.from_components([0.0, 0.0, SLOT_HEIGHT], Rotation.from_matrix(CARD_AXES)),
+        # Hand and camera head of the slave, from behind the card to its wrist.
+        _box((-0.055, 0.015), (-TIP - 0.02, -TIP + 0.12), (-0.035, 0.035)),
+        _box((-0.10, 0.10), (0.045, 0.16), (-0.012, 0.012)),
+    )
+
+
+@functools.cache
+def best_station(width: float) -> CameraStation:
+    """Return where the master sees card and slot best, with nothing else about.
+
+    Args:
+        width: Width between the slot's walls [m].
+    """
+    return best_camera_station(describe_rover(MASTER), insertion_drawing(width))
+
+
+def _box(*sides: tuple[float, float]) -> FloatArray:
+    """Return (8, 3) corners."""
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:

@@ -73,7 +73,7 @@ class Scorer(LoopRecorder):
     def record(self, tick: Tick) -> None:
         """Take one tick."""
         simulation, team = self._setting.simulation, self._setting.team
-        inserter, marker_guide = team.inserter, team.marker_guide
+        inserter, marker_guide = team.slave.inserter, team.master.marker_guide
         force = contact_force(simulation.model, simulation.data)
         self.peak = max(self.peak, float(np.linalg.norm(force)))
         self.finite &= bool(np.isfinite(simulation.data.qpos).all())
@@ -84,8 +84,8 @@ class Scorer(LoopRecorder):
             self._stamp = stereo.stamp
             self.looks += 1
             self.whole += all(fit is not None for fit in marker_guide.fits)
-        if team.told is not None and team.told.transform_slot_to_card is not None:
-            self.nees.append(_nees(simulation.data, team.told))
+        if team.master.sent is not None and team.master.sent.transform_slot_to_card is not None:
+            self.nees.append(_nees(simulation.data, team.master.sent))
         if self._trace:
             felt = inserter.contact[[0, 1, 5]]
             stage = STAGES.index(inserter.stage)
@@ -129,9 +129,9 @@ def perform(
     """
     ready = setting or prepare(trial)
     scorer = Scorer(ready, trial.trace)
-    simulation, inserter = ready.simulation, ready.team.inserter
+    simulation, inserter = ready.simulation, ready.team.slave.inserter
     summary = run(
-        simulation.robots,
+        ready.robots,
         [ready.team],
         SimClock(simulation),
         [scorer, *recorders],
@@ -155,7 +155,7 @@ def run_trial(trial: InsertionTrial) -> dict[str, Any]:
     """
     done = perform(trial)
     scorer, setting = done.scorer, done.setting
-    inserter, marker_guide = setting.team.inserter, setting.team.marker_guide
+    inserter, marker_guide = setting.team.slave.inserter, setting.team.master.marker_guide
     final = card_in_slot(setting.simulation.data)
     seated = final[1] >= inserter.config.guide.depth - 2e-3 and abs(final[2]) < 0.01
     result: dict[str, Any] = {
@@ -169,8 +169,8 @@ def run_trial(trial: InsertionTrial) -> dict[str, Any]:
         "across": scorer.hand_over[0],
         "turn": scorer.hand_over[1],
         "gap": -final[1],
-        "distance": setting.stand.distance,
-        "slant": setting.stand.slant,
+        "distance": setting.station.distance,
+        "slant": setting.station.slant,
         "seen": scorer.whole / max(scorer.looks, 1),
         "moves": marker_guide.moves,
         "nees": float(np.mean(scorer.nees)) if scorer.nees else math.nan,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_stand import card_cad, slot_cad
+from experiments.ch5.insertion_scene import insertion_drawing
 from models.card_and_slot.build import add_card, add_slot
 from models.compose import FieldConfig, build_scene, compile_scene, load_part
 from models.datasheets import CARD_AND_SLOT
@@ -52,7 +52,8 @@ def marker_cads(width: float) -> tuple[BodyCad, BodyCad]:
     Args:
         width: Of the slot [m].
     """
-    return BodyCad(card_cad().points), BodyCad(slot_cad(width).points)
+    drawing = insertion_drawing(width)
+    return BodyCad(drawing.card.points), BodyCad(drawing.slot.points)
 
 
 def expectation(distance: float) -> MarkerExpectation:

@@ -102,7 +102,7 @@ class _Notes(LoopRecorder):
         insertion = team.insertion
         told = team.stage.name
         if insertion is not None:
-            inserter = insertion.inserter
+            inserter = insertion.slave.inserter
             told = f"{told}: {inserter.stage.value} {inserter.reason}".strip()
             names = ("across [N]", "ahead [N]", "moment [N m]")
             self._recorder.log_scalars("mission/contact", inserter.contact[[0, 1, 5]], names)

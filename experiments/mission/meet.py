@@ -10,18 +10,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_arm import CardArm
-from controllers.insertion.guidance import Guidance
+from controllers.insertion.guidance import Guidance, GuidanceLink
 from controllers.insertion.marker_guide import MarkerGuide
 from controllers.mapping.searching import aim
 from controllers.mission.going import Going
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.driving import Odometry
 from experiments.ch5.insertion_identify import rover_steer
-from experiments.ch5.insertion_setting import GuidanceRadio
-from experiments.ch5.insertion_stand import reference_arm
 from experiments.mission.knowledge import Knowledge, tilt_of
 from experiments.mission.scene import MASTER, SLAVE
-from experiments.mission.stages import HOME, PERIOD, Observations, marker_guide
+from experiments.mission.stages import HOME, PERIOD, Observations, marker_guide, reference_arm
 from models.datasheets import CARD_AND_SLOT
 from perception.geometry.se3 import transport_covariance
 from twin.robot import Command, Observation
@@ -52,7 +50,7 @@ class Meet:
         knowledge: Knowledge,
         width: float,
         arm: CardArm,
-        radio: GuidanceRadio,
+        links: tuple[GuidanceLink, GuidanceLink],
         turns: bool,
         patience: float = 15.0,
     ) -> None:
@@ -62,13 +60,13 @@ class Meet:
             knowledge: Gets the share of a turn, and where the slot is from the slave.
             width: Of the slot [m].
             arm: Of the slave, with the card.
-            radio: From the master to the slave.
+            links: Ends of the radio, of the master and of the slave.
             turns: Whether the slave turns; if not it is only looked for.
             patience: Time for each look-out, after which it is given up [s].
         """
         self.done = False
         self.met = False
-        self._knowledge, self._width, self._arm, self._radio = knowledge, width, arm, radio
+        self._knowledge, self._width, self._arm, self._links = knowledge, width, arm, links
         self._marker_guide: MarkerGuide | None = None
         self._master: ArmMove | None = None
         self._slave = ArmMove(HOME)
@@ -98,7 +96,8 @@ class Meet:
                 self._centred, guidance = True, None
             elif not self.met and master.time > self._looked + _SPOT:
                 self._look_elsewhere(master)
-        looks = self._radio.step(max(master.time, slave.time), guidance)
+        self._links[0].send(guidance)
+        looks = self._links[1].receive()
         return {MASTER: watch, SLAVE: self._answer(slave, looks)}
 
     def _look_out(self, master: Observation, slave: Observation) -> None:

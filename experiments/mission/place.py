@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from controllers.insertion.camera_station import CameraStation, best_camera_station
 from controllers.mapping.looking import MapperConfig
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.shared_map import SharedMap
@@ -18,12 +19,19 @@ from controllers.motion.arm_move import ArmMove
 from controllers.placement.spatial.occluders import occluders_of_voxels
 from controllers.placement.task import Occluder
 from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_stand import Stand, reference_arm, search_stand
+from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.knowledge import SLOT_IN_SITE, Knowledge, tilt_of
 from experiments.mission.scene import MASTER, SLAVE
-from experiments.mission.stages import HOME, VOXEL, Observations, take_standing
+from experiments.mission.stages import (
+    HOME,
+    VOXEL,
+    Observations,
+    reference_arm,
+    take_standing,
+)
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import possible_markers
+from twin.describe import describe_rover
 from twin.robot import Command, Observation
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +71,7 @@ class MappedSite:
             sigma = np.sqrt(np.einsum("nii->n", surface.covariances))
             self.points = places[places[:, 2] - sigma > _LOW]
 
-    def blocks(self, stand: Stand) -> bool:
+    def blocks(self, stand: CameraStation) -> bool:
         """Say whether something stands where a rover would.
 
         Args:
@@ -81,7 +89,7 @@ class MappedSite:
         return occluders_of_voxels((cells + 0.5) * VOXEL, VOXEL, name="mapped")
 
 
-def choose_stand(knowledge: Knowledge, width: float) -> Stand:
+def choose_stand(knowledge: Knowledge, width: float) -> CameraStation:
     """Return where the master sees card and slot best of all places that the map leaves free.
 
     Args:
@@ -92,7 +100,12 @@ def choose_stand(knowledge: Knowledge, width: float) -> Stand:
         PlacementError: If there is no place.
     """
     site = MappedSite(knowledge)
-    return search_stand(width, occluders=site.occluders(), blocked=site.blocks)
+    return best_camera_station(
+        describe_rover(MASTER),
+        insertion_drawing(width),
+        occluders=site.occluders(),
+        blocked=site.blocks,
+    )
 
 
 class GoToStand:
@@ -109,7 +122,7 @@ class GoToStand:
 
     name = "place"
 
-    def __init__(self, knowledge: Knowledge, stand: Stand) -> None:
+    def __init__(self, knowledge: Knowledge, stand: CameraStation) -> None:
         """Begin.
 
         Args:

@@ -11,22 +11,24 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
-from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
+from controllers.insertion.camera_station import camera_arm
+from controllers.insertion.marker_guide import MarkerGuide
+from controllers.insertion.team import marker_guide_config
+from controllers.kinematics.camera_arm import CameraArm
 from controllers.mapping.looking import MapperConfig, RobotBrief
 from controllers.mapping.standing import Standing, lean
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.motion.arm_move import ArmMove
 from experiments.ch2.rover_trial import known_swinging_arm
-from experiments.ch3.stereo.known_camera_arm import known_body
 from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_stand import card_cad, reference_arm, slot_cad, watch_plan
+from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.knowledge import Knowledge
 from experiments.mission.scene import MASTER, SLAVE
-from models.compose import FLAT, RobotPlacement, make_model
-from models.datasheets import ARM, CARD_AND_SLOT
+from models.datasheets import ARM
 from perception.geometry.se3 import composed_covariance, transport_covariance
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap
+from twin.describe import describe_rover
 from twin.robot import Command, Observation
 from twin.servo import SERVO_PERIOD
 
@@ -189,8 +191,12 @@ def _slave_standing(knowledge: Knowledge) -> Standing:
 @functools.cache
 def brief() -> RobotBrief:
     """Return what is known of either robot beforehand."""
-    model = make_model(FLAT, [RobotPlacement(MASTER)])
-    return RobotBrief(reference_arm(), HOME, known_body(model, MASTER))
+    return RobotBrief(reference_arm(), HOME, describe_rover(MASTER).body_spheres)
+
+
+def reference_arm() -> CameraArm:
+    """Return the arm with its camera, as drawn."""
+    return camera_arm(describe_rover(MASTER))[0]
 
 
 def take_standing(knowledge: Knowledge, standing: Standing) -> None:
@@ -223,10 +229,5 @@ def marker_guide(
         card: From the card to the robot, roughly.
         plan: Whether the camera is placed, or stays.
     """
-    config = MarkerGuideConfig(
-        card_cad(),
-        slot_cad(width),
-        CARD_AND_SLOT.marker_diameter,
-        watch_plan() if plan else None,
-    )
+    config = marker_guide_config(describe_rover(MASTER), insertion_drawing(width), plan)
     return MarkerGuide(config, reference_arm(), head_geometry(), (slot, covariance), card, None)

@@ -2,31 +2,30 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
-from controllers.mapping.searching import aim
-from controllers.motion.arm_move import ArmMove
-from controllers.motion.base_lean import BaseLean
-from experiments.ch5.insertion_faults import FaultyEyes
-from experiments.ch5.insertion_setting import (
-    GuidanceRadio,
+from controllers.insertion.guidance import GuidanceLink
+from controllers.insertion.team import (
+    InsertionMaster,
+    InsertionSlave,
     InsertionTeam,
-    card_arm,
     guide_config,
     surrogate_sensing,
 )
-from experiments.ch5.insertion_stand import reference_arm
+from controllers.mapping.searching import aim
+from controllers.motion.arm_move import ArmMove
+from controllers.motion.base_lean import BaseLean
+from experiments.ch5.insertion_identify import rover_springs
+from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.knowledge import Knowledge, tilt_of
 from experiments.mission.meet import Meet
 from experiments.mission.place import GoToStand, choose_stand
-from experiments.mission.scene import MASTER, SLAVE, MissionScene, Site
+from experiments.mission.scene import MASTER, SLAVE, Site
 from experiments.mission.stages import (
     HOME,
     FindPanel,
@@ -35,8 +34,11 @@ from experiments.mission.stages import (
     Observations,
     SwingArms,
     marker_guide,
+    reference_arm,
 )
-from models.compose import make_model
+from models.card_and_slot.stand import TIP
+from twin.describe import describe_rover
+from twin.link import Link
 from twin.robot import Command
 
 FloatArray = NDArray[np.float64]
@@ -55,9 +57,8 @@ class InsertCard:
         knowledge: Knowledge,
         width: float,
         placed: bool,
-        scene: MissionScene,
         arm: CardArm,
-        rng: np.random.Generator,
+        links: tuple[GuidanceLink, GuidanceLink],
     ) -> None:
         """Begin.
 
@@ -65,19 +66,18 @@ class InsertCard:
             knowledge: All that was found out.
             width: Of the slot [m].
             placed: Whether the camera is placed for the task, or looks from where it is.
-            scene: For what the slave knows of its own arm.
             arm: The slave's, with the card.
-            rng: Of the radio.
+            links: Ends of the radio, of the master and of the slave.
         """
         self._knowledge, self._width, self._placed = knowledge, width, placed
-        self._scene, self._arm, self._rng = scene, arm, rng
+        self._arm, self._links = arm, links
         self.team: InsertionTeam | None = None
         self._moves: dict[str, ArmMove] = {}
 
     @property
     def done(self) -> bool:
         """Whether the card is in, or the slave has given up."""
-        return self.team is not None and self.team.inserter.over
+        return self.team is not None and self.team.slave.inserter.over
 
     def step(self, observations: Observations) -> Mapping[str, Command]:
         """Bring both arms to where the insertion begins, then insert."""
@@ -100,16 +100,18 @@ class InsertCard:
         goal = eyes.begin(aim(reference_arm(), middle, HOME))
         self._moves = {MASTER: ArmMove(goal, speed=0.5), SLAVE: ArmMove(HOME)}
         inserter = CardInserter(
-            CardInserterConfig(guide_config()),
+            CardInserterConfig(guide_config(insertion_drawing(self._width), rover_springs()[0])),
             self._arm,
             knowledge.steer(),
             knowledge.slot_in_slave,
             knowledge.slave_covariance,
             BaseLean(*knowledge.springs(SLAVE), self._arm.mount),
         )
-        model = own_model(self._scene)
-        sensing = surrogate_sensing(model, SLAVE, knowledge.springs(SLAVE))
-        return InsertionTeam(eyes, inserter, sensing, FaultyEyes(None), self._rng)
+        sensing = surrogate_sensing(describe_rover(SLAVE, card=True), TIP, knowledge.springs(SLAVE))
+        master, slave = self._links
+        return InsertionTeam(
+            InsertionMaster(MASTER, eyes, master), InsertionSlave(SLAVE, inserter, sensing, slave)
+        )
 
 
 class MissionTeam:
@@ -123,7 +125,6 @@ class MissionTeam:
 
     def __init__(
         self,
-        scene: MissionScene,
         site: Site,
         width: float,
         rng: np.random.Generator,
@@ -133,7 +134,6 @@ class MissionTeam:
         """Drop both rovers.
 
         Args:
-            scene: As built; the team takes no more from it than what the robots know of themselves.
             site: The drawing.
             width: Of the slot [m].
             rng: Source of randomness.
@@ -142,9 +142,10 @@ class MissionTeam:
         """
         self.knowledge = Knowledge.as_told(site)
         self.ended: list[tuple[str, float]] = []
-        self._scene, self._width, self._rng = scene, width, rng
+        self._width, self._rng = width, rng
+        self.links: Mapping[str, Link] = {}
         self._without, self._scans = without, scans
-        self._arm = card_arm(own_model(scene), SLAVE)
+        self._arm = CardArm.of(describe_rover(SLAVE, card=True), TIP)
         self._stages = self._all()
         self.stage: MissionStage = next(self._stages)
         self.over = False
@@ -171,25 +172,18 @@ class MissionTeam:
 
     def _all(self) -> Iterator[MissionStage]:
         knowledge, width = self.knowledge, self._width
-        identify, explore, meet, insert = self._rng.spawn(4)
+        identify, explore = self._rng.spawn(2)
         if self._without != "identification":
             yield SwingArms(knowledge, identify)
         first, further = self._scans
         if self._without != "mapping":
             yield FindPanel(knowledge, first, explore)
         turns = self._without != "identification"
-        yield Meet(knowledge, width, self._arm, GuidanceRadio(meet), turns)
+        links = GuidanceLink(self.links[MASTER]), GuidanceLink(self.links[SLAVE])
+        yield Meet(knowledge, width, self._arm, links, turns)
         if knowledge.shared is not None:
             yield MapTogether(knowledge, further, explore)
         placed = self._without != "placement"
         if placed:
             yield GoToStand(knowledge, choose_stand(knowledge, width))
-        yield InsertCard(knowledge, width, placed, self._scene, self._arm, insert)
-
-
-def own_model(scene: MissionScene) -> mujoco.MjModel:
-    """Return the slave as it knows itself: its own drawing, on any ground."""
-    field = dataclasses.replace(
-        scene.field, relief=0.0, rocks=0, texture_pixels=16, panel=None, slot_width=None
-    )
-    return make_model(field, [dataclasses.replace(scene.robots[1], position=(0.0, 0.0), yaw=0.0)])
+        yield InsertCard(knowledge, width, placed, self._arm, links)

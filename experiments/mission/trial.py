@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.insertion.camera_station import CameraStation
 from controllers.placement.task import PlacementError
 from experiments.ch5.insertion_scene import contact_force, transform
-from experiments.ch5.insertion_stand import Stand
 from experiments.mission.knowledge import SLOT_IN_SITE
 from experiments.mission.place import GoToStand
 from experiments.mission.scene import MASTER, SLAVE, MissionScene, draw_scene, survey
@@ -172,7 +172,7 @@ def prepared(trial: MissionTrial):  # noqa: ANN201
     scene_rng, site_rng, team_rng = np.random.default_rng((trial.seed, 1)).spawn(3)
     scene = draw_scene(trial.width, scene_rng)
     site = survey(scene, site_rng)
-    team = MissionTeam(scene, site, trial.width, team_rng, trial.without, trial.scans)
+    team = MissionTeam(site, trial.width, team_rng, trial.without, trial.scans)
     with connect(
         trial.robot,
         robots=scene.robots,
@@ -180,6 +180,7 @@ def prepared(trial: MissionTrial):  # noqa: ANN201
         stereo=StereoConfig(RATE),
         seed=trial.seed,
     ) as connection:
+        team.links = connection.links
         yield Mission(trial, scene, team, connection)
 
 
@@ -242,10 +243,10 @@ def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -
     card = poses["slot"].inv() * poses["card"]
     insertion = mission.team.insertion
     if insertion is not None and not reason:
-        reason = insertion.inserter.reason
-    depth = insertion.inserter.config.guide.depth if insertion is not None else np.inf
+        reason = insertion.slave.inserter.reason
+    depth = insertion.slave.inserter.config.guide.depth if insertion is not None else np.inf
     seated = card.translation[1] >= depth - 2e-3 and abs(card.translation[2]) < 0.01  # noqa: PLR2004
-    said = insertion is not None and insertion.inserter.stage.value == "done"
+    said = insertion is not None and insertion.slave.inserter.stage.value == "done"
     stages = scorer.stages
     return {
         "success": bool(said and seated),
@@ -266,7 +267,7 @@ def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -
     }
 
 
-def _miss(poses: Mapping[str, RigidTransform], stand: Stand) -> tuple[float, float]:
+def _miss(poses: Mapping[str, RigidTransform], stand: CameraStation) -> tuple[float, float]:
     """Return how far a robot is from a stand [m] and from its heading [rad]."""
     robot = SLOT_IN_SITE * poses["slot"].inv() * poses["chassis"]
     x, y, yaw = stand.place

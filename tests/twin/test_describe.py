@@ -38,6 +38,9 @@ def test_rover_has_the_numbers_of_its_datasheets():
     np.testing.assert_array_equal(rover.arm.limits, ARM.joint_limits)
     for joint in rover.arm.joints:
         assert (joint.rotor_inertia, joint.friction) == (ARM_MOTOR.armature, ARM_MOTOR.friction)
+    for wheel in rover.wheels:
+        assert (wheel.mass, wheel.spring) == (ROVER.wheel_mass, ROVER.spring)
+        assert wheel.damper == ROVER.damper
     arm = rover.arm.base.mass + sum(joint.body.mass for joint in rover.arm.joints)
     assert arm == pytest.approx(ARM.mass)
     assert (rover.head.camera.fx, rover.head.camera.cy) == (CAMERA.pinhole.fx, CAMERA.pinhole.cy)

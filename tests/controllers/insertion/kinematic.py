@@ -14,16 +14,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.card_arm import CardArm, inverse, to_plane
 from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.insertion.guidance import Guidance
+from controllers.insertion.team import guide_config
 from controllers.kinematics.chain import Chain
 from controllers.motion.base_lean import BaseLean
 from controllers.motion.driving import SkidSteer
+from controllers.sensing.surrogate_tilt import drawn_springs
 from experiments.ch2.known_arm import known_arm
 from experiments.ch5.insertion_scene import SLAVE
-from experiments.ch5.insertion_setting import guide_config
 from models import datasheets
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT
 from perception.geometry.gravity import GRAVITY
-from tests.controllers.insertion.scenes import card_arm, scene
+from tests.controllers.insertion.scenes import DRAWING, card_arm, scene
+from twin.describe import describe_rover
 from twin.robot import ArmMode, Channel, Command, Observation, Validity, WheelMode
 
 PERIOD = 0.01
@@ -36,7 +38,10 @@ LOOK = np.diag([2e-3**2] * 3 + [3e-4**2] * 3)
 
 def config(**changes) -> CardInserterConfig:
     """Return how the slave moves."""
-    return dataclasses.replace(CardInserterConfig(guide_config()), **changes)
+    return dataclasses.replace(
+        CardInserterConfig(guide_config(DRAWING, drawn_springs(describe_rover(SLAVE))[0])),
+        **changes,
+    )
 
 
 class Slave:

@@ -8,24 +8,30 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from controllers.insertion.camera_station import camera_arm, watch_plan
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.watching import SeenParts
-from controllers.kinematics.chain import Chain
-from experiments.ch2.known_arm import known_arm
 from experiments.ch5.insertion_scene import (
     MASTER,
     SLAVE,
     InsertionScene,
+    best_station,
     compile_insertion,
+    insertion_drawing,
     transform,
 )
-from experiments.ch5.insertion_stand import best_stand, card_cad, reference_arm, slot_cad
-from models import datasheets
-from models.card_and_slot.stand import TIP
 from models.compose import ARM_JOINTS, FLAT, settle
 from models.datasheets import CARD_AND_SLOT
+from perception.stereo.geometry import StereoGeometry
+from twin.describe import describe_rover
 
 WIDTH = CARD_AND_SLOT.slot_widths[1]
+DRAWING = insertion_drawing(WIDTH)
+MASTER_ROVER = describe_rover(MASTER)
+ARM, HEAD = camera_arm(MASTER_ROVER)
+"""The master's arm with its camera, as drawn."""
+EYES = StereoGeometry(*HEAD.camera.intrinsics, HEAD.baseline)
+PLAN = watch_plan(HEAD, DRAWING)
 START = (0.01, -0.62, 0.02)
 """Of the slave: the card is about 0.14 m before the mouth."""
 
@@ -33,7 +39,7 @@ START = (0.01, -0.62, 0.02)
 @functools.cache
 def scene() -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Return the scene on flat ground with the master at its best place, settled."""
-    model = compile_insertion(InsertionScene(WIDTH, START, best_stand(WIDTH).place, FLAT))
+    model = compile_insertion(InsertionScene(WIDTH, START, best_station(WIDTH).place, FLAT))
     return model, settle(model, 0.5)
 
 
@@ -47,9 +53,7 @@ def fresh() -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 def card_arm() -> CardArm:
     """Return what the slave knows of its arm with the card."""
-    known = known_arm(scene()[0], SLAVE)
-    chain = Chain.of_arm(known, datasheets.ARM_MOTOR.armature)
-    return CardArm(reference_arm(), chain, TIP, known.base)
+    return CardArm.of(describe_rover(SLAVE, card=True), DRAWING.tip)
 
 
 def arm_at(model: mujoco.MjModel, data: mujoco.MjData, robot: str, angles) -> None:
@@ -74,4 +78,4 @@ def drawn_angles(arm: CardArm, rng: np.random.Generator, margin: float = 0.05) -
 def true_parts(data: mujoco.MjData) -> SeenParts:
     """Return card and slot as they truly are, master's frame."""
     card, slot = in_robot(data, MASTER, f"{SLAVE}/card"), in_robot(data, MASTER, "slot")
-    return SeenParts(card, slot, card_cad(), slot_cad(WIDTH))
+    return SeenParts(card, slot, DRAWING.card, DRAWING.slot)

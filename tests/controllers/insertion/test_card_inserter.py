@@ -12,9 +12,10 @@ import pytest
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
 from controllers.motion.base_lean import BaseLean
-from experiments.ch5.insertion_identify import rover_springs
+from controllers.sensing.surrogate_tilt import drawn_springs
 from models import datasheets
 from tests.controllers.insertion.kinematic import Slave
+from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Channel, Validity, WheelMode
 
 NOTHING_SEEN = Guidance(0.0, False, False, None, np.zeros((6, 6)))
@@ -58,7 +59,10 @@ def test_card_is_brought_before_the_slot_and_in(slip, error):
 @pytest.mark.slow
 def test_the_lean_under_the_arm_is_fed_forward():
     """Four times softer than ours, so that the way of the card leans it by a millimetre."""
-    soft = (dataclasses.replace(axis, stiffness=axis.stiffness / 4.0) for axis in rover_springs())
+    soft = (
+        dataclasses.replace(axis, stiffness=axis.stiffness / 4.0)
+        for axis in drawn_springs(describe_rover())
+    )
     base = BaseLean(*soft, datasheets.ROVER.arm_mount)
     ended = {}
     for fed in (None, base):

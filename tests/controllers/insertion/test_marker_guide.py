@@ -11,17 +11,17 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.insertion.watching import best_angles
-from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_scene import MASTER, SLAVE
-from experiments.ch5.insertion_stand import (
-    best_stand,
-    card_cad,
-    reference_arm,
-    slot_cad,
-    watch_plan,
+from experiments.ch5.insertion_scene import MASTER, SLAVE, best_station
+from tests.controllers.insertion.scenes import (
+    ARM,
+    DRAWING,
+    EYES,
+    PLAN,
+    WIDTH,
+    arm_at,
+    fresh,
+    true_parts,
 )
-from models.datasheets import CARD_AND_SLOT
-from tests.controllers.insertion.scenes import WIDTH, arm_at, fresh, true_parts
 from twin.camera import StereoConfig, StereoRig
 from twin.robot import MISSING, ArmMode, Channel, Observation, Validity, WheelMode
 
@@ -37,7 +37,7 @@ class Eyes:
         self.model, self.data = fresh()
         self.rng = np.random.default_rng(seed)
         self.rig = StereoRig(self.model, f"{MASTER}/", StereoConfig())
-        self.angles = best_stand(WIDTH).angles
+        self.angles = best_station(WIDTH).angles
 
     def place(self, offset) -> None:
         """Move the slave, and the camera to where it sees both parts best."""
@@ -46,7 +46,7 @@ class Eyes:
         self.data.qpos[address : address + 2] += offset[:2]
         mujoco.mj_forward(self.model, self.data)
         parts = true_parts(self.data)
-        choice = best_angles(watch_plan(), parts, reference_arm(), head_geometry(), self.angles)
+        choice = best_angles(PLAN, parts, ARM, EYES, self.angles)
         self.angles = choice.angles
         arm_at(self.model, self.data, MASTER, self.angles)
         mujoco.mj_forward(self.model, self.data)
@@ -55,9 +55,9 @@ class Eyes:
         parts = true_parts(self.data)
         error = self.rng.multivariate_normal(np.zeros(6), PRIOR) if prior_error else np.zeros(6)
         slot = RigidTransform.from_exp_coords(error).inv() * parts.slot_pose
-        config = MarkerGuideConfig(card_cad(), slot_cad(WIDTH), CARD_AND_SLOT.marker_diameter, None)
+        config = MarkerGuideConfig(DRAWING.card, DRAWING.slot, DRAWING.marker_diameter, None)
         card = ROUGH * parts.card_pose
-        return MarkerGuide(config, reference_arm(), head_geometry(), (slot, PRIOR), card)
+        return MarkerGuide(config, ARM, EYES, (slot, PRIOR), card)
 
     def observe(self, stamp: float = 0.0, pair=None) -> Observation:
         image = self.rig.capture(self.data, (self.rng, self.rng)) if pair is None else pair
@@ -194,7 +194,7 @@ def test_camera_goes_to_its_place_no_faster_than_allowed(eyes):
     goal = eyes.angles + [0.3, -0.1, 0.2, 0.05]
     made = eyes.marker_guide()
     marker_guide = MarkerGuide(
-        dataclasses.replace(made.config, rate=0.5), reference_arm(), head_geometry(),
+        dataclasses.replace(made.config, rate=0.5), ARM, EYES,
         (made.slot, PRIOR), made.card, goal,
     )  # fmt: skip
     # Before anything is seen it stays.

@@ -17,10 +17,11 @@ from controllers.insertion.watching import (
 )
 from controllers.kinematics.arm_inverse import standing_views
 from controllers.placement.spatial.search import rate_positions
-from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_scene import MASTER, transform
-from experiments.ch5.insertion_stand import best_stand, reference_arm, watch_plan
+from experiments.ch5.insertion_scene import MASTER, best_station, transform
 from tests.controllers.insertion.scenes import (
+    ARM,
+    EYES,
+    PLAN,
     WIDTH,
     arm_at,
     fresh,
@@ -71,17 +72,17 @@ def visible(watched, angles) -> bool:
 
 def test_chosen_camera_sees_all_four_markers_in_both_images(watched):
     parts = watched[2]
-    now = best_stand(WIDTH).angles
-    choice = best_angles(watch_plan(), parts, reference_arm(), head_geometry(), now)
+    now = best_station(WIDTH).angles
+    choice = best_angles(PLAN, parts, ARM, EYES, now)
     assert choice.rating > 0.0
     assert visible(watched, choice.angles)
 
 
 def test_no_candidate_that_rays_reach_rates_much_higher(watched):
     """Every pose of the arm that is tried, by MuJoCo's rays and the rating of eq. 4-1."""
-    parts, plan, arm = watched[2], watch_plan(), reference_arm()
+    parts, plan, arm = watched[2], PLAN, ARM
     field = target_field(plan, parts)
-    choice = best_angles(plan, parts, arm, head_geometry(), best_stand(WIDTH).angles)
+    choice = best_angles(plan, parts, arm, EYES, best_station(WIDTH).angles)
     views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
     assert len(views.angles) > 50
     places = arm.camera_in_robot(views.angles).translation
@@ -92,17 +93,17 @@ def test_no_candidate_that_rays_reach_rates_much_higher(watched):
     assert choice.rating >= 0.93 * best
     # What is counted as seen and not hidden is so.
     cameras = arm.camera_in_robot(views.angles)
-    counted = in_both_images(cameras, parts.markers(), head_geometry(), plan.border)
+    counted = in_both_images(cameras, parts.markers(), EYES, plan.border)
     assert np.all(truly[counted & (ratings > 0.0)])
 
 
 def test_markers_in_both_images_are_those_that_mujocos_cameras_project_there(watched):
     model, data, parts, markers = watched
-    rng, arm = np.random.default_rng(0), reference_arm()
-    now = best_stand(WIDTH).angles
-    best = best_angles(watch_plan(), parts, arm, head_geometry(), now).angles
+    rng, arm = np.random.default_rng(0), ARM
+    now = best_station(WIDTH).angles
+    best = best_angles(PLAN, parts, arm, EYES, now).angles
     angles = best + rng.normal(0.0, 0.03, (60, 4))
-    found = in_both_images(arm.camera_in_robot(angles), parts.markers(), head_geometry(), 0.0)
+    found = in_both_images(arm.camera_in_robot(angles), parts.markers(), EYES, 0.0)
     inside = []
     for row in angles:
         arm_at(model, data, MASTER, row)
@@ -123,13 +124,13 @@ def test_card_alone_is_watched_where_both_cannot_be():
     parts = true_parts(data)
     far = RigidTransform.from_translation([0.0, 0.0, 1.5]) * parts.slot_pose
     apart = dataclasses.replace(parts, slot_pose=far)
-    now, arm = best_stand(WIDTH).angles, reference_arm()
-    choice = best_angles(watch_plan(), apart, arm, head_geometry(), now)
+    now, arm = best_station(WIDTH).angles, ARM
+    choice = best_angles(PLAN, apart, arm, EYES, now)
     assert choice.rating > 0.0
     camera = arm.camera_in_robot(choice.angles[None])
     card = parts.card_pose.apply(parts.card.points)
-    assert in_both_images(camera, card, head_geometry(), 10.0)[0]
-    assert not in_both_images(camera, apart.markers(), head_geometry(), 0.0)[0]
+    assert in_both_images(camera, card, EYES, 10.0)[0]
+    assert not in_both_images(camera, apart.markers(), EYES, 0.0)[0]
 
 
 def test_nothing_in_reach_rates_nothing_and_moves_nothing():
@@ -139,24 +140,22 @@ def test_nothing_in_reach_rates_nothing_and_moves_nothing():
     gone = dataclasses.replace(
         parts, card_pose=away * parts.card_pose, slot_pose=away * parts.slot_pose
     )
-    now = best_stand(WIDTH).angles
-    choice = best_angles(watch_plan(), gone, reference_arm(), head_geometry(), now)
+    now = best_station(WIDTH).angles
+    choice = best_angles(PLAN, gone, ARM, EYES, now)
     assert choice.rating == 0.0 and choice.rating_now == 0.0
     np.testing.assert_array_equal(choice.angles, now)
 
 
 def test_of_views_as_good_the_arm_takes_the_nearest(watched):
-    choice = best_angles(
-        watch_plan(), watched[2], reference_arm(), head_geometry(), best_stand(WIDTH).angles
-    )
-    again = best_angles(watch_plan(), watched[2], reference_arm(), head_geometry(), choice.angles)
+    choice = best_angles(PLAN, watched[2], ARM, EYES, best_station(WIDTH).angles)
+    again = best_angles(PLAN, watched[2], ARM, EYES, choice.angles)
     np.testing.assert_array_equal(again.angles, choice.angles)
     assert again.rating == pytest.approx(again.rating_now)
 
 
 def test_arm_above_its_foot_touches_neither_ground_nor_deck_nor_wheels():
     model, data = fresh()
-    arm, rng = reference_arm(), np.random.default_rng(3)
+    arm, rng = ARM, np.random.default_rng(3)
     angles = rng.uniform(*arm.limits.T, size=(300, 4))
     names = [model.body(index).name for index in range(model.nbody)]
     links = {names.index(f"{MASTER}/{name}") for name in ("forearm", "wrist", "stereo_head")}

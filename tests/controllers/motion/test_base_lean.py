@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from controllers.motion.base_lean import BaseLean
-from controllers.sensing.surrogate_tilt import TiltAxis
-from experiments.ch5.insertion_identify import rover_springs
+from controllers.sensing.surrogate_tilt import TiltAxis, drawn_springs
 from experiments.ch5.insertion_scene import SLAVE, transform
 from models.compose import ARM_JOINTS
 from perception.geometry.gravity import GRAVITY
 from tests.controllers.insertion.scenes import card_arm, fresh
+from twin.describe import describe_rover
 from twin.robot import ArmMode, Command
 from twin.simulation import Simulation
 
@@ -45,7 +45,7 @@ def hanging():
 
 
 def known() -> BaseLean:
-    return BaseLean(*rover_springs(), card_arm().mount)
+    return BaseLean(*drawn_springs(describe_rover()), card_arm().mount)
 
 
 def leans(hanging):

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.ch5.insertion_identify import rover_springs, rover_steer
-from experiments.ch5.insertion_setting import surrogate_sensing
+from controllers.insertion.team import surrogate_sensing
+from controllers.sensing.surrogate_tilt import drawn_springs
+from experiments.ch5.insertion_identify import rover_steer
+from models.card_and_slot.stand import TIP
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from tests.controllers.sensing.surrogate_runs import PERIOD, limits, swing, wrench_model
+from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Command, WheelMode
 from twin.simulation import Simulation
 
@@ -54,7 +57,8 @@ def drive(seed, weighs, push=0.0):
     simulation = Simulation(model, [ROBOT], seed=seed, data=settle(model))
     robot, chassis = simulation.robots[ROBOT], simulation.data.body(f"{ROBOT}/chassis")
     wrist = int(model.site_bodyid[model.site(f"{ROBOT}/gripper").id])
-    sensing = surrogate_sensing(model, ROBOT, rover_springs())
+    rover = describe_rover(ROBOT, card=True)
+    sensing = surrogate_sensing(rover, TIP, drawn_springs(rover))
     robot.activate()
     held = np.array(robot.observe().arm_angles.value)
     errors, deviations, states = [], [], []

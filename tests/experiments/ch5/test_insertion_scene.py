@@ -8,37 +8,45 @@ import mujoco
 import numpy as np
 import pytest
 
+from controllers.insertion.camera_station import (
+    FARTHEST,
+    GAP,
+    NEAREST,
+    STEEPEST,
+    base_placement,
+    is_clear,
+    random_camera_station,
+)
 from controllers.insertion.card_arm import CARD_IN_WRIST
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.insertion.watching import in_both_images
-from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_identify import rover_springs
 from experiments.ch5.insertion_scene import (
     MASTER,
     SLAVE,
     InsertionScene,
     begin_with_camera_at,
+    best_station,
     card_in_slot,
     compile_insertion,
     contact_force,
+    insertion_drawing,
     transform,
-)
-from experiments.ch5.insertion_stand import (
-    FARTHEST,
-    NEAREST,
-    STEEPEST,
-    best_stand,
-    is_clear,
-    random_stand,
-    reference_arm,
-    seen_parts,
-    stand_for,
-    watch_plan,
 )
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT, TIP
 from models.compose import ARM_JOINTS, FLAT, RobotPlacement, make_model, settle
-from models.datasheets import CARD_AND_SLOT, ROVER, TABLE_2_2_TRUTH
-from tests.controllers.insertion.scenes import START, WIDTH, arm_at, fresh, true_parts
+from models.datasheets import CARD_AND_SLOT, ROVER
+from tests.controllers.insertion.scenes import (
+    ARM,
+    DRAWING,
+    EYES,
+    MASTER_ROVER,
+    PLAN,
+    START,
+    WIDTH,
+    arm_at,
+    fresh,
+    true_parts,
+)
 from twin.camera import camera_model, camera_pose
 
 WIDTHS = CARD_AND_SLOT.slot_widths
@@ -99,15 +107,15 @@ def test_nothing_touches_a_free_card_and_a_push_is_found(placed):
 
 
 def test_masters_camera_begins_where_the_map_says_it_sees_best():
-    stand = best_stand(WIDTH)
-    model = compile_insertion(InsertionScene(WIDTH, START, stand.place, FLAT))
+    station = best_station(WIDTH)
+    model = compile_insertion(InsertionScene(WIDTH, START, station.place, FLAT))
     before = settle(model, 0.2)
     parts = true_parts(before)
-    config = MarkerGuideConfig(parts.card, parts.slot, CARD_AND_SLOT.marker_diameter, watch_plan())
+    config = MarkerGuideConfig(parts.card, parts.slot, CARD_AND_SLOT.marker_diameter, PLAN)
     slot = parts.slot_pose, 1e-6 * np.eye(6)
-    arm, head = reference_arm(), head_geometry()
-    marker_guide = MarkerGuide(config, arm, head, slot, parts.card_pose, stand.angles)
-    angles = marker_guide.begin(stand.angles)
+    arm, head = ARM, EYES
+    marker_guide = MarkerGuide(config, arm, head, slot, parts.card_pose, station.angles)
+    angles = marker_guide.begin(station.angles)
     camera = arm.camera_in_robot(angles[None])
     assert in_both_images(camera, parts.card_pose.apply(parts.card.points), head, 5.0)[0]
     begin_with_camera_at(model, angles)
@@ -126,64 +134,58 @@ def test_impossible_slot_is_refused(width):
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_best_stand_puts_all_markers_in_both_images(width):
-    stand = best_stand(width)
-    assert is_clear(stand) and stand.distance >= NEAREST
-    model = make_model(FLAT, [RobotPlacement(MASTER, stand.place[:2], stand.place[2])])
+def test_best_station_puts_all_markers_in_both_images(width):
+    station = best_station(width)
+    assert is_clear(station) and station.distance >= NEAREST
+    model = make_model(FLAT, [RobotPlacement(MASTER, station.place[:2], station.place[2])])
     data = mujoco.MjData(model)
-    arm_at(model, data, MASTER, stand.angles)
+    arm_at(model, data, MASTER, station.angles)
     for side in ("left", "right"):
         name = f"{MASTER}/stereo_{side}"
         camera = camera_model(model, name)
         rotation, eye = camera_pose(data, model.camera(name).id)
         # The level scene's ground is that of the model: the chassis stands at its height.
         eye = eye + [0.0, 0.0, ROVER.centre_height - data.body(f"{MASTER}/chassis").xpos[2]]
-        local = (seen_parts(width).markers() - eye) @ rotation
+        local = (insertion_drawing(width).parts(GAP).markers() - eye) @ rotation
         u, v = camera.pixels(local).T
         assert np.all(local[:, 2] > 0.0)
         assert np.all((u > 5) & (u < camera.width - 6) & (v > 5) & (v < camera.height - 6))
 
 
-def test_random_stands_are_reproducible_and_within_bounds():
-    arm, rng = reference_arm(), np.random.default_rng(5)
-    markers = seen_parts(WIDTH).markers()
+def test_random_stations_are_reproducible_and_within_bounds():
+    arm, rng = ARM, np.random.default_rng(5)
+    markers = DRAWING.parts(GAP).markers()
     target = 0.5 * (markers.max(axis=0) + markers.min(axis=0))
     distances, slants = [], []
     for _ in range(10):
-        stand = random_stand(WIDTH, rng)
-        assert is_clear(stand)
+        station = random_camera_station(MASTER_ROVER, DRAWING, rng)
+        assert is_clear(station)
         limits = arm.limits
-        assert np.all((stand.angles >= limits[:, 0]) & (stand.angles <= limits[:, 1]))
-        assert NEAREST <= stand.distance <= FARTHEST and 0.0 <= stand.slant <= STEEPEST + 1e-9
+        assert np.all((station.angles >= limits[:, 0]) & (station.angles <= limits[:, 1]))
+        assert NEAREST <= station.distance <= FARTHEST and 0.0 <= station.slant <= STEEPEST + 1e-9
         # Where the camera truly is, by the arm on the place.
-        camera = arm.camera_in_robot(stand.angles)
-        x, y, yaw = stand.place
+        camera = arm.camera_in_robot(station.angles)
+        x, y, yaw = station.place
         c, s = math.cos(yaw), math.sin(yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         place = turn @ camera.translation + [x, y, ROVER.centre_height]
-        assert np.linalg.norm(place - target) == pytest.approx(stand.distance, abs=1e-6)
+        assert np.linalg.norm(place - target) == pytest.approx(station.distance, abs=1e-6)
         aim = turn @ camera.rotation.apply([0.0, 0.0, 1.0])
-        away = (target - place) / stand.distance
+        away = (target - place) / station.distance
         assert math.acos(min(aim @ away, 1.0)) < math.radians(25.0)
-        distances.append(stand.distance)
-        slants.append(stand.slant)
+        distances.append(station.distance)
+        slants.append(station.slant)
     assert np.ptp(distances) > 0.3 and np.ptp(slants) > 0.4
-    first = random_stand(WIDTH, np.random.default_rng(7))
-    again = random_stand(WIDTH, np.random.default_rng(7))
+    first = random_camera_station(MASTER_ROVER, DRAWING, np.random.default_rng(7))
+    again = random_camera_station(MASTER_ROVER, DRAWING, np.random.default_rng(7))
     assert first.place == again.place
     np.testing.assert_array_equal(first.angles, again.angles)
 
 
 def test_place_that_the_arm_cannot_take_is_none():
-    arm = reference_arm()
     target = np.array([0.0, 0.0, 0.3])
-    assert stand_for(np.array([0.01, 0.0, 0.8]), target, arm) is None  # from above
-    assert stand_for(np.array([0.6, 0.0, 2.0]), target, arm) is None  # too high
-    assert stand_for(np.array([0.6, 0.0, 0.35]), target, arm) is not None
-
-
-def test_springs_are_those_of_table_2_2_and_roll_follows_by_the_track():
-    pitch, roll = rover_springs()
-    assert pitch.stiffness == TABLE_2_2_TRUTH["k_pitch"]
-    ratio = (ROVER.half_track / ROVER.half_wheelbase) ** 2
-    assert roll.stiffness / pitch.stiffness == pytest.approx(ratio)
+    too_steep, too_high, good = (
+        base_placement(np.array(camera), target, ARM, ROVER.centre_height)
+        for camera in ([0.01, 0.0, 0.8], [0.6, 0.0, 2.0], [0.6, 0.0, 0.35])
+    )
+    assert too_steep is None and too_high is None and good is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import types
@@ -13,12 +12,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.insertion.camera_station import CameraStation
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing, lean, level_target
 from controllers.mission.going import Going
 from controllers.motion.driving import SkidSteer
 from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_stand import Stand, best_stand, reference_arm
+from experiments.ch5.insertion_scene import best_station
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from experiments.mission import mission
@@ -36,8 +36,7 @@ from experiments.mission.scene import (
     draw_scene,
     survey,
 )
-from experiments.mission.stages import VOXEL, take_standing
-from experiments.mission.team import own_model
+from experiments.mission.stages import VOXEL, reference_arm, take_standing
 from experiments.mission.trial import MissionTrial, run_mission
 from models.datasheets import CARD_AND_SLOT, ROVER
 from perception.registration.target import TargetCad
@@ -154,20 +153,11 @@ def ways(monkeypatch: pytest.MonkeyPatch) -> Ways:
 def test_a_stand_is_gone_to_from_where_the_slot_is_seen(site: Site, ways: Ways) -> None:
     knowledge = Knowledge.as_told(site)
     x, y, yaw = NOMINAL[MASTER]
-    GoToStand(knowledge, Stand((x, y, yaw), np.zeros(4), 0.5, 0.0))
+    GoToStand(knowledge, CameraStation((x, y, yaw), np.zeros(4), 0.5, 0.0))
     np.testing.assert_allclose(ways[0][0], np.zeros(3), atol=1e-12)
-    GoToStand(knowledge, Stand((x - 0.3, y, yaw + 0.2), np.zeros(4), 0.5, 0.0))
+    GoToStand(knowledge, CameraStation((x - 0.3, y, yaw + 0.2), np.zeros(4), 0.5, 0.0))
     # It looks along -x: 0.3 m less of x is 0.3 m ahead.
     np.testing.assert_allclose(ways[1][0], [0.0, 0.3, 0.2], atol=1e-12)
-
-
-def test_the_slave_knows_itself_without_the_world() -> None:
-    scene = draw_scene(WIDTH, np.random.default_rng(1))
-    other = dataclasses.replace(scene, field=dataclasses.replace(scene.field, seed=7))
-    one, two = own_model(scene), own_model(other)
-    np.testing.assert_array_equal(one.body_mass, two.body_mass)
-    assert one.body(f"{SLAVE}/card").mass > 0.0
-    assert "slot" not in {one.body(i).name for i in range(one.nbody)}
 
 
 @pytest.mark.parametrize("bad", [{"robot": "lego"}, {"without": ("luck",)}])
@@ -318,7 +308,7 @@ def _with_map(site: Site, points: np.ndarray) -> Knowledge:
 
 
 def test_the_master_does_not_stand_where_the_map_has_something(site: Site) -> None:
-    free = best_stand(WIDTH)
+    free = best_station(WIDTH)
     x, y, _ = free.place
     stake = np.array([[x + 0.1, y, z] for z in (0.15, 0.2, 0.25, 0.3)])
     mapped = MappedSite(_with_map(site, stake))
@@ -331,7 +321,7 @@ def test_the_master_does_not_back_off_into_what_the_map_has(site: Site, ways: Wa
     x, y, yaw = NOMINAL[MASTER]
     # It looks along -x: behind it is +x, and +y lies to its right.
     stake = np.array([[x + 0.4, y + 0.1, z] for z in (0.15, 0.2, 0.25, 0.3)])
-    GoToStand(_with_map(site, stake), Stand((x, y, yaw), np.zeros(4), 0.5, 0.0))
+    GoToStand(_with_map(site, stake), CameraStation((x, y, yaw), np.zeros(4), 0.5, 0.0))
     ((_, free),) = ways
     assert not free(np.array([0.1, -0.4, 0.0]))
     assert not free(np.array([0.0, -0.2, 0.3]))
@@ -339,7 +329,7 @@ def test_the_master_does_not_back_off_into_what_the_map_has(site: Site, ways: Wa
 
 
 def test_stones_that_a_rover_drives_over_do_not_block(site: Site) -> None:
-    free = best_stand(WIDTH)
+    free = best_station(WIDTH)
     x, y, _ = free.place
     stones = np.array([[x + d, y, 0.04] for d in (-0.1, 0.0, 0.1, 0.2)])
     assert not MappedSite(_with_map(site, stones)).blocks(free)
@@ -347,7 +337,7 @@ def test_stones_that_a_rover_drives_over_do_not_block(site: Site) -> None:
 
 
 def test_what_the_map_has_before_the_slot_moves_the_camera(site: Site) -> None:
-    free = best_stand(WIDTH)
+    free = best_station(WIDTH)
     middle = np.array([0.0, -0.08, SLOT_IN_SITE.translation[2]])
     # A board half way to where the camera would be, too high to touch the rover.
     ahead = np.array([math.cos(free.slant), 0.0, 0.0]) * 0.5 * free.distance

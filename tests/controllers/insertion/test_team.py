@@ -8,11 +8,12 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_inserter import InsertionStage
-from controllers.insertion.guidance import Guidance
-from experiments.ch5.insertion_faults import FaultyEyes
-from experiments.ch5.insertion_scene import MASTER, SLAVE
-from experiments.ch5.insertion_setting import InsertionTeam
+from controllers.insertion.guidance import Guidance, GuidanceLink
+from controllers.insertion.team import InsertionMaster, InsertionSlave, InsertionTeam
+from twin.hardware.emulator.modem import virtual_links
 from twin.robot import Command, Observation
+
+MASTER, SLAVE = "rover1", "rover2"
 
 
 def heard_of(distance: float) -> list[Guidance]:
@@ -20,6 +21,7 @@ def heard_of(distance: float) -> list[Guidance]:
     pose = RigidTransform.from_translation([distance, 0.0, 0.0])
     looks = iter([Guidance(0.0, True, True, pose, np.eye(6) * 1e-6)])
     heard: list[Guidance] = []
+    time = 0.0
 
     def act(seen, told):
         heard.extend(told)
@@ -34,10 +36,14 @@ def heard_of(distance: float) -> list[Guidance]:
             observation=seen, failed=frozenset(), stop=""
         )
     )
-    rng = np.random.default_rng(0)
-    team = InsertionTeam(marker_guide, inserter, sensing, FaultyEyes(None), rng)
+    links = virtual_links([MASTER, SLAVE], lambda: time, np.random.default_rng(0))
+    team = InsertionTeam(
+        InsertionMaster(MASTER, marker_guide, GuidanceLink(links[MASTER])),
+        InsertionSlave(SLAVE, inserter, sensing, GuidanceLink(links[SLAVE])),
+    )
     for tick in range(40):
-        team.step({name: Observation(0.01 * tick) for name in (MASTER, SLAVE)})
+        time = 0.01 * tick
+        team.step({name: Observation(time) for name in (MASTER, SLAVE)})
     return heard
 
 

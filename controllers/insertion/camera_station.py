@@ -1,0 +1,222 @@
+"""Where a rover stands so that its camera sees card and slot: best views, and random ones.
+
+A camera station is a place on the ground with a posture of the arm, for the middle of the approach
+(Thesis section 4.2.3). Places are given in the ground frame of an `InsertionDrawing`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.insertion.drawing import InsertionDrawing
+from controllers.insertion.watching import WatchPlan, target_field
+from controllers.kinematics.arm_inverse import arm_solutions
+from controllers.kinematics.camera_arm import CameraArm
+from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
+from controllers.placement.task import Lens, Occluder, PlacementError, View
+from twin.description import RobotDescription, StereoHeadDescription
+
+FloatArray = NDArray[np.float64]
+
+NEAREST, FARTHEST = 0.35, 1.2
+"""Distances from which a marker can be told [m] (READINGS are of 0.35 to 1.1 m)."""
+STEEPEST = math.radians(80.0)
+"""Largest angle of a random view with the faces' normal."""
+AIM = math.radians(5.0)
+"""Standard deviation of where a random camera looks from the target, in both angles."""
+GAP = 0.20
+"""Gap of the card before the mouth in the middle of the approach [m], for which a place is
+chosen."""
+_CLEAR = 0.55  # From the camera rover's middle to the other rover's path [m].
+_FIELD = 1.9  # Half of the square in which the camera rover may stand [m].
+_REACHES = np.arange(0.20, 0.45, 0.01)  # Of the camera before the robot's origin [m].
+_TRIES = 2000
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraStation:
+    """A place for a rover and its camera.
+
+    Attributes:
+        place: (3,) x, y [m] and yaw [rad] of the robot, ground frame.
+        angles: (4,) joint angles of its arm [rad].
+        distance: From the camera to the target [m].
+        slant: Angle of the view with the faces' normal [rad].
+    """
+
+    place: tuple[float, float, float]
+    angles: FloatArray
+    distance: float
+    slant: float
+
+
+def watch_plan(head: StereoHeadDescription, drawing: InsertionDrawing) -> WatchPlan:
+    """Return how a camera is placed for card and slot.
+
+    Args:
+        head: The stereo head.
+        drawing: Card and slot.
+    """
+    camera = head.camera
+    view = 2.0 * math.atan(camera.width / 2.0 / camera.fx)
+    return WatchPlan(
+        Lens(view, camera.width, NEAREST, FARTHEST),
+        drawing.card_holder,
+        drawing.slot_holder,
+        np.geomspace(NEAREST, 0.8, 14),
+        np.radians(np.arange(-40.0, 41.0, 5.0)),
+    )
+
+
+def best_camera_station(
+    robot: RobotDescription,
+    drawing: InsertionDrawing,
+    level: int = 4,
+    occluders: Sequence[Occluder] = (),
+    blocked: Callable[[CameraStation], bool] | None = None,
+) -> CameraStation:
+    """Return where a rover sees card and slot best (Thesis section 4.2.3).
+
+    Args:
+        robot: The rover that looks.
+        drawing: Card and slot.
+        level: Level of the search.
+        occluders: What may hide them besides what holds card and slot, ground frame.
+        blocked: Says where a rover cannot stand.
+
+    Raises:
+        PlacementError: If there is no place.
+    """
+    arm, head = camera_arm(robot)
+    parts, plan, camera = drawing.parts(GAP), watch_plan(head, drawing), head.camera
+    # Near enough to see all markers in the middle of the approach and no nearer.
+    half = 0.5 * np.ptp(parts.markers(), axis=0)
+    least = max(
+        1.15 * half[1] * 2.0 * camera.fx / camera.width + head.baseline,
+        1.15 * half[2] * 2.0 * camera.fy / camera.height,
+    )
+    lens = dataclasses.replace(plan.lens, near=max(NEAREST, least))
+    field = target_field(plan, parts, others=occluders)
+    kept: list[CameraStation] = []
+
+    def accept(view: View) -> bool:
+        station = base_placement(view.position, field.target.position, arm, robot.centre_height)
+        if station is None or not is_clear(station):
+            return False
+        if blocked is not None and blocked(station):
+            return False
+        kept.append(station)
+        return True
+
+    search = SearchConfig(level=level, rings=12, refine=False)
+    best_view(SpatialTask([field], lens, config=search), accept)
+    return kept[-1]
+
+
+def random_camera_station(
+    robot: RobotDescription, drawing: InsertionDrawing, rng: np.random.Generator
+) -> CameraStation:
+    """Draw a place for a rover whose camera then stays there.
+
+    Directions are uniform before the faces, distances uniform from `NEAREST` to `FARTHEST`, and
+    the camera looks at the target within some degrees: so the target could be seen (the thesis'
+    "heuristics"), whatever hides it.
+
+    Args:
+        robot: The rover that looks.
+        drawing: Card and slot.
+        rng: Random generator for the place.
+
+    Raises:
+        PlacementError: If none of many could be taken.
+    """
+    markers, (arm, _) = drawing.parts(GAP).markers(), camera_arm(robot)
+    target = 0.5 * (markers.max(axis=0) + markers.min(axis=0))
+    for _ in range(_TRIES):
+        cosine, around = rng.uniform(math.cos(STEEPEST), 1.0), rng.uniform(-math.pi, math.pi)
+        sine = math.sqrt(1.0 - cosine**2)
+        direction = np.array([cosine, sine * math.cos(around), sine * math.sin(around)])
+        camera = target + rng.uniform(NEAREST, FARTHEST) * direction
+        aside = np.tan(rng.normal(0.0, AIM, 2)) * np.linalg.norm(camera - target)
+        across = np.cross(direction, [0.0, 0.0, 1.0])
+        across /= np.linalg.norm(across)
+        aim = target + aside[0] * across + aside[1] * np.cross(direction, across)
+        station = base_placement(camera, aim, arm, robot.centre_height)
+        if station is not None and is_clear(station):
+            away = camera - target
+            distance = float(np.linalg.norm(away))
+            return dataclasses.replace(
+                station, distance=distance, slant=math.acos(float(away[0]) / distance)
+            )
+    raise PlacementError(f"no place for the master in {_TRIES} random ones")
+
+
+def base_placement(
+    camera: FloatArray, target: FloatArray, arm: CameraArm, centre_height: float
+) -> CameraStation | None:
+    """Return where a level rover stands so that its camera is at a place and looks at another.
+
+    It faces the target with its arm straight ahead, so that it came by driving straight (Thesis
+    section 5.2, assumption 3), and has its joints as far from their limits as can be.
+
+    Args:
+        camera: (3,) place of the left camera [m], ground frame.
+        target: (3,) point on its axis [m], ground frame.
+        arm: The arm with the camera.
+        centre_height: Height of the robot frame over level ground [m].
+
+    Returns:
+        The place; None if the arm cannot.
+    """
+    view = np.asarray(target, dtype=float) - camera
+    distance = float(np.linalg.norm(view))
+    flat = math.hypot(view[0], view[1])
+    if flat < 0.2 * distance:
+        return None
+    yaw = math.atan2(-view[0], view[1])
+    height = camera[2] - centre_height
+    beside = float(arm.camera_in_robot(np.zeros(4)).translation[0])
+    best: tuple[float, float, FloatArray] | None = None
+    for reach in _REACHES:
+        eye = np.array([beside, reach, height])
+        ahead = eye + [0.0, flat, view[2]]
+        for angles in arm_solutions(arm, eye, ahead):
+            margin = float(np.min(np.minimum(angles - arm.limits[:, 0], arm.limits[:, 1] - angles)))
+            if best is None or margin > best[0]:
+                best = (margin, float(reach), angles)
+    if best is None:
+        return None
+    _, reach, angles = best
+    forward = np.array([-math.sin(yaw), math.cos(yaw)])
+    right = np.array([math.cos(yaw), math.sin(yaw)])
+    place = camera[:2] - reach * forward - beside * right
+    slant = math.acos(min(max(-view[0] / distance, -1.0), 1.0))
+    return CameraStation((float(place[0]), float(place[1]), yaw), angles, distance, slant)
+
+
+def is_clear(station: CameraStation) -> bool:
+    """Say whether a rover may stand there: on the field, and clear of the card's path."""
+    x, y, _ = station.place
+    nearest = min(max(y, -1.0), 0.15)  # of the other rover's path and the slot
+    return math.hypot(x, y - nearest) > _CLEAR and max(abs(x), abs(y)) < _FIELD
+
+
+def camera_arm(robot: RobotDescription) -> tuple[CameraArm, StereoHeadDescription]:
+    """Return a rover's arm that carries its stereo head, and the head.
+
+    Args:
+        robot: The rover.
+
+    Raises:
+        ValueError: If it has none, naming it.
+    """
+    if robot.arm is None or robot.head is None:
+        raise ValueError(
+            f"robot {robot.name!r} has no stereo head on an arm: it cannot look around"
+        )
+    return CameraArm.of(robot.arm, robot.head), robot.head

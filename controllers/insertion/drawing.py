@@ -1,0 +1,59 @@
+"""What the robots have a drawing of: card, slot, their markers, and what stands about them.
+
+Card and slot have the same axes when the card is in: x across, y ahead into the slot, z out of the
+marked faces (Thesis section 5.2). The ground frame lies on level ground below the middle of the
+slot's mouth, with z up and y into the slot.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from controllers.insertion.watching import SeenParts
+from perception.markers.poses import BodyCad
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class InsertionDrawing:
+    """Card and slot as drawn.
+
+    Attributes:
+        card: Markers of the card, card frame.
+        slot: Markers of the slot, slot frame.
+        marker_diameter: Diameter of a marker [m].
+        card_width: Width of the card, across [m].
+        card_length: Length of the card, ahead [m].
+        friction: Coulomb coefficient between card and slot.
+        tip: From the joint of the wrist that holds the card to the middle of the card's leading
+            edge [m].
+        transform_slot_to_ground: From the slot to the ground frame.
+        card_holder: (K, 3) corners of a box about what carries the card [m], card frame.
+        slot_holder: (L, 3) corners of a box about what holds the slot [m], slot frame.
+    """
+
+    card: BodyCad
+    slot: BodyCad
+    marker_diameter: float
+    card_width: float
+    card_length: float
+    friction: float
+    tip: float
+    transform_slot_to_ground: RigidTransform
+    card_holder: FloatArray
+    slot_holder: FloatArray
+
+    def parts(self, gap: float) -> SeenParts:
+        """Return card and slot before each other, ground frame.
+
+        Args:
+            gap: From the card's leading edge to the mouth [m].
+        """
+        slot = self.transform_slot_to_ground
+        card = RigidTransform.from_components(slot.translation - [0.0, gap, 0.0], slot.rotation)
+        return SeenParts(card, slot, self.card, self.slot)
