@@ -34,7 +34,7 @@ class Notes(LoopRecorder):
         chassis = [model.body(f"{robot}/chassis").jntadr[0] for robot in (MASTER, SLAVE)]
         self._places = [model.jnt_qposadr[joint] + k for joint in chassis for k in (0, 1)]
         self.commands, self.arms, self.places, self.reasons = [], [], [], []
-        self._inserter = setting.team.inserter
+        self._inserter = setting.team.slave.inserter
 
     def record(self, tick):
         self.commands.append(tick.applied)
@@ -98,7 +98,7 @@ def blind(request):
             data.qpos[:] = np.nan
         simulation.model.key_qpos[:] = np.nan
         simulation.model.site_rgba[:, 3] = 0.0
-        team.inserter.config = dataclasses.replace(team.inserter.config, first=FIRST)
+        team.slave.inserter.config = dataclasses.replace(team.slave.inserter.config, first=FIRST)
         notes, told = Notes(setting), Told(team)
         run(simulation.robots, [told], SimClock(simulation), [notes], FIRST + 1.0)
     assert copies and simulation.model.nsite > 0
@@ -108,10 +108,10 @@ def blind(request):
 
 def test_controllers_stop_with_target_not_seen(blind):
     setting, notes, _, _ = blind
-    assert setting.team.inserter.stage is InsertionStage.FAILED
-    assert setting.team.inserter.reason == "target not seen"
+    assert setting.team.slave.inserter.stage is InsertionStage.FAILED
+    assert setting.team.slave.inserter.reason == "target not seen"
     assert notes.reasons.index("target not seen") == pytest.approx(100 * FIRST, abs=2)
-    assert setting.team.marker_guide.fits == (None, None)
+    assert setting.team.master.marker_guide.fits == (None, None)
 
 
 def test_no_axis_is_ever_told_to_move(blind):
