@@ -181,6 +181,22 @@ def test_any_wrenches_leave_the_command_finite_and_bounded():
             assert abs(command[2]) <= CONFIG.turn_reach
 
 
+@pytest.mark.parametrize("heading", [0.0, 0.05])
+def test_straight_insertion_goes_as_far_as_guided_insertion_does_along_its_own_heading(heading):
+    start = START + [0.0, 0.0, heading]
+    guide = StraightInsertion(CONFIG, start)
+    courses = [guide.step(np.zeros(3)) for _ in range(600)]
+    assert guide.phase is Phase.DONE and not guide.reason
+    way = courses[-1][:2] - start[:2]
+    np.testing.assert_allclose(way / np.linalg.norm(way), [-np.sin(heading), np.cos(heading)])
+    # It presses into the slot's end as hard as the guide does.
+    pressed = CONFIG.depth + CONFIG.push / CONFIG.stiffness
+    step = CONFIG.speed * CONFIG.period
+    assert pressed <= courses[-1][1] < pressed + step
+    assert np.linalg.norm(courses[0] - start) == pytest.approx(step)
+    assert courses[-1][2] == heading
+
+
 def test_straight_insertion_stops_at_the_limit_and_without_a_wrench():
     guide = StraightInsertion(CONFIG, START)
     guide.step(np.array([0.0, -4.5, 0.0]))

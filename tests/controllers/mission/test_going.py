@@ -16,13 +16,29 @@ STEER = SkidSteer(RADIUS, HALF_TRACK, SHARE)
 PERIOD = GoingConfig().period
 
 
-def drive(going: Going, share: float, longest: float = 90.0) -> np.ndarray:
-    """Return (3,) where a rover ends that follows at once and turns by a share of rolling."""
+def drive(
+    going: Going,
+    share: float,
+    longest: float = 90.0,
+    lame: tuple[float, float] = (1.0, 1.0),
+    motions: list[tuple[float, float]] | None = None,
+) -> np.ndarray:
+    """Return (3,) where a rover ends that follows at once and turns by a share of rolling.
+
+    Args:
+        going: Its controller.
+        share: Turn rate over that of rolling wheels.
+        longest: Time after which it has failed [s].
+        lame: What the left and the right wheels do of what is asked of them.
+        motions: Gets the speed [m/s] and rate of turn [rad/s] that are asked for in each tick.
+    """
     x = y = yaw = 0.0
     speeds = np.zeros(4)
     for tick in range(round(longest / PERIOD)):
         command = going.step(seen_at(tick * PERIOD, wheel_speeds=speeds))
-        speeds = np.asarray(command.wheels, dtype=float)
+        if motions is not None:
+            motions.append(STEER.motion(np.asarray(command.wheels, dtype=float)))
+        speeds = np.asarray(command.wheels, dtype=float) * [*lame, *lame]
         left, right = RADIUS * speeds[0], RADIUS * speeds[1]
         yaw += share * (right - left) / (2.0 * HALF_TRACK) * PERIOD
         x -= 0.5 * (left + right) * math.sin(yaw) * PERIOD
@@ -50,6 +66,44 @@ def test_a_rover_that_knows_its_slip_arrives(goal: tuple[float, float, float]) -
     ended = drive(Going(STEER, goal), SHARE)
     np.testing.assert_allclose(ended[:2], goal[:2], atol=0.01)
     assert math.remainder(ended[2] - goal[2], 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("goal", [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.3, 0.8, 0.0)])
+@pytest.mark.parametrize("lame", [(0.9, 1.0), (1.0, 0.9)])
+def test_the_course_is_corrected_where_one_side_is_slower_than_asked(goal, lame) -> None:
+    going = Going(STEER, goal)
+    ended = drive(going, SHARE, lame=lame)
+    np.testing.assert_allclose(ended[:2], goal[:2], atol=0.02)
+    assert math.remainder(ended[2], 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("goal", [(0.0, 0.6, 0.0), (0.0, -0.6, 0.0), (0.4, 0.4, -2.0)])
+def test_speed_and_turn_keep_their_limits_and_slow_down_before_the_end(goal) -> None:
+    config = GoingConfig()
+    motions: list[tuple[float, float]] = []
+    drive(Going(STEER, goal), SHARE, motions=motions)
+    forward, turn = np.abs(np.array(motions)).T
+    assert forward.max() == pytest.approx(config.speed)
+    assert turn.max() <= config.turn + 1e-9
+    if goal[2]:
+        assert turn.max() == pytest.approx(config.turn)
+    # What is not nothing is enough to turn at all.
+    assert turn[turn > 1e-9].min(initial=1.0) >= 0.05 - 1e-9
+    moving = forward[forward > 1e-9]
+    assert moving[-1] <= 2.0 * config.slowing * config.near[0]
+    assert np.all(np.diff(moving[-50:]) < 1e-9)
+
+
+def test_a_turn_slows_down_with_what_is_left_of_it() -> None:
+    config = GoingConfig()
+    motions: list[tuple[float, float]] = []
+    drive(Going(STEER, (0.0, 0.0, -0.7)), SHARE, motions=motions)
+    turn = np.array(motions)[:, 1]
+    assert np.all(turn <= 1e-9) and turn.min() == pytest.approx(-config.turn)
+    # Half of the largest rate is for a tenth of a radian.
+    slow = np.flatnonzero(turn > -0.5 * config.turn)[0]
+    left = -0.7 - np.cumsum(turn)[slow] * PERIOD
+    assert left == pytest.approx(-0.5 * config.turn / config.slowing, abs=0.01)
 
 
 def test_goals_behind_are_reached_backwards() -> None:

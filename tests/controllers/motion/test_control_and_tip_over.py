@@ -1,5 +1,7 @@
 """What the arm's controller refuses, and what the tip-over guard makes of a motion."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,6 +12,7 @@ from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmG
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from controllers.motion.tip_over import (
     Footing,
+    GuardConfig,
     Sweep,
     ground_wrench,
     guard,
@@ -98,13 +101,27 @@ def test_harmless_motion_is_left_as_it_is():
     assert verdict.report == ""
 
 
-def test_fast_motion_is_slowed_until_it_keeps_the_reserve():
-    sweep = Sweep(np.array([1.4]), np.array([0.8]), 0.3)
+@pytest.mark.parametrize("duration", [0.3, 0.2, 0.1])
+def test_fast_motion_is_slowed_until_it_keeps_the_reserve_and_no_further(duration):
+    sweep = Sweep(np.array([1.4]), np.array([0.8]), duration)
     verdict = guard(footing(0.8), sweep)
-    assert verdict.margin < 0.03
-    assert verdict.stretch > 1.0
-    assert "slowed" in verdict.report
+    assert verdict.margin == least_margin(footing(0.8), sweep, LEVEL, GuardConfig().samples) < 0.03
+    # However fast it is asked for, the same motion comes of it.
+    assert verdict.stretch * duration == pytest.approx(0.4207, rel=0.01)
+    assert verdict.sweep == dataclasses.replace(sweep, duration=verdict.stretch * duration)
+    assert f"slowed {verdict.stretch:.2f} times" in verdict.report
     assert least_margin(footing(0.8), verdict.sweep, LEVEL, 201) > 0.028
+    faster = dataclasses.replace(verdict.sweep, duration=0.99 * verdict.sweep.duration)
+    assert least_margin(footing(0.8), faster, LEVEL, GuardConfig().samples) < 0.03
+
+
+def test_motion_that_no_allowed_speed_keeps_on_the_wheels_is_refused():
+    sweep = Sweep(np.array([1.4]), np.array([0.8]), 0.1)
+    verdict = guard(footing(0.8), sweep, config=GuardConfig(slowest=3.0))
+    assert verdict.sweep is None and verdict.stretch == 1.0
+    assert verdict.report == "refused: no speed keeps the rover on its wheels"
+    allowed = guard(footing(0.8), sweep, config=GuardConfig(slowest=6.0))
+    assert allowed.sweep is not None
 
 
 def test_reach_beyond_the_footprint_is_cut_short():
@@ -112,7 +129,17 @@ def test_reach_beyond_the_footprint_is_cut_short():
     verdict = guard(footing(3.0), sweep)
     assert 0.0 < verdict.sweep.part < 1.0
     assert "cut" in verdict.report
-    assert guard(footing(20.0), Sweep(np.array([0.0]), np.array([0.1]), 1.0)).sweep is None
+    # Where it stops the arm could stand with its reserve, and a step further not.
+    still = np.zeros(1)
+    parts = verdict.sweep.part + np.array([0.0, 1.0 / (GuardConfig().samples - 1)])
+    margins = [
+        footing(3.0).margin(footing(3.0).zero_moment_point([1.4 * (1.0 - part)], still, still))
+        for part in parts
+    ]
+    assert margins[0] >= 1.1 * GuardConfig().reserve > margins[1]
+    refused = guard(footing(20.0), Sweep(np.array([0.0]), np.array([0.1]), 1.0))
+    assert refused.sweep is None and refused.margin < 0.0
+    assert refused.report == "refused: the arm's pose is at the edge of tipping as is"
 
 
 def test_motion_of_another_arm_is_an_error_and_not_a_rover_that_tips():
@@ -121,10 +148,14 @@ def test_motion_of_another_arm_is_an_error_and_not_a_rover_that_tips():
 
 
 def test_sweep_rests_at_both_ends_and_its_rates_are_its_derivatives():
-    sweep = Sweep(np.array([0.0]), np.array([2.0]), 0.8, 0.5)
-    for time, place in ((0.0, 0.0), (0.8, 1.0), (5.0, 1.0)):
+    sweep = Sweep(np.array([0.5]), np.array([2.0]), 0.8, 0.5)
+    for time, place in ((-1.0, 0.5), (0.0, 0.5), (0.4, 0.875), (0.8, 1.25), (5.0, 1.25)):
         angles, rates, growths = sweep.at(time)
-        np.testing.assert_allclose([angles[0], rates[0], growths[0]], [place, 0.0, 0.0], atol=1e-12)
+        # Half way it is fastest: 15 / 8 of the mean rate.
+        rate = 0.75 / 0.8 * 15.0 / 8.0 if time == 0.4 else 0.0
+        np.testing.assert_allclose(
+            [angles[0], rates[0], growths[0]], [place, rate, 0.0], atol=1e-12
+        )
     step = 1e-6
     before, after = sweep.at(0.3 - step), sweep.at(0.3 + step)
     for order in (0, 1):

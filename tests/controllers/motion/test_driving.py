@@ -61,10 +61,14 @@ def test_rolling_wheels_go_as_fast_as_the_body_over_them():
     np.testing.assert_allclose(speeds * 0.05, hubs)
 
 
-def test_saturated_wheels_keep_the_curve():
-    forward, turn = STEER.motion(STEER.wheel_speeds(0.5, 2.0))
-    assert np.abs(STEER.wheel_speeds(0.5, 2.0)).max() == pytest.approx(STEER.most)
-    assert forward / turn == pytest.approx(0.25)
+@pytest.mark.parametrize("asked", [(0.5, 2.0), (-0.5, 2.0), (0.5, -2.0), (-0.5, 0.0), (0.0, 9.0)])
+def test_saturated_wheels_keep_the_curve_forwards_and_backwards(asked):
+    speeds = STEER.wheel_speeds(*asked)
+    assert np.abs(speeds).max() == pytest.approx(STEER.most)
+    kept = np.array(STEER.motion(speeds))
+    share = kept @ asked / np.dot(asked, asked)
+    assert 0.0 < share < 1.0
+    np.testing.assert_allclose(kept, share * np.array(asked), atol=1e-12)
     np.testing.assert_array_equal(STEER.wheel_speeds(0.0, 0.0), 0.0)
 
 

@@ -53,7 +53,8 @@ def test_force_guides_the_card_in_where_straight_ahead_fails():
     by_force = run_insertion(InsertionJob(HARD, 3, True, 7))
     straight = run_insertion(InsertionJob(HARD, 3, False, 7))
     assert by_force["offset"] == straight["offset"]
-    assert by_force["success"] and not straight["success"]
+    # It does get as far as the slot's face, and presses on it.
+    assert by_force["success"] and not straight["success"] and straight["reason"] == "force"
     assert by_force["peak"] < 5.0
     assert straight["peak"] < 10.0
 
