@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from models.datasheets import CAMERA
 from perception.geometry.pinhole import NO_DISTORTION, DistortedPinhole, Pinhole
-from twin.out_of_sight import leave_out_unseen
+from twin.frustum_culling import cull
 from twin.robot import FloatArray, ImageArray, ImageChannel, RobotError
 
 _MAX_SAMPLES = 4  # Software rasterisers offer no more.
@@ -118,9 +118,9 @@ class Renderer:
         mujoco.mjv_updateScene(
             model, data, self._option, None, self._camera, everything, self._scene
         )
-        # What is out of sight may still throw a shadow or be mirrored into it.
+        # What lies outside the view frustum may still throw a shadow or be mirrored into it.
         if not (model.light_castshadow.any() or model.mat_reflectance.any()):
-            leave_out_unseen(self._scene, model, data, width / height)
+            cull(self._scene, model, data, width / height)
         viewport = mujoco.MjrRect(0, 0, width, height)
         image = np.empty((height, width, 3), np.uint8)
         mujoco.mjr_render(viewport, self._scene, self._context)

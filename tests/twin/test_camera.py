@@ -18,6 +18,7 @@ from twin.camera import (
     camera_pose,
     renderer,
 )
+from twin.loop import Tick
 from twin.record import Recorder, RecorderConfig
 from twin.robot import ArmMode, Command, DeferredImages, ImageChannel, RobotError, Validity
 from twin.sensors import IDEAL
@@ -254,7 +255,7 @@ def test_recorder_draws_at_its_own_rate(drawn, tmp_path):
     robot = simulation.robots["rover1"]
     with Recorder(tmp_path / "run.rrd", config=RecorderConfig(image_rate=4.0)) as recorder:
         for step in range(50):
-            recorder.record(step, simulation.time, {"rover1": robot.observe()}, {})
+            recorder.record(Tick(step, simulation.time, {"rover1": robot.observe()}, {}))
             simulation.step()
     # Ten pairs in half a second, of which the recording takes those of 0 and 0.25 s.
     assert len(drawn) == 4

@@ -1,4 +1,4 @@
-"""Geoms out of sight are left out before the driver gets them, and no image shows that."""
+"""Frustum culling: the driver does not get what a camera does not see, and no image shows that."""
 
 import mujoco
 import numpy as np
@@ -6,7 +6,7 @@ import pytest
 
 import twin.camera
 from twin.camera import renderer
-from twin.out_of_sight import leave_out_unseen
+from twin.frustum_culling import cull
 
 KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
 INTRINSIC = 'focal="0.0085 0.0085" sensorsize="0.0064 0.0048" principal="0.0011 -0.0007"'
@@ -45,13 +45,13 @@ def test_image_without_unseen_geoms_is_the_whole_scenes_bit_for_bit(monkeypatch,
     kept = []
 
     def watched(scene, *rest):
-        leave_out_unseen(scene, *rest)
+        cull(scene, *rest)
         nothing = int(mujoco.mjtGeom.mjGEOM_NONE)
         kept.append(sum(geom.type != nothing for geom in scene.geoms[: scene.ngeom]))
 
-    monkeypatch.setattr(twin.camera, "leave_out_unseen", watched)
+    monkeypatch.setattr(twin.camera, "cull", watched)
     image = seen(model)
-    monkeypatch.setattr(twin.camera, "leave_out_unseen", lambda *_: None)
+    monkeypatch.setattr(twin.camera, "cull", lambda *_: None)
     np.testing.assert_array_equal(image, seen(model))
     # A third of the bodies stand in sight.
     assert 20 < kept[0] < 0.6 * model.ngeom
@@ -70,12 +70,12 @@ def test_small_things_at_the_edges_of_a_near_view_stay(monkeypatch):
           <camera name="eye" resolution="170 120" {INTRINSIC}/>{dots}
         </worldbody></mujoco>""")
     image = seen(model)
-    monkeypatch.setattr(twin.camera, "leave_out_unseen", lambda *_: None)
+    monkeypatch.setattr(twin.camera, "cull", lambda *_: None)
     np.testing.assert_array_equal(image, seen(model))
 
 
 def test_nothing_is_left_out_where_shadows_may_fall_into_the_view(monkeypatch):
     called = []
-    monkeypatch.setattr(twin.camera, "leave_out_unseen", lambda *_: called.append(1))
+    monkeypatch.setattr(twin.camera, "cull", lambda *_: called.append(1))
     seen(crowd(INTRINSIC, light="true", count=5))
     assert not called

@@ -1,4 +1,4 @@
-"""Leaves out of a scene what a camera does not see, before the driver works through it."""
+"""Frustum culling: leaves out of a scene what a camera does not see, before the driver gets it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import mujoco
 import numpy as np
 
 
-def leave_out_unseen(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) -> None:
-    """Take the geoms that are wholly beside or behind the view out of a scene.
+def cull(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) -> None:
+    """Take the geoms that lie wholly outside the view frustum out of a scene.
 
     The driver would work through their faces and throw them away; the image is the same.
 
     Args:
-        scene: From `mujoco.mjv_updateScene`; these geoms' type becomes none.
-        model: The scene's model.
-        data: Its state.
+        scene: Scene made by `mujoco.mjv_updateScene`; the type of the culled geoms becomes none.
+        model: Compiled scene.
+        data: State of the scene.
         aspect: Columns over rows of the image, for a camera that is given by its field of view.
     """
     eye = scene.camera[0]
