@@ -9,10 +9,11 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from controllers.identification.arm_sensing import SensingConfig
 from controllers.identification.observation_log import IdentificationError
@@ -28,10 +29,13 @@ from models import datasheets
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.configuration import PayloadConfig as Box
 from perception.geometry.gravity import GRAVITY
-from twin.connect import connect
+from twin.connect import Connection, connect
 from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
 from twin.record import Recorder
+from twin.robot import Controller
+
+FloatArray = NDArray[np.float64]
 
 ROBOT = "rover1"
 MASSES = (0.05, 0.3)  # [kg]
@@ -73,12 +77,12 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``mass_error_percent`` and ``centre_error_mm`` among others.
     """
     configs = [
-        {
-            "seed": seed,
-            "robot": options.robot,
-            "duration": options.duration,
-            "record": str(output.file("run.rrd")) if options.record and index == 0 else None,
-        }
+        PayloadJob(
+            seed,
+            options.robot,
+            options.duration,
+            str(output.file("run.rrd")) if options.record and index == 0 else None,
+        )
         for index, seed in enumerate(options.job_seeds(24, 6))
     ]
     results = sweep(identify_one, configs, options, output, label="payloads")
@@ -145,59 +149,130 @@ def identify(
     arm = known_arm(make_model(FIELD, [RobotPlacement(ROBOT)]), ROBOT)
     identifier = PayloadIdentifier(ROBOT, payload_config(arm))
     placement = RobotPlacement(ROBOT, payload=box)
+    connection = connect(robot, robots=[placement], field=FIELD, seed=seed)
+    run_recorded(connection, identifier, duration, record)
+    return identifier.estimate()
+
+
+def run_recorded(
+    connection: Connection, controller: Controller, duration: float, record: str | None
+) -> None:
+    """Run a controller on a connection, and close that afterwards.
+
+    Args:
+        connection: The robot and its clock.
+        controller: Controller of the robot.
+        duration: Duration of the run [s].
+        record: File for a recording, if any.
+    """
     with contextlib.ExitStack() as stack:
-        connection = stack.enter_context(connect(robot, robots=[placement], field=FIELD, seed=seed))
+        stack.enter_context(connection)
         recorders: list[LoopRecorder] = []
         if record is not None:
             recorder = Recorder(record, connection.robots, connection.simulation)
             recorders.append(stack.enter_context(recorder))
-        run_loop(connection.robots, [identifier], connection.clock, recorders, duration)
-    return identifier.estimate()
+        run_loop(connection.robots, [controller], connection.clock, recorders, duration)
 
 
-def identify_one(config: Mapping[str, Any]) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class PayloadJob:
+    """One payload to identify.
+
+    Attributes:
+        seed: Random seed of the payload and of the sensor noise.
+        robot: Which robot, as `twin.connect.connect` takes it.
+        duration: Time for which the arm swings [s].
+        record: File for a recording, if any.
+    """
+
+    seed: int
+    robot: str
+    duration: float
+    record: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class PayloadRun:
+    """What was identified of one payload, compared with the truth.
+
+    Attributes:
+        seed: Random seed of the job.
+        mass: True mass [kg].
+        mass_estimate: Estimated mass [kg].
+        mass_error_percent: Error of the mass [%].
+        centre: (3,) true centre of mass in the wrist's frame [m].
+        centre_estimate: (3,) estimated centre of mass in the wrist's frame [m].
+        centre_error_mm: Distance between the two centres [mm].
+        parameters: (10,) true inertial parameters, order of `serial_arm.NAMES`, SI units.
+        estimate: (10,) estimated inertial parameters, SI units.
+        sigma: (10,) standard deviations of the estimate, SI units.
+        corrected: Whether the linear estimate had to be moved to a physical body.
+        chi_squared: Mean squared residual over the noise's variance.
+        unidentifiable: Names of the parameters that the data leave unknown.
+        residual: (n, 6) what the fit leaves of the wrench, in standard deviations of the noise.
+        times: (n,) times of the samples [s].
+    """
+
+    seed: int
+    mass: float
+    mass_estimate: float
+    mass_error_percent: float
+    centre: FloatArray
+    centre_estimate: FloatArray
+    centre_error_mm: float
+    parameters: FloatArray
+    estimate: FloatArray
+    sigma: FloatArray
+    corrected: bool
+    chi_squared: float
+    unidentifiable: tuple[str, ...]
+    residual: FloatArray
+    times: FloatArray
+
+
+def identify_one(config: PayloadJob) -> PayloadRun:
     """Draw, identify and score one payload; a job of the sweep.
 
     Raises:
         ExperimentError: If the payload cannot be identified.
     """
-    draws, noise = np.random.SeedSequence(config["seed"]).spawn(2)
+    draws, noise = np.random.SeedSequence(config.seed).spawn(2)
     box = draw_box(np.random.default_rng(draws))
     try:
         estimate = identify(
             box,
             int(noise.generate_state(1)[0]),
-            config["robot"],
-            config["duration"],
-            config["record"],
+            config.robot,
+            config.duration,
+            config.record,
         )
     except IdentificationError as error:
         raise ExperimentError(str(error)) from error
     truth = true_body(box)
-    return {
-        "seed": config["seed"],
-        "mass": box.mass,
-        "mass_estimate": estimate.mass,
-        "mass_error_percent": 100.0 * abs(estimate.mass / box.mass - 1.0),
-        "centre": truth.centre,
-        "centre_estimate": estimate.centre,
-        "centre_error_mm": 1e3 * float(np.linalg.norm(estimate.centre - truth.centre)),
-        "parameters": truth.parameters(),
-        "estimate": estimate.parameters,
-        "sigma": np.sqrt(np.diag(estimate.covariance)),
-        "corrected": bool(np.any(estimate.parameters != estimate.linear)),
-        "chi_squared": estimate.chi_squared,
-        "unidentifiable": list(estimate.unidentifiable),
-        "residual": estimate.residual,
-        "times": estimate.times,
-    }
+    return PayloadRun(
+        seed=config.seed,
+        mass=box.mass,
+        mass_estimate=estimate.mass,
+        mass_error_percent=100.0 * abs(estimate.mass / box.mass - 1.0),
+        centre=truth.centre,
+        centre_estimate=estimate.centre,
+        centre_error_mm=1e3 * float(np.linalg.norm(estimate.centre - truth.centre)),
+        parameters=truth.parameters(),
+        estimate=estimate.parameters,
+        sigma=np.sqrt(np.diag(estimate.covariance)),
+        corrected=bool(np.any(estimate.parameters != estimate.linear)),
+        chi_squared=estimate.chi_squared,
+        unidentifiable=tuple(estimate.unidentifiable),
+        residual=estimate.residual,
+        times=estimate.times,
+    )
 
 
-def _measure(results: Sequence[Mapping[str, Any]], output: Output) -> None:
+def _measure(results: Sequence[PayloadRun], output: Output) -> None:
     """Store the metrics and hold them against the bars."""
     bounds = {"mass_error_percent": MASS_BOUND, "centre_error_mm": CENTRE_BOUND}
     for key, bound in bounds.items():
-        errors = np.array([result[key] for result in results])
+        errors = np.array([getattr(result, key) for result in results])
         summary = distribution(errors)
         output.measure(key, summary)
         output.check(f"{key}, median", summary["median"], f"<= {bound:g}", _within(summary, bound))
@@ -205,16 +280,16 @@ def _measure(results: Sequence[Mapping[str, Any]], output: Output) -> None:
         output.measure(f"{key}/within_{bound:g}", within)
         worst = float(errors.max())
         output.check(f"{key}, every run", worst, f"<= {bound:g}", worst <= bound)
-    output.measure("chi_squared", distribution([result["chi_squared"] for result in results]))
-    least = min(result["mass_estimate"] for result in results)
+    output.measure("chi_squared", distribution([result.chi_squared for result in results]))
+    least = min(result.mass_estimate for result in results)
     output.check("mass is positive, every run", least, "> 0", least > 0.0)
-    corrected = sum(result["corrected"] for result in results)
+    corrected = sum(result.corrected for result in results)
     output.measure("corrected_to_physical", fraction(corrected, len(results)))
     for name in NAMES:
-        hidden = sum(name in result["unidentifiable"] for result in results)
+        hidden = sum(name in result.unidentifiable for result in results)
         output.measure(f"unidentifiable/{name}", fraction(hidden, len(results)))
     share = len(results) / 2
-    named = [n for n in NAMES if sum(n in r["unidentifiable"] for r in results) > share]
+    named = [n for n in NAMES if sum(n in r.unidentifiable for r in results) > share]
     output.measure("unidentifiable", ", ".join(named) or "none")
 
 
@@ -222,23 +297,23 @@ def _within(summary: Mapping[str, float], bound: float) -> bool:
     return summary["median"] <= bound
 
 
-def _tabulate(results: Sequence[Mapping[str, Any]], output: Output) -> None:
+def _tabulate(results: Sequence[PayloadRun], output: Output) -> None:
     """Write one row for each run."""
     columns = ["seed", "mass [kg]", "mass estimate [kg]", "mass error [%]", "centre error [mm]"]
     keys = ("seed", "mass", "mass_estimate", "mass_error_percent", "centre_error_mm")
     axes = [f"centre {axis} error [mm]" for axis in "xyz"]
     rows = [
         [
-            *(result[key] for key in keys),
-            *(1e3 * (result["centre_estimate"] - result["centre"])),
-            result["chi_squared"],
-            " ".join(result["unidentifiable"]),
+            *(getattr(result, key) for key in keys),
+            *(1e3 * (result.centre_estimate - result.centre)),
+            result.chi_squared,
+            " ".join(result.unidentifiable),
         ]
         for result in results
     ]
     output.table("payload_runs", [*columns, *axes, "chi squared", "unidentifiable"], rows)
     rows = [
-        [result["seed"], name, *(float(result[key][index]) for key in keys)]
+        [result.seed, name, *(float(getattr(result, key)[index]) for key in keys)]
         for keys in [("parameters", "estimate", "sigma")]
         for result in results
         for index, name in enumerate(NAMES)
@@ -247,17 +322,17 @@ def _tabulate(results: Sequence[Mapping[str, Any]], output: Output) -> None:
     output.table("payload_parameters", columns, rows)
 
 
-def _error_figure(results: Sequence[Mapping[str, Any]]) -> Figure:
+def _error_figure(results: Sequence[PayloadRun]) -> Figure:
     """Draw the errors over the payload's mass, with the bars."""
     figure = Figure(figsize=(10, 4))
-    mass = [1e3 * result["mass"] for result in results]
+    mass = [1e3 * result.mass for result in results]
     panels = (
         ("mass_error_percent", "error of the mass [%]", MASS_BOUND),
         ("centre_error_mm", "error of the centre of mass [mm]", CENTRE_BOUND),
     )
     for index, (key, label, bound) in enumerate(panels, 1):
         axes = figure.add_subplot(1, 2, index)
-        axes.plot(mass, [result[key] for result in results], "o")
+        axes.plot(mass, [getattr(result, key) for result in results], "o")
         axes.axhline(bound, color="tab:red", linestyle="--", label=f"bound {bound:g}")
         axes.set(xlabel="mass of the payload [g]", ylabel=label, ylim=(0.0, None))
         axes.legend()
@@ -265,14 +340,14 @@ def _error_figure(results: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def _residual_figure(result: Mapping[str, Any]) -> Figure:
+def _residual_figure(result: PayloadRun) -> Figure:
     """Draw what one fit leaves of the wrench."""
     figure = Figure(figsize=(10, 5))
     for index, name in enumerate(("force", "moment")):
         axes = figure.add_subplot(2, 1, index + 1)
-        part = result["residual"][:, 3 * index : 3 * index + 3]
+        part = result.residual[:, 3 * index : 3 * index + 3]
         for axis, column in zip("xyz", part.T, strict=True):
-            axes.plot(result["times"], column, label=f"{name} {axis}")
+            axes.plot(result.times, column, label=f"{name} {axis}")
         axes.set(ylabel="residual / sensor noise [-]")
         axes.legend(loc="upper right")
         axes.set_xlabel("time [s]")

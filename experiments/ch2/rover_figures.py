@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.pitch import NAMES, UNITS
+from experiments.ch2.rover_trial import RoverIdentification
 
-Results = Mapping[str, list[dict[str, Any]]]
+Results = Mapping[str, list[RoverIdentification]]
 
 COLOURS = {"constant": "tab:red", "information": "tab:blue"}
 
 
-def draw_arm_motion(trial: Mapping[str, Any], excitation: str) -> Figure:
+def draw_arm_motion(trial: RoverIdentification, excitation: str) -> Figure:
     """Draw the shoulder angle over time (Thesis figures 2-9 and 2-10)."""
     figure = Figure(figsize=(7, 3))
     axes = figure.subplots()
-    angle = np.asarray(trial["shoulder"])
+    angle = np.asarray(trial.shoulder)
     axes.plot(np.arange(len(angle)) * 0.01, np.rad2deg(angle), color=COLOURS.get(excitation))
     axes.set(xlabel="time [s]", ylabel="shoulder angle [deg]", title=f"{excitation} excitation")
     axes.grid(alpha=0.3)
@@ -33,7 +33,7 @@ def draw_tilt(results: Results) -> Figure:
     rows = figure.subplots(len(results), 1, sharex=True, squeeze=False)
     for axes, (excitation, trials) in zip(rows[:, 0], results.items()):
         trial = trials[0]
-        axes.plot(trial["tilt_times"], trial["tilt"], color=COLOURS.get(excitation, "grey"), lw=1)
+        axes.plot(trial.tilt_times, trial.tilt, color=COLOURS.get(excitation, "grey"), lw=1)
         axes.set(ylabel="pitch [rad]", title=excitation)
         axes.grid(alpha=0.3)
     rows[-1, 0].set_xlabel("time [s]")
@@ -49,7 +49,7 @@ def draw_convergence(results: Results, truth: Mapping[str, float]) -> Figure:
     for index, (name, unit) in enumerate(zip(NAMES, UNITS)):
         axes = grid.flat[index]
         for excitation in shown:
-            histories = np.array([trial["history"] for trial in results[excitation]])[:, :, index]
+            histories = np.array([trial.history for trial in results[excitation]])[:, :, index]
             times = REPLAN_PERIOD * np.arange(1, histories.shape[1] + 1)
             low, median, high = np.percentile(histories, [10, 50, 90], axis=0)
             colour = COLOURS.get(excitation, "grey")
@@ -73,7 +73,7 @@ def draw_errors(results: Results, truth: Mapping[str, float]) -> Figure:
     axes = figure.subplots()
     true = np.array([truth[name] for name in NAMES])
     errors = [
-        [100 * np.mean(np.abs(trial["parameters"] - true) / true) for trial in trials]
+        [100 * np.mean(np.abs(trial.parameters - true) / true) for trial in trials]
         for trials in results.values()
     ]
     axes.boxplot(errors, tick_labels=list(results))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,8 +40,8 @@ class RoverTrial:
     Attributes:
         robot: Which robot, as `twin.connect.connect` takes it.
         excitation: One of `rover_identifier.EXCITATIONS`.
-        seed: Of sensor noise and planner.
-        duration: Of the excitation [s].
+        seed: Random seed of sensor noise and planner.
+        duration: Duration of the excitation [s].
         unseen: Duration of the motion that the result is tried on [s].
     """
 
@@ -104,13 +103,43 @@ def identify(
     return controller
 
 
-def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
-    """Identify, then predict the tilt of a motion that was not used.
+@dataclasses.dataclass(frozen=True)
+class RoverIdentification:
+    """One identification of the complete rover.
 
-    Returns:
-        Estimates and their deviations after every window and at the end, what was measured, and
-        the normalised error of the predicted tilt.
+    Attributes:
+        parameters: (5,) final estimate, order of `pitch.NAMES`, SI units.
+        sigma: (5,) its standard deviations, SI units.
+        chi_square: Mean squared residual over the noise's variance.
+        unidentifiable: Names of the parameters that the data leave unknown.
+        tilt_nrmse: Error of the predicted tilt of an unseen motion [%].
+        history: (n, 5) estimates after every window, SI units.
+        history_sigma: (n, 5) their standard deviations, SI units.
+        bits: (n, 5) mutual information on each parameter [bit].
+        excitations: (n, 3) offset [rad], amplitude [rad] and frequency [rad/s] of every window.
+        shoulder: (m,) measured shoulder angle at every tick [rad].
+        tilt: (k,) pitch read from the inclinometer [rad].
+        tilt_times: (k,) when it was read [s].
+        step_seconds: (n,) computing time of every window [s].
     """
+
+    parameters: FloatArray
+    sigma: FloatArray
+    chi_square: float
+    unidentifiable: tuple[str, ...]
+    tilt_nrmse: float
+    history: FloatArray
+    history_sigma: FloatArray
+    bits: FloatArray
+    excitations: FloatArray
+    shoulder: FloatArray
+    tilt: FloatArray
+    tilt_times: FloatArray
+    step_seconds: FloatArray
+
+
+def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
+    """Identify, then predict the tilt of a motion that was not used."""
     noise, plan, other = np.random.SeedSequence(trial.seed).generate_state(3).tolist()
     planned = trial.excitation in CRITERIA
     config = RoverIdentifierConfig(
@@ -133,21 +162,21 @@ def run_rover_trial(trial: RoverTrial) -> dict[str, Any]:
     sigmas = np.array([np.sqrt(np.diag(e.covariance)) for e in log.estimates])
     parameters = np.array([e.parameters for e in log.estimates])
     bits = [mutual_information(p, s, RANGES) for p, s in zip(parameters, sigmas)]
-    return {
-        "parameters": estimate.parameters,
-        "sigma": np.sqrt(np.diag(estimate.covariance)),
-        "chi_square": estimate.chi_square,
-        "unidentifiable": list(estimate.unidentifiable(config.prior)),
-        "tilt_nrmse": tilt_nrmse(estimate.parameters, trying, truth),
-        "history": parameters,
-        "history_sigma": sigmas,
-        "bits": np.array(bits),
-        "excitations": np.array([e.vector() for e in log.excitations]),
-        "shoulder": np.array(log.shoulder),
-        "tilt": np.array(log.tilt),
-        "tilt_times": np.array(log.tilt_indices) * config.sensors.period,
-        "step_seconds": np.array(log.step_seconds),
-    }
+    return RoverIdentification(
+        parameters=estimate.parameters,
+        sigma=np.sqrt(np.diag(estimate.covariance)),
+        chi_square=estimate.chi_square,
+        unidentifiable=tuple(estimate.unidentifiable(config.prior)),
+        tilt_nrmse=tilt_nrmse(estimate.parameters, trying, truth),
+        history=parameters,
+        history_sigma=sigmas,
+        bits=np.array(bits),
+        excitations=np.array([e.vector() for e in log.excitations]),
+        shoulder=np.array(log.shoulder),
+        tilt=np.array(log.tilt),
+        tilt_times=np.array(log.tilt_indices) * config.sensors.period,
+        step_seconds=np.array(log.step_seconds),
+    )
 
 
 class TrueTilt(LoopRecorder):

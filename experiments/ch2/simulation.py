@@ -10,9 +10,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
@@ -21,7 +21,6 @@ from controllers.identification.identifier import EXCITATIONS
 from experiments.ch2.simulation_figures import draw_figures
 from experiments.ch2.simulation_record import record_trial
 from experiments.ch2.simulation_results import (
-    ESTIMATORS,
     Results,
     judge,
     measure,
@@ -29,8 +28,8 @@ from experiments.ch2.simulation_results import (
     shown_group,
     tabulate,
 )
-from experiments.ch2.trial import Trial, run_trial
-from experiments.ch2.truths import TABLE_TRUTH, Truth, average_error, load_truth, random_truth
+from experiments.ch2.trial import PlantIdentification, Trial, run_trial
+from experiments.ch2.truths import TABLE_TRUTH, Truth, load_truth, random_truth
 from experiments.ch2.verification import verify
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
@@ -110,17 +109,11 @@ def warm_up() -> None:
     run_trial(Trial(TABLE_TRUTH, "information", "relative", 0, WARM_UP))
 
 
-def identify(trial: Trial) -> dict[str, Any]:
+def identify(trial: Trial) -> PlantIdentification:
     """Run one trial and keep what the tables and figures need."""
     warm_up()
     result = run_trial(trial)
-    truth = np.array(trial.truth)
-    for name in ESTIMATORS:
-        result[f"error_{name}"] = average_error(result[f"estimate_{name}"], truth)
-    result["arm_angles"] = result["arm_angles"][:, ::SHOWN_RATE].astype(np.float32)
-    for key in ("bits", "history_ours", "history_sigma", "history_kalman", "history_excitation"):
-        result[key] = result[key].astype(np.float32)
-    return result
+    return dataclasses.replace(result, arm_angles=result.arm_angles[:, ::SHOWN_RATE])
 
 
 def trials(options: Options) -> list[Trial]:
@@ -137,19 +130,18 @@ def trials(options: Options) -> list[Trial]:
     ]
 
 
-def timed(jobs: Sequence[Trial], group: tuple[str, str]) -> list[dict[str, Any]]:
+def timed(jobs: Sequence[Trial], group: tuple[str, str]) -> list[PlantIdentification]:
     """Repeat the first trials of a group alone: in a sweep they share the machine."""
     chosen = [trial for trial in jobs if (trial.noise, trial.excitation) == group]
     warm_up()
     return [run_trial(trial) for trial in chosen[:TIMED]]
 
 
-def grouped(jobs: Sequence[Trial], finished: Sequence[Mapping[str, Any]]) -> Results:
+def grouped(jobs: Sequence[Trial], finished: Sequence[PlantIdentification]) -> Results:
     """Return the results by noise and excitation, each list in the order of truths and seeds."""
     groups: Results = {}
     for trial, result in zip(jobs, finished, strict=True):
-        record = {**result, "truth": np.array(trial.truth)}
-        groups.setdefault((trial.noise, trial.excitation), []).append(record)
+        groups.setdefault((trial.noise, trial.excitation), []).append(result)
     return groups
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -20,6 +18,7 @@ from experiments.ch2.simulation_results import (
     noises,
     shown_group,
 )
+from experiments.ch2.trial import PlantIdentification
 from experiments.harness.output import Output
 
 FloatArray = NDArray[np.float64]
@@ -55,11 +54,11 @@ def draw_figures(groups: Results, output: Output) -> None:
     output.figure("overview_errors", draw_overview(groups))
 
 
-def draw_motion(trial: dict[str, Any], title: str) -> Figure:
+def draw_motion(trial: PlantIdentification, title: str) -> Figure:
     """Draw the arm's angle in the three rotations (Thesis fig. 2-4, 2-5)."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True, sharey=True)
-    angles = trial["arm_angles"]
+    angles = trial.arm_angles
     times = np.linspace(0, _duration(trial), angles.shape[1])
     for mode, row, ax in zip(MODES, angles, axes):
         ax.plot(times, np.degrees(row), color=COLOURS["ours"], linewidth=0.9)
@@ -79,7 +78,7 @@ def draw_information(groups: Results, noise: str) -> Figure:
         if excitation not in EXCITATION_COLOURS:
             continue
         trials = groups[noise, excitation]
-        bits = np.array([trial["bits"][:, index] for trial in trials])
+        bits = np.array([trial.bits[:, index] for trial in trials])
         colour = EXCITATION_COLOURS[excitation]
         _band(ax, _times(trials[0]), bits, colour, f"{excitation} excitation")
     ax.set(xlabel="time [s]", ylabel="mutual information [bit]", ylim=(0, None))
@@ -90,7 +89,7 @@ def draw_information(groups: Results, noise: str) -> Figure:
     return figure
 
 
-def draw_convergence(trials: list[dict[str, Any]], excitation: str) -> Figure:
+def draw_convergence(trials: list[PlantIdentification], excitation: str) -> Figure:
     """Draw how the estimates converge (Thesis fig. 2-7)."""
     figure = Figure(figsize=(10, 10), layout="constrained")
     axes = figure.subplots(4, 2).ravel()
@@ -98,9 +97,9 @@ def draw_convergence(trials: list[dict[str, Any]], excitation: str) -> Figure:
     for name, ax in zip(CONVERGENCE, axes):
         index = NAMES.index(name)
         for estimator, label in (("kalman", "Kalman filter"), ("ours", "ours")):
-            paths = np.array([trial[f"history_{estimator}"][:, index] for trial in trials])
+            paths = np.array([trial.histories[estimator][:, index] for trial in trials])
             _band(ax, times, paths, COLOURS[estimator], label)
-        truths = {float(trial["truth"][index]) for trial in trials}
+        truths = {float(trial.truth[index]) for trial in trials}
         for truth in truths if len(truths) == 1 else ():
             ax.axhline(truth, color="black", linestyle="--", linewidth=1, label="true")
         ax.set(title=TITLES[name], ylabel=f"[{UNITS[index]}]", xlabel="time [s]")
@@ -137,12 +136,12 @@ def draw_overview(groups: Results) -> Figure:
     return figure
 
 
-def _times(trial: dict[str, Any]) -> FloatArray:
-    return np.linspace(REPLAN_PERIOD, _duration(trial), len(trial["bits"]))
+def _times(trial: PlantIdentification) -> FloatArray:
+    return np.linspace(REPLAN_PERIOD, _duration(trial), len(trial.bits))
 
 
-def _duration(trial: dict[str, Any]) -> float:
-    return REPLAN_PERIOD * len(trial["bits"])
+def _duration(trial: PlantIdentification) -> float:
+    return REPLAN_PERIOD * len(trial.bits)
 
 
 def _band(ax: Axes, times: FloatArray, rows: FloatArray, colour: str, label: str) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,21 +10,22 @@ from controllers.identification.arm_motion import MODES
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.parameters import NAMES
 from twin.loop import Tick
+from experiments.ch2.trial import PlantIdentification
 from twin.record import Recorder
 
 BAND = 2.0
 """Half width of the recorded bands, in standard deviations."""
 
 
-def record_trial(trial: Mapping[str, Any], path: Path) -> None:
+def record_trial(trial: PlantIdentification, path: Path) -> None:
     """Write the arm's swing, the excitation and the estimates with their bands.
 
     Args:
         trial: Result of one trial; its angles are thinned evenly.
         path: File to write.
     """
-    angles = trial["arm_angles"]
-    windows = len(trial["history_ours"])
+    angles = trial.arm_angles
+    windows = len(trial.histories["ours"])
     per_window = angles.shape[1] // windows
     with Recorder(path) as recorder:
         for window in range(windows):
@@ -37,10 +36,10 @@ def record_trial(trial: Mapping[str, Any], path: Path) -> None:
                 recorder.record(Tick(step, time, {}, {}))
                 recorder.log_scalars("excitation/arm_angle", angles[:, step], MODES)
             for index, mode in enumerate(MODES):
-                values = trial["history_excitation"][window][index]
+                values = trial.excitation_history[window][index]
                 names = ("offset", "amplitude", "frequency")
                 recorder.log_scalars(f"excitation/{mode}", values, names)
-            mean, sigma = (trial[f"history_{key}"][window] for key in ("ours", "sigma"))
+            mean, sigma = trial.histories["ours"][window], trial.sigma_history[window]
             for index, name in enumerate(NAMES):
                 value, half = float(mean[index]), BAND * float(sigma[index])
                 if np.isfinite(half):

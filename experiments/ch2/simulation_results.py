@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 from rich import box
@@ -11,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from controllers.identification.parameters import NAMES, UNITS
+from experiments.ch2.trial import PlantIdentification
 from experiments.ch2.truths import relative_errors
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
@@ -24,7 +23,7 @@ from models.datasheets import (
 FloatArray = NDArray[np.float64]
 Group = tuple[str, str]
 """Noise and excitation."""
-Results = dict[Group, list[dict[str, Any]]]
+Results = dict[Group, list[PlantIdentification]]
 
 ESTIMATORS = ("ours", "kalman", "pseudo_inverse")
 SUFFIX = {"fixed": "", "relative": "_relative"}
@@ -39,7 +38,7 @@ ENOUGH_FOR_NEES = 10
 
 def errors(groups: Results, noise: str, excitation: str, estimator: str) -> FloatArray:
     """Return the average errors of all trials of a group, (n,) [%]."""
-    return np.array([trial[f"error_{estimator}"] for trial in groups[noise, excitation]])
+    return np.array([trial.errors[estimator] for trial in groups[noise, excitation]])
 
 
 def noises(groups: Results) -> list[str]:
@@ -131,30 +130,30 @@ def _measure_calibration(groups: Results, output: Output) -> None:
     output.measure("chi_square_largest", float(chi.max()))
 
 
-def measure_times(trials: list[dict[str, Any]], output: Output) -> None:
+def measure_times(trials: list[PlantIdentification], output: Output) -> None:
     """Store what a step took.
 
     Args:
         trials: Trials that ran one after the other, with nothing beside them.
         output: Where it goes.
     """
-    plans = 1e3 * np.concatenate([trial["plan_seconds"] for trial in trials])
-    estimates = 1e3 * np.concatenate([trial["estimate_seconds"] for trial in trials])
+    plans = 1e3 * np.concatenate([trial.plan_seconds for trial in trials])
+    estimates = 1e3 * np.concatenate([trial.estimate_seconds for trial in trials])
     output.measure("plan_ms", distribution(plans))
     output.measure("estimate_ms", distribution(estimates))
     output.measure("step_ms", distribution(_steps(trials)), THESIS_STEP_MS)
     output.measure("step_ms_largest", float(_steps(trials).max()))
 
 
-def _steps(trials: list[dict[str, Any]]) -> FloatArray:
+def _steps(trials: list[PlantIdentification]) -> FloatArray:
     """Return the time of each plan with the estimate that it waits for [ms]."""
     return 1e3 * np.concatenate(
-        [trial["estimate_seconds"][:-1] + trial["plan_seconds"] for trial in trials]
+        [trial.estimate_seconds[:-1] + trial.plan_seconds for trial in trials]
     )
 
 
-def _column(trials: list[dict[str, Any]], key: str) -> FloatArray:
-    return np.array([trial[key] for trial in trials])
+def _column(trials: list[PlantIdentification], key: str) -> FloatArray:
+    return np.array([getattr(trial, key) for trial in trials])
 
 
 def judge(groups: Results, output: Output) -> None:
@@ -220,15 +219,13 @@ def tabulate(groups: Results, output: Output, of_table: bool) -> None:
     """Write Table 2-1 beside ours, and each parameter's error by excitation and estimator."""
     noise = noises(groups)[0]
     shown = [e for e in ("constant", "information") if (noise, e) in groups]
-    one_truth = len({tuple(t["truth"]) for trials in groups.values() for t in trials}) == 1
+    one_truth = len({tuple(t.truth) for trials in groups.values() for t in trials}) == 1
     if one_truth:
         _write_table_2_1(groups, noise, shown or excitations(groups, noise), output, of_table)
     rows = []
     for (kind, excitation), trials in groups.items():
         for estimator in ESTIMATORS:
-            spread = np.array(
-                [relative_errors(t[f"estimate_{estimator}"], t["truth"]) for t in trials]
-            )
+            spread = np.array([relative_errors(t.estimates[estimator], t.truth) for t in trials])
             rows.append([kind, excitation, estimator, *np.median(spread, axis=0).tolist()])
     output.table("parameter_errors", ["noise", "excitation", "estimator", *_percent()], rows)
     _print_errors(groups)
@@ -242,7 +239,7 @@ def _write_table_2_1(
     groups: Results, noise: str, shown: list[str], output: Output, of_table: bool
 ) -> None:
     columns, values = ["parameter", "unit", "true"], [NAMES, UNITS]
-    truth = next(iter(groups.values()))[0]["truth"]
+    truth = next(iter(groups.values()))[0].truth
     values.append(truth.tolist())
     if of_table:
         columns += ["thesis constant", "thesis variable"]
@@ -251,9 +248,10 @@ def _write_table_2_1(
     for estimator in ("kalman", "ours"):
         for excitation in shown:
             trials = groups[noise, excitation]
-            spread = [distribution(row) for row in _column(trials, f"estimate_{estimator}").T]
+            estimates = np.array([trial.estimates[estimator] for trial in trials])
+            medians = [distribution(column) for column in estimates.T]
             columns += [f"{estimator} {excitation}{end}" for end in ("", " low", " high")]
-            values += [[each[part] for each in spread] for part in ("median", "low", "high")]
+            values += [[each[part] for each in medians] for part in ("median", "low", "high")]
     rows = [list(row) for row in zip(*values, strict=True)]
     output.table("table_2-1", columns, rows)
     table = Table(title=f"Table 2-1, {noise} noise, median estimates", box=box.SIMPLE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,9 @@ from controllers.identification.arm_motion import CONSTANT, MODES, ArmLimits, Ar
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.identifier import Identifier, IdentifierConfig
 from controllers.identification.information import mutual_information
-from controllers.identification.parameters import (
-    NAMES,
-    Ranges,
-    average_error_percent,
-    from_mapping,
-)
+from controllers.identification.parameters import NAMES, Ranges, from_mapping
 from experiments.ch2.plant import NOISE_FRACTION, Plant
+from experiments.ch2.truths import average_error
 
 FloatArray = NDArray[np.float64]
 
@@ -37,8 +32,8 @@ class Trial:
         excitation: One of `identifier.EXCITATIONS`.
         noise: "fixed": scaled once by the run under eq. 2-21; "relative": by this run's own
             running maximum.
-        seed: Of the noise and the planner.
-        duration: [s].
+        seed: Random seed of the noise and the planner.
+        duration: Time of excitation [s].
     """
 
     truth: tuple[float, ...]
@@ -62,13 +57,44 @@ def fixed_scale(truth: tuple[float, ...], duration: float = DURATION) -> FloatAr
     return largest({mode: Plant(values, mode).follow(motion) for mode in MODES})
 
 
-def run_trial(trial: Trial) -> dict[str, Any]:
-    """Identify, and compare with the truth.
+@dataclasses.dataclass(frozen=True)
+class PlantIdentification:
+    """One identification of the simplified plant, compared with the truth.
 
-    Returns:
-        Errors and estimates of all three estimators, normalised errors, chi^2, histories at every
-        replanning, and the times taken [s].
+    Attributes:
+        truth: (22,) true parameters, SI units.
+        estimates: (22,) final parameters of each estimator, SI units.
+        errors: Average error of each estimator's final parameters [%].
+        sigma: (22,) standard deviations of our final estimate, SI units.
+        nees: Normalised squared error of our final estimate, for each parameter (1 if consistent).
+        chi_square: Mean squared residual over the noise's variance.
+        bits: (n, 22) mutual information on each parameter at every replanning [bit].
+        arm_angles: (3, m) arm angle in each mode [rad].
+        plan_seconds: Time that each plan took [s].
+        estimate_seconds: Time that each estimate took [s].
+        histories: (n, 22) parameters of "ours" and "kalman" at every replanning, SI units.
+        sigma_history: (n, 22) standard deviations of our estimate at every replanning.
+        excitation_history: (n, 3, 3) offset [rad], amplitude [rad] and frequency [rad/s] of each
+            mode in every window.
     """
+
+    truth: FloatArray
+    estimates: dict[str, FloatArray]
+    errors: dict[str, float]
+    sigma: FloatArray
+    nees: float
+    chi_square: float
+    bits: FloatArray
+    arm_angles: FloatArray
+    plan_seconds: FloatArray
+    estimate_seconds: FloatArray
+    histories: dict[str, FloatArray]
+    sigma_history: FloatArray
+    excitation_history: FloatArray
+
+
+def run_trial(trial: Trial) -> PlantIdentification:
+    """Identify with all three estimators, and compare with the truth."""
     truth = np.array(trial.truth)
     values: dict[str, float] = dict(zip(NAMES, trial.truth))
     from_mapping(values)
@@ -79,8 +105,7 @@ def run_trial(trial: Trial) -> dict[str, Any]:
     plants = {mode: Plant(values, mode) for mode in MODES}
     scale = fixed_scale(trial.truth)
     running = np.zeros(24)
-    history: dict[str, list[Any]] = {key: [] for key in ("ours", "sigma", "kalman", "excitation")}
-    arm_angles = []
+    ours, sigmas, kalman, excitations, arm_angles = [], [], [], [], []
     for _ in range(round(trial.duration / REPLAN_PERIOD)):
         motions = identifier.next_motion()
         clean = {mode: plants[mode].follow(motion) for mode, motion in motions.items()}
@@ -90,10 +115,10 @@ def run_trial(trial: Trial) -> dict[str, Any]:
         bound = NOISE_FRACTION * scale
         noisy = {m: y + noise_generator.uniform(-bound, bound, y.shape) for m, y in clean.items()}
         estimate = identifier.measured(noisy, bound / np.sqrt(3))
-        history["ours"].append(estimate.parameters)
-        history["sigma"].append(np.sqrt(np.diag(estimate.covariance)))
-        history["kalman"].append(identifier.kalman_estimate())
-        history["excitation"].append([e.vector() for e in identifier.excitations.values()])
+        ours.append(estimate.parameters)
+        sigmas.append(np.sqrt(np.diag(estimate.covariance)))
+        kalman.append(identifier.kalman_estimate())
+        excitations.append([e.vector() for e in identifier.excitations.values()])
         arm_angles.append([motion.angle[1:] for motion in motions.values()])
     final = identifier.finish()
     estimates = {
@@ -103,17 +128,19 @@ def run_trial(trial: Trial) -> dict[str, Any]:
     }
     error = final.parameters - truth
     bounds = Ranges().bounds()
-    bits = [mutual_information(x, s, bounds) for x, s in zip(history["ours"], history["sigma"])]
-    return {
-        **{f"estimate_{name}": value for name, value in estimates.items()},
-        **{f"error_{n}": average_error_percent(v, truth) for n, v in estimates.items()},
-        "sigma": np.sqrt(np.diag(final.covariance)),
-        "nees": float(np.mean(error**2 / np.diag(final.covariance))),
-        "chi_square": final.chi_square,
-        "iterations": final.iterations,
-        "bits": np.array(bits),
-        "arm_angles": np.concatenate(arm_angles, axis=1),
-        "plan_seconds": np.array(identifier.plan_seconds[1:]),
-        "estimate_seconds": np.array(identifier.estimate_seconds),
-        **{f"history_{key}": np.array(value) for key, value in history.items()},
-    }
+    bits = [mutual_information(x, s, bounds) for x, s in zip(ours, sigmas)]
+    return PlantIdentification(
+        truth=truth,
+        estimates=estimates,
+        errors={name: average_error(value, truth) for name, value in estimates.items()},
+        sigma=np.sqrt(np.diag(final.covariance)),
+        nees=float(np.mean(error**2 / np.diag(final.covariance))),
+        chi_square=final.chi_square,
+        bits=np.array(bits),
+        arm_angles=np.concatenate(arm_angles, axis=1),
+        plan_seconds=np.array(identifier.plan_seconds[1:]),
+        estimate_seconds=np.array(identifier.estimate_seconds),
+        histories={"ours": np.array(ours), "kalman": np.array(kalman)},
+        sigma_history=np.array(sigmas),
+        excitation_history=np.array(excitations),
+    )

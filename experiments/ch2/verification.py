@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,24 +203,45 @@ def fit_order(case: str, seed: int) -> Estimate:
     return fitted(run, data, np.random.default_rng([seed, 5]))
 
 
-def verification(config: Mapping[str, Any]) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class Proof:
+    """What one case of the verification shows; each case fills its own part.
+
+    Attributes:
+        error: Worst error of a regression on noise-free samples [%].
+        difference: Relative difference of the plant and its equations, by signal.
+        unidentifiable: Names of the parameters that a poor experiment leaves unknown.
+        directions: Combinations of parameters that it leaves unknown, as text.
+        chi_square: Mean squared residual of a fit over the noise's variance.
+        trustworthy: Whether the estimator trusts its own fit.
+    """
+
+    error: float = 0.0
+    difference: dict[str, float] = dataclasses.field(default_factory=dict)
+    unidentifiable: tuple[str, ...] = ()
+    directions: tuple[str, ...] = ()
+    chi_square: float = 0.0
+    trustworthy: bool = False
+
+
+def verification(config: tuple[str, int]) -> Proof:
     """Run one case; a job of the sweep.
 
     Args:
-        config: The "case", one of `CASES`, and the "seed".
+        config: The case, one of `CASES`, and the random seed.
     """
-    case, seed = config["case"], config["seed"]
+    case, seed = config
     if case in POOR_EXPERIMENTS:
         found = unidentifiable(case, seed)
-        texts = [direction_text(direction) for direction in found.directions]
-        return {"names": list(found.unidentifiable), "directions": texts}
+        texts = tuple(direction_text(direction) for direction in found.directions)
+        return Proof(unidentifiable=tuple(found.unidentifiable), directions=texts)
     if case in JOINT_ORDERS:
         fit = fit_order(case, seed)
-        return {"chi_square": fit.chi_square, "trustworthy": bool(fit.trustworthy)}
+        return Proof(chi_square=fit.chi_square, trustworthy=bool(fit.trustworthy))
     run = swings(arms_in(MODES), random_motion(np.random.default_rng([seed, 2])))
     plant = from_plant(TABLE_TRUTH, run)
     difference = agreement(plant, from_equations(TABLE_TRUTH, run))
-    return {"error": regression_error(TABLE_TRUTH, run, plant), "difference": difference}
+    return Proof(error=regression_error(TABLE_TRUTH, run, plant), difference=difference)
 
 
 def verify(options: Options, output: Output) -> None:
@@ -231,29 +251,29 @@ def verify(options: Options, output: Output) -> None:
         options: Of the run.
         output: Where the metrics and checks go.
     """
-    configs = [{"case": case, "seed": options.seed} for case in CASES]
+    configs = [(case, options.seed) for case in CASES]
     results = dict(zip(CASES, sweep(verification, configs, options, output, label="proofs")))
     exact = results["exactness"]
-    error = exact["error"]
+    error = exact.error
     output.measure("noise_free_error_percent", error)
     output.check("noise_free_error_percent, worst parameter", error, "<= 0.001", error <= 1e-3)
-    for name, value in exact["difference"].items():
+    for name, value in exact.difference.items():
         output.measure(f"plant_disagreement/{name}", value)
         bound = 1e-3 if name == "angle_accelerations" else 1e-4
         output.check(f"plant_disagreement/{name}", value, f"<= {bound:g}", value <= bound)
     for case, expected in POOR_EXPERIMENTS.items():
-        names = results[case]["names"]
+        names = results[case].unidentifiable
         output.measure(f"unidentifiable/{case}", names)
-        output.measure(f"unidentifiable_directions/{case}", results[case]["directions"])
+        output.measure(f"unidentifiable_directions/{case}", results[case].directions)
         named = sum(name in names for name in expected)
         label = f"unidentifiable/{case}: {', '.join(expected)} named"
         output.check(label, named, f">= {len(expected)}", named == len(expected))
     for case, trusted in JOINT_ORDERS.items():
-        chi_square = results[case]["chi_square"]
+        chi_square = results[case].chi_square
         output.measure(f"chi_square_of/{case}", chi_square)
         bound = "trusted" if trusted else "refused"
         output.check(
-            f"chi_square_of/{case}", chi_square, bound, results[case]["trustworthy"] == trusted
+            f"chi_square_of/{case}", chi_square, bound, results[case].trustworthy == trusted
         )
 
 

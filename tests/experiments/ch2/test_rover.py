@@ -46,8 +46,8 @@ def test_a_disconnected_sensor_is_named(sensor):
 def test_same_seed_gives_the_same_run():
     trial = RoverTrial("sim", "information", seed=3, duration=1.6, unseen=0.4)
     first, second = run_rover_trial(trial), run_rover_trial(trial)
-    np.testing.assert_array_equal(first["tilt"], second["tilt"])
-    np.testing.assert_array_equal(first["parameters"], second["parameters"])
+    np.testing.assert_array_equal(first.tilt, second.tilt)
+    np.testing.assert_array_equal(first.parameters, second.parameters)
 
 
 @pytest.mark.slow
@@ -60,13 +60,13 @@ def test_information_tells_more_than_the_constant_excitation_and_both_are_as_far
     sigmas = {}
     for excitation in ("constant", "information"):
         result = run_rover_trial(RoverTrial("sim", excitation, seed))
-        sigmas[excitation] = result["sigma"]
-        assert np.all(np.abs(result["parameters"] - truth) < 4.0 * result["sigma"])
-        assert 0.5 < result["chi_square"] < 1.6
+        sigmas[excitation] = result.sigma
+        assert np.all(np.abs(result.parameters - truth) < 4.0 * result.sigma)
+        assert 0.5 < result.chi_square < 1.6
     # Four to nine times in five seeds, but for the stiffness, which any motion tells.
     assert np.all(sigmas["information"][:4] < 0.5 * sigmas["constant"][:4])
     assert np.all(sigmas["information"] < 0.5 * np.abs(truth))
-    assert result["tilt_nrmse"] < 10.0
+    assert result.tilt_nrmse < 10.0
 
 
 def test_an_unknown_excitation_ends_in_one_line(capsys, tmp_path):

@@ -166,10 +166,13 @@ def test_trial_is_reproducible_from_its_seed():
     trial = Trial(TABLE_TRUTH, "information", "relative", seed=3, duration=0.8)
     one, two = run_trial(trial), run_trial(trial)
     other = run_trial(dataclasses.replace(trial, seed=4))
-    for key in ("estimate_ours", "estimate_kalman", "history_excitation", "arm_angles"):
-        assert np.array_equal(one[key], two[key])
-        assert not np.array_equal(one[key], other[key])
-    assert one["estimate_ours"].shape == (COUNT,) and len(one["plan_seconds"]) == 1
+    for key in ("sigma", "excitation_history", "arm_angles"):
+        assert np.array_equal(getattr(one, key), getattr(two, key))
+        assert not np.array_equal(getattr(one, key), getattr(other, key))
+    for name, estimate in one.estimates.items():
+        assert np.array_equal(estimate, two.estimates[name])
+        assert not np.array_equal(estimate, other.estimates[name])
+    assert one.estimates["ours"].shape == (COUNT,) and len(one.plan_seconds) == 1
 
 
 @pytest.mark.slow
@@ -186,12 +189,12 @@ def test_information_beats_constant_by_far_under_fixed_noise():
     every = [trial for group in groups.values() for trial in group]
     # Errors of one run go together: they count as six at least, of the 22.
     low, high = chi2.ppf([5e-4, 1.0 - 5e-4], 6 * len(every)) / (6 * len(every))
-    assert low < np.mean([trial["nees"] for trial in every]) < high
-    assert all(abs(trial["chi_square"] - 1) <= 0.01 for trial in every)
+    assert low < np.mean([trial.nees for trial in every]) < high
+    assert all(abs(trial.chi_square - 1) <= 0.01 for trial in every)
 
 
 @pytest.mark.slow
 def test_scheme_holds_on_a_hidden_random_truth():
     truth = random_truth(np.random.default_rng(20021))
     result = identify(Trial(truth, "information", "fixed", seed=1))
-    assert result["error_ours"] <= 2.0 and abs(result["chi_square"] - 1) <= 0.01
+    assert result.errors["ours"] <= 2.0 and abs(result.chi_square - 1) <= 0.01
