@@ -18,7 +18,14 @@ from controllers.motion.arm_control import Law
 from controllers.motion.base_motion import BaseFilterConfig
 from controllers.motion.lagrange import controllability_rank, observability_rank
 from experiments.appa.control_plant import PlanarPlant, model_errors, planar_plant
-from experiments.appa.control_trial import HOME, PERIOD, START, ControlTrial, run_control
+from experiments.appa.control_trial import (
+    HOME,
+    PERIOD,
+    START,
+    ControlRun,
+    ControlTrial,
+    run_control,
+)
 from experiments.harness import contract
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
@@ -74,17 +81,17 @@ def run(options: Options, output: Output) -> None:
     results = sweep(run_control, trials, options, output, label="runs")
     medians: dict[tuple[str, str, float], float] = {}
     rows: list[list[Any]] = []
-    traces: dict[tuple[str, str], Mapping[str, Any]] = {}
+    traces: dict[tuple[str, str], ControlRun] = {}
     for index, case in enumerate(cases):
         base, law, couple = case
         chosen = results[index * len(seeds) : (index + 1) * len(seeds)]
-        errors = distribution([result["all_deg"] for result in chosen])
+        errors = distribution([result.all_deg for result in chosen])
         ending = "" if couple else "/undisturbed"
         output.measure(f"joint_rms_deg/{base}/{law}{ending}", errors)
         medians[case] = float(errors["median"])
         for seed, result in zip(seeds, chosen, strict=True):
-            joints = [float(value) for value in result["rms_deg"]]
-            rows.append([base, law, couple, seed, *joints, result["all_deg"], result["pitch_deg"]])
+            joints = [float(value) for value in result.rms_deg]
+            rows.append([base, law, couple, seed, *joints, result.all_deg, result.pitch_deg])
         if couple:
             traces[base, law] = chosen[0]
     columns = ["base", "law", "pushes [N m]", "seed", "yaw [deg]", "shoulder [deg]", "elbow [deg]",
@@ -146,7 +153,7 @@ def _check_laws(medians: Mapping[tuple[str, str, float], float], output: Output)
         output.check(name, ratio, f"<= {bound:g}", ratio <= bound)
 
 
-def _responses(traces: Mapping[tuple[str, str], Mapping[str, Any]]) -> Figure:
+def _responses(traces: Mapping[tuple[str, str], ControlRun]) -> Figure:
     """Draw the shoulder's error over time by law, and the base's pitch, for each base."""
     figure = Figure(figsize=(11, 7))
     for column, base in enumerate(BASES):
@@ -154,9 +161,10 @@ def _responses(traces: Mapping[tuple[str, str], Mapping[str, Any]]) -> Figure:
         pitch = figure.add_subplot(2, 3, 4 + column)
         for law in ("pd_gravity", "feed_forward"):
             trace = traces[base, law]
-            times = START + PERIOD * np.arange(1, len(trace["base_deg"]) + 1)
-            error.plot(times, trace["error_deg"][:, 1], linewidth=0.8, label=NAMES[law])
-            pitch.plot(times, trace["base_deg"], linewidth=0.8)
+            assert trace.error_deg is not None and trace.base_deg is not None
+            times = START + PERIOD * np.arange(1, len(trace.base_deg) + 1)
+            error.plot(times, trace.error_deg[:, 1], linewidth=0.8, label=NAMES[law])
+            pitch.plot(times, trace.base_deg, linewidth=0.8)
         error.set(title=f"{base} base, {BASES[base]:g} N m/rad")
         pitch.set(xlabel="time [s]")
         for axes in (error, pitch):

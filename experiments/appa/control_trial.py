@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,11 +33,11 @@ class ControlTrial:
     """What one run is.
 
     Attributes:
-        stiffness: Of the bare base in pitch [N m/rad].
-        law: Of `controllers.motion.arm_control`.
-        lag: Of the base's feed-forward [s].
+        stiffness: Pitch stiffness of the bare base [N m/rad].
+        law: Control law, of `controllers.motion.arm_control`.
+        lag: Lag of the base's feed-forward [s].
         couple: Size of the pushes about the pitch axis [N m].
-        seed: Of sensors and of the pushes' signs.
+        seed: Random seed of the sensors and of the pushes' signs.
         traced: Whether errors and pitch over time are kept.
     """
 
@@ -54,7 +53,7 @@ def reference(time: float) -> Reference:
     """Return sines of four different paces about the home pose, from rest.
 
     Args:
-        time: [s].
+        time: Time since the start [s].
     """
     ramp = min(max(time, 0.0), 1.0)
     # A smooth start: the ramp's own derivatives are felt before the score begins only.
@@ -72,7 +71,7 @@ def arm_config(chain: Chain, law: Law, lag: float) -> ArmControlConfig:
     Args:
         chain: Its arm, with rotors and load.
         law: How it is controlled.
-        lag: Of the base's feed-forward [s].
+        lag: Lag of the base's feed-forward [s].
     """
     motor = datasheets.ARM_MOTOR
     return ArmControlConfig(
@@ -88,13 +87,27 @@ def arm_config(chain: Chain, law: Law, lag: float) -> ArmControlConfig:
     )
 
 
-def run_control(trial: ControlTrial) -> dict[str, Any]:
-    """Run it on the simulated rover, through the robot contract and its datasheet sensors.
+@dataclasses.dataclass(frozen=True)
+class ControlRun:
+    """How well the arm followed its reference.
 
-    Returns:
-        ``rms_deg`` (4,) of each joint, ``all_deg`` of all, ``pitch_deg`` r.m.s. of the base, and
-        if traced ``error_deg`` (n, 4) and ``base_deg`` (n,).
+    Attributes:
+        rms_deg: (4,) r.m.s. error of each joint [deg].
+        all_deg: R.m.s. error of all joints [deg].
+        pitch_deg: Standard deviation of the base's pitch [deg].
+        error_deg: (n, 4) joint errors over time [deg], if traced.
+        base_deg: (n,) pitch of the base over time [deg], if traced.
     """
+
+    rms_deg: FloatArray
+    all_deg: float
+    pitch_deg: float
+    error_deg: FloatArray | None = None
+    base_deg: FloatArray | None = None
+
+
+def run_control(trial: ControlTrial) -> ControlRun:
+    """Run a trial on the simulated rover, through the robot contract and its datasheet sensors."""
     model = sprung_rover(trial.stiffness)
     chain = Chain.of_arm(known_arm(model), datasheets.ARM_MOTOR.armature)
     simulation = Simulation(model, [ROBOT], seed=trial.seed, data=settle(model))
@@ -124,9 +137,10 @@ def run_control(trial: ControlTrial) -> dict[str, Any]:
             pitches.append(float(np.degrees(np.arcsin(upright[2, 1]))))
     simulation.close()
     error, pitch = np.array(errors), np.array(pitches)
-    result: dict[str, Any] = {
-        "rms_deg": np.sqrt(np.mean(error**2, axis=0)),
-        "all_deg": float(np.sqrt(np.mean(error**2))),
-        "pitch_deg": float(np.std(pitch)),
-    }
-    return result | ({"error_deg": error, "base_deg": pitch} if trial.traced else {})
+    return ControlRun(
+        rms_deg=np.sqrt(np.mean(error**2, axis=0)),
+        all_deg=float(np.sqrt(np.mean(error**2))),
+        pitch_deg=float(np.std(pitch)),
+        error_deg=error if trial.traced else None,
+        base_deg=pitch if trial.traced else None,
+    )

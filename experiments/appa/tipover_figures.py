@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from matplotlib.figure import Figure
 
+from experiments.appa.tipover_trial import TipRun
 from models.datasheets import ROVER
 
-Shown = Mapping[str, Mapping[str, Any]]
+Shown = Mapping[str, TipRun]
 NAMES = {"unguarded": "as asked for", "planned": "planned ahead", "online": "slowed online"}
 
 
 def draw_footprints(shown: Shown) -> Figure:
-    """Draw both points' ways over the footprint, a column for each way.
+    """Draw the paths of both points over the footprint, a column for each guard.
 
     Args:
-        shown: Results of `appa_tipover_trial.run_tip` by way.
+        shown: Results of `run_tip` by guard.
     """
     figure = Figure(figsize=(12, 4.6))
     x, y = 1e3 * ROVER.half_track, 1e3 * ROVER.half_wheelbase
-    for column, (way, result) in enumerate(shown.items()):
+    for column, (guard, result) in enumerate(shown.items()):
         axes = figure.add_subplot(1, len(shown), 1 + column)
         axes.plot([x, -x, -x, x, x], [y, y, -y, -y, y], "k-", linewidth=1, label="footprint")
-        point, pressure = 1e3 * result["point"], 1e3 * result["pressure"]
+        point, pressure = 1e3 * result.point, 1e3 * result.pressure
         axes.plot(*point.T, ".-", linewidth=0.6, label="zero-moment point (A-5)")
         axes.plot(*pressure.T, "x", markersize=4, label="centre of pressure")
-        end = "tipped" if result["tipped"] else f"leaned {result['lean_deg']:.1f} deg"
-        axes.set_title(f"{NAMES[way]}: {end}", fontsize=10)
+        end = "tipped" if result.tipped else f"leaned {result['lean_deg']:.1f} deg"
+        axes.set_title(f"{NAMES[guard]}: {end}", fontsize=10)
         axes.set(aspect="equal", xlim=(-180, 180), ylim=(-180, 180), xlabel="to the right [mm]")
         axes.grid(alpha=0.3)
         if column == 0:
@@ -47,11 +47,11 @@ def draw_progress(shown: Shown) -> Figure:
     """
     figure = Figure(figsize=(11, 4))
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
-    for way, result in shown.items():
-        time, part = result["gone"].T
-        left.plot(time, 100.0 * part, label=NAMES[way])
-        right.plot(time, 1e3 * result["margin"], linewidth=1, label=NAMES[way])
-    left.set(ylabel="reference, of the way [%]")
+    for guard, result in shown.items():
+        time, part = result.gone.T
+        left.plot(time, 100.0 * part, label=NAMES[guard])
+        right.plot(time, 1e3 * result.margin, linewidth=1, label=NAMES[guard])
+    left.set(ylabel="reference, share of the path [%]")
     right.set(ylabel="centre of pressure inside the footprint [mm]", ylim=(0, None))
     for axes in (left, right):
         axes.set(xlabel="time since the motion's beginning [s]")

@@ -13,7 +13,7 @@ import math
 from typing import Any
 
 from experiments.appa.truss_figures import draw_comparison, draw_course
-from experiments.appa.truss_trial import MUTUAL, OFFSET, TILT, WAYS, TrussTrial, run_truss
+from experiments.appa.truss_trial import MUTUAL, OFFSET, TILT, WAYS, TrussRun, TrussTrial, run_truss
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
@@ -25,7 +25,7 @@ SHARES = (0.5, WIDEST, 1.5)
 QUICK_SHARES = (WIDEST,)
 FORCE_BOUND, SUCCESS_BOUND, SQUEEZE_RATIO_BOUND = 10.0, 0.9, 0.5
 _FORCES = ("contact_peak", "squeeze_peak", "squeeze_error_rms", "moment_peak")
-Results = dict[tuple[str, float], list[dict[str, Any]]]
+Results = dict[tuple[str, float], list[TrussRun]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,7 +55,8 @@ def run(options: Options, output: Output) -> None:
     _measure(results, output)
     _check(results, output)
     _table(results, seeds, output)
-    course = results["hybrid", WIDEST][0]["course"]
+    course = results["hybrid", WIDEST][0].course
+    assert course is not None
     for name in ("A-10", "A-11", "A-12"):
         output.figure(f"figure_{name}", draw_course(course, name))
     output.figure("misalignments", draw_comparison(results))
@@ -67,22 +68,22 @@ def _measure(results: Results, output: Output) -> None:
     output.measure("widest_mutual_mm", 1e3 * MUTUAL)
     for (way, share), runs in results.items():
         cell = f"{way}/{share:g}"
-        done = fraction(sum(run["success"] for run in runs), len(runs))
+        done = fraction(sum(run.success for run in runs), len(runs))
         output.measure(f"success/{cell}", done)
         if (way, share) == ("hybrid", WIDEST):
             output.measure("truss_success", done)
         for key in (*_FORCES, "seconds"):
-            output.measure(f"{key}/{cell}", distribution([run[key] for run in runs]))
+            output.measure(f"{key}/{cell}", distribution([getattr(run, key) for run in runs]))
 
 
 def _check(results: Results, output: Output) -> None:
     """Hold the hybrid control against the bars, at the widest misalignment."""
     hybrid = results["hybrid", WIDEST]
-    done = sum(run["success"] for run in hybrid) / len(hybrid)
+    done = sum(run.success for run in hybrid) / len(hybrid)
     output.check("inserted at the widest misalignment", done, f">= {SUCCESS_BOUND:g}",
                  done >= SUCCESS_BOUND)  # fmt: skip
     peak = max(
-        float(run["contact_peak"])
+        float(run.contact_peak)
         for (way, _), runs in results.items()
         if way == "hybrid"
         for run in runs
@@ -90,7 +91,7 @@ def _check(results: Results, output: Output) -> None:
     output.check("peak contact force [N], hybrid, all", peak, f"<= {FORCE_BOUND:g}",
                  peak <= FORCE_BOUND)  # fmt: skip
     ours, without = (
-        float(distribution([run["squeeze_error_rms"] for run in results[way, WIDEST]])["median"])
+        float(distribution([run.squeeze_error_rms for run in results[way, WIDEST]])["median"])
         for way in ("hybrid", "position_only")
     )
     ratio = ours / without
@@ -106,10 +107,10 @@ def _table(results: Results, seeds: list[int], output: Output) -> None:
     rows: list[list[Any]] = []
     for (way, share), runs in results.items():
         for seed, run in zip(seeds, runs, strict=True):
-            mutual = [1e3 * float(value) for value in run["mutual"]]
-            forces = [run[key] for key in _FORCES]
-            place = [1e3 * run["offset"], math.degrees(run["tilt"]), *mutual]
-            end = [run["seconds"], run["tries"], run["reason"]]
-            rows.append([way, share, seed, *place, run["success"], 1e3 * run["depth"], *forces,
+            mutual = [1e3 * float(value) for value in run.mutual]
+            forces = [getattr(run, key) for key in _FORCES]
+            place = [1e3 * run.offset, math.degrees(run.tilt), *mutual]
+            end = [run.seconds, run.tries, run.reason]
+            rows.append([way, share, seed, *place, run.success, 1e3 * run.depth, *forces,
                          *end])  # fmt: skip
     output.table("truss_runs", columns, rows)

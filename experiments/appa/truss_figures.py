@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from controllers.motion.master_slave import Stage
-from experiments.appa.truss_trial import COLUMNS, SQUEEZE
+from experiments.appa.truss_trial import COLUMNS, SQUEEZE, TrussRun
 
 Floats = NDArray[np.float64]
 _BEGINS = (Stage.CARRY, Stage.INSERT)
@@ -77,7 +76,7 @@ def _lines(axes: Axes, course: Floats, values: Floats, labels: Sequence[str]) ->
     axes.legend(fontsize=8)
 
 
-def draw_comparison(results: Mapping[tuple[str, float], Sequence[Mapping[str, Any]]]) -> Figure:
+def draw_comparison(results: Mapping[tuple[str, float], Sequence[TrussRun]]) -> Figure:
     """Draw success, contact force, squeeze and moment of every run by way and misalignment.
 
     Args:
@@ -96,7 +95,7 @@ def draw_comparison(results: Mapping[tuple[str, float], Sequence[Mapping[str, An
         axes = figure.add_subplot(2, 2, 1 + index)
         for number, way in enumerate(ways):
             places = np.arange(len(shares)) + 0.22 * (number - (len(ways) - 1) / 2.0)
-            values = [[float(run[key]) for run in results[way, share]] for share in shares]
+            values = [[float(getattr(run, key)) for run in results[way, share]] for share in shares]
             middles = [np.mean(v) if key == "success" else np.median(v) for v in values]
             bars = axes.bar(places, middles, 0.2, alpha=0.6, label=way.replace("_", " "))
             if key != "success":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,15 +148,46 @@ def make_pair(
     return Master(grips[0], pair, guide), Slave(grips[1], pair)
 
 
-def run_truss(trial: TrussTrial) -> dict[str, Any]:
-    """Carry and insert once.
+@dataclasses.dataclass(frozen=True)
+class TrussRun:
+    """What one insertion of the segment did.
 
-    Returns:
-        ``success`` (believed seated, and truly to `SEATED` of the depth), ``contact_peak``,
-        ``squeeze_peak`` and ``squeeze_error_rms`` [N] and ``moment_peak`` [N m] of what truly is
-        between stage and segment and in the grips, at 100 Hz, the latter three from the start of
-        the way on; ``seconds``, ``reason``, ``tries``, ``depth`` [m], the misalignment, and traced
-        also ``course`` (n, 41) by `COLUMNS`.
+    Forces and moments are what truly is between stage and segment and in the grips, at 100 Hz; all
+    but the contact's from the start of the approach on.
+
+    Attributes:
+        success: Whether it was believed seated, and truly is to `SEATED` of the depth.
+        contact_peak: Largest force between stage and segment [N].
+        squeeze_peak: Largest force along the segment between the grips [N].
+        squeeze_error_rms: R.m.s. of that force's error [N].
+        moment_peak: Largest moment in a grip [N m].
+        seconds: Duration [s].
+        reason: Why the master ended.
+        tries: Number of attempts to insert.
+        depth: Final depth of the leading edge below the mouth [m].
+        offset: True offset of the stage along s [m].
+        tilt: True tilt of the stage [rad].
+        mutual: (2,) error of the slave's believed place, along and up [m].
+        course: (n, 41) the run over time, by `COLUMNS`, if traced.
+    """
+
+    success: bool
+    contact_peak: float
+    squeeze_peak: float
+    squeeze_error_rms: float
+    moment_peak: float
+    seconds: float
+    reason: str
+    tries: int
+    depth: float
+    offset: float
+    tilt: float
+    mutual: Floats
+    course: Floats | None = None
+
+
+def run_truss(trial: TrussTrial) -> TrussRun:
+    """Carry and insert once.
 
     Raises:
         ValueError: If there is no such way.
@@ -177,21 +207,21 @@ def run_truss(trial: TrussTrial) -> dict[str, Any]:
     squeeze = (wrenches[:, 0, 0] - wrenches[:, 1, 0]) / 2.0
     moments = np.abs(wrenches[:, :, 2])
     contact = rows[:, COLUMNS["contact"]]
-    result: dict[str, Any] = {
-        "success": bool(master.success and depth > SEATED * TRUSS.depth),
-        "contact_peak": float(np.max(np.hypot(*contact.T))),
-        "squeeze_peak": float(np.max(np.abs(squeeze))),
-        "squeeze_error_rms": float(np.sqrt(np.mean((squeeze - SQUEEZE) ** 2))),
-        "moment_peak": float(np.max(moments)),
-        "seconds": float(rows[-1, 0]),
-        "reason": master.reason,
-        "tries": master.tries,
-        "depth": depth,
-        "offset": offset,
-        "tilt": tilt,
-        "mutual": mutual,
-    }
-    return result | ({"course": rows} if trial.traced else {})
+    return TrussRun(
+        success=bool(master.success and depth > SEATED * TRUSS.depth),
+        contact_peak=float(np.max(np.hypot(*contact.T))),
+        squeeze_peak=float(np.max(np.abs(squeeze))),
+        squeeze_error_rms=float(np.sqrt(np.mean((squeeze - SQUEEZE) ** 2))),
+        moment_peak=float(np.max(moments)),
+        seconds=float(rows[-1, 0]),
+        reason=master.reason,
+        tries=master.tries,
+        depth=depth,
+        offset=offset,
+        tilt=tilt,
+        mutual=mutual,
+        course=rows if trial.traced else None,
+    )
 
 
 def _drive(

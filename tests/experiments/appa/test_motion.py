@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from controllers.motion.guarded_swing import GUARDS
 from experiments.appa.control_trial import ROBOT, ControlTrial, run_control
 from experiments.appa.tipover import motions
 from experiments.appa.tipover_scene import TipScene
-from experiments.appa.tipover_trial import FOLDED, WAYS, TipTrial, run_tip
+from experiments.appa.tipover_trial import FOLDED, TipTrial, run_tip
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
 
@@ -17,7 +18,7 @@ SLOPE, FORWARD = np.radians(10.0), np.pi / 2
 @pytest.mark.slow
 def test_feed_forward_more_than_halves_the_error_of_a_pushed_soft_base():
     error = {
-        law: run_control(ControlTrial(60.0, law, 0.015, 2.0, 1))["all_deg"]
+        law: run_control(ControlTrial(60.0, law, 0.015, 2.0, 1)).all_deg
         for law in ("pd_gravity", "feed_forward")
     }
     assert error["feed_forward"] < 0.5 * error["pd_gravity"]
@@ -49,7 +50,7 @@ def test_inclinometer_tells_the_slope():
 
 def test_all_ways_and_slopes_get_the_same_motion():
     flat, steep = motions(1.0, 3, 0.0), motions(1.0, 3, 10.0)
-    assert [trial.way for trial in flat] == list(WAYS)
+    assert [trial.guard for trial in flat] == list(GUARDS)
     assert len({trial.target for trial in flat + steep}) == 1
     with pytest.raises(ValueError, match="valid are unguarded, planned, online"):
         run_tip(TipTrial(1.0, 0.0, REACH, 0.6, "both", 0))
@@ -59,11 +60,11 @@ def test_all_ways_and_slopes_get_the_same_motion():
 @pytest.mark.parametrize("slope", [0.0, SLOPE])
 def test_guards_keep_up_a_rover_that_its_load_would_tip_and_a_5_is_the_pressure(slope):
     asked, planned, online = (
-        run_tip(TipTrial(1.0, 0.0, REACH, 0.6, way, 0, slope, FORWARD)) for way in WAYS
+        run_tip(TipTrial(1.0, 0.0, REACH, 0.6, name, 0, slope, FORWARD)) for name in GUARDS
     )
-    assert asked["tipped"] and not planned["tipped"] and not online["tipped"]
-    assert "slowed" in planned["report"] and "held" in online["report"]
-    assert 0.2 < online["part"] < 0.8
+    assert asked.tipped and not planned.tipped and not online.tipped
+    assert "slowed" in planned.report and "held" in online.report
+    assert 0.2 < online.part < 0.8
     for result in (planned, online):
-        assert result["lean_deg"] < 2.0
-        np.testing.assert_allclose(result["point"], result["pressure"], atol=1e-4)
+        assert result.lean_deg < 2.0
+        np.testing.assert_allclose(result.point, result.pressure, atol=1e-4)

@@ -1,0 +1,129 @@
+"""A swing of the arm from rest to rest that a guard against tipping over slows (Thesis A.3).
+
+The guard plans the swing slower as a whole before it begins (`tip_over.guard`), slows it tick by
+tick on its way (`online_guard.OnlineGuard`), or is absent, for comparison.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from controllers.motion.arm_control import ArmControlConfig, ArmController, Reference
+from controllers.motion.base_motion import level_of
+from controllers.motion.online_guard import OnlineGuard
+from controllers.motion.tip_over import Footing, Guarded, Sweep, guard
+from twin.robot import Command, Observation
+
+GUARDS = ("unguarded", "planned", "online")
+"""As asked for; slowed as a whole before it begins; slowed tick by tick."""
+HELD, PATIENCE = 1.0, 10.0
+"""How long a swing may stand still online, and how late it may be, until it counts as over [s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SwingConfig:
+    """One swing and how it is guarded.
+
+    Attributes:
+        arm: Control of the arm along the swing.
+        footing: What the guard knows of the rover.
+        sweep: The swing asked for.
+        guard: How it is guarded, one of `GUARDS`.
+        wait: Rest in the initial pose before the swing [s].
+    """
+
+    arm: ArmControlConfig
+    footing: Footing
+    sweep: Sweep
+    guard: str = "online"
+    wait: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown guard.
+
+        Raises:
+            ValueError: Naming the guards that there are.
+        """
+        if self.guard not in GUARDS:
+            raise ValueError(f"guard {self.guard!r}: valid are {', '.join(GUARDS)}")
+
+
+class GuardedSwing:
+    """Swings the arm of one robot, guarded against tipping over.
+
+    Attributes:
+        online: The guard that slows tick by tick; None for another.
+
+    Args:
+        config: The swing.
+    """
+
+    def __init__(self, config: SwingConfig) -> None:
+        self._config, self._asked = config, config.sweep
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again from the initial pose."""
+        config = self._config
+        self.online = OnlineGuard(config.footing, self._asked.at) if self._is("online") else None
+        self._planned = Guarded(self._asked, 1.0, math.nan, "")
+        self._sweep, self._ticks = self._asked, 0
+        self._arm = ArmController(config.arm, lambda time: self.at(time - config.wait))
+
+    def plan(self, seen: Observation) -> None:
+        """Let a guard that plans ahead examine the swing, before the first step.
+
+        Args:
+            seen: The robot at rest in the initial pose.
+        """
+        if self._is("planned"):
+            self._planned = guard(self._config.footing, self._asked, level_of(seen))
+            start = self._asked.start
+            self._sweep = self._planned.sweep or Sweep(start, start, self._asked.duration)
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Let the online guard see the tick, and command the arm along the reference."""
+        seen = observations[self._config.arm.robot]
+        if self.online is not None and self.time > -0.5 * self._config.arm.period:
+            self.online.step(level_of(seen) if seen.inclinometer.usable else None)
+        self._ticks += 1
+        return self._arm.step(observations)
+
+    @property
+    def time(self) -> float:
+        """Time of the next tick since the beginning of the swing [s]."""
+        return self._ticks * self._config.arm.period - self._config.wait
+
+    def at(self, time: float) -> Reference:
+        """Return the reference at a time since the beginning of the swing [s]."""
+        if self.online is not None and time > -0.5 * self._config.arm.period:
+            return Reference(*self.online.at(time))
+        return Reference(*self._sweep.at(time))
+
+    def over(self, time: float) -> bool:
+        """Return whether the swing has ended at a time since its beginning [s]."""
+        if self.online is None:
+            return time >= self._sweep.duration
+        done = self.online.time >= self._asked.duration
+        return done or self.online.held >= HELD or self.online.late >= PATIENCE
+
+    @property
+    def report(self) -> str:
+        """What the guard slowed; empty if nothing."""
+        return self._planned.report if self.online is None else self.online.report
+
+    @property
+    def part(self) -> float:
+        """Share of the path that was travelled, or that the plan allows."""
+        if self.online is None:
+            return 0.0 if self._planned.sweep is None else self._planned.sweep.part
+        whole = np.linalg.norm(self._asked.end - self._asked.start)
+        gone = self._asked.at(self.online.time)[0] - self._asked.start
+        return float(np.linalg.norm(gone) / whole)
+
+    def _is(self, name: str) -> bool:
+        return self._config.guard == name
