@@ -27,7 +27,7 @@ def draw_footprints(shown: Shown) -> Figure:
         point, pressure = 1e3 * result.point, 1e3 * result.pressure
         axes.plot(*point.T, ".-", linewidth=0.6, label="zero-moment point (A-5)")
         axes.plot(*pressure.T, "x", markersize=4, label="centre of pressure")
-        end = "tipped" if result.tipped else f"leaned {result['lean_deg']:.1f} deg"
+        end = "tipped" if result.tipped else f"tilted {result.lean_deg:.1f} deg"
         axes.set_title(f"{NAMES[guard]}: {end}", fontsize=10)
         axes.set(aspect="equal", xlim=(-180, 180), ylim=(-180, 180), xlabel="to the right [mm]")
         axes.grid(alpha=0.3)

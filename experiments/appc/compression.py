@@ -28,7 +28,14 @@ from experiments.appc.pictures import (
     resampled,
     smoothed,
 )
-from experiments.appc.views import KNOWN, MEASURES, QUICK_KNOWN, ViewTrial, compare_views
+from experiments.appc.views import (
+    KNOWN,
+    MEASURES,
+    QUICK_KNOWN,
+    ViewComparison,
+    ViewTrial,
+    compare_views,
+)
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
@@ -123,8 +130,8 @@ def run(options: Options, output: Output) -> None:
     sets = {
         "bundled": bundled,
         "photographs": bundled.some(taken),
-        "rendered": Measured.joined([_measured(result) for result in compared]),
-        "noise": Measured.joined([_measured(result) for result in noisy]),
+        "rendered": Measured.joined([result.measured for result in compared]),
+        "noise": Measured.joined(noisy),
     }
     for name, measured in sets.items():
         _measure_set(name, measured, output)
@@ -138,13 +145,9 @@ def run(options: Options, output: Output) -> None:
     shown = {
         "camera.png": resampled(pictures["camera.png"], SIZES[-1]),
         "cell.png": resampled(pictures["cell.png"], SIZES[-1]),
-        "rendered": np.asarray(compared[0]["picture"], np.uint8),
+        "rendered": compared[0].picture,
     }
     output.figure("predictors", draw_predictors(shown))
-
-
-def _measured(result: Mapping[str, Any]) -> Measured:
-    return Measured(**{field.name: result[field.name] for field in dataclasses.fields(Measured)})
 
 
 def _best(found: FloatArray) -> int:
@@ -218,19 +221,19 @@ def _tables(sets: Mapping[str, Measured], names: Sequence[str], output: Output) 
     output.table("bytes_over_coded_bytes_256", ("pictures", "method", *CODERS), coded)
 
 
-def _compare(results: Sequence[Mapping[str, Any]], output: Output) -> None:
+def _compare(results: Sequence[ViewComparison], output: Output) -> None:
     """Store how well each measure of a view foretells what the view brings.
 
     Decisions in one scene are not independent: they are averaged, and scenes are compared.
     """
-    used = [result for result in results if len(result["known"])]
-    decisions = sum(len(result["known"]) for result in used)
+    used = [result for result in results if len(result.known)]
+    decisions = sum(len(result.known) for result in used)
     output.measure("view_decisions", decisions)
     if not used:
         return
-    correlation = np.array([np.mean(result["correlation"], axis=0) for result in used])
-    share = np.array([np.mean(result["share"], axis=0) for result in used])
-    drawn = np.array([np.mean(result["mean_share"]) for result in used])
+    correlation = np.array([np.mean(result.correlation, axis=0) for result in used])
+    share = np.array([np.mean(result.share, axis=0) for result in used])
+    drawn = np.array([np.mean(result.mean_share) for result in used])
     output.measure("view_gain_share/random", distribution(drawn))
     for column, name in enumerate(MEASURES):
         output.measure(f"view_gain_share/{name}", distribution(share[:, column]))
@@ -244,7 +247,7 @@ def _compare(results: Sequence[Mapping[str, Any]], output: Output) -> None:
         [number, known, drawn_share, *np.ravel(share_row), *np.ravel(ranks)]
         for number, result in enumerate(used)
         for known, drawn_share, share_row, ranks in zip(
-            result["known"], result["mean_share"], result["share"], result["correlation"]
+            result.known, result.mean_share, result.share, result.correlation
         )
     ]
     columns = ["scene", "known views", "random share"]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -145,11 +144,11 @@ def measure_whole(images: Iterable[ByteArray]) -> Measured:
     return measure([[resampled(image, size) for image in listed] for size in SIZES])
 
 
-def measure_noise(trial: NoiseTrial) -> dict[str, Any]:
+def measure_noise(trial: NoiseTrial) -> Measured:
     """Return `measure` of pictures of noise; a job of the sweep."""
     rng = np.random.default_rng((trial.seed, 8))
     pictures = [[noise(size, rng) for _ in range(trial.count)] for size in SIZES]
-    return vars(measure(pictures))
+    return measure(pictures)
 
 
 def _round_trips(image: ByteArray) -> tuple[FloatArray, int]:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from scipy.spatial.transform import RigidTransform
 from scipy.stats import rankdata
 
 from controllers.mapping.looking import MapperConfig
-from experiments.appc.pictures import measure_whole, resampled
+from experiments.appc.pictures import Measured, measure_whole, resampled
 from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
 from experiments.ch3.stereo.trial import BOX, VOXEL, shared_errors
 from experiments.ch3.stereo.truth import TRUTH_CELL, mapped_share
@@ -95,14 +94,29 @@ class Taken:
     seen: StereoPoints
 
 
-def compare_views(trial: ViewTrial) -> dict[str, Any]:
-    """Rate views of a scene and map with each; a job of the sweep.
+@dataclasses.dataclass(frozen=True)
+class ViewComparison:
+    """How well each measure chooses the next view of one scene.
 
-    Returns:
-        ``known`` (D,), ``correlation`` (D, M) of each measure's rank with the gain's, ``share``
-        (D, M) of the best candidate's gain that the chosen one has, ``mean_share`` (D,) that one
-        drawn at random has; `appc_pictures.Measured` of all pictures, and the first ``picture``.
+    Attributes:
+        known: (D,) number of views in the map at each decision.
+        correlation: (D, M) rank correlation of each measure with the true gain.
+        share: (D, M) gain of the view that each measure chooses over the best candidate's.
+        mean_share: (D,) mean gain of all candidates over the best candidate's.
+        picture: (PICTURE, PICTURE) uint8, the first picture taken.
+        measured: Compression of all pictures taken.
     """
+
+    known: tuple[int, ...]
+    correlation: FloatArray
+    share: FloatArray
+    mean_share: FloatArray
+    picture: ByteArray
+    measured: Measured
+
+
+def compare_views(trial: ViewTrial) -> ViewComparison:
+    """Rate views of a scene and map with each; a job of the sweep."""
     scene = StereoScene(SceneConfig(seed=trial.seed))
     how = MapperConfig()
     rng = np.random.default_rng((trial.seed, 7))
@@ -119,14 +133,14 @@ def compare_views(trial: ViewTrial) -> dict[str, Any]:
                 rows.append((number, _correlations(ratings, gains), share, mean))
         if number < max(trial.known):
             _fuse(voxels, view, scene.geometry, how)
-    return {
-        "known": [row[0] for row in rows],
-        "correlation": np.array([row[1] for row in rows]),
-        "share": np.array([row[2] for row in rows]),
-        "mean_share": np.array([row[3] for row in rows]),
-        "picture": taken[0].picture,
-        **vars(measure_whole(images)),
-    }
+    return ViewComparison(
+        known=tuple(row[0] for row in rows),
+        correlation=np.array([row[1] for row in rows]),
+        share=np.array([row[2] for row in rows]),
+        mean_share=np.array([row[3] for row in rows]),
+        picture=taken[0].picture,
+        measured=measure_whole(images),
+    )
 
 
 def _take(

@@ -9,7 +9,7 @@ emulated amplifier.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,14 +21,23 @@ from experiments.appd.boards_figures import (
     draw_pace,
     draw_stops,
 )
-from experiments.appd.boards_line import call_damaged
-from experiments.appd.boards_live import compare_boards, keep_bare_pace, keep_pace
+from experiments.appd.boards_line import DamagedCalls, call_damaged
+from experiments.appd.boards_live import (
+    BoardComparison,
+    EchoPace,
+    IdentityTrial,
+    LoopPace,
+    compare_boards,
+    keep_bare_pace,
+    keep_pace,
+)
 from experiments.appd.boards_trial import (
     KINDS,
     PERIOD,
     STOPPING,
     TIMEOUT,
     WRAP,
+    FaultTrial,
     deal,
     run_batch,
 )
@@ -48,9 +57,10 @@ MISS_BOUND = 0.01
 LINES = {"clean": 0.0, "faulted": 0.03}
 CYCLES = (1000, 100)  # that must be the same to the bit: full, quick
 MOTION = (
-    {"approach": 2.0, "rest": 1.5, "duration": 8.0},
-    {"approach": 0.5, "rest": 0.2, "duration": 0.4},
+    (2.0, 1.5, 8.0),
+    (0.5, 0.2, 0.4),
 )
+"""Approach, rest and duration of the identification [s], in full and with --quick."""
 STOP_BOUND = TIMEOUT + PERIOD
 
 
@@ -88,22 +98,20 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(8, 2)
     # What is timed comes first, while nothing else of ours runs.
     pace = keep_pace(PACE[options.quick], seeds[0] % 2**31)
-    bare = keep_bare_pace(PACE[options.quick] / 3.0, pace["exchanges"])
+    bare = keep_bare_pace(PACE[options.quick] / 3.0, pace.exchanges)
     draws = np.random.default_rng(seeds[0]).integers(2**31, size=len(RATES)).tolist()
-    calls: list[dict[str, Any]] = []
-    for (rate, counts), seed in zip(RATES.items(), draws):
-        config = {"rate": rate, "calls": counts[options.quick], "seed": seed}
-        calls.append({**config, **call_damaged(config)})
-    batches = sweep(run_batch, deal(TRIALS[options.quick], seeds), options, output, label="rovers")
-    lines = [
-        {"faults": faults, "seed": seeds[0], **MOTION[options.quick]} for faults in LINES.values()
+    calls = [
+        call_damaged(rate, counts[options.quick], seed)
+        for (rate, counts), seed in zip(RATES.items(), draws)
     ]
+    batches = sweep(run_batch, deal(TRIALS[options.quick], seeds), options, output, label="rovers")
+    lines = [IdentityTrial(share, seeds[0], MOTION[options.quick]) for share in LINES.values()]
     compared = sweep(compare_boards, lines, options, output, label="lines")
-    trials = [dict(zip(batch, row)) for batch in batches for row in zip(*batch.values())]
+    trials = [trial for batch in batches for trial in batch]
     _measure_stops(trials, output)
     _measure_calls(calls, trials, output)
     _measure_pace(pace, PACE[options.quick], output)
-    if pace["exchanges"]:
+    if pace.exchanges:
         _measure_bare_pace(bare, pace, output)
     for name, result in zip(LINES, compared):
         _measure_identity(name, result, CYCLES[options.quick], output)
@@ -111,20 +119,16 @@ def run(options: Options, output: Output) -> None:
     _tabulate(trials, calls, output)
 
 
-def stop_times(trials: Sequence[Mapping[str, Any]]) -> dict[str, list[float]]:
+def stop_times(trials: Sequence[FaultTrial]) -> dict[str, list[float]]:
     """Return the times from fault to standstill by fault [s]; infinite for no standstill."""
     found: dict[str, list[float]] = {kind: [] for kind in STOPPING}
     for trial in trials:
-        if trial["kind"] != WRAP:
-            found[trial["kind"]].append(_seconds(trial["stop_time"]))
+        if trial.kind != WRAP:
+            found[trial.kind].append(trial.stop_time)
     return {kind: times for kind, times in found.items() if times}
 
 
-def _seconds(value: float | None) -> float:
-    return float("inf") if value is None else value
-
-
-def _measure_stops(trials: Sequence[Mapping[str, Any]], output: Output) -> None:
+def _measure_stops(trials: Sequence[FaultTrial], output: Output) -> None:
     """Store how often and how soon all motors were let go, and that a wrap stops nothing."""
     times = stop_times(trials)
     every = [value for values in times.values() for value in values]
@@ -137,10 +141,10 @@ def _measure_stops(trials: Sequence[Mapping[str, Any]], output: Output) -> None:
     share = stopped / len(every)
     name = f"motors let go within {1e3 * STOP_BOUND:.0f} ms of a fault, of {len(every)} trials"
     output.check(name, share, "== 1", share == 1.0)
-    least = min(trial["moving"] for trial in trials if trial["kind"] != WRAP)
+    least = min(trial.moving for trial in trials if trial.kind != WRAP)
     output.check("motors driven when a fault began, fewest", least, ">= 4", least >= 4)
-    wraps = [trial for trial in trials if trial["kind"] == WRAP]
-    went_on = sum(trial["active"] for trial in wraps)
+    wraps = [trial for trial in trials if trial.kind == WRAP]
+    went_on = sum(trial.active for trial in wraps)
     output.measure("went_on_fraction/counter_wrap", fraction(went_on, len(wraps)))
     output.check(
         f"motion goes on through a counter's wrap, of {len(wraps)} trials",
@@ -148,36 +152,36 @@ def _measure_stops(trials: Sequence[Mapping[str, Any]], output: Output) -> None:
         "== 1",
         went_on == len(wraps),
     )
-    output.measure("started_again", sum(trial["early"] for trial in trials))
+    output.measure("started_again", sum(trial.early for trial in trials))
     output.figure("fault_stops", draw_stops(times, STOP_BOUND))
 
 
 def _measure_calls(
-    calls: Sequence[Mapping[str, Any]], trials: Sequence[Mapping[str, Any]], output: Output
+    calls: Sequence[DamagedCalls], trials: Sequence[FaultTrial], output: Output
 ) -> None:
     """Store the longest call on a damaged line, and that no value was wrong."""
-    every = np.concatenate([result["call_ms"] for result in calls])
+    every = np.concatenate([result.call_ms for result in calls])
     worst = float(every.max())
-    wrong = sum(result["wrong"] for result in calls) + sum(trial["wrong"] for trial in trials)
+    wrong = sum(result.wrong for result in calls) + sum(trial.wrong for trial in trials)
     output.measure("worst_call_ms", worst)
     output.measure("late_calls_fraction", fraction(int(np.sum(every > CALL_BOUND)), every.size))
     output.measure("wrong_values", wrong)
-    output.measure("damaged_exchanges", sum(result["damaged"] for result in calls))
-    output.measure("failed_calls", sum(result["failures"] for result in calls))
+    output.measure("damaged_exchanges", sum(result.damaged for result in calls))
+    output.measure("failed_calls", sum(result.failures for result in calls))
     name = f"longest of {every.size} calls on a damaged line, in ms"
     output.check(name, worst, f"<= {CALL_BOUND:g}", worst <= CALL_BOUND)
     output.check("wrong values, damaged line and wrapped counters", wrong, "== 0", wrong == 0)
     output.figure("calls", draw_calls(calls, CALL_BOUND))
 
 
-def _measure_pace(result: Mapping[str, Any], duration: float, output: Output) -> None:
+def _measure_pace(result: LoopPace, duration: float, output: Output) -> None:
     """Store how well 100 Hz are kept on the wall clock, and what the adapter takes of a cycle."""
     wanted = round(duration / PERIOD)
     # A robot that stopped has missed all that it did not do.
-    missed = min(wanted, result["misses"] + wanted - result["steps"]) / wanted
+    missed = min(wanted, result.misses + wanted - result.steps) / wanted
     output.measure("miss_fraction", missed)
-    if result["said"]:
-        output.measure("stopped_after_s", result["steps"] * PERIOD)
+    if result.fault:
+        output.measure("stopped_after_s", result.steps * PERIOD)
     output.check(
         f"deadlines missed at 100 Hz in {duration:g} s",
         missed,
@@ -185,24 +189,24 @@ def _measure_pace(result: Mapping[str, Any], duration: float, output: Output) ->
         missed <= MISS_BOUND,
     )
     # A busy machine can stop the robot before a whole cycle was seen.
-    if result["periods"].size:
-        output.measure("period_ms", distribution(1e3 * result["periods"]))
-        output.measure("adapter_ms", distribution(1e3 * result["adapter"]))
+    if result.periods.size:
+        output.measure("period_ms", distribution(1e3 * result.periods))
+        output.measure("adapter_ms", distribution(1e3 * result.adapter))
         output.figure("pace", draw_pace(result, PERIOD))
 
 
-def _measure_bare_pace(bare: Mapping[str, Any], pace: Mapping[str, Any], output: Output) -> None:
+def _measure_bare_pace(bare: EchoPace, pace: LoopPace, output: Output) -> None:
     """Store what an echo costs on this machine, which bounds what the adapter can do."""
-    output.measure("exchanges_per_cycle", pace["exchanges"])
-    output.measure("miss_fraction/echo", bare["misses"] / bare["steps"])
-    output.measure("echo_ms", distribution(1e3 * bare["exchange"]))
-    ratio = float(np.median(pace["adapter"]) / np.median(bare["exchange"]))
+    output.measure("exchanges_per_cycle", pace.exchanges)
+    output.measure("miss_fraction/echo", bare.misses / bare.steps)
+    output.measure("echo_ms", distribution(1e3 * bare.exchange))
+    ratio = float(np.median(pace.adapter) / np.median(bare.exchange))
     output.measure("adapter_over_echo", ratio)
 
 
-def _measure_identity(name: str, result: Mapping[str, Any], least: int, output: Output) -> None:
+def _measure_identity(name: str, result: BoardComparison, least: int, output: Output) -> None:
     """Store for how many cycles a controller saw and did the same with and without wires."""
-    identical, damaged = result["identical"], result["damaged"]
+    identical, damaged = result.identical, result.damaged
     output.measure(f"identical_cycles/{name}", identical)
     output.measure(f"identical_cycles/{name}/damaged_exchanges", damaged)
     text = f"cycles alike to the bit with and without wires, {name} line"
@@ -218,16 +222,14 @@ def _measure_amplifier(output: Output) -> None:
     output.figure("figure_d-3", draw_amplifier())
 
 
-def _tabulate(
-    trials: Sequence[Mapping[str, Any]], calls: Sequence[Mapping[str, Any]], output: Output
-) -> None:
+def _tabulate(trials: Sequence[FaultTrial], calls: Sequence[DamagedCalls], output: Output) -> None:
     """Write each fault's times and what the robot said, and the calls by damage."""
     rows: list[list[Any]] = []
     for kind in KINDS:
-        chosen = [trial for trial in trials if trial["kind"] == kind]
-        times = 1e3 * np.array([_seconds(trial["stop_time"]) for trial in chosen])
-        said = sorted({trial["said"] for trial in chosen if trial["said"]})
-        wrong = sum(trial["wrong"] for trial in chosen)
+        chosen = [trial for trial in trials if trial.kind == kind]
+        times = 1e3 * np.array([trial.stop_time for trial in chosen])
+        said = sorted({trial.fault for trial in chosen if trial.fault})
+        wrong = sum(trial.wrong for trial in chosen)
         if kind == WRAP:
             rows.append([kind, len(chosen), 0, "", "", wrong, "goes on, as it must"])
         elif chosen:
@@ -241,9 +243,9 @@ def _tabulate(
         "calls",
         (*heads, "median [ms]", "99 % [ms]", "worst [ms]"),
         [
-            [result["rate"], result["calls"], result["damaged"], result["retries"]]
-            + [result["failures"], result["wrong"]]
-            + [float(np.percentile(result["call_ms"], share)) for share in (50, 99, 100)]
+            [result.rate, result.call_ms.size, result.damaged, result.retries]
+            + [result.failures, result.wrong]
+            + [float(np.percentile(result.call_ms, share)) for share in (50, 99, 100)]
             for result in calls
         ],
     )

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from experiments.appd.boards_line import DamagedCalls
+from experiments.appd.boards_live import LoopPace
 from models.datasheets import PULSE_CLOCK
 from twin.hardware.emulator.amplifier import (
     AmplifierConfig,
@@ -51,7 +52,7 @@ def draw_stops(times: Mapping[str, Sequence[float]], bound: float) -> Figure:
     return figure
 
 
-def draw_calls(results: Sequence[Mapping[str, Any]], bound: float) -> Figure:
+def draw_calls(results: Sequence[DamagedCalls], bound: float) -> Figure:
     """Draw the share of calls that took longer than a time, for each rate of damage.
 
     Args:
@@ -61,9 +62,9 @@ def draw_calls(results: Sequence[Mapping[str, Any]], bound: float) -> Figure:
     figure = Figure(figsize=(8, 4))
     axes = figure.add_subplot()
     for result in results:
-        calls = np.maximum(np.sort(result["call_ms"]), _LEAST_CALL)
+        calls = np.maximum(np.sort(result.call_ms), _LEAST_CALL)
         longer = 1.0 - np.arange(calls.size) / calls.size
-        label = f"{100 * result['rate']:g} % damaged"
+        label = f"{100 * result.rate:g} % damaged"
         axes.step(calls, longer, where="post", label=label)
     axes.axvline(bound, color="k", linestyle="--", label="bound")
     axes.set(
@@ -74,7 +75,7 @@ def draw_calls(results: Sequence[Mapping[str, Any]], bound: float) -> Figure:
     return figure
 
 
-def draw_pace(result: Mapping[str, Any], period: float) -> Figure:
+def draw_pace(result: LoopPace, period: float) -> Figure:
     """Draw the distribution of the loop's period and of the adapter's time in a cycle.
 
     Args:
@@ -83,7 +84,7 @@ def draw_pace(result: Mapping[str, Any], period: float) -> Figure:
     """
     figure = Figure(figsize=(10, 4))
     left, right = figure.subplots(1, 2)
-    periods, adapter = 1e3 * result["periods"], 1e3 * result["adapter"]
+    periods, adapter = 1e3 * result.periods, 1e3 * result.adapter
     for axes, values, label in (
         (left, periods, "from cycle to cycle [ms]"),
         (right, adapter, "adapter in a cycle [ms]"),
@@ -93,7 +94,7 @@ def draw_pace(result: Mapping[str, Any], period: float) -> Figure:
         axes.axvline(1e3 * period, color="k", linestyle="--", linewidth=0.8)
         axes.set(xlabel=f"{label}; last bar: longer", ylabel="cycles", yscale="log")
         axes.grid(alpha=0.3)
-    left.set_title(f"{result['misses']} deadlines missed in {result['steps']} cycles")
+    left.set_title(f"{result.misses} deadlines missed in {result.steps} cycles")
     right.set_title(f"mean {adapter.mean():.2f} ms")
     figure.tight_layout()
     return figure

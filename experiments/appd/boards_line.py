@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import select
 import threading
 import time
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twin.hardware.calibration.motors import ADDRESSES
 from twin.hardware.connect_boards import BUS_BAUD
@@ -17,6 +18,8 @@ from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import FULL_DUTY, Command
 from twin.hardware.serial_link import LinkError, SerialLink
+
+FloatArray = NDArray[np.float64]
 
 
 class _Shafts:
@@ -77,22 +80,41 @@ class DamagedLine:
                 self._terminal.write(reply)
 
 
-def call_damaged(config: dict[str, Any]) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class DamagedCalls:
+    """Calls of a motor board over a line that damages exchanges.
+
+    Attributes:
+        rate: Share of exchanges to damage.
+        call_ms: (n,) duration of each call [ms].
+        wrong: Number of wrong values, without an error.
+        failures: Number of calls that reported an error instead of a value.
+        damaged: Number of damaged exchanges.
+        retries: Number of exchanges that the bus repeated.
+    """
+
+    rate: float
+    call_ms: FloatArray
+    wrong: int
+    failures: int
+    damaged: int
+    retries: int
+
+
+def call_damaged(rate: float, calls: int, seed: int) -> DamagedCalls:
     """Read encoders and set duties in turn; the truth jumps before each call.
 
     Args:
-        config: ``rate`` of damage, ``calls`` and ``seed``.
-
-    Returns:
-        ``call_ms`` (calls,), and the numbers of ``wrong`` values, of ``failures`` (calls without a
-        value, told as such) and of ``damaged`` exchanges.
+        rate: Share of exchanges to damage.
+        calls: Number of calls.
+        seed: Random seed of damage and values.
     """
-    rng = np.random.default_rng(config["seed"])
-    durations = np.zeros(config["calls"])
+    rng = np.random.default_rng(seed)
+    durations = np.zeros(calls)
     wrong = failures = 0
-    with DamagedLine(config["rate"], rng.spawn(1)[0]) as wire:
+    with DamagedLine(rate, rng.spawn(1)[0]) as wire:
         bus = RoboClawBus(SerialLink(wire.port, BUS_BAUD))
-        for number in range(config["calls"]):
+        for number in range(calls):
             address = int(rng.choice(ADDRESSES))
             begin = time.perf_counter()
             try:
@@ -103,13 +125,14 @@ def call_damaged(config: dict[str, Any]) -> dict[str, Any]:
             durations[number] = time.perf_counter() - begin
         bus.close()
         damaged = sum(wire.line.counts.values())
-    return {
-        "call_ms": 1e3 * durations,
-        "wrong": wrong,
-        "failures": failures,
-        "damaged": damaged,
-        "retries": bus.statistics.retries,
-    }
+    return DamagedCalls(
+        rate=rate,
+        call_ms=1e3 * durations,
+        wrong=wrong,
+        failures=failures,
+        damaged=damaged,
+        retries=bus.statistics.retries,
+    )
 
 
 def _read(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Generator) -> bool:

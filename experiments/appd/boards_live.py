@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
+from controllers.motion.simple_motions import WaveMotion
 from experiments.appd.boards_trial import PERIOD, ROBOT
 from experiments.ch2.rover_trial import known_swinging_arm
 from models.compose import RobotPlacement
@@ -30,12 +32,11 @@ from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import SerialLink
 from twin.loop import LoopRecorder, Tick, run
-from twin.robot import ArmMode, Channel, Command, Observation, RobotError, WheelMode
+from twin.robot import Channel, Command, Observation, RobotError
 
-SPEED = 3.0  # [rad/s] of the wheels
-SWING = 0.2  # [rad] of the arm's joints
 SINKING = 1.5  # [s] until the arm, without power, lies still and can be homed
 
+FloatArray = NDArray[np.float64]
 _QUESTION = bytes(6)
 
 
@@ -50,25 +51,48 @@ class _Keep(LoopRecorder):
         self.ticks.append((tick.observations[ROBOT], tick.applied[ROBOT]))
 
 
-def compare_boards(config: dict[str, Any]) -> dict[str, Any]:
-    """Let the identification of ``ch2-rover`` run on quantised and on emulated boards.
+@dataclasses.dataclass(frozen=True)
+class IdentityTrial:
+    """One identification on boards and without wires.
 
-    Args:
-        config: ``faults``, the share of damaged exchanges; ``seed``; and ``approach``, ``rest``
-            and ``duration`` of the identification [s].
-
-    Returns:
-        ``identical`` cycles until observation or command differ in a bit, ``cycles``, and how many
-        exchanges were ``damaged``.
+    Attributes:
+        faults: Share of damaged exchanges.
+        seed: Random seed of the robot and of the excitation.
+        times: Approach, rest and duration of the identification [s].
     """
-    times = {name: config[name] for name in ("approach", "rest", "duration")}
-    identifier = RoverIdentifierConfig(ROBOT, known_swinging_arm(), **times)
+
+    faults: float
+    seed: int
+    times: tuple[float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class BoardComparison:
+    """How long a robot on boards does the same, to the bit, as one without wires.
+
+    Attributes:
+        identical: Cycles until an observation or a command differs in a bit.
+        cycles: Cycles that both ran.
+        damaged: Number of damaged exchanges.
+    """
+
+    identical: int
+    cycles: int
+    damaged: int
+
+
+def compare_boards(config: IdentityTrial) -> BoardComparison:
+    """Let the identification of ``ch2-rover`` run on quantised and on emulated boards."""
+    approach, rest, duration = config.times
+    identifier = RoverIdentifierConfig(
+        ROBOT, known_swinging_arm(), approach=approach, rest=rest, duration=duration
+    )
     kept: dict[str, _Keep] = {}
     damaged = 0
-    for target, faults in (("quantised", 0.0), ("emulated", config["faults"])):
+    for target, faults in (("quantised", 0.0), ("emulated", config.faults)):
         keep = kept[target] = _Keep()
-        controller = RoverIdentifier(identifier, np.random.default_rng(config["seed"]))
-        seed = config["seed"] % 2**31
+        controller = RoverIdentifier(identifier, np.random.default_rng(config.seed))
+        seed = config.seed % 2**31
         placements = [RobotPlacement(ROBOT)]
         with connect(target, robots=placements, seed=seed, line_faults=faults) as connection:
             with contextlib.suppress(RobotError):  # Then there are fewer cycles than were wanted.
@@ -78,7 +102,11 @@ def compare_boards(config: dict[str, Any]) -> dict[str, Any]:
     pairs = zip(kept["quantised"].ticks, kept["emulated"].ticks)
     same = [_bits(one) == _bits(other) for one, other in pairs]
     identical = same.index(False) if False in same else len(same)
-    return {"identical": identical, "cycles": len(same), "damaged": damaged}
+    return BoardComparison(
+        identical=identical,
+        cycles=len(same),
+        damaged=damaged,
+    )
 
 
 def _bits(tick: tuple[Observation, Command]) -> bytes:
@@ -90,26 +118,6 @@ def _bits(tick: tuple[Observation, Command]) -> bytes:
         stamp = np.float64(channel.stamp).tobytes()
         parts += [channel.value.tobytes(), stamp, channel.validity.value.encode()]
     return b"|".join([*parts, applied.wheels.tobytes(), applied.arm.tobytes()])
-
-
-class _Roam:
-    """Drives to and fro and swings the arm, so that all channels change."""
-
-    def __init__(self) -> None:
-        self._start: np.ndarray | None = None
-
-    def reset(self) -> None:
-        """Forget where the arm was."""
-        self._start = None
-
-    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Return speeds and angles of this time."""
-        seen = observations[ROBOT]
-        if self._start is None:
-            self._start = np.array(seen.arm_angles.value, dtype=float)
-        wave = np.sin(2.0 * seen.time)
-        arm = self._start + SWING * wave
-        return {ROBOT: Command(np.full(4, SPEED * wave), arm, WheelMode.SPEED, ArmMode.POSITION)}
 
 
 class _NotedClock(WallClock):
@@ -128,14 +136,44 @@ class _NotedClock(WallClock):
         self.begun.append(time.perf_counter())
 
 
-def keep_pace(duration: float, seed: int) -> dict[str, Any]:
-    """Drive emulated boards that run in real time, on the wall clock, as a real robot is driven.
+@dataclasses.dataclass(frozen=True)
+class LoopPace:
+    """How well the loop keeps its period with boards.
 
-    Returns:
-        ``steps`` done, ``misses``, the ``periods`` from one cycle's begin to the next [s], the
-        ``adapter`` time of each cycle [s], what the robot ``said`` if it stopped, and the
-        ``exchanges`` with motor boards in a cycle.
+    Attributes:
+        steps: Cycles done.
+        misses: Deadlines missed.
+        periods: (n - 1,) time from the beginning of one cycle to the next [s].
+        adapter: (n,) time that the adapter takes of each cycle [s].
+        fault: What the robot reported when it stopped; empty if it did not.
+        exchanges: Exchanges with motor boards in a cycle.
     """
+
+    steps: int
+    misses: int
+    periods: FloatArray
+    adapter: FloatArray
+    fault: str
+    exchanges: int
+
+
+@dataclasses.dataclass(frozen=True)
+class EchoPace:
+    """How well the loop keeps its period with a process that only echoes.
+
+    Attributes:
+        steps: Cycles done.
+        misses: Deadlines missed.
+        exchange: (n,) time of all exchanges of each cycle [s].
+    """
+
+    steps: int
+    misses: int
+    exchange: FloatArray
+
+
+def keep_pace(duration: float, seed: int) -> LoopPace:
+    """Drive emulated boards that run in real time, on the wall clock, as a real robot is driven."""
     scene = SceneConfig((RobotPlacement(ROBOT),), seed=seed)
     emulator = EmulatorProcess(scene, realtime=True)
     with contextlib.ExitStack() as resources:
@@ -154,27 +192,24 @@ def keep_pace(duration: float, seed: int) -> dict[str, Any]:
         clock = _NotedClock(robot)
         asked = boards.bus.statistics.transactions
         with contextlib.suppress(RobotError):
-            run({ROBOT: robot}, [_Roam()], clock, duration=duration)
+            run({ROBOT: robot}, [WaveMotion(ROBOT)], clock, duration=duration)
         exchanges = boards.bus.statistics.transactions - asked
-    return {
-        "steps": len(clock.begun),
-        "misses": clock.misses,
-        "periods": np.diff(clock.begun),
-        "adapter": np.diff(clock.taken),
-        "said": robot.fault,
-        "exchanges": round(exchanges / max(1, len(clock.begun))),
-    }
+    return LoopPace(
+        steps=len(clock.begun),
+        misses=clock.misses,
+        periods=np.diff(clock.begun),
+        adapter=np.diff(clock.taken),
+        fault=robot.fault,
+        exchanges=round(exchanges / max(1, len(clock.begun))),
+    )
 
 
-def keep_bare_pace(duration: float, exchanges: int) -> dict[str, Any]:
+def keep_bare_pace(duration: float, exchanges: int) -> EchoPace:
     """Do as many exchanges a cycle with a process that only echoes: what this machine allows.
 
     Args:
-        duration: On the wall clock [s].
-        exchanges: Questions and answers in a cycle.
-
-    Returns:
-        ``steps``, ``misses``, and the ``exchange`` times of all cycles [s].
+        duration: Duration on the wall clock [s].
+        exchanges: Number of questions and answers in a cycle.
     """
     command = [sys.executable, "-m", "experiments.bench.echo_probe"]
     steps, taken = round(duration / PERIOD), list[float]()
@@ -192,4 +227,8 @@ def keep_bare_pace(duration: float, exchanges: int) -> dict[str, Any]:
                     link.read(len(_QUESTION), time.monotonic() + 0.5)
                 taken.append(time.perf_counter() - begin)
         echo.stdin.close()
-    return {"steps": steps, "misses": clock.misses, "exchange": np.array(taken)}
+    return EchoPace(
+        steps=steps,
+        misses=clock.misses,
+        exchange=np.array(taken),
+    )

@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,11 +87,35 @@ def fits_a_way(way: FloatArray, angles: FloatArray, count: float) -> bool:
     return bool(np.all(np.any(off <= count, axis=0)))
 
 
-def run_batch(batch: Batch) -> dict[str, Any]:
-    """Run trials one after another.
+@dataclasses.dataclass(frozen=True)
+class FaultTrial:
+    """What one fault did to a rover in motion.
 
-    Returns:
-        A list by name, with an entry for each trial: what `_Trial.run` returns.
+    Attributes:
+        kind: What happened, of `KINDS`.
+        address: Address of the motor board concerned.
+        gives_up: Whether the host stops at the first error.
+        moving: Number of motors driven when the fault began.
+        stop_time: Time from the fault until no axis is driven [s]; infinite if one still is.
+        active: Whether the robot stayed active.
+        wrong: Number of wrong speeds.
+        early: Number of stops before the fault, on a busy machine.
+        fault: What the robot reported.
+    """
+
+    kind: str
+    address: int
+    gives_up: bool
+    moving: int
+    stop_time: float
+    active: bool
+    wrong: int
+    early: int
+    fault: str
+
+
+def run_batch(batch: Batch) -> list[FaultTrial]:
+    """Run trials one after another.
 
     Raises:
         ExperimentError: If a robot cannot be brought to drive without a fault.
@@ -100,10 +123,9 @@ def run_batch(batch: Batch) -> dict[str, Any]:
     rng = np.random.default_rng(batch.seed)
     bench = Bench(batch.seed % 2**31)
     try:
-        rows = [_Trial(bench, kind, rng).run() for kind in batch.kinds]
+        return [_Trial(bench, kind, rng).run() for kind in batch.kinds]
     finally:
         bench.close()
-    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 class Bench:
@@ -186,7 +208,7 @@ class _Motion:
         self._rates = rng.uniform(4.0, 8.0, 4)  # [rad/s]
         self._cycle = 0
 
-    def step(self) -> Command:
+    def next_command(self) -> Command:
         """Return the next cycle's command."""
         self._cycle += 1
         goal = self._start + SWING * np.sin(self._rates * self._cycle * PERIOD)
@@ -209,12 +231,8 @@ class _Trial:
             self._duration = LONG
         self._wrong = self._early = 0
 
-    def run(self) -> dict[str, Any]:
-        """Drive, break, and look.
-
-        Returns:
-            What happened; `stop_time` [s] is infinite where an axis was still driven at the end.
-        """
+    def run(self) -> FaultTrial:
+        """Drive, inject the fault, and observe what stops."""
         robot, motion = self._driving()
         moving = int(np.count_nonzero(self._bench.codes))
         codes = self._after()(robot, motion)
@@ -222,17 +240,17 @@ class _Trial:
         last = int(driven[-1]) + 1 if driven.size else 0
         killed = self._kind == "host_killed"
         ended = robot.lifecycle is Lifecycle.ERROR or killed
-        result = {
-            "kind": self._kind,
-            "address": self._address,
-            "gives_up": self._gives_up,
-            "moving": moving,
-            "stop_time": last * PERIOD if last < len(codes) and ended else float("inf"),
-            "active": robot.lifecycle is Lifecycle.ACTIVE,
-            "wrong": self._wrong,
-            "early": self._early,
-            "said": "" if killed else robot.fault,
-        }
+        result = FaultTrial(
+            kind=self._kind,
+            address=self._address,
+            gives_up=self._gives_up,
+            moving=moving,
+            stop_time=last * PERIOD if last < len(codes) and ended else float("inf"),
+            active=robot.lifecycle is Lifecycle.ACTIVE,
+            wrong=self._wrong,
+            early=self._early,
+            fault="" if killed else robot.fault,
+        )
         if self._duration < 1.0:
             self._bench.wait(self._duration)
         if killed:
@@ -247,7 +265,7 @@ class _Trial:
             motion = _Motion(self._bench.angles[4:], self._rng)
             # The counters must not wrap before they are looked at.
             for _ in range(0 if self._kind == WRAP else self._lead):
-                self._cycle(robot, motion.step())
+                self._cycle(robot, motion.next_command())
             if robot.lifecycle is Lifecycle.ACTIVE:
                 return robot, motion
             self._early, said = self._early + 1, robot.fault
@@ -280,7 +298,7 @@ class _Trial:
         gone = False
         while len(codes) < AFTER:
             if not gone:
-                self._cycle(robot, motion.step())
+                self._cycle(robot, motion.next_command())
             else:
                 bench.emulator.tick()
             codes.append(bench.codes)
@@ -297,7 +315,7 @@ class _Trial:
             # How long after a look of the watchdog it hangs is left to chance.
             for cycle in range(-int(self._rng.integers(1, 7)), AFTER):
                 if cycle < 0:
-                    self._cycle(robot, motion.step())
+                    self._cycle(robot, motion.next_command())
                 else:
                     self._bench.emulator.tick()
                     codes.append(self._bench.codes)
@@ -327,7 +345,7 @@ class _Trial:
         angles, codes = [self._bench.angles[:4]], [self._bench.codes]
         before, compared = self._counters(robot), 0
         for _ in range(self._lead + AFTER):
-            self._cycle(robot, motion.step())
+            self._cycle(robot, motion.next_command())
             angles.append(self._bench.angles[:4])
             speeds = robot.observe().wheel_speeds
             if speeds.usable:

@@ -23,7 +23,14 @@ from experiments.appd.radio_figures import (
     draw_latency,
     draw_progress,
 )
-from experiments.appd.radio_trial import FATES, LINKS, TrialConfig, run_trial
+from experiments.appd.radio_trial import (
+    FATES,
+    LINKS,
+    PooledTrials,
+    RadioTrial,
+    TrialConfig,
+    run_trial,
+)
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
@@ -63,9 +70,6 @@ class Options(contract.SimulatedOptions):
             raise OptionError(f"--delay: expected 0 to 0.05 s, got {self.delay}")
 
 
-Row = dict[str, Any]
-
-
 def run(options: Options, output: Output) -> None:
     """Send messages over both links at each error rate, and let two rovers talk.
 
@@ -78,7 +82,7 @@ def run(options: Options, output: Output) -> None:
     results = iter(sweep(run_trial, configs, options, output, label="trials"))
     found = {name: [next(results) for _ in plan] for name, plan in plans.items()}
     rates = [_pool(link, rate, found["rates"]) for link in LINKS for rate in RATES]
-    delays = [_pool(trial["link"], RATE, [trial]) for trial in found["delays"]]
+    delays = [_pool(trial.link, RATE, [trial]) for trial in found["delays"]]
     _measure_rates(rates, output)
     _measure_bars(rates, output, options.quick)
     _measure_others(found, delays, output)
@@ -87,7 +91,7 @@ def run(options: Options, output: Output) -> None:
     output.figure("radio_goodput", draw_goodput(rates, delays))
     firsts = [_chosen(found["rates"], link, RATE)[0] for link in LINKS]
     output.figure("radio_stalls", draw_progress(firsts))
-    paced = {link: [t for t in found["paced"] if t["link"] == link] for link in LINKS}
+    paced = {link: [t for t in found["paced"] if t.link == link] for link in LINKS}
     output.figure("radio_latency", draw_latency(paced))
     _talk(options, output)
 
@@ -118,43 +122,43 @@ def _plans(options: Options) -> dict[str, list[TrialConfig]]:
     }
 
 
-def _chosen(trials: Sequence[Mapping[str, Any]], link: str, rate: float) -> list[Row]:
-    return [dict(t) for t in trials if t["link"] == link and t["error_rate"] == rate]
+def _chosen(trials: Sequence[RadioTrial], link: str, rate: float) -> list[RadioTrial]:
+    return [trial for trial in trials if trial.link == link and trial.error_rate == rate]
 
 
-def _pool(link: str, rate: float, trials: Sequence[Mapping[str, Any]]) -> Row:
+def _pool(link: str, rate: float, trials: Sequence[RadioTrial]) -> PooledTrials:
     """Return the trials of one link and error rate as one."""
     chosen = _chosen(trials, link, rate)
     counted = (*FATES, "sent", "duplicates", "disordered", "wrong_received", "stalls")
-    return {
-        "link": link,
-        "error_rate": rate,
-        "delay": chosen[0]["delay"],
-        **{key: sum(trial[key] for trial in chosen) for key in counted},
-        "duration": sum(trial["duration"] for trial in chosen),
-        "goodput": distribution([trial["goodput"] for trial in chosen]),
-    }
+    return PooledTrials(
+        link=link,
+        error_rate=rate,
+        delay=chosen[0].delay,
+        **{key: sum(getattr(trial, key) for trial in chosen) for key in counted},
+        duration=sum(trial.duration for trial in chosen),
+        goodput=distribution([trial.goodput for trial in chosen]),
+    )
 
 
-def _measure_rates(rows: Sequence[Row], output: Output) -> None:
+def _measure_rates(rows: Sequence[PooledTrials], output: Output) -> None:
     """Store each link's results by error rate."""
     for row in rows:
-        where, count = f"{row['link']}/{row['error_rate']:g}", row["sent"]
-        output.measure(f"silent_errors/{where}", fraction(row["wrong"], count))
-        output.measure(f"vanished/{where}", fraction(row["vanished"], count))
-        output.measure(f"delivered_fraction/{where}", fraction(row["intact"], count))
-        output.measure(f"stalled_fraction/{where}", fraction(row["stalls"], count))
-        output.measure(f"goodput/{where}", row["goodput"])
+        where, count = f"{row.link}/{row.error_rate:g}", row.sent
+        output.measure(f"silent_errors/{where}", fraction(row.wrong, count))
+        output.measure(f"vanished/{where}", fraction(row.vanished, count))
+        output.measure(f"delivered_fraction/{where}", fraction(row.intact, count))
+        output.measure(f"stalled_fraction/{where}", fraction(row.stalls, count))
+        output.measure(f"goodput/{where}", row.goodput)
 
 
-def _measure_bars(rows: Sequence[Row], output: Output, quick: bool) -> None:
+def _measure_bars(rows: Sequence[PooledTrials], output: Output, quick: bool) -> None:
     """Store the headline and hold it against the bars."""
-    at = {row["link"]: row for row in rows if row["error_rate"] == RATE}
+    at = {row.link: row for row in rows if row.error_rate == RATE}
     for link, row in at.items():
-        output.measure(f"silent_errors/{link}", fraction(row["wrong"], row["sent"]))
-        output.measure(f"goodput/{link}", row["goodput"])
+        output.measure(f"silent_errors/{link}", fraction(row.wrong, row.sent))
+        output.measure(f"goodput/{link}", row.goodput)
     framed, handshake = at["framed"], at["handshake"]
-    sent = framed["sent"]
+    sent = framed.sent
     for label, key in (
         ("silently wrong", "wrong_received"),
         ("vanished though confirmed", "vanished"),
@@ -162,41 +166,41 @@ def _measure_bars(rows: Sequence[Row], output: Output, quick: bool) -> None:
         ("out of order", "disordered"),
     ):
         name = f"framed messages {label}, of {sent} at a byte error rate of {RATE:g}"
-        output.check(name, framed[key], "== 0", framed[key] == 0)
+        output.check(name, getattr(framed, key), "== 0", getattr(framed, key) == 0)
     if not quick:
         enough = sent >= LEAST_MESSAGES
         output.check("framed messages at that rate", sent, f">= {LEAST_MESSAGES}", enough)
-    ratio = framed["goodput"]["median"] / handshake["goodput"]["median"]
+    ratio = framed.goodput["median"] / handshake.goodput["median"]
     output.measure("goodput_ratio/framed_over_handshake", ratio)
-    name = f"goodput, framed over handshake, modem delay {1e3 * framed['delay']:g} ms"
+    name = f"goodput, framed over handshake, modem delay {1e3 * framed.delay:g} ms"
     output.check(name, ratio, f">= {GOODPUT_BOUND:g}", ratio >= GOODPUT_BOUND)
-    failures = handshake["wrong"] + handshake["vanished"]
+    failures = handshake.wrong + handshake.vanished
     output.check("the handshake's own silent failures are seen", failures, "> 0", failures > 0)
 
 
 def _measure_others(
-    found: Mapping[str, Sequence[Mapping[str, Any]]], delays: Sequence[Row], output: Output
+    found: Mapping[str, Sequence[RadioTrial]], delays: Sequence[PooledTrials], output: Output
 ) -> None:
     """Store latency, and the goodput with other delays and with hosts that poll."""
     for trial in found["paced"]:
-        times = 1e3 * np.asarray(trial["latency"])
-        where = f"{trial['link']}/{trial['error_rate']:g}"
+        times = 1e3 * np.asarray(trial.latency)
+        where = f"{trial.link}/{trial.error_rate:g}"
         output.measure(f"latency_ms/{where}", distribution(times) if times.size else "none")
-    goodput = {(row["link"], row["delay"]): row["goodput"]["median"] for row in delays}
+    goodput = {(row.link, row.delay): row.goodput["median"] for row in delays}
     for delay in DELAYS:
         ratio = goodput["framed", delay] / goodput["handshake", delay]
         output.measure(f"goodput_ratio/delay_{1e3 * delay:g}_ms", ratio)
     for trial in found["polled"]:
-        output.measure(f"goodput_polled_100_hz/{trial['link']}", trial["goodput"])
+        output.measure(f"goodput_polled_100_hz/{trial.link}", trial.goodput)
 
 
-def _tabulate(rows: Sequence[Row], paced: Sequence[Mapping[str, Any]], output: Output) -> None:
+def _tabulate(rows: Sequence[PooledTrials], paced: Sequence[RadioTrial], output: Output) -> None:
     """Write the fates and the latencies."""
     counted = ("sent", *FATES, "wrong_received", "duplicates", "disordered", "stalls")
     columns = ("link", "byte error rate", *counted, "duration [s]", "goodput [B/s]")
     table = [
-        [row["link"], row["error_rate"], *(row[key] for key in counted)]
-        + [row["duration"], row["goodput"]["median"]]
+        [row.link, row.error_rate, *(getattr(row, key) for key in counted)]
+        + [row.duration, row.goodput["median"]]
         for row in rows
     ]
     output.table("radio_fates", columns, table)
@@ -205,8 +209,8 @@ def _tabulate(rows: Sequence[Row], paced: Sequence[Mapping[str, Any]], output: O
         "radio_latency",
         ("link", "byte error rate", "intact", "sent", *heads),
         [
-            [trial["link"], trial["error_rate"], trial["intact"], trial["sent"]]
-            + [_percentile(trial["latency"], percent) for percent in PERCENTILES]
+            [trial.link, trial.error_rate, trial.intact, trial.sent]
+            + [_percentile(trial.latency, percent) for percent in PERCENTILES]
             for trial in paced
         ],
     )
@@ -223,18 +227,18 @@ def _talk(options: Options, output: Output) -> None:
     record = str(output.file("run.rrd")) if options.record else None
     modems = ModemConfig(delay=options.delay, error_rate=RATE)
     result = converse(modems, duration, options.seed, options.robot, record)
-    period = float(np.median(np.diff(result["truth"][:, 0])))
+    period = float(np.median(np.diff(result.truth[:, 0])))
     rows: list[list[Any]] = []
     for name, other in zip(ROBOTS, reversed(ROBOTS)):
-        sent, heard = result[name], result[other]
+        sent, heard = result.rovers[name], result.rovers[other]
         # The last ones may still be on their way.
-        last = sent["sent"][-1, 0]
-        poses = int(np.sum(heard["received"][:, 1] < last - 1e-3))
-        total = int(np.sum(sent["sent"][:, 0] < last))
+        last = sent.sent[-1, 0]
+        poses = int(np.sum(heard.received[:, 1] < last - 1e-3))
+        total = int(np.sum(sent.sent[:, 0] < last))
         output.measure(f"talk/poses_received_fraction/{name}", fraction(poses, total))
-        ages = 1e3 * heard["age"][np.isfinite(heard["age"])]
+        ages = 1e3 * heard.age[np.isfinite(heard.age)]
         output.measure(f"talk/pose_age_ms/{name}", distribution(ages))
-        share = 100.0 * float(sent["bytes_sent"][-1]) / (960.0 * duration)
+        share = 100.0 * float(sent.bytes_sent[-1]) / (960.0 * duration)
         output.measure(f"talk/line_used_percent/{name}", share)
         rows.append([name, total, poses, float(np.median(ages)), float(ages.max()), share])
     output.measure("talk/pose_payload_percent", 100.0 * 20.0 / SEND_PERIOD / 960.0)

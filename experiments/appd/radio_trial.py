@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from experiments.harness.intervals import Distribution
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.channel import BITS_PER_BYTE
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
 from twin.link import Outcome, Polled
+
+FloatArray = NDArray[np.float64]
 
 LINKS = ("handshake", "framed")
 FATES = ("intact", "wrong", "vanished", "given_up")
@@ -25,14 +28,14 @@ class TrialConfig:
     """What is sent over what.
 
     Attributes:
-        link: Of `LINKS`.
+        link: Protocol, of `LINKS`.
         error_rate: Probability that a byte is changed, lost or preceded by another one.
-        delay: Of the modems, one way [s].
-        messages: How many.
-        seed: Of the messages and the errors.
-        size: Of a message [bytes]: a pose.
-        period: Between messages [s]; 0 sends as fast as the link takes them.
-        poll: Of the hosts [s]; 0 lets them answer at once.
+        delay: One-way delay of the modems [s].
+        messages: Number of messages.
+        seed: Random seed of the messages and the errors.
+        size: Size of a message, a pose [bytes].
+        period: Time between messages [s]; 0 sends as fast as the link takes them.
+        poll: Polling period of the hosts [s]; 0 lets them answer at once.
     """
 
     link: str
@@ -46,7 +49,7 @@ class TrialConfig:
 
 
 class _Score:
-    """Who got what, and who was told what, of messages that are all different."""
+    """What was delivered, and what was reported to the sender, of messages that all differ."""
 
     def __init__(self) -> None:
         self.sent: dict[bytes, int] = {}
@@ -75,7 +78,7 @@ class _Score:
             self._last = max(index, self._last)
 
     def conclude(self, index: int, outcome: Outcome, now: float) -> None:
-        """Count what the sender was told."""
+        """Count what was reported to the sender."""
         self.outcomes[index] = outcome.confirmed
         self._concluded = index
         if not outcome.confirmed:
@@ -91,8 +94,8 @@ class _Score:
     def fates(self) -> dict[str, int]:
         """Return how many messages ended how; each counts once.
 
-        Intact; wrong, and nobody was told; vanished, though the sender was told that it arrived;
-        given up, and the sender was told.
+        Intact; wrong, without an error; vanished, though its arrival was confirmed; given up, and
+        reported as such.
         """
         counts: dict[str, int] = dict.fromkeys(FATES, 0)
         for index in range(len(self.sent)):
@@ -109,10 +112,10 @@ def clean_duration(size: int, delay: float, poll: float, baud: int) -> float:
     """Return how long a handshake for a message takes without errors, at most [s].
 
     Args:
-        size: Of the message [bytes].
-        delay: Of the modems, one way [s].
-        poll: Of the hosts [s].
-        baud: Of the line.
+        size: Size of the message [bytes].
+        delay: One-way delay of the modems [s].
+        poll: Polling period of the hosts [s].
+        baud: Rate of the line [bit/s].
     """
     return (3 * size + 1) * BITS_PER_BYTE / baud + 2 * size * (delay + poll)
 
@@ -200,35 +203,93 @@ class _Trial:
         self._modems.time = max(now, event)
 
 
-def run_trial(config: TrialConfig) -> dict[str, Any]:
-    """Send all messages, and score what arrived; a job of the sweep.
+@dataclasses.dataclass(frozen=True)
+class RadioCounts:
+    """What became of the messages of one link; `FATES` are the four counts that sum to all sent.
 
-    Returns:
-        Counts of `FATES`, ``duplicates``, ``disordered``, ``wrong_received`` and ``stalls`` (the
-        sender was told that a message is not confirmed), ``duration`` [s], ``goodput`` (intact
-        payload [bytes/s]), ``latency`` (m,) of intact messages [s], and ``arrival``, ``wrong_at``
-        and ``stall_at`` [s], when those happened.
+    Attributes:
+        link: Protocol, of `LINKS`.
+        error_rate: Probability that a byte is damaged.
+        delay: One-way delay of the modems [s].
+        sent: Number of messages.
+        intact: Number of messages that arrived intact.
+        wrong: Number of messages that arrived wrong, without an error.
+        vanished: Number of messages that were confirmed but did not arrive.
+        given_up: Number of messages reported as not confirmed that did not arrive.
+        duplicates: Number of messages delivered twice.
+        disordered: Number of messages delivered out of order.
+        wrong_received: Number of deliveries that no one had sent.
+        stalls: Number of messages reported as not confirmed.
+        duration: Time until all was over [s].
     """
+
+    link: str
+    error_rate: float
+    delay: float
+    sent: int
+    intact: int
+    wrong: int
+    vanished: int
+    given_up: int
+    duplicates: int
+    disordered: int
+    wrong_received: int
+    stalls: int
+    duration: float
+
+
+@dataclasses.dataclass(frozen=True)
+class RadioTrial(RadioCounts):
+    """One trial.
+
+    Attributes:
+        goodput: Intact payload [bytes/s].
+        latency: (m,) latency of the intact messages [s].
+        arrival: (m,) when they arrived [s].
+        wrong_at: (k,) when wrong messages were delivered [s].
+        stall_at: (j,) when messages were reported as not confirmed [s].
+    """
+
+    goodput: float
+    latency: FloatArray
+    arrival: FloatArray
+    wrong_at: FloatArray
+    stall_at: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class PooledTrials(RadioCounts):
+    """The trials of one link and error rate, counted together.
+
+    Attributes:
+        goodput: Distribution of the trials' intact payload [bytes/s].
+    """
+
+    goodput: Distribution
+
+
+def run_trial(config: TrialConfig) -> RadioTrial:
+    """Send all messages, and score what arrived; a job of the sweep."""
     trial = _Trial(config)
     trial.run()
     score = trial.score
     fates = score.fates()
     arrival = np.array(list(score.arrived.values()))
     begun = np.array([score.begun[index] for index in score.arrived])
-    return {
+    return RadioTrial(
+        link=config.link,
+        error_rate=config.error_rate,
+        delay=config.delay,
+        sent=len(score.sent),
         **fates,
-        "link": config.link,
-        "error_rate": config.error_rate,
-        "delay": config.delay,
-        "sent": len(score.sent),
-        "duplicates": score.duplicates,
-        "disordered": score.disordered,
-        "wrong_received": len(score.wrong_at),
-        "stalls": len(score.stall_at),
-        "duration": trial.finished,
-        "goodput": fates["intact"] * config.size / trial.finished,
-        "latency": arrival - begun,
-        "arrival": arrival,
-        "wrong_at": np.array(score.wrong_at),
-        "stall_at": np.array(score.stall_at),
-    }
+        duplicates=score.duplicates,
+        disordered=score.disordered,
+        wrong_received=len(score.wrong_at),
+        stalls=len(score.stall_at),
+        duration=trial.finished,
+        goodput=fates["intact"] * config.size / trial.finished,
+        latency=arrival - begun,
+        arrival=arrival,
+        wrong_at=np.array(score.wrong_at),
+        stall_at=np.array(score.stall_at),
+    )

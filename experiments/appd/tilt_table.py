@@ -8,8 +8,7 @@ the robot's own inclinometer stays right. What is measured goes through the robo
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import Any
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,7 +23,7 @@ from twin.hardware.calibration.calibration import (
     calibration_path,
     read_calibration,
 )
-from twin.hardware.calibration.tilt_fit import Sample, sample
+from twin.hardware.calibration.tilt_fit import Sample, Weighing, sample
 from twin.robot import ArmMode, Command, FloatArray, Observation
 from twin.simulation import Simulation
 from twin.wiring import tilt as tilt_of_orientation
@@ -115,34 +114,69 @@ class TiltTable:
         self._simulation.step()
 
 
-def weigh_one(config: Mapping[str, Any]) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class WeighingJob:
+    """One robot to weigh.
+
+    Attributes:
+        seed: Random seed of the tilts and of the sensor noise.
+        key: Robot of Table D-1.
+        robot: Which robot, as `twin.connect.connect` takes it.
+    """
+
+    seed: int
+    key: str
+    robot: str
+
+
+@dataclasses.dataclass(frozen=True)
+class WeighedRobot:
+    """One robot weighed at all tilts.
+
+    Attributes:
+        seed: Random seed of the job.
+        key: Robot of Table D-1.
+        truth: (n, 2) true pitch and roll with the weight on [rad].
+        sag: (n, 2) change of pitch and roll under the weight [rad].
+        weighings: For each of `BITS`, the weighings through a converter of so many bits.
+        reading_rms: (bits, n, 2) r.m.s. error of single readings through each converter [rad].
+    """
+
+    seed: int
+    key: str
+    truth: FloatArray
+    sag: FloatArray
+    weighings: tuple[tuple[Weighing, ...], ...]
+    reading_rms: FloatArray
+
+
+def weigh_one(job: WeighingJob) -> WeighedRobot:
     """Weigh one robot at all tilts; a job of the sweep.
 
-    Args:
-        config: ``seed``, ``key`` of Table D-1's robot, ``robot``.
-
-    Returns:
-        Means and standard errors by tilt (n, ...) of the force ``before`` and ``after`` the
-        weight, of the voltages through converters of `BITS`, the ``truth`` (n, 2) with the weight
-        on and the ``sag`` (n, 2) under it [rad], and how far single readings miss it,
-        ``reading_rms/bits`` (2,) [rad].
+    Raises:
+        ValueError: If the robot is not simulated.
     """
-    draws, noise = np.random.SeedSequence([config["seed"], _number(config["key"])]).spawn(2)
+    draws, noise = np.random.SeedSequence([job.seed, _number(job.key)]).spawn(2)
     rng = np.random.default_rng(draws)
-    placement = RobotPlacement(robot_name(config["key"]), stereo=False)
+    placement = RobotPlacement(robot_name(job.key), stereo=False)
     seed = int(noise.generate_state(1)[0])
-    rows: list[dict[str, Any]] = []
-    with connect(config["robot"], robots=[placement], field=FIELD, seed=seed) as connection:
+    with connect(job.robot, robots=[placement], field=FIELD, seed=seed) as connection:
         if connection.simulation is None:
-            raise ValueError(f"robot {config['robot']!r} cannot be put on a simulated table")
+            raise ValueError(f"robot {job.robot!r} cannot be put on a simulated table")
         robot = connection.robots[placement.name]
         robot.activate()
         home = np.array(datasheets.ARM.home)
         robot.command(Command(arm=home, arm_mode=ArmMode.POSITION))
         table = TiltTable(connection.simulation, placement.name)
-        for tilt in draw_tilts(rng):
-            rows.append(_weigh(table, tilt, config["key"]))
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        tilted = [_weigh(table, tilt, job.key) for tilt in draw_tilts(rng)]
+    return WeighedRobot(
+        job.seed,
+        job.key,
+        truth=np.array([each.truth for each in tilted]),
+        sag=np.array([each.sag for each in tilted]),
+        weighings=tuple(zip(*(each.weighings for each in tilted))),
+        reading_rms=np.array([each.reading_rms for each in tilted]).swapaxes(0, 1),
+    )
 
 
 def draw_tilts(rng: np.random.Generator) -> FloatArray:
@@ -173,7 +207,16 @@ def true_sensors(key: str) -> tuple[AngleSensor, AngleSensor]:
     return pitch, roll
 
 
-def _weigh(table: TiltTable, tilt: FloatArray, key: str) -> dict[str, Any]:
+class _Tilted(NamedTuple):
+    """One tilt: true angles and sag (2,) [rad], and by converter weighing and r.m.s. error."""
+
+    truth: FloatArray
+    sag: FloatArray
+    weighings: tuple[Weighing, ...]
+    reading_rms: tuple[FloatArray, ...]
+
+
+def _weigh(table: TiltTable, tilt: FloatArray, key: str) -> _Tilted:
     """Weigh at one tilt."""
     table.hang(0.0)
     table.turn(tilt, TURNING)
@@ -184,18 +227,10 @@ def _weigh(table: TiltTable, tilt: FloatArray, key: str) -> dict[str, Any]:
     after, truth = table.wait(MEASURING), table.truth()
     table.hang(0.0)
     table.wait(SWINGING)
-    row: dict[str, Any] = {"truth": truth, "sag": truth - empty}
-    for bits in BITS:
-        for when, seen in (("before", before), ("after", after)):
-            one = _sample(seen, key, bits)
-            row[f"volts_{when}/{bits}"], row[f"volts_error_{when}/{bits}"] = (
-                one.volts,
-                one.volts_error,
-            )
-            row[f"force_{when}"], row[f"force_error_{when}"] = one.force, one.force_error
-        angles = _angles(_outputs(after, key, bits), key)
-        row[f"reading_rms/{bits}"] = np.sqrt(np.mean((angles - truth) ** 2, axis=0))
-    return row
+    weighings = tuple(Weighing(_sample(before, key, b), _sample(after, key, b)) for b in BITS)
+    angles = (_angles(_outputs(after, key, bits), key) for bits in BITS)
+    errors = tuple(np.sqrt(np.mean((each - truth) ** 2, axis=0)) for each in angles)
+    return _Tilted(truth, truth - empty, weighings, errors)
 
 
 def _sample(seen: list[Observation], key: str, bits: int) -> Sample:

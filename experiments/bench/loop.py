@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import cast
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
 
+from controllers.motion.simple_motions import DriveAndHold
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.clock import SimClock
 from twin.loop import LoopRecorder, Tick, run
-from twin.robot import ArmMode, Command, FloatArray, Observation, WheelMode
 from twin.simulation import Simulation
 
 ROBOTS = ("rover1", "rover2")
@@ -27,29 +26,6 @@ FIELDS = {
     "plane": (FieldConfig(), 10.0),
     "rocks": (FieldConfig(rocks=40), 4.0),
 }
-
-
-class DriveAndHold:
-    """Drives all robots straight on with their arms held where they are."""
-
-    def __init__(self) -> None:
-        """Drive on."""
-        self._wheels = np.full(4, WHEEL_SPEED)
-
-    def reset(self) -> None:
-        """Forget nothing: nothing is remembered."""
-
-    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Return wheel speeds, and the arm's angles as seen."""
-        return {
-            name: Command(
-                wheels=self._wheels,
-                arm=cast("FloatArray", seen.arm_angles.value),
-                wheel_mode=WheelMode.SPEED,
-                arm_mode=ArmMode.POSITION,
-            )
-            for name, seen in observations.items()
-        }
 
 
 class VoltageRecorder(LoopRecorder):
@@ -99,7 +75,7 @@ def contestants(field: FieldConfig) -> tuple[Callable[[], object], Callable[[], 
     placements = [RobotPlacement(ROBOTS[0]), RobotPlacement(ROBOTS[1], (1.0, 0.0))]
     model = make_model(field, placements)
     simulation = Simulation(model, ROBOTS, data=settle(model))
-    clock, controllers = SimClock(simulation), [DriveAndHold()]
+    clock, controllers = SimClock(simulation), [DriveAndHold(WHEEL_SPEED)]
     begin = simulation.save()
 
     def ours() -> None:

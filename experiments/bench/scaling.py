@@ -11,8 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.braid.arm.inverse import BinaryArm, solve
+from controllers.motion.simple_motions import DriveAndHold
 from experiments.appe.inverse_trial import draw_targets
-from experiments.bench.loop import DriveAndHold
+from experiments.bench.loop import WHEEL_SPEED
 from experiments.bench.mapping import FINE_BOX, MEMORY, frustum
 from experiments.ch3.stereo.mapping_scene import Cloud, Scene, random_view, see
 from experiments.harness.contract import Options
@@ -148,7 +149,7 @@ def _robots(quick: bool) -> dict[float, Callable[[], object]]:
 
         def drive() -> None:
             simulation.restore(begin)
-            run(simulation.robots, [DriveAndHold()], clock, duration=SPAN)
+            run(simulation.robots, [DriveAndHold(WHEEL_SPEED)], clock, duration=SPAN)
 
         return drive
 

@@ -9,8 +9,8 @@ import numpy as np
 from controllers.identification.arm_motion import MODES
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.parameters import NAMES
-from twin.loop import Tick
 from experiments.ch2.trial import PlantIdentification
+from twin.loop import Tick
 from twin.record import Recorder
 
 BAND = 2.0

@@ -13,8 +13,8 @@ import pytest
 from experiments.appd import boards as appd_boards
 from experiments.appd import boards_trial as appd_boards_trial
 from experiments.appd.boards_figures import dead_band, draw_calls, draw_pace, draw_stops
-from experiments.appd.boards_line import call_damaged
-from experiments.appd.boards_live import compare_boards
+from experiments.appd.boards_line import DamagedCalls, call_damaged
+from experiments.appd.boards_live import IdentityTrial, LoopPace, compare_boards
 from experiments.appd.boards_trial import KINDS, STOPPING, WRAP, Batch, Bench, deal, run_batch
 from experiments.harness.catalogue import EXPERIMENTS
 from experiments.harness.contract import OptionError
@@ -43,8 +43,8 @@ def test_every_fault_of_a_robot_and_its_host_is_tried_equally_often():
 @pytest.mark.slow
 def test_robot_that_ignores_an_e_stop_is_found_out(monkeypatch):
     monkeypatch.setattr(BoardRobot, "_check_in_turn", lambda self: None)
-    result = run_batch(Batch(("e_stop",), SEED))
-    assert result["stop_time"] == [float("inf")]
+    (result,) = run_batch(Batch(("e_stop",), SEED))
+    assert result.stop_time == float("inf")
 
 
 def test_speeds_that_do_not_wrap_are_found_out(monkeypatch):
@@ -52,8 +52,8 @@ def test_speeds_that_do_not_wrap_are_found_out(monkeypatch):
     difference = "twin.hardware.board_samples.codec.signed_difference"
     monkeypatch.setattr(difference, lambda later, earlier: later - earlier)
     monkeypatch.setattr(BoardRobot, "_judge", lambda self: None)
-    result = run_batch(Batch((WRAP,), SEED))
-    assert result["wrong"][0] > 0
+    (result,) = run_batch(Batch((WRAP,), SEED))
+    assert result.wrong > 0
 
 
 def test_same_seed_gives_the_same_faults():
@@ -71,9 +71,9 @@ def test_same_seed_gives_the_same_faults():
 
 
 def test_damaged_line_gives_no_wrong_value_and_says_what_failed():
-    result = call_damaged({"rate": 0.3, "calls": 200, "seed": SEED})
-    assert result["wrong"] == 0 and result["damaged"] > 40 and result["retries"] > 20
-    assert result["call_ms"].shape == (200,)
+    result = call_damaged(0.3, 200, SEED)
+    assert result.wrong == 0 and result.damaged > 40 and result.retries > 20
+    assert result.call_ms.shape == (200,)
 
 
 def test_client_that_believes_all_is_found_out(monkeypatch):
@@ -85,21 +85,21 @@ def test_client_that_believes_all_is_found_out(monkeypatch):
         ),
     )
     monkeypatch.setattr(RoboClawBus, "_stands_alone", lambda self: True)
-    assert call_damaged({"rate": 0.5, "calls": 100, "seed": SEED})["wrong"] > 0
+    assert call_damaged(0.5, 100, SEED).wrong > 0
 
 
 @pytest.mark.slow
 def test_cycles_are_alike_on_a_damaged_line_until_a_sample_is_lost(monkeypatch):
-    config = {"faults": 0.1, "seed": SEED, "approach": 0.3, "rest": 0.2, "duration": 0.1}
+    config = IdentityTrial(0.1, SEED, (0.3, 0.2, 0.1))
     result = compare_boards(config)
-    assert result["identical"] == result["cycles"] == 60 and result["damaged"] > 20
+    assert result.identical == result.cycles == 60 and result.damaged > 20
     calls = iter(range(10_000))
     honest = WiredBoards.wrench
     monkeypatch.setattr(
         WiredBoards, "wrench", lambda boards: None if next(calls) == 40 else honest(boards)
     )
     lost = compare_boards(config)
-    assert lost["cycles"] == 60 and 30 < lost["identical"] <= 40
+    assert lost.cycles == 60 and 30 < lost.identical <= 40
 
 
 def test_dead_band_is_the_microsecond_that_the_bridge_misses():
@@ -115,10 +115,10 @@ def test_figures_show_what_they_are_given(tmp_path):
     drawn = stops.axes[0].get_lines()
     np.testing.assert_allclose(drawn[0].get_xdata(), [10.0, 20.0])
     assert drawn[2].get_xdata()[0] > 210.0
-    calls = draw_calls([{"rate": 0.1, "call_ms": np.array([1.0, 50.0, 2.0])}], 60.0)
+    calls = draw_calls([DamagedCalls(0.1, np.array([1.0, 50.0, 2.0]), 0, 0, 0, 0)], 60.0)
     np.testing.assert_allclose(calls.axes[0].get_lines()[0].get_xdata(), [1.0, 2.0, 50.0])
-    pace = {"periods": np.array([0.01, 0.02, 9.0]), "adapter": np.full(4, 0.003)}
-    figure = draw_pace({**pace, "misses": 1, "steps": 4}, 0.01)
+    pace = LoopPace(4, 1, np.array([0.01, 0.02, 9.0]), np.full(4, 0.003), "", 0)
+    figure = draw_pace(pace, 0.01)
     heights = [bar.get_height() for bar in figure.axes[0].patches]
     assert sum(heights) == 3 and heights[-1] == 1
     for name, each in (("stops", stops), ("calls", calls), ("pace", figure)):
@@ -127,9 +127,8 @@ def test_figures_show_what_they_are_given(tmp_path):
 
 def test_robot_that_stopped_has_missed_what_it_did_not_do(tmp_path):
     output = Output("boards", appd_boards.Options(out=tmp_path))
-    result = {"steps": 300, "misses": 5, "said": "stopped"}
-    times = {"periods": np.full(299, 0.01), "adapter": np.full(300, 0.003)}
-    appd_boards._measure_pace({**result, **times}, 5.0, output)
+    pace = LoopPace(300, 5, np.full(299, 0.01), np.full(300, 0.003), "stopped", 0)
+    appd_boards._measure_pace(pace, 5.0, output)
     metrics = output.metrics()
     assert metrics["measured"]["miss_fraction"] == pytest.approx(205 / 500)
     assert not metrics["checks"][0]["ok"]
@@ -137,10 +136,8 @@ def test_robot_that_stopped_has_missed_what_it_did_not_do(tmp_path):
 
 def test_robot_that_stopped_before_its_first_period_has_missed_all(tmp_path):
     output = Output("boards", appd_boards.Options(out=tmp_path))
-    result = {"steps": 1, "misses": 0, "said": "stopped"}
-    appd_boards._measure_pace(
-        {**result, "periods": np.empty(0), "adapter": np.full(1, 0.003)}, 5.0, output
-    )
+    pace = LoopPace(1, 0, np.empty(0), np.full(1, 0.003), "stopped", 0)
+    appd_boards._measure_pace(pace, 5.0, output)
     measured = output.metrics()["measured"]
     assert measured["miss_fraction"] == pytest.approx(499 / 500)
     assert measured["stopped_after_s"] == pytest.approx(0.01) and "period_ms" not in measured

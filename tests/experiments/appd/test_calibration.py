@@ -9,7 +9,7 @@ import pytest
 from experiments.__main__ import main
 from experiments.appd import calibration as appd_calibration
 from experiments.appd import tilt_table as appd_tilt_table
-from experiments.appd.tilt_table import TiltTable, draw_tilts, true_sensors, weigh_one
+from experiments.appd.tilt_table import TiltTable, WeighingJob, draw_tilts, true_sensors, weigh_one
 from experiments.harness.catalogue import EXPERIMENTS
 from experiments.harness.contract import OptionError
 from models.compose import RobotPlacement
@@ -38,8 +38,7 @@ def short_run():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(appd_tilt_table, "STEPS", (-12.0, 1.0, 12.0))
         patch.setattr(appd_tilt_table, "MEASURING", 1.0)
-        config = {"seed": 5, "key": "robot1", "robot": "sim"}
-        return {**config, **weigh_one(config)}
+        return weigh_one(WeighingJob(5, "robot1", "sim"))
 
 
 def force(table):
@@ -93,7 +92,7 @@ def test_tilts_stay_in_the_linear_range_and_cover_both_axes():
 
 
 def test_constants_of_table_d_1_are_found_and_the_sag_is_what_spoils_them(short_run):
-    data = appd_calibration.weighings(short_run, 10)
+    data = short_run.weighings[0]
     ours = fit_tilt(data, appd_calibration.ARM_WEIGHT)
     for line, truth in zip(ours, true_sensors("robot1")):
         assert line.zero_volts == pytest.approx(truth.zero_volts, rel=0.005)
@@ -105,14 +104,14 @@ def test_constants_of_table_d_1_are_found_and_the_sag_is_what_spoils_them(short_
 
 
 def test_finer_converter_makes_single_readings_better_and_no_finer_than_the_noise(short_run):
-    coarse, fine = (np.mean(short_run[f"reading_rms/{bits}"]) / DEGREE for bits in (10, 16))
+    coarse, fine = (np.mean(short_run.reading_rms[index]) / DEGREE for index in (0, 2))
     # 0.05 deg of noise and a count of 0.145 deg / sqrt(12).
     assert coarse == pytest.approx(math.hypot(0.05, 0.145 / math.sqrt(12)), rel=0.2)
     assert fine == pytest.approx(0.05, rel=0.15)
 
 
 def test_voltages_lie_on_the_converters_grid(short_run):
-    volts = short_run["volts_after/10"]
+    volts = np.array([weighing.after.volts for weighing in short_run.weighings[0]])
     assert np.all((volts > 1.5) & (volts < 3.3))
     same = weigh_outputs()
     np.testing.assert_allclose(same * 1024 / 5.0, np.rint(same * 1024 / 5.0), atol=1e-9)
@@ -129,7 +128,7 @@ def weigh_outputs():
 
 
 def test_misaligned_reference_moves_the_zero_by_its_angle(short_run):
-    data = appd_calibration.weighings(short_run, 10)
+    data = short_run.weighings[0]
     pitch, roll = fit_tilt(data, appd_calibration.ARM_WEIGHT)
     angle = 1.0 * DEGREE
     turned = [appd_calibration.misaligned(each, np.array([angle, 0.0, 0.0])) for each in data]

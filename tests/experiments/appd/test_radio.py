@@ -18,48 +18,48 @@ def test_trial_without_errors_delivers_all_at_the_rate_of_the_protocol(link):
     result = run_trial(TrialConfig(link, 0.0, 0.005, 50, seed=1))
     # 63 bytes one after another and 40 delays; or 28 bytes a frame, back to back.
     each = 61 / 960 + 40 * 0.005 if link == "handshake" else 28 / 960
-    assert result["intact"] == 50 and result["stalls"] == 0
-    assert result["goodput"] == pytest.approx(20 / each, rel=0.03)
+    assert result.intact == 50 and result.stalls == 0
+    assert result.goodput == pytest.approx(20 / each, rel=0.03)
 
 
 @pytest.mark.parametrize("link", LINKS)
 def test_every_message_has_one_fate_and_only_the_handshake_lies(link):
     result = run_trial(TrialConfig(link, 0.03, 0.005, 200, seed=2))
-    assert sum(result[fate] for fate in FATES) == result["sent"] == 200
-    lies = result["wrong"] + result["vanished"] + result["duplicates"] + result["disordered"]
+    assert sum(getattr(result, fate) for fate in FATES) == result.sent == 200
+    lies = result.wrong + result.vanished + result.duplicates + result.disordered
     assert (lies > 10) == (link == "handshake")
     assert (lies == 0) == (link == "framed")
-    assert len(result["arrival"]) == len(result["latency"]) == result["intact"]
-    assert np.all(result["latency"] > 0.0)
+    assert len(result.arrival) == len(result.latency) == result.intact
+    assert np.all(result.latency > 0.0)
 
 
 def test_trial_is_fixed_by_its_seed():
     config = TrialConfig("framed", 0.03, 0.005, 50, seed=3)
     first, second, other = map(run_trial, (config, config, dataclasses.replace(config, seed=4)))
-    np.testing.assert_array_equal(first["arrival"], second["arrival"])
-    assert first["duration"] != other["duration"]
+    np.testing.assert_array_equal(first.arrival, second.arrival)
+    assert first.duration != other.duration
 
 
 def test_hosts_that_poll_slow_the_handshake_but_not_the_frames():
     for link, low, high in (("handshake", 0.4, 0.8), ("framed", 0.97, 1.01)):
         fast = run_trial(TrialConfig(link, 0.0, 0.005, 60, seed=1))
         slow = run_trial(TrialConfig(link, 0.0, 0.005, 60, seed=1, poll=0.01))
-        assert low < slow["goodput"] / fast["goodput"] < high
+        assert low < slow.goodput / fast.goodput < high
 
 
 def test_rovers_hear_of_each_other_over_a_clean_radio():
     result = converse(ModemConfig(), 1.5, seed=1)
     for name, other in zip(ROBOTS, reversed(ROBOTS)):
-        sent, heard = result[name]["sent"], result[other]["received"]
+        sent, heard = result.rovers[name].sent, result.rovers[other].received
         assert len(sent) == 6 and len(heard) == 6
         np.testing.assert_allclose(heard[:, 1:], sent, atol=1e-3)
-        ages = result[other]["age"]
+        ages = result.rovers[other].age
         assert np.nanmax(ages) < 0.35
         assert np.nanmin(ages) >= 28 / 960 + 0.005  # not before the radio has carried it
-        assert result[name]["missed"] == 0
-        truth = result["truth"][-1, 1:3] if name == ROBOTS[0] else result["truth"][-1, 3:]
+        assert result.rovers[name].missed == 0
+        truth = result.truth[-1, 1:3] if name == ROBOTS[0] else result.truth[-1, 3:]
         assert np.linalg.norm(truth - sent[-1, 1:]) < 0.1
-        used = result[name]["bytes_sent"][-1] / (960 * 1.5)
+        used = result.rovers[name].bytes_sent[-1] / (960 * 1.5)
         assert used == pytest.approx(0.225, abs=0.01)
 
 

@@ -11,6 +11,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from controllers.mapping.messages import PoseMessage, WrenchMessage, pack_map_change, unpack
 from tests.twin.hardware.roboclaw.wire import VirtualLink, boards_on_a_line, virtual_time
 from twin.hardware.analogue import firmata_codec
 from twin.hardware.emulator.firmata_board import FirmataBoard
@@ -26,7 +27,6 @@ from twin.hardware.radio.handshake import (
     TRANSMIT,
     HandshakeLink,
 )
-from twin.hardware.radio.messages import PoseMessage, WrenchMessage, pack_map_change, unpack
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import Command

@@ -1,8 +1,7 @@
 """The radio between two rovers at 9600 baud: the link in frames, which no byte error gets past.
 
 The modems may lose, change and insert bytes, but do not reorder them. `radio_frames` are the frames
-themselves, `radio_handshake` is the thesis' own protocol (appendix D), `radio_messages` what is
-said over either.
+themselves, `radio_handshake` is the thesis' own protocol (appendix D).
 
 Nothing here waits: `poll` is called in the servo loop, takes what came and sends what the line
 has room for.

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from controllers.mapping.messages import PoseMessage, unpack
 from tests.twin.hardware.radio.wire import Wire, carry, framed, pump
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.framed_radio import FramedConfig, FramedLink
 from twin.hardware.radio.frames import Frame, FrameParser, encode_frame
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
-from twin.hardware.radio.messages import PoseMessage, unpack
 from twin.link import Outcome, RadioError
 
 pytestmark = pytest.mark.virtual_time

@@ -1,4 +1,4 @@
-"""What the rovers tell each other: poses, wrenches and changes of a map, packed into bytes.
+"""What the rovers send each other: poses, wrenches and changes of a map, packed into bytes.
 
 The first byte is the format's version and the message's type; numbers are big-endian integers in
 fixed steps, so that both ends round alike.

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.hardware.radio.messages import (
+from controllers.mapping.messages import (
     MapDelta,
     PoseMessage,
     WrenchMessage,
