@@ -233,7 +233,7 @@ def _compare(results: Sequence[ViewComparison], output: Output) -> None:
         return
     correlation = np.array([np.mean(result.correlation, axis=0) for result in used])
     share = np.array([np.mean(result.share, axis=0) for result in used])
-    drawn = np.array([np.mean(result.mean_share) for result in used])
+    drawn = np.array([float(np.mean(result.mean_share)) for result in used])
     output.measure("view_gain_share/random", distribution(drawn))
     for column, name in enumerate(MEASURES):
         output.measure(f"view_gain_share/{name}", distribution(share[:, column]))

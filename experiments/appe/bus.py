@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,14 @@ from experiments.appe.bus_figures import (
     draw_rates,
     draw_waveform,
 )
-from experiments.appe.bus_trial import ACTUATORS, FATES, PROTOCOLS, TrialConfig, run_trial
+from experiments.appe.bus_trial import (
+    ACTUATORS,
+    FATES,
+    PROTOCOLS,
+    BusTrial,
+    BusTrialConfig,
+    run_trial,
+)
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
@@ -94,8 +100,6 @@ QUICK = Sizes(
     runs=3,
 )
 
-Row = dict[str, Any]
-
 
 def run(options: Options, output: Output) -> None:
     """Send words of all kinds over the bus and count what arrives.
@@ -130,7 +134,7 @@ def run(options: Options, output: Output) -> None:
     output.figure("bus_change_time", draw_durations(durations))
 
 
-def _plans(options: Options, sizes: Sizes) -> dict[str, list[TrialConfig]]:
+def _plans(options: Options, sizes: Sizes) -> dict[str, list[BusTrialConfig]]:
     """Return the trials of each part."""
     root = np.random.SeedSequence(options.seed)
     seeds = iter(int(word) for word in root.generate_state(1000))
@@ -138,33 +142,35 @@ def _plans(options: Options, sizes: Sizes) -> dict[str, list[TrialConfig]]:
     count = sizes.rate
     both = [(name, "flag") for name in PROTOCOLS] + [("thesis", "rc")]
     clean = [
-        TrialConfig(name, min(sizes.chunk, total - first), next(seeds), buffer, lasting=True)
+        BusTrialConfig(name, min(sizes.chunk, total - first), next(seeds), buffer, lasting=True)
         for (name, buffer), total in sizes.clean.items()
         for first in range(0, total, sizes.chunk)
     ]
     faults = [
-        TrialConfig(name, sizes.fault, next(seeds), fault=kind)
+        BusTrialConfig(name, sizes.fault, next(seeds), fault=kind)
         for kind in FAULT_KINDS
         for name in PROTOCOLS
     ]
     noise = [
-        TrialConfig(name, count, next(seeds), buffer, noise=level)
+        BusTrialConfig(name, count, next(seeds), buffer, noise=level)
         for name, buffer in both
         for level in NOISE
     ]
     missed = [
-        TrialConfig(name, count, next(seeds), missed=rate) for name in PROTOCOLS for rate in RATES
+        BusTrialConfig(name, count, next(seeds), missed=rate)
+        for name in PROTOCOLS
+        for rate in RATES
     ]
     extra = [
-        TrialConfig(name, count, next(seeds), extra=rate) for name in PROTOCOLS for rate in RATES
+        BusTrialConfig(name, count, next(seeds), extra=rate) for name in PROTOCOLS for rate in RATES
     ]
     lasting = [
-        TrialConfig(name, sizes.lasting, seed, missed=LASTING_RATE, lasting=True)
+        BusTrialConfig(name, sizes.lasting, seed, missed=LASTING_RATE, lasting=True)
         for name in PROTOCOLS
         for seed in runs
     ]
     spread = [
-        TrialConfig("thesis", count, next(seeds), "rc", rc_sigma=share, margin=margin)
+        BusTrialConfig("thesis", count, next(seeds), "rc", rc_sigma=share, margin=margin)
         for margin in MARGINS
         for share in SPREADS
     ]
@@ -179,12 +185,14 @@ def _plans(options: Options, sizes: Sizes) -> dict[str, list[TrialConfig]]:
     }
 
 
-def _measure_clean(rows: Sequence[Row], output: Output, quick: bool) -> None:
+def _measure_clean(rows: Sequence[BusTrial], output: Output, quick: bool) -> None:
     """Store errors of words that nothing befell, and hold them against the bar."""
     for name, buffer in FULL.clean:
-        chosen = [row for row in rows if row["protocol"] == name and row["buffer"] == buffer]
-        sent = sum(row["sent"] for row in chosen)
-        wrong = sent - sum(row["right"] for row in chosen)
+        chosen = [
+            row for row in rows if row.config.protocol == name and row.config.buffer == buffer
+        ]
+        sent = sum(row.sent for row in chosen)
+        wrong = sum(row.wrong for row in chosen)
         output.measure(f"word_errors/{name}/{buffer}", fraction(wrong, sent))
         label = f"clean words wrong, {name}, {buffer} buffer, of {sent}"
         output.check(label, wrong, "== 0", wrong == 0)
@@ -192,47 +200,49 @@ def _measure_clean(rows: Sequence[Row], output: Output, quick: bool) -> None:
             output.check("clean words sent", sent, f">= {CLEAN_WORDS}", sent >= CLEAN_WORDS)
 
 
-def _measure_faults(rows: Sequence[Row], output: Output) -> None:
+def _measure_faults(rows: Sequence[BusTrial], output: Output) -> None:
     """Store what one fault does to a word, and whether the promises are kept."""
     for row in rows:
-        name, kind = row["protocol"], row["fault"]
+        name, kind = row.config.protocol, row.config.fault
         for fate in FATES:
-            output.measure(f"fate/{kind}/{name}/{fate}", fraction(row[fate], row["sent"]))
-        output.measure(f"resent_per_word/{kind}/{name}", row["resent"] / row["sent"])
-        silent = row["sent"] - row["right"] - row["told"]
+            output.measure(f"fate/{kind}/{name}/{fate}", fraction(row.fates[fate], row.sent))
+        output.measure(f"resent_per_word/{kind}/{name}", row.resent / row.sent)
+        silent = row.wrong - row.fates["told"]
         if kind in MENDED.get(name, ()):
-            label = f"words wrong unknown to the master, {name}, one {kind} each, of {row['sent']}"
+            label = f"words wrong unknown to the master, {name}, one {kind} each, of {row.sent}"
             output.check(label, silent, "== 0", silent == 0)
         elif name == "correct":
-            label = f"wrong actuators moved, {name}, one {kind} each, of {row['sent']} words"
-            output.check(label, row["wrong"], "== 0", row["wrong"] == 0)
+            label = f"wrong actuators moved, {name}, one {kind} each, of {row.sent} words"
+            output.check(label, row.fates["wrong"], "== 0", row.fates["wrong"] == 0)
         elif kind == "missed":
-            label = f"the thesis' protocol goes wrong by one missed pulse, of {row['sent']}"
-            output.check(label, silent, f"== {row['sent']}", silent == row["sent"])
+            label = f"the thesis' protocol goes wrong by one missed pulse, of {row.sent}"
+            output.check(label, silent, f"== {row.sent}", silent == row.sent)
     output.table(
         "bus_one_fault",
         ["fault", "protocol", "words", *FATES, "trains resent", "words rewritten"],
         [
-            [row[key] for key in ("fault", "protocol", "sent", *FATES, "resent", "rewritten")]
+            [row.config.fault, row.config.protocol, row.sent]
+            + [row.fates[fate] for fate in FATES]
+            + [row.resent, row.rewritten]
             for row in rows
         ],
     )
 
 
-def _measure_curves(found: dict[str, list[Row]], output: Output) -> None:
+def _measure_curves(found: dict[str, list[BusTrial]], output: Output) -> None:
     """Store the shares of words that are not right by noise, rate and spread."""
     for part in ("noise", "missed", "extra"):
         for row in found[part]:
-            where = f"{row['protocol']}/{row['buffer']}/{row[part]:g}"
-            wrong = row["sent"] - row["right"]
-            output.measure(f"word_errors_by_{part}/{where}", fraction(wrong, row["sent"]))
-            silent = fraction(wrong - row["told"], row["sent"])
+            where = f"{row.config.protocol}/{row.config.buffer}/{getattr(row.config, part):g}"
+            wrong = row.wrong
+            output.measure(f"word_errors_by_{part}/{where}", fraction(wrong, row.sent))
+            silent = fraction(wrong - row.fates["told"], row.sent)
             output.measure(f"silent_errors_by_{part}/{where}", silent)
     for row in found["spread"]:
-        wrong = fraction(row["sent"] - row["right"], row["sent"])
-        output.measure(f"word_errors_by_rc/{row['margin']:g}/{row['rc_sigma']:g}", wrong)
+        wrong = fraction(row.wrong, row.sent)
+        output.measure(f"word_errors_by_rc/{row.config.margin:g}/{row.config.rc_sigma:g}", wrong)
     for name in PROTOCOLS:
-        last = [row["wrong_bits"][-1] for row in found["lasting"] if row["protocol"] == name]
+        last = [row.wrong_bits[-1] for row in found["lasting"] if row.config.protocol == name]
         output.measure(f"lasting_wrong_bits/{name}", distribution(last))
 
 

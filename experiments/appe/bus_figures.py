@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.braid.bus.circuit import BusCircuit, Trace
-from experiments.appe.bus_trial import FATES, PROTOCOLS
+from experiments.appe.bus_trial import FATES, PROTOCOLS, BusTrial
 
 COLOURS = {
     "thesis": "tab:red",
@@ -29,7 +28,6 @@ _FATE_LABELS = {
     "skipped": "actuators did not move",
     "wrong": "wrong actuators moved",
 }
-Row = Mapping[str, Any]
 
 
 def draw_waveform(traces: Mapping[str, Trace], circuit: BusCircuit) -> Figure:
@@ -71,20 +69,20 @@ def draw_waveform(traces: Mapping[str, Trace], circuit: BusCircuit) -> Figure:
     return figure
 
 
-def draw_faults(rows: Sequence[Row]) -> Figure:
+def draw_faults(rows: Sequence[BusTrial]) -> Figure:
     """Draw what became of words that one fault befell, for each kind of fault and protocol."""
-    kinds = list(dict.fromkeys(row["fault"] for row in rows))
+    kinds = list(dict.fromkeys(row.config.fault for row in rows))
     figure = Figure(figsize=(4 * len(kinds), 4.4))
     for index, kind in enumerate(kinds):
         axes = figure.add_subplot(1, len(kinds), index + 1)
-        chosen = [row for row in rows if row["fault"] == kind]
+        chosen = [row for row in rows if row.config.fault == kind]
         bottom = np.zeros(len(chosen))
         for fate in FATES:
-            shares = np.array([100.0 * row[fate] / row["sent"] for row in chosen])
+            shares = np.array([100.0 * row.fates[fate] / row.sent for row in chosen])
             colour, label = _FATE_COLOURS[fate], _FATE_LABELS[fate]
             axes.bar(np.arange(len(chosen)), shares, bottom=bottom, color=colour, label=label)
             bottom += shares
-        axes.set_xticks(np.arange(len(chosen)), [row["protocol"] for row in chosen])
+        axes.set_xticks(np.arange(len(chosen)), [row.config.protocol for row in chosen])
         axes.set(title=_FAULTS.get(kind, kind), ylabel="words [%]")
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=len(labels), frameon=False)
@@ -92,7 +90,9 @@ def draw_faults(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def draw_rates(noise: Sequence[Row], missed: Sequence[Row], extra: Sequence[Row]) -> Figure:
+def draw_rates(
+    noise: Sequence[BusTrial], missed: Sequence[BusTrial], extra: Sequence[BusTrial]
+) -> Figure:
     """Draw the share of words that are not right against noise and fault rates."""
     figure = Figure(figsize=(15, 4.5))
     panels = (
@@ -104,14 +104,16 @@ def draw_rates(noise: Sequence[Row], missed: Sequence[Row], extra: Sequence[Row]
         axes = figure.add_subplot(1, 3, index + 1)
         for name in PROTOCOLS:
             for buffer, style in (("flag", "o-"), ("rc", "s:")):
-                chosen = [r for r in rows if r["protocol"] == name and r["buffer"] == buffer]
+                chosen = [
+                    r for r in rows if r.config.protocol == name and r.config.buffer == buffer
+                ]
                 if not chosen:
                     continue
-                shares = [1.0 - row["right"] / row["sent"] for row in chosen]
+                shares = [1.0 - row.fates["right"] / row.sent for row in chosen]
                 wide = name if buffer == "flag" else f"{name}, RC buffer"
-                places = [row[key] for row in chosen]
+                places = [getattr(row.config, key) for row in chosen]
                 axes.plot(places, shares, style, color=COLOURS[name], label=wide)
-        lowest = 1.0 / max(row["sent"] for row in rows)
+        lowest = 1.0 / max(row.sent for row in rows)
         axes.set_yscale("symlog", linthresh=lowest)
         axes.set(xlabel=label, ylabel="words not right [-]", ylim=(-0.1 * lowest, 1.5))
         if key != "noise":
@@ -122,20 +124,20 @@ def draw_rates(noise: Sequence[Row], missed: Sequence[Row], extra: Sequence[Row]
     return figure
 
 
-def draw_lasting(rows: Sequence[Row], spread: Sequence[Row]) -> Figure:
+def draw_lasting(rows: Sequence[BusTrial], spread: Sequence[BusTrial]) -> Figure:
     """Draw how wrong bits gather where words follow each other, and the RC buffer's spread."""
     figure = Figure(figsize=(12, 4.5))
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
     for name in PROTOCOLS:
-        runs = np.array([row["wrong_bits"] for row in rows if row["protocol"] == name])
+        runs = np.array([row.wrong_bits for row in rows if row.config.protocol == name])
         left.plot(np.arange(1, runs.shape[1] + 1), runs.mean(0), color=COLOURS[name], label=name)
     left.set(xlabel="words sent", ylabel="wrong bits of 15, mean over runs")
-    left.set_title(f"a pulse in {1.0 / rows[0]['missed']:.0f} is missed")
+    left.set_title(f"a pulse in {1.0 / rows[0].config.missed:.0f} is missed")
     left.legend()
-    for margin in dict.fromkeys(row["margin"] for row in spread):
-        chosen = [row for row in spread if row["margin"] == margin]
-        shares = [1.0 - row["right"] / row["sent"] for row in chosen]
-        right.plot([row["rc_sigma"] for row in chosen], shares, "o-", label=f"{margin:g}")
+    for margin in dict.fromkeys(row.config.margin for row in spread):
+        chosen = [row for row in spread if row.config.margin == margin]
+        shares = [1.0 - row.fates["right"] / row.sent for row in chosen]
+        right.plot([row.config.rc_sigma for row in chosen], shares, "o-", label=f"{margin:g}")
     right.set(xlabel="spread of RC from chip to chip [-]", ylabel="words not right [-]")
     right.set_title("RC buffer, no noise and no faults")
     right.legend(title="delay / longest train")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,8 @@ from controllers.braid.bus.trains import (
     RandomFaults,
 )
 
+FloatArray = NDArray[np.float64]
+
 ACTUATORS = 15  # Five stages, as the thesis built.
 PROTOCOLS = ("thesis", "parity", "repeat", "correct")
 REDRAW = 10  # Words between new components, where words do not follow each other.
@@ -27,17 +28,17 @@ FATES = ("right", "told", "skipped", "wrong")
 
 
 @dataclasses.dataclass(frozen=True)
-class TrialConfig:
+class BusTrialConfig:
     """A trial's settings.
 
     Attributes:
         protocol: One of `PROTOCOLS`.
         words: Number of words sent.
-        seed: Of words, components, noise and faults.
+        seed: Random seed of words, components, noise and faults.
         buffer: "flag" or "rc".
         rc_sigma: Relative standard deviation of the RC buffers' times.
-        margin: Of the RC buffer's delay over the longest train.
-        noise: On the signal, standard deviation of each sample [V].
+        margin: Delay of the RC buffer over the longest train.
+        noise: Standard deviation of the noise on each sample of the signal [V].
         missed: Probability that a pulse is missed.
         extra: Probability that an extra pulse follows one.
         missed_flag: Probability that a flag is missed.
@@ -59,7 +60,7 @@ class TrialConfig:
     lasting: bool = False
 
 
-def build_bus(config: TrialConfig, rng: np.random.Generator) -> PowerBus:
+def build_bus(config: BusTrialConfig, rng: np.random.Generator) -> PowerBus:
     """Return the bus of a trial with components of its own."""
     code = protocols(ACTUATORS)[config.protocol].code
     circuit, timing = BusCircuit(noise=config.noise, rc_sigma=config.rc_sigma), DEFAULT_TIMING
@@ -68,13 +69,39 @@ def build_bus(config: TrialConfig, rng: np.random.Generator) -> PowerBus:
     return PowerBus(code, rng, circuit, timing)
 
 
-def run_trial(config: TrialConfig) -> dict[str, Any]:
-    """Send random words.
+@dataclasses.dataclass(frozen=True)
+class BusTrial:
+    """What became of the words of one trial.
 
-    Returns:
-        How many words had each of `FATES`, ``sent``, ``resent`` trains, words ``rewritten``,
-        ``seconds`` (words,) on the line, and ``wrong_bits`` (words,).
+    Attributes:
+        config: Settings of the trial.
+        fates: Number of words by fate, of `FATES`.
+        resent: Number of trains sent again.
+        rewritten: Number of words written again.
+        seconds: (words,) time of each word on the line [s].
+        wrong_bits: (words,) number of wrong bits after each word.
     """
+
+    config: BusTrialConfig
+    fates: dict[str, int]
+    resent: int
+    rewritten: int
+    seconds: FloatArray
+    wrong_bits: NDArray[np.int64]
+
+    @property
+    def sent(self) -> int:
+        """Number of words sent."""
+        return self.config.words
+
+    @property
+    def wrong(self) -> int:
+        """Number of words that are not right at the end, reported or not."""
+        return self.sent - self.fates["right"]
+
+
+def run_trial(config: BusTrialConfig) -> BusTrial:
+    """Send random words."""
     rng = np.random.default_rng(config.seed)
     protocol, bus = protocols(ACTUATORS)[config.protocol], build_bus(config, rng)
     rates = RandomFaults(rng, config.missed, config.extra, config.missed_flag)
@@ -102,10 +129,7 @@ def run_trial(config: TrialConfig) -> dict[str, Any]:
         seconds[index] = outcome.seconds
         wrong_bits[index] = np.count_nonzero(bus.word != goal)
         start = goal
-    totals = {"sent": config.words, "resent": resent, "rewritten": rewritten}
-    return {**dataclasses.asdict(config), **fates, **totals, "seconds": seconds} | {
-        "wrong_bits": wrong_bits
-    }
+    return BusTrial(config, fates, resent, rewritten, seconds, wrong_bits)
 
 
 def one_fault(

@@ -21,7 +21,9 @@ from experiments.appe.inverse_trial import (
     CLEAR_STAGES,
     EQUAL_TIME,
     ClearTrial,
-    Trial,
+    ClearWords,
+    Solved,
+    TargetTrial,
     methods_for,
     solve_scenes,
     solve_targets,
@@ -33,7 +35,7 @@ from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 
 FloatArray = NDArray[np.float64]
-Results = dict[str, FloatArray]
+Results = dict[str, Solved]
 
 STAGES = (5, 10, 20)
 TARGETS, QUICK_TARGETS = 1000, 20
@@ -92,7 +94,7 @@ def run(options: Options, output: Output) -> None:
     cases.append(("planted", 10))
     planted = QUICK_PLANTED if options.quick else PLANTED
     trials = [
-        Trial(stages, kind, seed, size)
+        TargetTrial(stages, kind, seed, size)
         for kind, stages in cases
         for seed, size in _chunks(planted if kind == "planted" else options.count(), options)
     ]
@@ -117,10 +119,10 @@ def _chunks(count: int, options: Options) -> list[tuple[int, int]]:
 
 
 def _joined(
-    case: tuple[str, int], trials: Sequence[Trial], solved: Sequence[Mapping[str, Any]]
+    case: tuple[str, int], trials: Sequence[TargetTrial], solved: Sequence[Results]
 ) -> Results:
     parts = [result for trial, result in zip(trials, solved) if (trial.kind, trial.stages) == case]
-    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    return {name: Solved.joined([part[name] for part in parts]) for name in parts[0]}
 
 
 def _measure(kind: str, stages: int, result: Results, output: Output) -> None:
@@ -128,7 +130,7 @@ def _measure(kind: str, stages: int, result: Results, output: Output) -> None:
     for method in methods_for(stages):
         row: list[Any] = [method]
         for what, factor in WHAT.items():
-            summary = distribution(factor * result[f"{method}/{what}"])
+            summary = distribution(factor * getattr(result[method], what))
             output.measure(f"{NAMES[what]}/{kind}/{stages}/{method}", summary)
             row += [summary["median"], summary["p95"]]
         rows.append(row)
@@ -141,61 +143,61 @@ def _check_exact(results: Mapping[tuple[str, int], Results], output: Output) -> 
     """Hold the exact methods against each other, and planted words against zero."""
     five = results["reachable", 5]
     off = np.maximum(
-        np.abs(five["kd-tree/cost"] - five["exhaustive/cost"]),
-        np.abs(five["meet/cost"] - five["exhaustive/cost"]),
+        np.abs(five["kd-tree"].cost - five["exhaustive"].cost),
+        np.abs(five["meet"].cost - five["exhaustive"].cost),
     )
     match = fraction(int(np.sum(off <= EXACT)), len(off))
     output.measure("exact_match_fraction/5", match)
     output.check("5 stages: equal to brute force", match["median"], "== 1", match["median"] == 1.0)
-    planted = results["planted", 10]["meet/cost"]
+    planted = results["planted", 10]["meet"].cost
     recovered = fraction(int(np.sum(planted <= PLANTED_COST)), len(planted))
     output.measure("planted_recovered_fraction/10", recovered)
     share = recovered["median"]
     output.check("10 stages: planted poses recovered", share, "== 1", share == 1.0)
     for stages, method in CHOSEN.items():
         output.measure(
-            f"ms_per_target/{stages}", distribution(results["reachable", stages][f"{method}/ms"])
+            f"ms_per_target/{stages}", distribution(results["reachable", stages][method].ms)
         )
     for kind in ("reachable", "planted"):
-        median = float(np.median(results[kind, 10]["meet/ms"]))
+        median = float(np.median(results[kind, 10]["meet"].ms))
         name = f"10 stages: exact search in ms, median, {kind}"
         output.check(name, median, f"<= {MEET_MS:g}", median <= MEET_MS)
 
 
 def _check_heuristics(results: Mapping[tuple[str, int], Results], output: Output) -> None:
     twenty = results["reachable", 20]
-    ours, peer = (np.median(twenty[f"{m}/cost"]) for m in (CHOSEN[20], EQUAL_TIME))
+    ours, peer = (np.median(twenty[m].cost) for m in (CHOSEN[20], EQUAL_TIME))
     ratio = float(ours / peer)
     output.measure("cost_ratio_over_exchange/20", ratio)
-    share = np.median(twenty[f"{EQUAL_TIME}/ms"] / twenty[f"{CHOSEN[20]}/ms"])
+    share = np.median(twenty[EQUAL_TIME].ms / twenty[CHOSEN[20]].ms)
     output.measure("time_ratio_of_exchange/20", float(share))
     name = "20 stages: median cost over the exchange heuristic's at equal time"
     output.check(name, ratio, f"<= {RATIO:g}", ratio <= RATIO)
     better = 0
     for (_, stages), result in results.items():
         if "meet" in methods_for(stages):
-            better += int(np.sum(result["genetic/cost"] < result["meet/cost"] - EXACT))
+            better += int(np.sum(result["genetic"].cost < result["meet"].cost - EXACT))
     output.measure("genetic_better_than_exact", better)
     output.check("targets where genetic search beats the exact one", better, "== 0", better == 0)
 
 
-def _measure_scenes(kind: str, solved: Sequence[Mapping[str, Any]], output: Output) -> None:
+def _measure_scenes(kind: str, solved: Sequence[ClearWords], output: Output) -> None:
     """Compare the searches among clear words with the exhaustive one."""
-    exists = np.concatenate([np.isfinite(result["exhaustive"]) for result in solved])
-    touches = np.concatenate([result["touches"] for result in solved])
+    exists = np.concatenate([np.isfinite(result.costs["exhaustive"]) for result in solved])
+    touches = np.concatenate([result.touches for result in solved])
     output.measure(f"scenes/{kind}/with_clear_word", fraction(int(exists.sum()), len(exists)))
     output.measure(
         f"scenes/{kind}/nearest_word_touches", fraction(int(touches.sum()), len(touches))
     )
-    collisions = int(sum(result["collisions"] for result in solved))
+    collisions = int(sum(result.collisions for result in solved))
     output.check(f"{kind}: words found clear that touch", collisions, "== 0", collisions == 0)
-    best = np.concatenate([result["exhaustive"] for result in solved])
-    plain = np.concatenate([result["ignoring"] for result in solved])
+    best = np.concatenate([result.costs["exhaustive"] for result in solved])
+    plain = np.concatenate([result.costs["ignoring"] for result in solved])
     if exists.any():
         output.measure(f"scenes/{kind}/cost_clear", distribution(best[exists]))
     output.measure(f"scenes/{kind}/cost_ignoring", distribution(plain))
     for method in ("kd-tree", "neighbourhood"):
-        cost = np.concatenate([result[method] for result in solved])
+        cost = np.concatenate([result.costs[method] for result in solved])
         found = int(np.sum(np.isfinite(cost) & exists))
         share = found / max(int(exists.sum()), 1)
         output.measure(f"clear_found_fraction/{kind}/{method}", share)
@@ -211,8 +213,8 @@ def _figure(results: Mapping[tuple[str, int], Results]) -> Figure:
             axes = figure.add_subplot(2, 3, 3 * row + column + 1)
             result, methods = results[kind, stages], methods_for(stages)
             for index, method in enumerate(methods):
-                costs = np.sort(result[f"{method}/cost"])
-                time = float(np.median(result[f"{method}/ms"]))
+                costs = np.sort(result[method].cost)
+                time = float(np.median(result[method].ms))
                 share = np.arange(1, len(costs) + 1) / len(costs)
                 digits = max(1 - int(np.floor(np.log10(max(time, 1e-3)))), 0)
                 name = "exchange, equal time" if method == EQUAL_TIME else method

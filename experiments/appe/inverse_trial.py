@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Set
-from typing import Any
+from collections.abc import Sequence, Set
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ VOXEL = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
-class Trial:
+class TargetTrial:
     """Targets of one kind for one arm.
 
     Attributes:
@@ -81,12 +80,47 @@ def draw_targets(
     return targets
 
 
-def solve_targets(trial: Trial) -> dict[str, Any]:
-    """Solve every target by every method.
+@dataclasses.dataclass(frozen=True)
+class Solved:
+    """What one method found for many targets.
 
-    Returns:
-        ``<method>/cost``, ``/displacement`` [r], ``/angle`` [rad] and ``/ms`` (count,) of each.
+    Attributes:
+        cost: (count,) cost [r].
+        displacement: (count,) distance from the target [r].
+        angle: (count,) angle to the target [rad].
+        ms: (count,) computing time [ms].
     """
+
+    cost: FloatArray
+    displacement: FloatArray
+    angle: FloatArray
+    ms: FloatArray
+
+    @classmethod
+    def joined(cls, parts: Sequence[Solved]) -> Solved:
+        """Return several results of one method as one."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+@dataclasses.dataclass(frozen=True)
+class ClearWords:
+    """Searches for words that keep clear of obstacles.
+
+    Attributes:
+        costs: (count,) cost of each method's word, NaN where none was found: exhaustive, kd-tree,
+            neighbourhood, and ignoring (which disregards obstacles).
+        touches: (count,) whether the ignoring word collides.
+        collisions: Number of words found that have a sampled point within an obstacle.
+    """
+
+    costs: dict[str, FloatArray]
+    touches: NDArray[np.bool_]
+    collisions: int
+
+
+def solve_targets(trial: TargetTrial) -> dict[str, Solved]:
+    """Solve every target by every method, and return what each found."""
     rng = np.random.default_rng(trial.seed)
     arm = BinaryArm(trial.stages)
     targets = draw_targets(trial.kind, trial.stages, trial.count, arm.geometry, rng)
@@ -102,11 +136,7 @@ def solve_targets(trial: Trial) -> dict[str, Any]:
             if solution is not None:
                 found[name].append(_row(solution, milliseconds))
         found[EQUAL_TIME].append(_exchange_for(arm, target, found[TIMED][-1][3], rng))
-    return {
-        f"{name}/{what}": np.array(rows)[:, column]
-        for name, rows in found.items()
-        for column, what in enumerate(("cost", "displacement", "angle", "ms"))
-    }
+    return {name: Solved(*np.array(rows).T.copy()) for name, rows in found.items()}
 
 
 def _row(solution: WordSolution, milliseconds: float) -> list[float]:
@@ -127,14 +157,8 @@ def _exchange_for(
     return _row(arm.score(best, target), spent)
 
 
-def solve_scenes(trial: ClearTrial) -> dict[str, Any]:
-    """Put balls onto the arm's best word and ask for one that keeps clear.
-
-    Returns:
-        Costs (count,) of ``exhaustive``, ``kd-tree``, ``neighbourhood`` and ``ignoring`` (obstacles
-        not regarded), NaN where none was found; ``touches``: whether the ignoring word collides;
-        ``collisions``: how many of the words found have a sampled point within an obstacle.
-    """
+def solve_scenes(trial: ClearTrial) -> ClearWords:
+    """Put balls onto the arm's best word and ask for one that keeps clear."""
     rng = np.random.default_rng(trial.seed)
     arm = BinaryArm(CLEAR_STAGES)
     costs: dict[str, list[float]] = {
@@ -159,8 +183,8 @@ def solve_scenes(trial: ClearTrial) -> dict[str, Any]:
             costs[name].append(np.nan if solution is None else solution.cost)
             if solution is not None:
                 collisions += not bool(sampled.free(solution.word[None])[0])
-    arrays: dict[str, Any] = {name: np.array(values) for name, values in costs.items()}
-    return {**arrays, "touches": np.array(touches), "collisions": collisions}
+    arrays = {name: np.array(values) for name, values in costs.items()}
+    return ClearWords(arrays, np.array(touches), collisions)
 
 
 def occupied(points: FloatArray, centres: FloatArray) -> FloatArray:

@@ -11,8 +11,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from experiments.appe.braid_bench import make_bench
 from experiments.appe.mechanism_record import record_words
 from experiments.appe.mechanism_trial import (
     SagTrial,
+    WordRun,
     WordTrial,
     find_barrier,
     pull,
@@ -140,7 +140,7 @@ def _sag(options: Options, output: Output) -> None:
     rows = []
     for trial, result in zip(trials, results):
         suffix = f"{trial.stages}" if trial.head else f"{trial.stages}/no_head"
-        sag, load, held = (np.asarray(result[key]) for key in ("sag", "load", "held"))
+        sag, load, held = result.sag, result.load, result.held
         output.measure(f"words_held_fraction/{suffix}", float(held.mean()))
         still = held == 1
         if not still.any():
@@ -166,7 +166,7 @@ def _words(options: Options, output: Output) -> None:
     trials = [WordTrial(options.stages, int(s), n, group) for s, n in zip(seeds, sizes)]
     results = sweep(run_words, trials, options, output, label="words")
     wrong, sag, load, changed = (
-        np.concatenate([np.asarray(result[key]) for result in results])
+        np.concatenate([getattr(result, key) for result in results])
         for key in ("wrong", "sag", "load", "changed")
     )
     output.measure("words", count)
@@ -180,11 +180,11 @@ def _words(options: Options, output: Output) -> None:
     _speed(results, output)
 
 
-def _speed(results: Sequence[Mapping[str, Any]], output: Output) -> None:
-    seconds = [float(result["seconds"]) for result in results]
-    factor = sum(seconds) / sum(float(result["wall"]) for result in results)
+def _speed(results: Sequence[WordRun], output: Output) -> None:
+    seconds = [result.seconds for result in results]
+    factor = sum(seconds) / sum(result.wall for result in results)
     output.measure("real_time_factor", factor)
     output.check("simulated over wall time", factor, "> 1", factor > 1.0)
     output.measure("simulated_s", sum(seconds))
-    warnings = sum(int(result["warnings"]) for result in results)
+    warnings = sum(result.warnings for result in results)
     output.check("warnings of the physics", warnings, "== 0", warnings == 0)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from controllers.braid.arm.stage import STATES, IntArray
 from experiments.appe.braid_bench import BraidBench, make_bench
-from experiments.appe.mechanism_trial import SagTrial
+from experiments.appe.mechanism_trial import SagRun, SagTrial
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
 
@@ -97,7 +96,7 @@ def toggle(course: FloatArray) -> Figure:
     return figure
 
 
-def sag(trials: Sequence[SagTrial], results: Sequence[Mapping[str, Any]]) -> Figure:
+def sag(trials: Sequence[SagTrial], results: Sequence[SagRun]) -> Figure:
     """Draw sag and load of the detents by the number of stages."""
     figure = Figure(figsize=(10, 3.8))
     tip, load = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
@@ -106,10 +105,10 @@ def sag(trials: Sequence[SagTrial], results: Sequence[Mapping[str, Any]]) -> Fig
         for trial, result in zip(trials, results):
             if trial.head != head:
                 continue
-            held = np.asarray(result["held"]) == 1
+            held = result.held == 1
             at = np.full(held.sum(), trial.stages + (0.1 if head else -0.1))
-            tip.plot(at, 1e3 * np.asarray(result["sag"])[held], ".", ms=3, color=colour)
-            load.plot(at, np.asarray(result["load"])[held], ".", ms=3, color=colour)
+            tip.plot(at, 1e3 * result.sag[held], ".", ms=3, color=colour)
+            load.plot(at, result.load[held], ".", ms=3, color=colour)
         load.plot([], [], ".", color=colour, label=name)
     load.axhline(1.0, color="0.5", ls="--", lw=0.8, label="a leg goes over")
     tip.set(xlabel="stages", ylabel="sag of the tip [mm]", yscale="log")

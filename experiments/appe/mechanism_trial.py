@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,10 +85,10 @@ def pull(bench: BraidBench, leg: int, extend: bool, force: float) -> bool:
     """Let a leg's wires pull with a force [N] at most, and return whether it goes over.
 
     Args:
-        bench: One stage.
-        leg: 0 to 2.
-        extend: Which bundle; the leg starts in the other well.
-        force: Where the force is cut off [N].
+        bench: One stage at rest.
+        leg: Index of the leg, 0 to 2.
+        extend: Whether the extending bundle pulls; the leg starts in the other well.
+        force: Limit of the force [N].
     """
     bench.put(np.array([0 if extend else 1 << leg]))
     index = bench.wires[0, leg, EXTEND if extend else RETRACT]
@@ -139,13 +138,46 @@ def toggle_course() -> FloatArray:
     return np.array(rows)
 
 
-def run_sag(trial: SagTrial) -> dict[str, Any]:
-    """Put an arm into words and let it sag.
+@dataclasses.dataclass(frozen=True)
+class SagRun:
+    """How an arm sags in each word.
 
-    Returns:
-        ``sag`` (m,) of the tip [m], ``load`` (m,) greatest on a detent, over its barrier, and
-        ``held`` (m,) whether all legs kept their state.
+    Attributes:
+        sag: (m,) distance of the tip from the exact kinematics [m].
+        load: (m,) greatest load on a detent, over its barrier.
+        held: (m,) whether all legs kept their state, 0 or 1.
     """
+
+    sag: FloatArray
+    load: FloatArray
+    held: IntArray
+
+
+@dataclasses.dataclass(frozen=True)
+class WordRun:
+    """An arm driven from word to word.
+
+    Attributes:
+        wrong: (m,) number of wrong bits after each word.
+        sag: (m,) distance of the tip from the exact kinematics [m].
+        load: (m,) greatest load on a detent, over its barrier.
+        changed: (m,) number of legs that changed.
+        seconds: Simulated time [s].
+        wall: Computing time [s].
+        warnings: Number of MuJoCo's warnings.
+    """
+
+    wrong: IntArray
+    sag: FloatArray
+    load: FloatArray
+    changed: IntArray
+    seconds: float
+    wall: float
+    warnings: int
+
+
+def run_sag(trial: SagTrial) -> SagRun:
+    """Put an arm into words and let it sag."""
     bench = make_bench(BraidConfig(trial.stages, head=trial.head))
     rng = np.random.default_rng(trial.seed)
     equal = np.tile(np.arange(STATES)[:, None], trial.stages)
@@ -157,16 +189,15 @@ def run_sag(trial: SagTrial) -> dict[str, Any]:
         sag[index] = np.linalg.norm(bench.tip()[:3] - ideal_tip(word)[:3])
         load[index] = bench.loads().max()
         held[index] = int(np.all(bench.bits() == word_bits(word)))
-    return {"sag": sag, "load": load, "held": held}
+    return SagRun(
+        sag=sag,
+        load=load,
+        held=held,
+    )
 
 
-def run_words(trial: WordTrial) -> dict[str, Any]:
-    """Drive an arm that carries the stereo head from word to word, wires and weight simulated.
-
-    Returns:
-        ``wrong`` (m,) bits after each word, ``sag`` (m,) of the tip [m], ``load`` (m,) greatest on
-        a detent, ``changed`` (m,) legs, ``seconds`` simulated, ``wall`` [s], ``warnings``.
-    """
+def run_words(trial: WordTrial) -> WordRun:
+    """Drive an arm that carries the stereo head from word to word, wires and weight simulated."""
     bench = make_bench(BraidConfig(trial.stages))
     rng = np.random.default_rng(trial.seed)
     word: IntArray = np.zeros(trial.stages, dtype=np.int64)
@@ -184,7 +215,12 @@ def run_words(trial: WordTrial) -> dict[str, Any]:
         rows.append((wrong, sag, float(bench.loads().max()), changed))
     wall = time.perf_counter() - begun
     wrong, sag, load, changed = (np.array(column) for column in zip(*rows))
-    return {
-        "wrong": wrong, "sag": sag, "load": load, "changed": changed,
-        "seconds": bench.data.time - since, "wall": wall, "warnings": bench.warnings(),
-    }  # fmt: skip
+    return WordRun(
+        wrong=wrong,
+        sag=sag,
+        load=load,
+        changed=changed,
+        seconds=bench.data.time - since,
+        wall=wall,
+        warnings=bench.warnings(),
+    )

@@ -65,15 +65,15 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(SETTINGS, QUICK_SETTINGS)
     trials = [PlacementTrial(seed, options.stages) for seed in seeds]
     results = sweep(run_placement, trials, options, output, label="settings")
-    placed = [(t, r) for t, r in zip(trials, results) if r["placed"]]
-    possible = sum(r["seeing"] > 0 for r in results)
+    placed = [(t, r.home, r.placed) for t, r in zip(trials, results) if r.placed is not None]
+    possible = sum(r.seeing > 0 for r in results)
     output.measure("placed_fraction", fraction(len(placed), len(results)))
     output.measure("possible_fraction", fraction(possible, len(results)))
     if not placed:
         raise ExperimentError(f"BRAID can take a placement in none of {len(results)} settings")
-    seen = np.array([r["seen"] for _, r in placed])
-    random = np.concatenate([np.asarray(r["random"]) for _, r in placed])
-    home = np.array([r["home"] for r in results])
+    seen = np.array([r.seen for *_, r in placed])
+    random = np.concatenate([r.random for *_, r in placed])
+    home = np.array([r.home for r in results])
     output.measure("visible_fraction/placed", distribution(seen))
     output.measure("visible_fraction/random_words", distribution(random))
     output.measure("visible_fraction/home", distribution(home))
@@ -82,16 +82,16 @@ def run(options: Options, output: Output) -> None:
         "all_seen_fraction/random_words", fraction(int((random >= SEEN).sum()), len(random))
     )
     for key in _KEYS:
-        output.measure(key, distribution([r[key] for _, r in placed]))
-    wrong = sum(int(r["wrong"]) for _, r in placed)
+        output.measure(key, distribution([getattr(r, key) for *_, r in placed]))
+    wrong = sum(r.wrong for *_, r in placed)
     output.measure("wrong_bits", wrong)
     output.check("wrong bits", wrong, "== 0", wrong == 0)
     least = float(seen.min())
     output.check("least part of the target seen", least, f">= {SEEN:g}", least >= SEEN)
     rows = [
-        [t.seed, r["home"], r["seen"], float(np.mean(r["random"])), r["wrong"],
-         "".join(str(int(s)) for s in r["word"]), *(r[key] for key in _KEYS)]
-        for t, r in placed
+        [t.seed, at_home, r.seen, float(np.mean(r.random)), r.wrong,
+         "".join(str(int(s)) for s in r.word), *(getattr(r, key) for key in _KEYS)]
+        for t, at_home, r in placed
     ]  # fmt: skip
     columns = ("seed", "seen from home", "seen", "mean seen by random words", "wrong bits", "word",
                *_KEYS)  # fmt: skip

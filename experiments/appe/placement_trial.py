@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -210,26 +209,61 @@ def prepare(trial: PlacementTrial) -> tuple[RoverView, Plan | None, int]:
     return scene, planner.plan(), planner.seeing
 
 
-def run_placement(trial: PlacementTrial) -> dict[str, Any]:
-    """Plan in one setting, drive BRAID there, and count what is seen.
+@dataclasses.dataclass(frozen=True)
+class PlacedCamera:
+    """A camera placed by BRAID.
 
-    Returns:
-        ``home`` visible part from the arm at home; ``seeing`` words; ``placed``; if so ``seen``
-        and ``pixels``, (n,) ``random`` words' visible parts, ``wrong`` bits, ``tries``,
-        ``place_mm`` and ``turn_deg`` of the camera from the kinematics of its word, ``off_mm``
-        and ``off_deg`` of that from the placement.
+    Attributes:
+        seen: Visible share of the target.
+        random: (n,) visible share from random words.
+        wrong: Number of wrong bits.
+        tries: Number of placements tried.
+        word: (stages,) state of each stage.
+        place_mm: Distance of the camera from the kinematics of its word [mm].
+        turn_deg: Angle of the camera to the kinematics of its word [deg].
+        off_mm: Distance of those kinematics from the placement [mm].
+        off_deg: Angle of those kinematics to the placement [deg].
     """
+
+    seen: float
+    random: FloatArray
+    wrong: int
+    tries: int
+    word: IntArray
+    place_mm: float
+    turn_deg: float
+    off_mm: float
+    off_deg: float
+
+
+@dataclasses.dataclass(frozen=True)
+class PlacementRun:
+    """One setting.
+
+    Attributes:
+        home: Visible share of the target from the arm at home.
+        seeing: Number of words that see the target.
+        placed: The placed camera; None if BRAID can take no placement.
+    """
+
+    home: float
+    seeing: int
+    placed: PlacedCamera | None = None
+
+
+def run_placement(trial: PlacementTrial) -> PlacementRun:
+    """Plan in one setting, drive BRAID there, and count what is seen."""
     scene, plan, seeing = prepare(trial)
     home = scene.seen()[0]
     if plan is None:
-        return {"placed": False, "home": home, "seeing": seeing}
+        return PlacementRun(home, seeing)
     bench = scene.bench
     drive = WireDrive(np.zeros(trial.stages, dtype=np.int64))
     drive.change(plan.word)
     bench.drive(drive)
     bench.step(REST)
     wrong = int(np.count_nonzero(bench.bits() != word_bits(plan.word)))
-    seen, pixels = scene.seen()
+    seen, _ = scene.seen()
     error = plan.transform_camera_to_world.inv() * scene.transform_camera_to_world()
     wish = plan.view.position - plan.transform_camera_to_world.translation
     aim = bench.data.geom("target").xpos - plan.transform_camera_to_world.translation
@@ -241,22 +275,25 @@ def run_placement(trial: PlacementTrial) -> dict[str, Any]:
         bench.put(rng.integers(0, STATES, trial.stages))
         bench.step(REST)
         random.append(scene.seen()[0])
-    return {
-        "placed": True, "home": home, "seeing": seeing,
-        "seen": seen, "pixels": pixels, "random": np.array(random),
-        "wrong": wrong, "tries": plan.tries, "word": plan.word,
-        "place_mm": 1e3 * float(np.linalg.norm(error.translation)),
-        "turn_deg": float(np.rad2deg(error.rotation.magnitude())),
-        "off_mm": 1e3 * float(np.linalg.norm(wish)),
-        "off_deg": float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))),
-    }  # fmt: skip
+    placed = PlacedCamera(
+        seen=seen,
+        random=np.array(random),
+        wrong=wrong,
+        tries=plan.tries,
+        word=plan.word,
+        place_mm=1e3 * float(np.linalg.norm(error.translation)),
+        turn_deg=float(np.rad2deg(error.rotation.magnitude())),
+        off_mm=1e3 * float(np.linalg.norm(wish)),
+        off_deg=float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))),
+    )
+    return PlacementRun(home, seeing, placed)
 
 
 def _in_base(
-    told: tuple[Block, ...], margins: list[float], base: RigidTransform
+    believed: tuple[Block, ...], margins: list[float], base: RigidTransform
 ) -> Callable[[FloatArray], FloatArray]:
     """Return P of places in the arm's base frame: 1 in a block that is grown by its margin."""
-    planes = [ConvexHull(block.corners).equations for block in told]
+    planes = [ConvexHull(block.corners).equations for block in believed]
 
     def occupancy(points: FloatArray) -> FloatArray:
         world = base.apply(points)

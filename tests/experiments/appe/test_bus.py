@@ -6,37 +6,37 @@ import numpy as np
 import pytest
 
 from experiments.appe import bus as appe_bus
-from experiments.appe.bus_trial import FATES, PROTOCOLS, TrialConfig, run_trial
+from experiments.appe.bus_trial import FATES, PROTOCOLS, BusTrialConfig, run_trial
 from experiments.harness.output import Output
 
 
 def test_every_word_has_one_fate_and_the_seed_fixes_it():
-    config = TrialConfig("thesis", 40, seed=1, missed=0.01)
+    config = BusTrialConfig("thesis", 40, seed=1, missed=0.01)
     first, second = run_trial(config), run_trial(config)
     assert sum(first[fate] for fate in FATES) == 40
-    assert 0 < first["right"] < 40
-    np.testing.assert_array_equal(first["wrong_bits"], second["wrong_bits"])
-    assert np.count_nonzero(first["wrong_bits"]) == 40 - first["right"]
+    assert 0 < first.fates["right"] < 40
+    np.testing.assert_array_equal(first.wrong_bits, second.wrong_bits)
+    assert np.count_nonzero(first.wrong_bits) == 40 - first.fates["right"]
 
 
 def test_clean_words_all_arrive_over_the_rc_buffer_too_but_later():
-    flag = run_trial(TrialConfig("thesis", 30, seed=2, lasting=True))
-    rc = run_trial(TrialConfig("thesis", 30, seed=2, buffer="rc", lasting=True))
-    assert flag["right"] == rc["right"] == 30
-    assert np.median(rc["seconds"]) > 2.0 * np.median(flag["seconds"])
+    flag = run_trial(BusTrialConfig("thesis", 30, seed=2, lasting=True))
+    rc = run_trial(BusTrialConfig("thesis", 30, seed=2, buffer="rc", lasting=True))
+    assert flag.fates["right"] == rc.fates["right"] == 30
+    assert np.median(rc.seconds) > 2.0 * np.median(flag.seconds)
 
 
 @pytest.mark.parametrize("kind", ["missed", "extra", "missed_flag"])
 def test_one_fault_a_word_always_strikes_the_thesis_protocol_and_never_parity(kind):
-    thesis = run_trial(TrialConfig("thesis", 30, seed=3, fault=kind))
-    parity = run_trial(TrialConfig("parity", 30, seed=3, fault=kind))
-    assert thesis["right"] == 0 and thesis["told"] == 0
-    assert parity["right"] == 30 and parity["resent"] >= 30
+    thesis = run_trial(BusTrialConfig("thesis", 30, seed=3, fault=kind))
+    parity = run_trial(BusTrialConfig("parity", 30, seed=3, fault=kind))
+    assert thesis.fates["right"] == 0 and thesis.fates["told"] == 0
+    assert parity.fates["right"] == 30 and parity.resent >= 30
 
 
 def test_unknown_fault_is_refused():
     with pytest.raises(ValueError, match="fault 'lost': expected one of missed"):
-        run_trial(TrialConfig("thesis", 1, seed=0, fault="lost"))
+        run_trial(BusTrialConfig("thesis", 1, seed=0, fault="lost"))
 
 
 @pytest.mark.slow

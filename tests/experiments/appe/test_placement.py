@@ -63,11 +63,11 @@ def test_settings_stand_clear_of_the_rover_and_before_the_target():
 @pytest.mark.slow
 def test_a_hidden_target_is_seen_after_braid_has_gone_to_its_word():
     result = run_placement(PlacementTrial(seed=2968811710, stages=5))
-    assert result["home"] < 1.0
-    assert result["placed"]
-    assert result["wrong"] == 0
-    assert result["seen"] > 0.9
-    assert result["turn_deg"] < 5.0
+    assert result.home < 1.0
+    assert result.placed is not None
+    assert result.placed.wrong == 0
+    assert result.placed.seen > 0.9
+    assert result.placed.turn_deg < 5.0
 
 
 @pytest.mark.parametrize("stages", [0, 6])
