@@ -1,11 +1,12 @@
 """Cooperative stereo (section 6.2 (a)), a part of ``ch3-stereo``: two heads triangulate together.
 
 Geometry alone here: two robots look from either side at points and a target about 1.1 m away, and
-their image points are drawn with noise. `ch3_cooperative_rendered` does the same on pictures.
+their image points are drawn with noise. `cooperative_rendered` does the same on pictures.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from experiments.ch3.motion.cooperative_figures import cooperative_figure
 from experiments.ch3.motion.cooperative_rendered import measure_rendered
-from experiments.ch3.motion.cooperative_scores import joint_nees, rms, single_nees
+from experiments.ch3.motion.figures import cooperative_figure
 from experiments.ch3.motion.motion import HEAD
+from experiments.ch3.motion.scores import joint_nees, rms, single_nees
 from experiments.ch3.stereo.scene import look_at
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
@@ -44,7 +45,7 @@ NOISE = {"0.25px": (0.25, 0.25, 0.25), "measured": (0.1, 0.1, 0.03)}
 
 CASES = ("single", "fused", f"bundle_{FEW}", f"bundle_{MANY}", "target", "perfect")
 JOINT = CASES[2:]
-"""Those that tell the covariance of all points together."""
+"""Cases that give the covariance of all points together."""
 CHECKED = (f"bundle_{FEW}", f"bundle_{MANY}", "bundle", "target")
 NEES_BOUNDS = (0.5, 2.0)
 MARKER_POINTS = np.array([[marker.x, marker.y, 0.0] for marker in MARKERS])
@@ -61,15 +62,15 @@ def measure_cooperation(options: contract.Options, output: Output) -> None:
             noise is a key of `NOISE` or ``rendered``.
     """
     configs = [
-        {"seed": seed, "noise": noise} for noise in NOISE for seed in options.job_seeds(100, 10)
+        CooperativeTrial(seed, noise) for noise in NOISE for seed in options.job_seeds(100, 10)
     ]
     results = sweep(triangulate_drawn, configs, options, output, label="cooperative stereo")
     groups: dict[str, dict[str, FloatArray]] = {}
     rows: list[list[Any]] = []
     for noise in NOISE:
-        chosen = [r for c, r in zip(configs, results, strict=True) if c["noise"] == noise]
-        groups[noise] = {case: np.array([r[case] for r in chosen]) for case in CASES}
-        nees = {case: np.array([r[f"nees/{case}"] for r in chosen]) for case in CASES[1:]}
+        chosen = [r for c, r in zip(configs, results, strict=True) if c.noise == noise]
+        groups[noise] = {case: np.array([r.errors[case] for r in chosen]) for case in CASES}
+        nees = {case: np.array([r.nees[case] for r in chosen]) for case in CASES[1:]}
         rows += report_cases(groups[noise], nees, noise, output)
     rendered = measure_rendered(options, output)
     rows += report_cases(rendered.errors, rendered.nees, "rendered", output)
@@ -82,24 +83,24 @@ def measure_cooperation(options: contract.Options, output: Output) -> None:
 def report_cases(
     errors: Mapping[str, FloatArray], nees: Mapping[str, FloatArray], name: str, output: Output
 ) -> list[list[Any]]:
-    """Store what one kind of data tells of each case, and return rows of the table.
+    """Store each case's errors with one kind of data, and return rows of the table.
 
     Args:
         errors: (runs,) r.m.s. errors of points [mm] by case; infinite where it failed.
         nees: (runs,) squared errors of points over their covariance, per degree of freedom.
-        name: Of the noise.
-        output: Where to.
+        name: Name of the noise.
+        output: Receives the metrics.
     """
     rows: list[list[Any]] = []
     for case, values in errors.items():
-        told = distribution(values)
-        output.measure(f"cooperative_error_mm/{case}/{name}", told)
+        summary = distribution(values)
+        output.measure(f"cooperative_error_mm/{case}/{name}", summary)
         failed = int(np.isinf(values).sum())
         output.measure(f"cooperative_failed_fraction/{case}/{name}", fraction(failed, len(values)))
-        gain = np.median(errors["single"]) / told["median"]
+        gain = np.median(errors["single"]) / summary["median"]
         if case != "single":
             output.measure(f"cooperative_gain/{case}/{name}", float(gain))
-        row = [name, case, told["median"], told["low"], told["high"]]
+        row = [name, case, summary["median"], summary["low"], summary["high"]]
         consistent = float("nan")
         if case in nees and np.isfinite(nees[case]).any():
             consistent = float(np.nanmean(nees[case]))
@@ -112,23 +113,43 @@ def report_cases(
                     f"{low:g} to {high:g}",
                     low <= consistent <= high,
                 )
-        rows.append([*row, consistent, told["n"]])
+        rows.append([*row, consistent, summary["n"]])
     return rows
 
 
-def triangulate_drawn(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Draw two robots, points and noise, and triangulate in every way; a job of the sweep.
+@dataclasses.dataclass(frozen=True)
+class CooperativeTrial:
+    """One drawn scene.
 
-    Args:
-        config: ``seed`` and ``noise`` (key of `NOISE`).
-
-    Returns:
-        By case the r.m.s. error of points [mm], infinite where it failed, and ``nees/<case>``. The
-        points are the six or twenty shared ones that fix the pose as well (``bundle_...``), those
-        of the twenty that are not among the six that fix it (``fused``), and the twenty otherwise.
+    Attributes:
+        seed: Random seed of robots, points and noise.
+        noise: Noise of the image points, a key of `NOISE`.
     """
-    rng = np.random.default_rng(config["seed"])
-    sigma = np.array(NOISE[config["noise"]])
+
+    seed: int
+    noise: str
+
+
+@dataclasses.dataclass
+class CooperativeRun:
+    """One drawn scene, triangulated in every way.
+
+    The points are the six or twenty shared ones that fix the pose as well (``bundle_...``), those
+    of the twenty that are not among the six that fix it (``fused``), and the twenty otherwise.
+
+    Attributes:
+        errors: R.m.s. error of the points by case [mm]; infinite where it failed.
+        nees: Squared error over its covariance per degree of freedom by case; NaN where it failed.
+    """
+
+    errors: dict[str, float]
+    nees: dict[str, float]
+
+
+def triangulate_drawn(trial: CooperativeTrial) -> CooperativeRun:
+    """Draw two robots, points and noise, and triangulate in every way; a job of the sweep."""
+    rng = np.random.default_rng(trial.seed)
+    sigma = np.array(NOISE[trial.noise])
     first, second = _robots(rng)
     truth = first.inv() * second
     target = RigidTransform.from_exp_coords([*rng.uniform(-0.3, 0.3, 3), 0.0, 0.0, 0.0])
@@ -136,31 +157,29 @@ def triangulate_drawn(config: Mapping[str, Any]) -> dict[str, Any]:
     points = first.apply(rng.uniform(-SPREAD, SPREAD, (MANY, 3)), inverse=True)
     seen = [_seen(points, camera, sigma, rng) for camera in (RigidTransform.identity(), truth)]
     marked = [_seen(target.apply(MARKER_POINTS), camera, sigma, rng) for camera in (first, second)]
-    result: dict[str, Any] = {}
+    result = CooperativeRun(dict.fromkeys(CASES, np.inf), dict.fromkeys(CASES, np.nan))
 
-    def score(case: str, told: FloatArray, true: FloatArray, nees: float) -> None:
-        result[case] = rms(told - true)
-        result[f"nees/{case}"] = nees
+    def score(case: str, found: FloatArray, true: FloatArray, nees: float) -> None:
+        result.errors[case], result.nees[case] = rms(found - true), nees
 
     def attempt(case: str, count: int, prior: RelativePose | None) -> SharedPoints | None:
-        result[case], result[f"nees/{case}"] = np.inf, np.nan
         chosen = np.arange(MANY) < count
         try:
-            told = triangulate_together(seen[0].chosen(chosen), seen[1].chosen(chosen), prior)
+            shared = triangulate_together(seen[0].chosen(chosen), seen[1].chosen(chosen), prior)
         except RegistrationError:
             return None
-        score(case, told.points, points[:count][told.inliers], joint_nees(told, points[:count]))
-        return told
+        score(
+            case, shared.points, points[:count][shared.inliers], joint_nees(shared, points[:count])
+        )
+        return shared
 
     score("single", HEAD.points(seen[0].image_points), points, np.nan)
     few = attempt(f"bundle_{FEW}", FEW, None)
     attempt(f"bundle_{MANY}", MANY, None)
     attempt("perfect", MANY, RelativePose(truth, np.zeros((6, 6))))
-    result["fused"], result["nees/fused"] = np.inf, np.nan
     if few is not None:
         fused, covariances = _fused(seen, np.arange(MANY) >= FEW, few.relative)
         score("fused", fused, points[FEW:], single_nees(fused - points[FEW:], covariances))
-    result["target"], result["nees/target"] = np.inf, np.nan
     try:
         prior = relative_pose_by_target(marked[0], MARKER_POINTS, marked[1], MARKER_POINTS)
     except RegistrationError:
@@ -197,9 +216,9 @@ def _fused(
 ) -> tuple[FloatArray, FloatArray]:
     """Return points and covariances of those that had no part in the relative pose."""
     points = [HEAD.points(sight.image_points[chosen]) for sight in seen]
-    spread = [
+    covariances = [
         HEAD.covariance(local, sight.sigma[chosen])
         for local, sight in zip(points, seen, strict=True)
     ]
-    told = fuse_views(points[0], spread[0], points[1], spread[1], relative)
-    return told.points, told.covariances
+    fused = fuse_views(points[0], covariances[0], points[1], covariances[1], relative)
+    return fused.points, fused.covariances

@@ -9,14 +9,13 @@ it. The truth puts the arms where the panel is in view, and scores.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from experiments.ch3.motion.cooperative_scores import joint_nees, rms, single_nees
+from experiments.ch3.motion.scores import joint_nees, rms, single_nees
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene, StereoView
 from experiments.ch3.stereo.trial import target_cad
 from experiments.harness import contract
@@ -59,7 +58,7 @@ alone, and the points and the target together."""
 
 @dataclasses.dataclass(frozen=True)
 class Rendered:
-    """What the rendered scenes tell.
+    """Errors over the rendered scenes.
 
     Attributes:
         errors: (runs,) r.m.s. errors of points [mm] by case.
@@ -72,6 +71,53 @@ class Rendered:
     nees: dict[str, FloatArray]
     images: NDArray[np.uint8]
     matches: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class RenderedScene:
+    """One scene to render.
+
+    Attributes:
+        seed: Random seed of scene, postures and noise.
+        scene: The scene, but for its seed.
+    """
+
+    seed: int
+    scene: SceneConfig = SceneConfig()
+
+
+@dataclasses.dataclass
+class RenderedPair:
+    """One rendered scene, triangulated in every way that succeeds.
+
+    Attributes:
+        errors: R.m.s. error of the points in the first camera by case [mm]; infinite where it
+            failed.
+        nees: Squared error over its covariance per degree of freedom by case; NaN where it failed.
+        pose_errors: (2,) error of the relative pose by `WAYS` [mm, deg]; infinite where it failed.
+        baseline_m: Distance between the two left cameras [m].
+        images: (2, H, W) uint8 left images of both robots.
+        marker_errors: (k, 3) errors of the markers' columns, rows and disparities [px].
+        matches: (N, 4) column and row in the first and in the second [px].
+        sought: Number of points sought in the second view.
+        matched: Number of points found there.
+        range_m: Median distance of the points [m]; infinite without any.
+        agreed: (N,) whether triangulation kept each point, 0 or 1.
+        gross: (N,) whether a point that was kept is grossly wrong, 0 or 1.
+    """
+
+    errors: dict[str, float]
+    nees: dict[str, float]
+    pose_errors: dict[str, FloatArray]
+    baseline_m: float
+    images: NDArray[np.uint8]
+    marker_errors: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
+    matches: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 4)))
+    sought: int = 0
+    matched: int = 0
+    range_m: float = np.inf
+    agreed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    gross: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,13 +136,13 @@ def measure_rendered(options: contract.Options, output: Output) -> Rendered:
         options: ``quick`` takes 1 scene instead of 8.
         output: Receives what matching and the target are worth; errors are returned.
     """
-    configs = [{"seed": seed} for seed in options.job_seeds(8, 1)]
+    configs = [RenderedScene(seed) for seed in options.job_seeds(8, 1)]
     results = sweep(triangulate_rendered, configs, options, output, label="cooperative scenes")
-    found = int(sum(r["matched"] for r in results))
-    sought = int(sum(r["sought"] for r in results))
+    found = sum(r.matched for r in results)
+    sought = sum(r.sought for r in results)
     output.measure("cooperative_matched_fraction", fraction(found, max(sought, 1)))
-    agreed = np.concatenate([r["agreed"] for r in results])
-    gross = np.concatenate([r["gross"] for r in results])
+    agreed = np.concatenate([r.agreed for r in results])
+    gross = np.concatenate([r.gross for r in results])
     if len(agreed):
         output.measure(
             "cooperative_rejected_fraction", fraction(int((~(agreed > 0.5)).sum()), len(agreed))
@@ -104,12 +150,12 @@ def measure_rendered(options: contract.Options, output: Output) -> Rendered:
         wrong = int(np.sum((agreed > 0.5) & (gross > 0.5)))
         output.measure("cooperative_wrong_kept_fraction", fraction(wrong, len(agreed)))
     for key in ("range_m", "baseline_m"):
-        output.measure(f"cooperative_{key}", distribution([r[key] for r in results]))
+        output.measure(f"cooperative_{key}", distribution([getattr(r, key) for r in results]))
     for way in WAYS:
         for part, name in enumerate(("mm", "deg")):
-            values = [r[f"pose/{way}"][part] for r in results]
+            values = [float(r.pose_errors[way][part]) for r in results]
             output.measure(f"cooperative_pose_error_{name}/{way}", distribution(values))
-    markers = np.concatenate([r["marker_errors"] for r in results])
+    markers = np.concatenate([r.marker_errors for r in results])
     for axis, values in zip(("column", "row", "disparity"), markers.T, strict=True):
         if len(values):
             output.measure(
@@ -117,26 +163,17 @@ def measure_rendered(options: contract.Options, output: Output) -> Rendered:
             )
     shown = results[0]
     return Rendered(
-        {case: np.array([r[case] for r in results]) for case in CASES},
-        {case: np.array([r[f"nees/{case}"] for r in results]) for case in CASES[1:]},
-        np.asarray(shown["images"], dtype=np.uint8),
-        np.asarray(shown["matches"]).reshape(-1, 4),
+        {case: np.array([r.errors[case] for r in results]) for case in CASES},
+        {case: np.array([r.nees[case] for r in results]) for case in CASES[1:]},
+        shown.images,
+        shown.matches,
     )
 
 
-def triangulate_rendered(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Render both robots' views of a scene and triangulate in every way; a job of the sweep.
-
-    Args:
-        config: ``seed``; ``scene`` may hold further fields of `SceneConfig`.
-
-    Returns:
-        By case the r.m.s. error of points [mm] in the first camera, infinite where it failed, and
-        ``nees/<case>``; what became of the matches; ``pose/<way>``, errors [mm, deg] of the
-        relative pose; and what the figure shows.
-    """
-    scene = StereoScene(SceneConfig(seed=config["seed"], **config.get("scene", {})))
-    rng = np.random.default_rng(np.random.SeedSequence((config["seed"], 62)))
+def triangulate_rendered(trial: RenderedScene) -> RenderedPair:
+    """Render both robots' views of a scene and triangulate in every way; a job of the sweep."""
+    scene = StereoScene(dataclasses.replace(trial.scene, seed=trial.seed))
+    rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 62)))
     for name in scene.robot_names:
         face_panel(scene, name, rng)
     views = [scene.capture(name) for name in scene.robot_names]
@@ -146,23 +183,23 @@ def triangulate_rendered(config: Mapping[str, Any]) -> dict[str, Any]:
     if found[0] is None or found[1] is None:
         return result
     seen = (found[0], found[1])
-    result["marker_errors"] = _marker_errors(scene, views, seen)
+    result.marker_errors = _marker_errors(scene, views, seen)
     truth = views[0].transform_camera_to_world.inv() * views[1].transform_camera_to_world
-    told = _by_markers(seen, scene.geometry)
-    result["pose/markers"] = _pose_error(told, truth)
+    by_markers = _by_markers(seen, scene.geometry)
+    result.pose_errors["markers"] = _pose_error(by_markers, truth)
     by_target = _by_target(seen, cad.points, scene.geometry)
-    result["pose/target"] = _pose_error(by_target, truth)
+    result.pose_errors["target"] = _pose_error(by_target, truth)
     if by_target is None:
         return result
     shared = _match(views, by_target, scene.geometry)
-    result["sought"], result["matched"] = shared.sought, len(shared.first.image_points)
+    result.sought, result.matched = shared.sought, len(shared.first.image_points)
     pixels = shared.first.image_points[:, :2]
-    result["matches"] = np.column_stack([pixels, shared.second.image_points[:, :2]])
+    result.matches = np.column_stack([pixels, shared.second.image_points[:, :2]])
     if len(pixels):
         depths = scene.true_depths(scene.robot_names[0], pixels)
         disparities = scene.geometry.fx * scene.geometry.baseline / depths
         true = scene.geometry.points(np.column_stack([pixels, disparities]))
-        result.update(_triangulate(shared, true, truth, by_target))
+        _triangulate(result, shared, true, truth, by_target)
     return result
 
 
@@ -171,8 +208,8 @@ def face_panel(scene: StereoScene, name: str, rng: np.random.Generator) -> None:
 
     Args:
         scene: Its arm is moved.
-        name: Of the robot.
-        rng: Draws postures.
+        name: Name of the robot.
+        rng: Random generator for the postures.
 
     Raises:
         RuntimeError: If no posture shows the markers.
@@ -200,18 +237,16 @@ def face_panel(scene: StereoScene, name: str, rng: np.random.Generator) -> None:
     scene.set_joints(name, best[1])
 
 
-def _nothing(views: Sequence[StereoView]) -> dict[str, Any]:
-    """Return what a scene tells in which nothing succeeds."""
-    result: dict[str, Any] = {case: np.inf for case in CASES}
-    result.update({f"nees/{case}": np.nan for case in CASES[1:]})
-    result.update({f"pose/{way}": np.full(2, np.inf) for way in WAYS})
-    result.update({"sought": 0, "matched": 0, "range_m": np.inf})
-    result.update({"agreed": np.zeros(0), "gross": np.zeros(0), "marker_errors": np.zeros((0, 3))})
+def _nothing(views: Sequence[StereoView]) -> RenderedPair:
+    """Return the result of a scene in which nothing succeeds."""
     places = [view.transform_camera_to_world.translation for view in views]
-    result["baseline_m"] = float(np.linalg.norm(places[1] - places[0]))
-    result["images"] = np.stack([view.pair[0] for view in views])
-    result["matches"] = np.zeros((0, 4))
-    return result
+    return RenderedPair(
+        dict.fromkeys(CASES, np.inf),
+        dict.fromkeys(CASES, np.nan),
+        {way: np.full(2, np.inf) for way in WAYS},
+        float(np.linalg.norm(places[1] - places[0])),
+        np.stack([view.pair[0] for view in views]),
+    )
 
 
 def _marker_errors(
@@ -288,12 +323,16 @@ def _spaced(pixels: FloatArray, candidates: NDArray[np.intp]) -> NDArray[np.intp
 
 
 def _triangulate(
-    shared: _Shared, true: FloatArray, truth: RigidTransform, by_target: RelativePose
-) -> dict[str, Any]:
-    """Return what each case makes of the matched points."""
+    result: RenderedPair,
+    shared: _Shared,
+    true: FloatArray,
+    truth: RigidTransform,
+    by_target: RelativePose,
+) -> None:
+    """Enter what each case makes of the matched points."""
     first, second = shared.first, shared.second
-    result: dict[str, Any] = {"range_m": float(np.median(true[:, 2]))}
-    told: dict[str, SharedPoints] = {}
+    result.range_m = float(np.median(true[:, 2]))
+    found: dict[str, SharedPoints] = {}
     priors = {
         "bundle": None,
         "target": by_target,
@@ -301,17 +340,17 @@ def _triangulate(
     }
     for case, prior in priors.items():
         try:
-            told[case] = triangulate_together(first, second, prior)
+            found[case] = triangulate_together(first, second, prior)
         except RegistrationError:
             continue
-        result[case] = rms(told[case].points - true[told[case].inliers])
-        result[f"nees/{case}"] = joint_nees(told[case], true, DEPTH)
+        result.errors[case] = rms(found[case].points - true[found[case].inliers])
+        result.nees[case] = joint_nees(found[case], true, DEPTH)
     for way, case in (("bundle", "bundle"), ("joint", "target")):
-        if case in told:
-            result[f"pose/{way}"] = _pose_error(told[case].relative, truth)
-    if "target" not in told:
-        return result
-    kept = told["target"].inliers
+        if case in found:
+            result.pose_errors[way] = _pose_error(found[case].relative, truth)
+    if "target" not in found:
+        return
+    kept = found["target"].inliers
     alone = first.geometry.points(first.image_points)
     other = second.geometry.points(second.image_points)
     fused = fuse_views(
@@ -321,18 +360,18 @@ def _triangulate(
         second.geometry.covariance(other, second.sigma)[kept],
         by_target,
     )
-    result["single"] = rms(alone[kept] - true[kept])
-    result["fused"] = rms(fused.points - true[kept])
-    result["nees/fused"] = single_nees(fused.points - true[kept], fused.covariances, DEPTH)
+    result.errors["single"] = rms(alone[kept] - true[kept])
+    result.errors["fused"] = rms(fused.points - true[kept])
+    result.nees["fused"] = single_nees(fused.points - true[kept], fused.covariances, DEPTH)
     gross = np.zeros(len(kept))
-    gross[kept] = np.linalg.norm(told["target"].points - true[kept], axis=1) > GROSS
-    return {**result, "agreed": kept.astype(float), "gross": gross}
+    gross[kept] = np.linalg.norm(found["target"].points - true[kept], axis=1) > GROSS
+    result.agreed, result.gross = kept.astype(float), gross
 
 
-def _pose_error(told: RelativePose | None, truth: RigidTransform) -> FloatArray:
+def _pose_error(estimate: RelativePose | None, truth: RigidTransform) -> FloatArray:
     """Return how far off a relative pose is, [mm, deg]; infinite if there is none."""
-    if told is None:
+    if estimate is None:
         return np.full(2, np.inf)
-    off = truth * told.transform_second_to_first.inv()
-    apart = told.transform_second_to_first.translation - truth.translation
+    off = truth * estimate.transform_second_to_first.inv()
+    apart = estimate.transform_second_to_first.translation - truth.translation
     return np.array([1000.0 * float(np.linalg.norm(apart)), np.degrees(off.rotation.magnitude())])

@@ -1,4 +1,4 @@
-"""Figures 3-23 and 3-24: tracked fiducials, and how the motion's error accumulates."""
+"""Figures 3-23 and 3-24, tracked fiducials and accumulated error, and cooperative stereo's."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from experiments.ch3.motion.scores import Followed
+
 FloatArray = NDArray[np.float64]
 
-Groups = Mapping[str, Sequence[Mapping[str, Any]]]
+
+Groups = Mapping[str, Sequence[Followed]]
 
 
 def error_figure(few: Groups, many: Groups, solvers: Sequence[str], sigma: float) -> Figure:
     """Draw the accumulated error over the steps, one panel for each range and redundancy.
 
     Args:
-        few: Results by range, with few fiducials a view; each maps a solver to errors [mm].
-        many: The same with many.
-        solvers: Which to draw.
+        few: Results by range, with few fiducials a view.
+        many: Results by range, with many fiducials a view.
+        solvers: Names of the solvers to draw.
         sigma: Image noise [px], for the title.
     """
     figure = Figure(figsize=(12, 4.0 * len(few)), layout="constrained")
@@ -30,7 +33,7 @@ def error_figure(few: Groups, many: Groups, solvers: Sequence[str], sigma: float
             grid[row], (few[name], many[name]), ("6 fiducials a view", "30 fiducials a view")
         ):
             for solver in solvers:
-                _draw_error(axes, np.array([result[solver] for result in group]), solver)
+                _draw_error(axes, np.array([result.errors[solver] for result in group]), solver)
             axes.set(title=f"mean distance {name.removesuffix('mm')} mm, {label}", yscale="log")
             axes.grid(alpha=0.3, which="both")
         grid[row][0].set_ylabel("translation error [mm]")
@@ -91,3 +94,59 @@ def tracking_figure(
         axes.set_title(f"view {index + 1}", fontsize="medium")
     figure.suptitle("Fiducials: squares tracked with the previous view, circles with the next")
     return figure
+
+
+LABELS = {
+    "single": "one robot",
+    "fused": "two, fused",
+    "bundle": "two, jointly",
+    "bundle_6": "two, jointly, 6 points",
+    "bundle_20": "two, jointly, 20 points",
+    "target": "jointly, known target",
+    "perfect": "pose known exactly",
+}
+
+
+def cooperative_figure(
+    groups: Mapping[str, Mapping[str, FloatArray]], images: NDArray[np.uint8], matches: FloatArray
+) -> Figure:
+    """Draw r.m.s. errors of points, and what was matched across two robots' views.
+
+    Args:
+        groups: (runs,) errors [mm] by kind of data and case; infinite ones are left out.
+        images: (2, H, W) uint8 left images of the two robots.
+        matches: (N, 4) column and row of each point in the first and in the second [px].
+    """
+    figure = Figure(figsize=(12, 8.5), layout="constrained")
+    parts: Any = figure.subfigures(2, 1)
+    above, below = parts
+    grid = above.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+    for axes, (name, errors) in zip(grid, groups.items(), strict=True):
+        _draw_cases(axes, errors)
+        axes.set_title("rendered pairs" if name == "rendered" else f"drawn, {name}")
+    grid[0].set_ylabel("r.m.s. error of points [mm]")
+    for axes, image, places, label in zip(
+        below.subplots(1, 2), images, (matches[:, :2], matches[:, 2:]), ("first", "second")
+    ):
+        axes.imshow(image, cmap="gray", vmin=0, vmax=255)
+        colours = np.linspace(0.0, 1.0, max(len(places), 1))[: len(places)]
+        axes.scatter(places[:, 0], places[:, 1], c=colours, cmap="hsv", s=14)
+        axes.set_title(f"{label} robot: {len(places)} points that both see", fontsize="medium")
+        axes.set_axis_off()
+    figure.suptitle("Cooperative stereo (section 6.2 (a)): median and quartiles")
+    return figure
+
+
+def _draw_cases(axes: Any, errors: Mapping[str, FloatArray]) -> None:
+    colours = {case: f"C{index}" for index, case in enumerate(LABELS)}
+    for row, (case, values) in enumerate(errors.items()):
+        finite = values[np.isfinite(values)]
+        if len(finite):
+            low, middle, high = np.percentile(finite, [25, 50, 75])
+            axes.bar(row, middle, color=colours[case], alpha=0.6)
+            axes.errorbar(row, middle, [[middle - low], [high - middle]], color="black")
+            axes.text(row, high * 1.08, f"{middle:.2g}", ha="center", fontsize="small")
+    names = [LABELS[case] for case in errors]
+    axes.set_xticks(range(len(names)), names, rotation=30, ha="right", fontsize="small")
+    axes.set_yscale("log")
+    axes.grid(axis="y", alpha=0.3, which="both")

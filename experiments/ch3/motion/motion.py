@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.motion.figures import error_figure
+from experiments.ch3.motion.scores import Followed, millimetres, normalised_error
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
@@ -66,9 +67,9 @@ class ArmMotion:
     Shifts scale with the range, so that successive views overlap as much far away as near.
 
     Attributes:
-        share: Standard deviation of the camera's place along each axis, in the long run, over the
-            mean distance of the fiducials: 6 cm at 1.1 m.
-        degrees: The same of its rotation about each axis [deg].
+        share: Standard deviation of the camera's position along each axis, in the long run, over
+            the mean distance of the fiducials: 6 cm at 1.1 m.
+        degrees: Standard deviation of its rotation about each axis [deg].
         memory: Correlation of one step with the last; 0.9 makes steps 0.45 of the deviations.
     """
 
@@ -80,7 +81,7 @@ class ArmMotion:
         """Return steps + 1 poses of the camera in the first one's frame.
 
         Args:
-            rng: Draws them.
+            rng: Random generator for the motion.
             steps: Number of motions.
             distance: Mean distance of the fiducials [m].
         """
@@ -93,6 +94,25 @@ class ArmMotion:
         return poses
 
 
+@dataclasses.dataclass(frozen=True)
+class CameraTrial:
+    """One random motion of a camera.
+
+    Attributes:
+        seed: Random seed of motion, points and noise.
+        range: Mean distance of the fiducials, a key of `RANGES`.
+        fiducials: Number of fiducials in a view.
+        sigma: Image noise [px].
+        steps: Number of motions.
+    """
+
+    seed: int
+    range: str
+    fiducials: int
+    sigma: float
+    steps: int = STEPS
+
+
 def measure_motion(options: contract.Options, output: Output) -> None:
     """Sweep over ranges, numbers of fiducials, noise and seeds; measure and draw.
 
@@ -103,15 +123,15 @@ def measure_motion(options: contract.Options, output: Output) -> None:
     """
     cases = [(FEW, COARSE), (MANY, COARSE)] if options.quick else _all_cases()
     configs = [
-        {"seed": seed, "range": name, "fiducials": count, "sigma": sigma}
+        CameraTrial(seed, name, count, sigma)
         for count, sigma in cases
         for name in RANGES
         for seed in options.job_seeds(100, 6)
     ]
     results = sweep(accumulate, configs, options, output, label="motions")
-    groups: dict[tuple[int, float, str], list[dict[str, Any]]] = {}
+    groups: dict[tuple[int, float, str], list[Followed]] = {}
     for config, result in zip(configs, results, strict=True):
-        key = (config["fiducials"], config["sigma"], config["range"])
+        key = (config.fiducials, config.sigma, config.range)
         groups.setdefault(key, []).append(result)
     rows: list[list[Any]] = []
     for (count, sigma, name), group in groups.items():
@@ -128,25 +148,15 @@ def _all_cases() -> list[tuple[int, float]]:
     return [(count, sigma) for sigma in (COARSE, FINE) for count in (FEW, MANY)]
 
 
-def accumulate(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Move a camera and follow it by every solver; a job of the sweep.
-
-    Args:
-        config: ``seed``, ``range`` (key of `RANGES`), ``fiducials`` a view, ``sigma`` [px], and
-            ``steps`` if not `STEPS`.
-
-    Returns:
-        For each of `SOLVERS` and for `PERSISTENT` the errors of the camera's place [mm],
-        infinite where it was lost; ``nees/ml`` and ``nees/persistent``, normalised
-        squared errors of the single motions and of the registered poses, per degree of freedom.
-    """
-    streams = np.random.SeedSequence(config["seed"]).spawn(3)
+def accumulate(trial: CameraTrial) -> Followed:
+    """Move a camera and follow it by every solver and by the map; a job of the sweep."""
+    streams = np.random.SeedSequence(trial.seed).spawn(3)
     path, chain, world = (np.random.default_rng(stream) for stream in streams)
-    distance, count = RANGES[config["range"]], int(config["fiducials"])
-    poses = ArmMotion().draw(path, config.get("steps", STEPS), distance)
-    result = follow_by_motions(poses, distance, count, config["sigma"], chain)
-    result.update(follow_by_map(poses, distance, count, config["sigma"], world))
-    return result
+    distance = RANGES[trial.range]
+    poses = ArmMotion().draw(path, trial.steps, distance)
+    chained = follow_by_motions(poses, distance, trial.fiducials, trial.sigma, chain)
+    mapped = follow_by_map(poses, distance, trial.fiducials, trial.sigma, world)
+    return Followed(chained.errors | mapped.errors, chained.nees | mapped.nees)
 
 
 def follow_by_motions(
@@ -155,18 +165,15 @@ def follow_by_motions(
     count: int,
     sigma: float,
     rng: np.random.Generator,
-) -> dict[str, FloatArray]:
-    """Chain the motions that each solver tells, all from the same image points.
+) -> Followed:
+    """Chain the motions that each solver estimates, all from the same image points.
 
     Args:
-        poses: Camera to world, the first the identity.
+        poses: Transforms from camera to world, the first the identity.
         distance: Mean distance of the fiducials [m].
-        count: Fresh fiducials a step.
+        count: Number of fresh fiducials a step.
         sigma: Image noise [px].
-        rng: Draws fiducials and noise.
-
-    Returns:
-        As `accumulate`.
+        rng: Random generator for fiducials and noise.
     """
     chained = {solver: RigidTransform.identity() for solver in SOLVERS}
     errors = {solver: np.full(len(poses) - 1, np.inf) for solver in SOLVERS}
@@ -182,19 +189,19 @@ def follow_by_motions(
             if solver in lost:
                 continue
             try:
-                told = estimate_motion(
+                found = estimate_motion(
                     solver, before, after, HEAD, sigma, reject=solver == "ml", rng=rng
                 )
             except RegistrationError:
                 lost.add(solver)
                 continue
-            chained[solver] = chained[solver] * told.transform_after_to_before
-            errors[solver][step] = _millimetres(chained[solver], pose)
+            chained[solver] = chained[solver] * found.transform_after_to_before
+            errors[solver][step] = millimetres(chained[solver], pose)
             if solver == "ml":
                 nees[step] = normalised_error(
-                    told.transform_after_to_before, motion, told.covariance
+                    found.transform_after_to_before, motion, found.covariance
                 )
-    return {**errors, "nees/ml": nees}
+    return Followed(errors, {"ml": nees})
 
 
 def follow_by_map(
@@ -203,21 +210,18 @@ def follow_by_map(
     count: int,
     sigma: float,
     rng: np.random.Generator,
-) -> dict[str, FloatArray]:
+) -> Followed:
     """Register each view to a growing map of fiducials that stay.
 
     Of those in the map a view measures `count` at most, those known best, to be registered; new
     ones are added until some are to spare for the next view.
 
     Args:
-        poses: Camera to world, the first the identity.
+        poses: Transforms from camera to world, the first the identity.
         distance: Mean distance of the fiducials from the first pose [m].
-        count: Fiducials measured in a view.
+        count: Number of fiducials measured in a view.
         sigma: Image noise [px].
-        rng: Draws fiducials and noise.
-
-    Returns:
-        As `accumulate`.
+        rng: Random generator for fiducials and noise.
     """
     truth = _surroundings(rng, distance, 15.0 if count <= FEW else 2.5 * count)
     fiducials = FiducialMap(HEAD, np.full(3, sigma))
@@ -232,17 +236,19 @@ def follow_by_map(
         if step == 0:
             numbers[new] = fiducials.add(image[new], pose)
             continue
-        spread = np.trace(fiducials.covariances(), axis1=1, axis2=2)
-        known = known[np.argsort(spread[numbers[known]], kind="stable")][:count]
+        variance = np.trace(fiducials.covariances(), axis1=1, axis2=2)
+        known = known[np.argsort(variance[numbers[known]], kind="stable")][:count]
         try:
             seen = fiducials.observe(numbers[known], image[known], new=image[new], rng=rng)
         except RegistrationError:
             continue  # Too few are in view; a later view may know its place again.
         numbers[new] = seen.added
-        told = seen.registration
-        errors[step - 1] = _millimetres(told.transform_camera_to_world, pose)
-        nees[step - 1] = normalised_error(told.transform_camera_to_world, pose, told.covariance)
-    return {PERSISTENT: errors, f"nees/{PERSISTENT}": nees}
+        registration = seen.registration
+        errors[step - 1] = millimetres(registration.transform_camera_to_world, pose)
+        nees[step - 1] = normalised_error(
+            registration.transform_camera_to_world, pose, registration.covariance
+        )
+    return Followed({PERSISTENT: errors}, {PERSISTENT: nees})
 
 
 def points_in_both_views(
@@ -251,10 +257,10 @@ def points_in_both_views(
     """Return (count, 3) random points [m] in view before and after, in the frame before.
 
     Args:
-        rng: Draws them.
-        motion: After to before.
+        rng: Random generator for the points.
+        motion: Transform from the camera after the motion to the camera before it.
         distance: Mean depth [m].
-        count: How many.
+        count: Number of points.
 
     Raises:
         ValueError: If the two views hardly overlap.
@@ -277,14 +283,6 @@ def points_in_both_views(
     raise ValueError(f"two views overlap too little for {count} fiducials at {distance} m")
 
 
-def normalised_error(
-    estimate: RigidTransform, truth: RigidTransform, covariance: FloatArray
-) -> float:
-    """Return the squared error over its covariance per degree of freedom; 1 is expected."""
-    xi = (truth * estimate.inv()).as_exp_coords()
-    return float(xi @ np.linalg.solve(covariance, xi)) / 6.0
-
-
 def _in_view(image: FloatArray) -> NDArray[np.bool_]:
     """Say which points both eyes see, away from the border."""
     columns, rows, disparities = image.T
@@ -302,50 +300,44 @@ def _surroundings(rng: np.random.Generator, distance: float, in_view: float) -> 
     return rng.uniform(low, high, (count, 3))
 
 
-def _millimetres(estimate: RigidTransform, truth: RigidTransform) -> float:
-    return 1000.0 * float(np.linalg.norm(estimate.translation - truth.translation))
-
-
 def _measure_errors(
-    group: Sequence[Mapping[str, Any]], count: int, sigma: float, name: str, output: Output
+    group: Sequence[Followed], count: int, sigma: float, name: str, output: Output
 ) -> None:
     """Store the errors of one case, with its number of fiducials and noise if not the usual."""
     suffix = "" if count == FEW else f"_{count}"
     prefix = "motion_error_mm" if sigma == COARSE else f"motion_error_mm_at_{sigma:g}px"
     for solver in (*SOLVERS, PERSISTENT):
-        errors = np.array([result[solver] for result in group])
+        errors = np.array([result.errors[solver] for result in group])
         for steps in REPORTED:
             key = f"{prefix}/{solver}{suffix}/{name}/{steps}"
             output.measure(key, distribution(errors[:, steps - 1]))
         lost = fraction(int(np.isinf(errors).sum()), errors.size)
         output.measure(f"{prefix}/views_lost/{solver}{suffix}/{name}", lost)
     for solver in ("ml", PERSISTENT):
-        values = np.array([result[f"nees/{solver}"] for result in group])
+        values = np.array([result.nees[solver] for result in group])
         kind = prefix.replace("error_mm", "nees")
         output.measure(f"{kind}/{solver}{suffix}/{name}", float(np.nanmean(values)))
 
 
-def _rows(group: Sequence[Mapping[str, Any]], case: tuple[Any, ...]) -> list[list[Any]]:
+def _rows(group: Sequence[Followed], case: tuple[Any, ...]) -> list[list[Any]]:
     """Return one row for each solver and reported step."""
     rows: list[list[Any]] = []
     for solver in (*SOLVERS, PERSISTENT):
-        errors = np.array([result[solver] for result in group])
+        errors = np.array([result.errors[solver] for result in group])
         for steps in REPORTED:
-            told = distribution(errors[:, steps - 1])
+            summary = distribution(errors[:, steps - 1])
             square = float(np.sqrt(np.mean(errors[:, steps - 1] ** 2)))
-            row = [*case, solver, steps, told["median"], told["low"], told["high"], square]
-            rows.append([*row, told["n"]])
+            row = [*case, solver, steps, summary["median"], summary["low"], summary["high"], square]
+            rows.append([*row, summary["n"]])
     return rows
 
 
-def _check(
-    groups: Mapping[tuple[int, float, str], Sequence[Mapping[str, Any]]], output: Output
-) -> None:
+def _check(groups: Mapping[tuple[int, float, str], Sequence[Followed]], output: Output) -> None:
     """Hold likelihood against the linear solution, and the map against its own start."""
 
     def median(solver: str, steps: int, name: str) -> float:
         group = groups[FEW, COARSE, name]
-        return float(np.median([result[solver][steps - 1] for result in group]))
+        return float(np.median([result.errors[solver][steps - 1] for result in group]))
 
     ratio = median("ml", 15, "1100mm") / median("linear", 15, "1100mm")
     output.measure("motion_error_ratio/ml_over_linear", ratio)

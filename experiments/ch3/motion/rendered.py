@@ -8,15 +8,15 @@ starts the search. The true poses serve to score.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.motion.figures import tracking_figure
-from experiments.ch3.motion.motion import RANGES, ArmMotion, normalised_error
+from experiments.ch3.motion.motion import PERSISTENT, RANGES, ArmMotion
+from experiments.ch3.motion.scores import Followed, millimetres, normalised_error
 from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
@@ -57,9 +57,47 @@ class _View:
 
     pair: NDArray[np.uint8]
     pose: RigidTransform
-    told: RigidTransform  # To the last view, roughly.
+    reported: RigidTransform  # To the last view, by the arm's joints.
     measured: FloatArray  # (N, 3) columns, rows, disparities of the stereo match [px].
     sigma: FloatArray  # (N, 3) of them.
+
+
+@dataclasses.dataclass(frozen=True)
+class RenderedTrial:
+    """One random motion of a rendered camera.
+
+    Attributes:
+        seed: Random seed of scene and motion.
+        range: Mean distance of what is seen, a key of `RANGES`.
+        steps: Number of motions.
+        scene: The scene, but for its seed.
+    """
+
+    seed: int
+    range: str
+    steps: int = STEPS
+    scene: SceneConfig = SceneConfig()
+
+
+@dataclasses.dataclass(frozen=True)
+class RenderedRun(Followed):
+    """A rendered camera followed by every solver and by the map.
+
+    Attributes:
+        tracking: (N, 3) errors of the tracked columns, rows and disparities [px].
+        sought: Number of fiducials sought.
+        found: Number of fiducials tracked.
+        images: (SHOWN, H, W) uint8 first left images.
+        with_previous: For each image (N, 3) the fiducials tracked from the one before.
+        with_next: For each image (N, 3) the fiducials tracked to the one after.
+    """
+
+    tracking: FloatArray
+    sought: int
+    found: int
+    images: NDArray[np.uint8]
+    with_previous: tuple[FloatArray, ...]
+    with_next: tuple[FloatArray, ...]
 
 
 def measure_rendered_motion(options: contract.Options, output: Output) -> None:
@@ -70,52 +108,35 @@ def measure_rendered_motion(options: contract.Options, output: Output) -> None:
         output: Receives ``motion_rendered_mm/<solver>/<range>/<steps>``, ``tracking_error_px``
             and the figure ``figure_3-23``.
     """
-    configs = [{"seed": seed, "range": name} for name in RANGES for seed in options.job_seeds(8, 1)]
+    configs = [RenderedTrial(seed, name) for name in RANGES for seed in options.job_seeds(8, 1)]
     results = sweep(follow_rendered, configs, options, output, label="rendered motions")
     for name in RANGES:
-        group = [r for c, r in zip(configs, results, strict=True) if c["range"] == name]
-        for solver in (*SOLVERS, "persistent"):
-            errors = np.array([result[solver] for result in group])
+        group = [r for c, r in zip(configs, results, strict=True) if c.range == name]
+        for solver in (*SOLVERS, PERSISTENT):
+            errors = np.array([result.errors[solver] for result in group])
             for steps in REPORTED:
                 key = f"motion_rendered_mm/{solver}/{name}/{steps}"
                 output.measure(key, distribution(errors[:, steps - 1]))
-        for solver in ("ml", "persistent"):
-            values = np.concatenate([result[f"nees/{solver}"] for result in group])
+        for solver in ("ml", PERSISTENT):
+            values = np.concatenate([result.nees[solver] for result in group])
             output.measure(f"motion_rendered_nees/{solver}/{name}", _median(values))
-        errors = np.concatenate([result["tracking"] for result in group])
+        errors = np.concatenate([result.tracking for result in group])
         for axis, column in zip(("column", "row", "disparity"), errors.T, strict=True):
             output.measure(f"tracking_error_px/{axis}/{name}", _robust_sigma(column))
         outliers = int(np.sum(np.abs(errors).max(axis=1) > 1.0))
         output.measure(f"tracking_outlier_fraction/{name}", fraction(outliers, len(errors)))
-        found = int(sum(result["found"] for result in group))
-        sought = int(sum(result["sought"] for result in group))
+        found = sum(result.found for result in group)
+        sought = sum(result.sought for result in group)
         output.measure(f"tracked_fraction/{name}", fraction(found, sought))
     shown = results[0]
-    counts = range(SHOWN)
-    output.figure(
-        "figure_3-23",
-        tracking_figure(
-            [np.asarray(image, dtype=np.uint8) for image in shown["images"]],
-            [np.asarray(shown[f"previous/{k}"]).reshape(-1, 3) for k in counts],
-            [np.asarray(shown[f"next/{k}"]).reshape(-1, 3) for k in counts],
-        ),
-    )
+    figure = tracking_figure(list(shown.images), shown.with_previous, shown.with_next)
+    output.figure("figure_3-23", figure)
 
 
-def follow_rendered(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Move a rendered camera and follow it; a job of the sweep.
-
-    Args:
-        config: ``seed`` and ``range`` (key of `RANGES`); ``scene`` may hold further fields of
-            `SceneConfig`, ``steps`` another number of steps than `STEPS`.
-
-    Returns:
-        Errors [mm] of each solver and of the map after each step, infinite where it was lost;
-        ``nees/...`` of each step; ``tracking``, (N, 3) errors [px] of tracked columns, rows and
-        disparities; how many were sought and found; and what figure 3-23 shows.
-    """
-    steps = int(config.get("steps", STEPS))
-    views, scene = _views(config, steps)
+def follow_rendered(trial: RenderedTrial) -> RenderedRun:
+    """Move a rendered camera and follow it by every solver and by the map; a job of the sweep."""
+    steps = trial.steps
+    views, scene = _views(trial)
     chained = {solver: RigidTransform.identity() for solver in SOLVERS}
     errors = {solver: np.full(steps, np.inf) for solver in SOLVERS}
     nees = np.full(steps, np.nan)
@@ -125,60 +146,69 @@ def follow_rendered(config: Mapping[str, Any]) -> dict[str, Any]:
             last.pair[0],
             last.measured,
             scene.geometry,
-            next_view=view.told,
+            next_view=view.reported,
             config=FiducialConfig(count=CHOSEN, sigma=SIGMA),
         )
-        found = track(last.pair, view.pair, chosen.image_points, scene.geometry, view.told)
+        found = track(last.pair, view.pair, chosen.image_points, scene.geometry, view.reported)
         tracks.append(found)
         motion = last.pose.inv() * view.pose
         used = _best(found)
         for solver in SOLVERS:
             try:
-                told = estimate_motion(
+                estimate = estimate_motion(
                     solver,
                     found.before[used],
                     found.after[used],
                     scene.geometry,
                     found.sigma[used],
-                    guess=view.told if solver == "ml" else None,
+                    guess=view.reported if solver == "ml" else None,
                     reject=solver == "ml",
                 )
-                moved = told.transform_after_to_before
+                moved = estimate.transform_after_to_before
             except RegistrationError:
                 # Nothing better is known than what the joints say.
-                moved = view.told
+                moved = view.reported
             else:
                 if solver == "ml":
-                    nees[step] = normalised_error(moved, motion, told.covariance)
+                    nees[step] = normalised_error(moved, motion, estimate.covariance)
             chained[solver] = chained[solver] * moved
-            errors[solver][step] = _millimetres(views[0].pose * chained[solver], view.pose)
-    result: dict[str, Any] = {**errors, "nees/ml": nees}
-    result.update(_tracking_errors(views, tracks, scene))
-    result.update(_follow_by_map(views, scene))
-    result.update(_shown(views, tracks))
-    return result
+            errors[solver][step] = millimetres(views[0].pose * chained[solver], view.pose)
+    tracking, sought = _tracking_errors(views, tracks, scene)
+    mapped = _follow_by_map(views, scene)
+    previous = tuple(_points(tracks, k - 1, after=True) for k in range(SHOWN))
+    following = tuple(_points(tracks, k, after=False) for k in range(SHOWN))
+    return RenderedRun(
+        errors=errors | mapped.errors,
+        nees={"ml": nees} | mapped.nees,
+        tracking=tracking,
+        sought=sought,
+        found=len(tracking),
+        images=np.array([view.pair[0] for view in views[:SHOWN]]),
+        with_previous=previous,
+        with_next=following,
+    )
 
 
-def _views(config: Mapping[str, Any], steps: int) -> tuple[list[_View], StereoScene]:
+def _views(trial: RenderedTrial) -> tuple[list[_View], StereoScene]:
     """Move the free head about a random place before the panel."""
-    scene = StereoScene(SceneConfig(seed=config["seed"], **config.get("scene", {})))
-    rng = np.random.default_rng(np.random.SeedSequence((config["seed"], 324)))
-    distance = RANGES[config["range"]]
+    scene = StereoScene(dataclasses.replace(trial.scene, seed=trial.seed))
+    rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 324)))
+    distance = RANGES[trial.range]
     first = _first_pose(scene, distance, rng)
     matcher = StereoMatcher(scene.geometry)
     views: list[_View] = []
-    for offset in ArmMotion().draw(rng, steps, distance):
+    for offset in ArmMotion().draw(rng, trial.steps, distance):
         scene.set_rig(first * offset)
         seen = scene.capture(RIG)
         points = matcher.match(seen.pair)
         measured = np.column_stack([points.pixels, points.disparities])
-        told = RigidTransform.identity()
+        reported = RigidTransform.identity()
         if views:
             scale = np.repeat([np.radians(ARM_DEGREES), ARM_METRES], 3)
             slip = RigidTransform.from_exp_coords(scale * rng.standard_normal(6))
-            told = slip * views[-1].pose.inv() * seen.transform_camera_to_world
-        spread = np.column_stack([np.full((len(points), 2), PLACE_SIGMA), points.sigmas])
-        views.append(_View(seen.pair, seen.transform_camera_to_world, told, measured, spread))
+            reported = slip * views[-1].pose.inv() * seen.transform_camera_to_world
+        sigma = np.column_stack([np.full((len(points), 2), PLACE_SIGMA), points.sigmas])
+        views.append(_View(seen.pair, seen.transform_camera_to_world, reported, measured, sigma))
     return views, scene
 
 
@@ -208,7 +238,7 @@ def _first_pose(scene: StereoScene, distance: float, rng: np.random.Generator) -
     raise ExperimentError(f"scene {scene.config.seed}: no view of it is {distance} m away")
 
 
-def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> dict[str, FloatArray]:
+def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> Followed:
     """Register each view to fiducials that stay.
 
     Each is tracked from the view that it was chosen in: from view to view its place would drift.
@@ -226,7 +256,7 @@ def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> dict[str, Floa
     first_seen = start.image_points
     poses = [views[0].pose]
     for step, view in enumerate(views[1:], start=1):
-        guess = poses[-1] * view.told
+        guess = poses[-1] * view.reported
         seen, sigma = np.full((2, len(fiducials), 3), np.nan)
         for earlier in np.unique(first_view):
             mine = np.flatnonzero(first_view == earlier)
@@ -242,7 +272,7 @@ def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> dict[str, Floa
             config=FiducialConfig(count=max(MAPPED - len(known), 1), sigma=SIGMA),
         )
         try:
-            told = fiducials.observe(
+            observed = fiducials.observe(
                 known,
                 seen[known],
                 sigma=sigma[known],
@@ -253,19 +283,19 @@ def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> dict[str, Floa
         except RegistrationError:
             poses.append(guess)
             continue
-        registration = told.registration
+        registration = observed.registration
         poses.append(registration.transform_camera_to_world)
         first_view = np.append(first_view, np.full(len(new.indices), step))
         first_seen = np.concatenate([first_seen, new.image_points])
-        errors[step - 1] = _millimetres(poses[-1], view.pose)
+        errors[step - 1] = millimetres(poses[-1], view.pose)
         nees[step - 1] = normalised_error(poses[-1], view.pose, registration.covariance)
-    return {"persistent": errors, "nees/persistent": nees}
+    return Followed({PERSISTENT: errors}, {PERSISTENT: nees})
 
 
 def _tracking_errors(
     views: Sequence[_View], tracks: Sequence[Tracks], scene: StereoScene
-) -> dict[str, Any]:
-    """Hold tracked columns, rows and disparities against where the true surface would be."""
+) -> tuple[FloatArray, int]:
+    """Return errors (N, 3) of tracked fiducials against the true surface [px], and those sought."""
     errors, sought = [np.zeros((0, 3))], 0
     for last, view, found in zip(views[:-1], views[1:], tracks, strict=True):
         sought += len(found.found)
@@ -279,8 +309,7 @@ def _tracking_errors(
             expected = scene.geometry.project(motion.apply(points, inverse=True))
             error = after - expected
             errors.append(error[np.isfinite(error).all(axis=1)])
-    tracked = np.concatenate(errors)
-    return {"tracking": tracked, "sought": sought, "found": len(tracked)}
+    return np.concatenate(errors), sought
 
 
 def _best(found: Tracks) -> NDArray[np.intp]:
@@ -290,21 +319,12 @@ def _best(found: Tracks) -> NDArray[np.intp]:
     return there[order[:USED]]
 
 
-def _shown(views: Sequence[_View], tracks: Sequence[Tracks]) -> dict[str, Any]:
-    """Return the first views and which fiducials are tracked with the view before and after."""
-    shown: dict[str, Any] = {"images": np.array([view.pair[0] for view in views[:SHOWN]])}
-    for k in range(SHOWN):
-        for name, index in (("previous", k - 1), ("next", k)):
-            shown[f"{name}/{k}"] = np.zeros((0, 3))
-            if 0 <= index < len(tracks):
-                found = tracks[index]
-                points = found.after if name == "previous" else found.before
-                shown[f"{name}/{k}"] = points[_best(found)]
-    return shown
-
-
-def _millimetres(estimate: RigidTransform, truth: RigidTransform) -> float:
-    return 1000.0 * float(np.linalg.norm(estimate.translation - truth.translation))
+def _points(tracks: Sequence[Tracks], index: int, after: bool) -> FloatArray:
+    """Return (N, 3) where the fiducials of one step of the first views are, after or before it."""
+    if not 0 <= index < len(tracks):
+        return np.zeros((0, 3))
+    found = tracks[index]
+    return (found.after if after else found.before)[_best(found)]
 
 
 def _robust_sigma(values: FloatArray) -> float:

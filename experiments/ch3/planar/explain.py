@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Wedge
 from numpy.typing import NDArray
 
-from experiments.ch3.planar.trial import Trial, build_world
+from experiments.ch3.planar.trial import PlanarTrial, build_world
 from perception.planar.beams import fan
 from perception.planar.information import READINGS, new_information
 from perception.planar.map import Grid, PlanarMap
@@ -24,10 +24,10 @@ def merge(
     """Multiply two Gaussians (Thesis eq. 3-10 as mended: C1 - C1 (C1 + C2)^-1 C1).
 
     Args:
-        mean_1: (n,) first mean.
-        covariance_1: (n, n) of the first.
-        mean_2: (n,) second mean.
-        covariance_2: (n, n) of the second.
+        mean_1: (n,) mean of the first.
+        covariance_1: (n, n) covariance of the first.
+        mean_2: (n,) mean of the second.
+        covariance_2: (n, n) covariance of the second.
 
     Returns:
         Mean (n,) and covariance (n, n).
@@ -37,7 +37,7 @@ def merge(
 
 
 def merging_figure() -> Figure:
-    """Draw two range measurements of one point from two sides, and what both tell (figure 3-6)."""
+    """Draw two range measurements of one point from two sides, and their fusion (figure 3-6)."""
     figure = Figure(figsize=(6, 5))
     axes = figure.add_subplot()
     turned = np.radians([10.0, 80.0])
@@ -47,10 +47,10 @@ def merging_figure() -> Figure:
         # Deviations along and across the line of sight, turned into the common frame (3-9).
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         covariances.append(turn @ np.diag([0.6**2, 0.12**2]) @ turn.T)
-    mean, covariance = merge(means[0], covariances[0], means[1], covariances[1])
+    mean, merged = merge(means[0], covariances[0], means[1], covariances[1])
     shown = [(means[0], covariances[0], "C0", "first"), (means[1], covariances[1], "C1", "second")]
-    for centre, spread, colour, label in (*shown, (mean, covariance, "k", "merged")):
-        values, vectors = np.linalg.eigh(spread)
+    for centre, covariance, colour, label in (*shown, (mean, merged, "k", "merged")):
+        values, vectors = np.linalg.eigh(covariance)
         tilt = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
         for scale in (1.0, 2.0):
             width, height = 2.0 * scale * np.sqrt(values[::-1])
@@ -66,7 +66,7 @@ def merging_figure() -> Figure:
 
 def evaluation_figure() -> Figure:
     """Draw what a view is expected to show behind known obstacles, and its NI (figure 3-8)."""
-    world = build_world(Trial("unstructured", 5, "information"))
+    world = build_world(PlanarTrial("unstructured", 5, "information"))
     sensor, grid = RangeSensor(), world.grid
     model = PlanarMap(grid)
     angles = 2.0 * np.pi * np.arange(HEADINGS) / HEADINGS
@@ -91,8 +91,8 @@ def evaluation_figure() -> Figure:
             )[0, turn % HEADINGS]
             for reading in READINGS
         ]  # fmt: skip
-        told = ", ".join(f"{name} {value:.2f}" for name, value in zip(READINGS, values))
-        axes.set_title(f"NI: {told}", fontsize=8)
+        readings = ", ".join(f"{name} {value:.2f}" for name, value in zip(READINGS, values))
+        axes.set_title(f"NI: {readings}", fontsize=8)
     return figure
 
 

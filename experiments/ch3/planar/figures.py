@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.ch3.planar.trial import TARGET, Trial, build_world
+from experiments.ch3.planar.trial import TARGET, PlanarRun, PlanarTrial, build_world
 from experiments.ch3.planar.worlds import World
 from experiments.harness.output import Output
 from perception.voxels.occupancy import State
@@ -30,8 +29,8 @@ COLOURS = ("tab:red", "tab:cyan")
 
 def draw_group(
     name: str,
-    group: Sequence[Trial],
-    results: Mapping[Trial, Mapping[str, Any]],
+    group: Sequence[PlanarTrial],
+    results: Mapping[PlanarTrial, PlanarRun],
     output: Output,
 ) -> None:
     """Draw the figures of one group of trials, its first seed where one run is shown."""
@@ -67,7 +66,7 @@ def world_figure(world: World) -> Figure:
 
 
 def curve_figure(
-    group: Sequence[Trial], results: Mapping[Trial, Mapping[str, Any]]
+    group: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun]
 ) -> Figure:  # fmt: skip
     """Draw fraction mapped and distance over scans: medians, and the middle half of the seeds."""
     figure = Figure(figsize=(11, 4.5))
@@ -75,7 +74,7 @@ def curve_figure(
     for method in dict.fromkeys(trial.method for trial in group):
         chosen = [results[trial] for trial in group if trial.method == method]
         for axes, key in ((left, "fraction"), (right, "metres")):
-            rows = _held([result[key] for result in chosen])
+            rows = _held([getattr(result, key) for result in chosen])
             scans = np.arange(1, rows.shape[1] + 1)
             line = axes.plot(scans, np.median(rows, axis=0), label=method)[0]
             low, high = np.percentile(rows, BAND, axis=0)
@@ -91,31 +90,31 @@ def curve_figure(
 
 
 def path_figure(
-    trials: Sequence[Trial], results: Mapping[Trial, Mapping[str, Any]], world: World
+    trials: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun], world: World
 ) -> Figure:
-    """Draw the robots' ways over the world."""
+    """Draw the robots' paths over the world."""
     figure = Figure(figsize=(5 * len(trials), 5))
     for index, trial in enumerate(trials):
         axes = figure.add_subplot(1, len(trials), index + 1)
         _show(axes, np.where(world.occupied, 0.0, 1.0), world)
         for robot in range(trial.robots):
-            for key, style, width in (("paths", "-", 0.8), ("stands", ".", 0.0)):
-                cells = results[trial][key]
+            for key, style, width in (("paths", "-", 0.8), ("stops", ".", 0.0)):
+                cells = getattr(results[trial], key)
                 x, y = world.grid.centre(cells[cells[:, 0] == robot, 1:]).T
                 axes.plot(x, y, style, color=COLOURS[robot], linewidth=width, markersize=3)
-        axes.set_title(f"{trial.method}, {results[trial]['metres'][-1]:.0f} m")
+        axes.set_title(f"{trial.method}, {results[trial].metres[-1]:.0f} m")
     return figure
 
 
 def map_figure(
-    trials: Sequence[Trial], results: Mapping[Trial, Mapping[str, Any]], world: World
+    trials: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun], world: World
 ) -> Figure:
     """Draw the maps at the end of the runs."""
     figure = Figure(figsize=(5 * len(trials), 5))
     for index, trial in enumerate(trials):
         axes = figure.add_subplot(1, len(trials), index + 1)
-        _show(axes, shades(results[trial]["states"]), world)
-        mapped, scans = results[trial]["fraction"][-1], len(results[trial]["fraction"])
+        _show(axes, shades(results[trial].states), world)
+        mapped, scans = results[trial].fraction[-1], len(results[trial].fraction)
         axes.set_title(f"{trial.method}: {mapped:.0%} after {scans} scans")
     return figure
 

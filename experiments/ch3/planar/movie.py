@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from experiments.ch3.planar.figures import shades
-from experiments.ch3.planar.trial import TARGET, Round, Trial, build_world, run_trial
+from experiments.ch3.planar.trial import TARGET, PlanarTrial, Round, build_world, run_trial
 
 SCALE = 2
 """Pixels of a cell."""
@@ -22,7 +22,7 @@ FINAL_HOLD = 2000
 """How long the last picture stays [ms]."""
 
 
-def film(trial: Trial, every: int) -> list[NDArray[np.uint8]]:
+def film(trial: PlanarTrial, every: int) -> list[NDArray[np.uint8]]:
     """Return pictures of the map after every few rounds, and after the last.
 
     Args:
@@ -49,7 +49,7 @@ def _pixel(cell: tuple[int, int] | list[int], rows: int) -> tuple[int, int]:
 
 
 def _draw(
-    shown: Round, trails: list[list[tuple[int, int]]], trial: Trial
+    shown: Round, trails: list[list[tuple[int, int]]], trial: PlanarTrial
 ) -> NDArray[np.uint8]:  # fmt: skip
     """Draw the map, trails, poses and fields of view."""
     grey = (255 * shades(shown.map.states())[::-1]).astype(np.uint8)
@@ -83,13 +83,13 @@ def main(
 
     Args:
         out: File to write.
-        world: Which.
-        robots: How many, cooperating.
+        world: Kind of world.
+        robots: Number of robots, cooperating.
         every: Rounds from one picture to the next.
         rate: Pictures a second [1/s].
-        seed: Of world and candidates.
+        seed: Random seed of world and candidates.
     """
-    trial = Trial(world, seed, "information", FOV_DEG, DEPTH, 600, robots, target=TARGET)
+    trial = PlanarTrial(world, seed, "information", FOV_DEG, DEPTH, 600, robots, target=TARGET)
     frames = film(trial, every)
     colours = Image.fromarray(frames[-1]).quantize(24)
     images = [

@@ -20,7 +20,14 @@ from controllers.mapping.planar_planner import METHODS, UTILITIES, Method, Utili
 from experiments.ch3.planar.explain import evaluation_figure, merging_figure
 from experiments.ch3.planar.figures import draw_group
 from experiments.ch3.planar.record import record_trial
-from experiments.ch3.planar.trial import TARGET, Trial, build_world, first_at, map_world
+from experiments.ch3.planar.trial import (
+    TARGET,
+    PlanarRun,
+    PlanarTrial,
+    build_world,
+    first_at,
+    map_world,
+)
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
@@ -37,7 +44,7 @@ LIMITS = {"unstructured": 200, "narrow": 320, "indoor": 400}
 END = 0.95
 """Fraction mapped at which a run ends (with --quick, as soon as it is scored)."""
 
-Groups = dict[str, list[Trial]]
+Groups = dict[str, list[PlanarTrial]]
 """Trials by world and team: unstructured, indoor, and so on."""
 
 
@@ -100,7 +107,7 @@ def run(options: Options, output: Output) -> None:
     """
     seeds = options.job_seeds(12, 2)
     if options.world is not None:
-        build_world(Trial(str(options.world), seeds[0], "information"))  # a bad one ends here
+        build_world(PlanarTrial(str(options.world), seeds[0], "information"))  # a bad one ends here
     groups = make_groups(options, seeds)
     trials = [trial for group in groups.values() for trial in group]
     found = sweep(map_world, trials, options, output, label="runs")
@@ -110,9 +117,9 @@ def run(options: Options, output: Output) -> None:
         draw_group(name, group, results, output)
     _measure_ratios(groups, results, output)
     _judge(output)
-    times = np.concatenate([result["plan_ms"] for result in found if len(result["plan_ms"])])
+    times = np.concatenate([result.plan_ms for result in found if len(result.plan_ms)])
     output.measure("plan_ms", distribution(times))
-    output.measure("called_wrong_fraction", distribution([r["called_wrong"] for r in found]))
+    output.measure("called_wrong_fraction", distribution([r.called_wrong for r in found]))
     if options.explain:
         output.figure("figure_3-6", merging_figure())
         output.figure("figure_3-8", evaluation_figure())
@@ -129,9 +136,9 @@ def make_groups(options: Options, seeds: Sequence[int]) -> Groups:
     def trials(
         world: str, methods: Sequence[Method], sensor: tuple[float, float], limit: int,
         robots: int = 1, cooperative: bool = True,
-    ) -> list[Trial]:  # fmt: skip
+    ) -> list[PlanarTrial]:  # fmt: skip
         return [
-            Trial(world, seed, method, *sensor, limit, robots, cooperative, reading, utility,
+            PlanarTrial(world, seed, method, *sensor, limit, robots, cooperative, reading, utility,
                   options.noise, TARGET if options.quick else END)
             for method in methods
             for seed in seeds
@@ -164,16 +171,16 @@ def make_groups(options: Options, seeds: Sequence[int]) -> Groups:
 
 
 def select(
-    group: Sequence[Trial], results: Mapping[Trial, Mapping[str, Any]], method: str
-) -> list[Mapping[str, Any]]:
+    group: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun], method: str
+) -> list[PlanarRun]:
     """Return one method's results of a group, in the order of the seeds."""
     return [results[trial] for trial in group if trial.method == method]
 
 
 def _measure_group(
     name: str,
-    group: Sequence[Trial],
-    results: Mapping[Trial, Mapping[str, Any]],
+    group: Sequence[PlanarTrial],
+    results: Mapping[PlanarTrial, PlanarRun],
     output: Output,
 ) -> None:
     """Store when each method had mapped 90 %; an infinity (null) where it never had."""
@@ -186,7 +193,7 @@ def _measure_group(
         output.measure(f"metres_to_90{ending}/{method}", distribution(when[:, 1]))
         reached = int(np.isfinite(when[:, 0]).sum())
         output.measure(f"reached_90_fraction{ending}/{method}", fraction(reached, len(chosen)))
-        last = [float(result["fraction"][-1]) for result in chosen]
+        last = [float(result.fraction[-1]) for result in chosen]
         output.measure(f"fraction_at_end{ending}/{method}", distribution(last))
         seeds = [trial.seed for trial in group if trial.method == method]
         rows += [[method, s, *w, f] for s, w, f in zip(seeds, when.tolist(), last)]
@@ -199,7 +206,7 @@ def _measure_group(
 
 
 def paired_difference(
-    group: Sequence[Trial], results: Mapping[Trial, Mapping[str, Any]]
+    group: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun]
 ) -> list[float]:
     """Return by how much information is ahead of max_new scan for scan, one mean for each seed.
 
@@ -208,14 +215,14 @@ def paired_difference(
     pairs = zip(*(select(group, results, method) for method in ("information", "max_new")))
     means = []
     for ours, theirs in pairs:
-        last = min(*(first_at(r)[0] for r in (ours, theirs)), len(ours["fraction"]))
-        last = int(min(last, len(theirs["fraction"])))
-        means.append(float(np.mean(ours["fraction"][:last] - theirs["fraction"][:last])))
+        last = min(*(first_at(r)[0] for r in (ours, theirs)), len(ours.fraction))
+        last = int(min(last, len(theirs.fraction)))
+        means.append(float(np.mean(ours.fraction[:last] - theirs.fraction[:last])))
     return means
 
 
 def _measure_ratios(
-    groups: Groups, results: Mapping[Trial, Mapping[str, Any]], output: Output
+    groups: Groups, results: Mapping[PlanarTrial, PlanarRun], output: Output
 ) -> None:
     """Store paired ratios; a pair counts where both runs got there."""
 

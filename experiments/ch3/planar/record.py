@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from experiments.ch3.planar.figures import shades
-from experiments.ch3.planar.trial import Round, Trial, build_world, run_trial
+from experiments.ch3.planar.trial import PlanarRun, PlanarTrial, Round, build_world, run_trial
 from perception.planar.map import Grid
 from perception.planar.raycast import RangeSensor
 
@@ -24,8 +23,8 @@ ROUND = 1.0
 """A round's length on the recording's time line [s]; planar runs have no time of their own."""
 
 
-def record_trial(trial: Trial, path: Path) -> Mapping[str, Any]:
-    """Run a trial and write it: the map growing, poses, ways, candidates by rating, curves.
+def record_trial(trial: PlanarTrial, path: Path) -> PlanarRun:
+    """Run a trial and write it: the map growing, poses, paths, candidates by rating, curves.
 
     Pictures have the world's far side on top; a pixel is a cell.
 

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.ch3.planar.record import record_trial
-from experiments.ch3.planar.trial import TARGET, Trial, first_at, map_world
+from experiments.ch3.planar.trial import TARGET, PlanarRun, PlanarTrial, first_at, map_world
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
@@ -67,7 +67,7 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(12, 1)
     cases = [(size, team) for size in options.sizes() for team in TEAMS[: 2 if size > 1 else 1]]
     trials = [
-        Trial("indoor", seed, "information", FOV_DEG, DEPTH, LIMIT, size, team == TEAMS[0],
+        PlanarTrial("indoor", seed, "information", FOV_DEG, DEPTH, LIMIT, size, team == TEAMS[0],
               target=TARGET)
         for size, team in cases
         for seed in seeds
@@ -80,7 +80,7 @@ def run(options: Options, output: Output) -> None:
         rounds, metres = _measure(size, team, chosen, output)
         curves[team].append((size, rounds, metres))
         for seed, result in zip(seeds, chosen):
-            rows.append([size, team, seed, *first_at(result), float(np.mean(result["plan_ms"]))])
+            rows.append([size, team, seed, *first_at(result), float(np.mean(result.plan_ms))])
     columns = ("robots", "team", "seed", "rounds to 90 %", "metres to 90 %", "plan [ms a robot]")
     output.table("swarm_runs", columns, rows)
     output.figure("swarm", _figure(curves))
@@ -88,9 +88,7 @@ def run(options: Options, output: Output) -> None:
         record_trial(trials[0], output.file("run.rrd"))
 
 
-def _measure(
-    size: int, team: str, chosen: Sequence[Mapping[str, Any]], output: Output
-) -> tuple[Any, Any]:
+def _measure(size: int, team: str, chosen: Sequence[PlanarRun], output: Output) -> tuple[Any, Any]:
     """Store one size's metrics; return rounds and metres."""
     ending = str(size) if team == TEAMS[0] else f"{size}/{team}"
     when = np.array([first_at(result) for result in chosen])
@@ -100,7 +98,7 @@ def _measure(
     reached = int(np.isfinite(when[:, 0]).sum())
     output.measure(f"reached_90_fraction/{ending}", fraction(reached, len(chosen)))
     if team == TEAMS[0]:
-        times = np.concatenate([result["plan_ms"] for result in chosen])
+        times = np.concatenate([result.plan_ms for result in chosen])
         plan = distribution(times)
         output.measure(f"plan_ms/{ending}", plan)
         name = f"choice of one of {size} robots in ms, median"

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controllers.mapping.planar_planner import (
     Method,
@@ -24,12 +24,14 @@ from perception.planar.map import IntArray, PlanarMap
 from perception.planar.raycast import RangeSensor, scan
 from perception.voxels.occupancy import State
 
+FloatArray = NDArray[np.float64]
+
 TARGET = 0.9
 """Fraction mapped at which a run has got there."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Trial:
+class PlanarTrial:
     """One run; a job of the sweep.
 
     Attributes:
@@ -71,13 +73,13 @@ class Round:
     """What an observer of a run is shown after each round.
 
     Attributes:
-        index: Of the round, the first scan's is 0.
+        index: Number of the round; the first scan's is 0.
         map: The common map; a live object.
         cells: Row and column of each robot.
-        headings: Of each robot [rad].
+        headings: Heading of each robot [rad].
         views: How each robot got there; None at the start, or where nothing was left for it.
-        fraction: Mapped so far.
-        metres: Moved so far by all robots [m].
+        fraction: Share of the world mapped so far.
+        metres: Distance moved so far by all robots [m].
     """
 
     index: int
@@ -89,7 +91,7 @@ class Round:
     metres: float
 
 
-def build_world(trial: Trial) -> World:
+def build_world(trial: PlanarTrial) -> World:
     """Return the trial's world.
 
     Raises:
@@ -102,22 +104,40 @@ def build_world(trial: Trial) -> World:
     return image_world(Path(trial.world), trial.seed)
 
 
+@dataclasses.dataclass(frozen=True)
+class PlanarRun:
+    """One world mapped.
+
+    Attributes:
+        fraction: (rounds,) share of the world mapped after each round.
+        metres: (rounds,) distance moved so far by all robots [m].
+        states: (rows, columns) final map, `State`.
+        paths: (n, 3) robot, row and column of every cell passed.
+        stops: (n, 3) robot, row and column of every cell where a scan was taken.
+        plan_ms: (rounds - 1,) computing time of one robot's choice in each round [ms].
+        called_wrong: Share of the measured cells whose state is not the truth.
+        bumps: Number of paths blocked by an obstacle that the map called free.
+    """
+
+    fraction: FloatArray
+    metres: FloatArray
+    states: NDArray[np.int8]
+    paths: NDArray[np.int16]
+    stops: NDArray[np.int16]
+    plan_ms: FloatArray
+    called_wrong: float
+    bumps: int
+
+
 def run_trial(
-    trial: Trial, world: World, observe: Callable[[Round], None] | None = None
-) -> dict[str, Any]:
+    trial: PlanarTrial, world: World, observe: Callable[[Round], None] | None = None
+) -> PlanarRun:
     """Map a world until it is done or the rounds are used up.
 
     Args:
         trial: What to run.
         world: The truth; only scans come out of it, and the score.
         observe: Called after each round.
-
-    Returns:
-        ``fraction`` (rounds,) mapped after each round, ``metres`` (rounds,) moved by all robots,
-        ``states`` the final map, ``paths`` (n, 3) robot, row, column of every cell passed,
-        ``stands`` (n, 3) the same where scans were taken, ``plan_ms`` of one robot's choice in each
-        round, ``called_wrong`` the fraction of measured cells whose state is not the truth, and
-        ``bumps`` how often a way was blocked by an obstacle that the map called free.
     """
     generator = np.random.default_rng([trial.seed, 3])
     config = PlannerConfig(trial.sensor, trial.method, trial.reading, trial.utility)
@@ -129,7 +149,7 @@ def run_trial(
     views: list[PlannedView | None] = [None] * trial.robots
     fractions, metres, plan_ms, bumps = [], [0.0], [], 0
     paths: list[IntArray] = [_numbered(r, np.array([cell])) for r, cell in enumerate(cells)]
-    stands = list(paths)
+    stops = list(paths)
     total = int(world.visible.sum())
     for index in range(trial.limit):
         moving = [index == 0 or view is not None for view in views]
@@ -158,21 +178,21 @@ def run_trial(
         headings = [h if v is None else v.heading for h, v in zip(headings, views)]
         metres.append(metres[-1] + sum(_length(path, world) for path in walked.values()))
         paths += [_numbered(robot, path) for robot, path in walked.items()]
-        stands += [_numbered(robot, path[-1:]) for robot, path in walked.items()]
-    return {
-        "fraction": np.array(fractions),
-        "metres": np.array(metres[: len(fractions)]),
-        "states": model.states(),
-        "paths": np.concatenate(paths).astype(np.int16),
-        "stands": np.concatenate(stands).astype(np.int16),
-        "plan_ms": np.array(plan_ms),
-        "called_wrong": _called_wrong(model, world),
-        "bumps": bumps,
-    }
+        stops += [_numbered(robot, path[-1:]) for robot, path in walked.items()]
+    return PlanarRun(
+        fraction=np.array(fractions),
+        metres=np.array(metres[: len(fractions)]),
+        states=model.states(),
+        paths=np.concatenate(paths).astype(np.int16),
+        stops=np.concatenate(stops).astype(np.int16),
+        plan_ms=np.array(plan_ms),
+        called_wrong=_called_wrong(model, world),
+        bumps=bumps,
+    )
 
 
 def _walk(path: IntArray, world: World, model: PlanarMap) -> IntArray:
-    """Return the part of a path up to the first obstacle, which is felt and noted in the map.
+    """Return the part of a path up to the first obstacle, which is felt and entered in the map.
 
     Only noisy ranges let a map call an obstacle free.
     """
@@ -206,11 +226,11 @@ def _called_wrong(model: PlanarMap, world: World) -> float:
 def warm_up() -> None:
     """Load the compiled code, so that no choice is timed with it."""
     for method in ("information", "max_new"):
-        trial = Trial("unstructured", 0, method, limit=3)
+        trial = PlanarTrial("unstructured", 0, method, limit=3)
         run_trial(trial, build_world(trial))
 
 
-def map_world(trial: Trial) -> dict[str, Any]:
+def map_world(trial: PlanarTrial) -> PlanarRun:
     """Run one trial; a job of the sweep.
 
     Raises:
@@ -220,9 +240,9 @@ def map_world(trial: Trial) -> dict[str, Any]:
     return run_trial(trial, build_world(trial))
 
 
-def first_at(result: Mapping[str, Any], fraction: float = TARGET) -> tuple[float, float]:
+def first_at(result: PlanarRun, fraction: float = TARGET) -> tuple[float, float]:
     """Return rounds and metres when a fraction was mapped; infinite if it never was."""
-    reached = np.flatnonzero(result["fraction"] >= fraction)
+    reached = np.flatnonzero(result.fraction >= fraction)
     if reached.size == 0:
         return float("inf"), float("inf")
-    return float(reached[0] + 1), float(result["metres"][reached[0]])
+    return float(reached[0] + 1), float(result.metres[reached[0]])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -65,43 +64,81 @@ def measure_noise(options: Options, output: Output) -> None:
             ``disparity_outlier_fraction/...`` and the figure ``depth_sigma``.
     """
     ranges = RANGES[::2] if options.quick else 2 * RANGES
-    configs = [{"seed": seed, "ranges": ranges} for seed in options.job_seeds(8, 2)]
+    configs = [NoiseTrial(seed, ranges) for seed in options.job_seeds(8, 2)]
     scenes = sweep(measure_scene, configs, options, output, label="stereo scenes")
     report(scenes, output)
 
 
-def measure_scene(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Score the stereo of one scene; a job of the sweep.
+@dataclasses.dataclass(frozen=True)
+class NoiseTrial:
+    """One scene to measure.
 
-    Args:
-        config: ``seed``, and the ``ranges`` from which the rig looks [m].
-
-    Returns:
-        ``focal_baseline`` of the heads [px m]. Arrays over the scored points: ``depth`` [m],
-        ``predicted`` deviation of the depth [m], ``refined``, ``bm`` and ``sgbm`` errors of the
-        disparity [px], ``arm`` 1 for views of the arms. By method, the ``matched_...`` fraction;
-        and the number of ``bare`` points, which show no surface.
+    Attributes:
+        seed: Random seed of the scene and of the views.
+        ranges: Distances from which the rig looks [m].
     """
-    scene = StereoScene(SceneConfig(config["seed"]))
+
+    seed: int
+    ranges: tuple[float, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneNoise:
+    """The stereo's errors in one scene, over the scored points; or pooled over several.
+
+    Attributes:
+        focal_baseline: Focal length times baseline of the heads [px m].
+        depth: (n,) true depth [m].
+        predicted: (n,) predicted deviation of the depth [m].
+        arm: (n,) 1 for views of the arms, 0 for those of the rig.
+        errors: (n,) error of the disparity by each matcher [px].
+        matched: Share of the pixels that each matcher matches.
+        bare: Number of points that show no surface.
+    """
+
+    focal_baseline: float
+    depth: FloatArray
+    predicted: FloatArray
+    arm: FloatArray
+    errors: dict[str, FloatArray]
+    matched: dict[str, float]
+    bare: int
+
+
+def measure_scene(trial: NoiseTrial) -> SceneNoise:
+    """Score the stereo of one scene; a job of the sweep."""
+    scene = StereoScene(SceneConfig(trial.seed))
     matcher = StereoMatcher(scene.geometry)
-    rng = np.random.default_rng(np.random.SeedSequence((config["seed"], 3)))
-    names = [RIG] * len(config["ranges"]) + list(scene.robot_names)
+    rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 3)))
+    names = [RIG] * len(trial.ranges) + list(scene.robot_names)
     scored: list[ScoredView] = []
     for index, name in enumerate(names):
         if name == RIG:
-            place_rig(scene, config["ranges"][index], rng)
+            place_rig(scene, trial.ranges[index], rng)
         scored.append(score_view(scene, name, matcher, rng))
     sizes = [len(view.depths) for view in scored]
-    return {
-        "seed": config["seed"],
-        "focal_baseline": scene.geometry.fx * scene.geometry.baseline,
-        "depth": np.concatenate([view.depths for view in scored]),
-        "predicted": np.concatenate([view.predicted for view in scored]),
-        "arm": np.repeat([float(name != RIG) for name in names], sizes),
-        "bare": sum(view.bare for view in scored),
-        **{m: np.concatenate([view.errors[m] for view in scored]) for m in METHODS},
-        **{f"matched_{m}": float(np.mean([v.matched[m] for v in scored])) for m in METHODS},
-    }
+    return SceneNoise(
+        focal_baseline=scene.geometry.fx * scene.geometry.baseline,
+        depth=np.concatenate([view.depths for view in scored]),
+        predicted=np.concatenate([view.predicted for view in scored]),
+        arm=np.repeat([float(name != RIG) for name in names], sizes),
+        errors={m: np.concatenate([view.errors[m] for view in scored]) for m in METHODS},
+        matched={m: float(np.mean([view.matched[m] for view in scored])) for m in METHODS},
+        bare=sum(view.bare for view in scored),
+    )
+
+
+def pooled_noise(scenes: Sequence[SceneNoise]) -> SceneNoise:
+    """Return the points of several scenes as one."""
+    return SceneNoise(
+        focal_baseline=scenes[0].focal_baseline,
+        depth=np.concatenate([scene.depth for scene in scenes]),
+        predicted=np.concatenate([scene.predicted for scene in scenes]),
+        arm=np.concatenate([scene.arm for scene in scenes]),
+        errors={m: np.concatenate([scene.errors[m] for scene in scenes]) for m in METHODS},
+        matched={m: float(np.mean([scene.matched[m] for scene in scenes])) for m in METHODS},
+        bare=sum(scene.bare for scene in scenes),
+    )
 
 
 def place_rig(scene: StereoScene, distance: float, rng: np.random.Generator) -> None:
@@ -134,10 +171,10 @@ def score_view(
     """Capture a pair, match it in three ways and compare with the truth.
 
     Args:
-        scene: As it stands.
-        name: Of the robot or the rig.
-        matcher: Ours.
-        rng: Chooses the points that are scored.
+        scene: The scene as it is.
+        name: Name of the robot or of the rig.
+        matcher: Our matcher.
+        rng: Random generator that chooses the points to score.
     """
     pair = scene.capture(name).pair
     seen = matcher.match(pair)
@@ -219,30 +256,28 @@ def depth_errors(depths: FloatArray, errors: FloatArray, focal_baseline: float) 
     return focal_baseline / (focal_baseline / depths + errors) - depths
 
 
-def report(scenes: Sequence[Mapping[str, Any]], output: Output) -> None:
+def report(scenes: Sequence[SceneNoise], output: Output) -> None:
     """Store metrics, checks, table and figure of `measure_scene`'s results.
 
     Args:
-        scenes: One for each seed.
-        output: Where to.
+        scenes: Noise of each scene.
+        output: Receives the metrics.
     """
-    keys = ("depth", "predicted", "arm", *METHODS)
-    pooled = {key: np.concatenate([scene[key] for scene in scenes]) for key in keys}
-    _report_disparities(scenes, pooled, output)
-    bare = sum(scene["bare"] for scene in scenes)
-    output.measure("points_without_surface_fraction", bare / (bare + len(pooled["depth"])))
-    scale = float(scenes[0]["focal_baseline"])
+    pooled = pooled_noise(scenes)
+    _report_disparities(pooled, output)
+    bare, scale = pooled.bare, pooled.focal_baseline
+    output.measure("points_without_surface_fraction", bare / (bare + len(pooled.depth)))
     slopes = []
     for scene in scenes:
-        errors = depth_errors(scene["depth"], scene["refined"], scale)
-        slopes.append(log_slope(*binned_sigma(scene["depth"], errors)))
+        errors = depth_errors(scene.depth, scene.errors["refined"], scale)
+        slopes.append(log_slope(*binned_sigma(scene.depth, errors)))
     summary = distribution(slopes)
     output.measure("depth_sigma_slope", summary, thesis=2.0)
     _check("slope of log depth sigma over log range", summary["median"], SLOPE_BOUNDS, output)
-    errors = depth_errors(pooled["depth"], pooled["refined"], scale)
-    squares = (errors / pooled["predicted"]) ** 2
+    errors = depth_errors(pooled.depth, pooled.errors["refined"], scale)
+    squares = (errors / pooled.predicted) ** 2
     output.measure("depth_nees", float(squares.mean()))
-    output.measure("depth_nees/arm", float(squares[pooled["arm"] > 0.5].mean()))
+    output.measure("depth_nees/arm", float(squares[pooled.arm > 0.5].mean()))
     # The median of chi^2 with one degree of freedom is 0.4549.
     output.measure("depth_nees_by_median", float(np.median(squares) / 0.4549))
     output.measure("depth_beyond_4_sigma_fraction", float(np.mean(squares > 16.0)))
@@ -255,34 +290,31 @@ def _check(name: str, value: float, bounds: tuple[float, float], output: Output)
     output.check(name, float(value), f"{low:g} to {high:g}", bool(low <= value <= high))
 
 
-def _report_disparities(
-    scenes: Sequence[Mapping[str, Any]], pooled: Mapping[str, FloatArray], output: Output
-) -> None:
+def _report_disparities(pooled: SceneNoise, output: Output) -> None:
     """Store the three matchers beside each other, all at the pixels that ours keeps."""
     for method in METHODS:
-        errors = pooled[method][np.isfinite(pooled[method])]
+        errors = pooled.errors[method][np.isfinite(pooled.errors[method])]
         small = errors[np.abs(errors) <= GROSS]
         output.measure(f"disparity_sigma_px/robust/{method}", robust_sigma(errors))
         output.measure(f"disparity_sigma_px/rms/{method}", float(np.sqrt(np.mean(small**2))))
         output.measure(f"disparity_bias_px/{method}", float(np.median(errors)))
         output.measure(f"disparity_outlier_fraction/{method}", 1.0 - len(small) / len(errors))
-        share = float(np.mean([scene[f"matched_{method}"] for scene in scenes]))
-        output.measure(f"disparity_matched_fraction/{method}", share)
+        output.measure(f"disparity_matched_fraction/{method}", pooled.matched[method])
 
 
-def _report_bins(pooled: Mapping[str, FloatArray], scale: float, output: Output) -> None:
+def _report_bins(pooled: SceneNoise, scale: float, output: Output) -> None:
     """Store, tabulate and draw the deviation of the depth over the range."""
-    depths = pooled["depth"]
-    sigma_px = robust_sigma(pooled["refined"])
+    depths = pooled.depth
+    sigma_px = robust_sigma(pooled.errors["refined"])
     curves = {}
     for method in METHODS:
-        known = np.isfinite(pooled[method])
-        errors = depth_errors(depths[known], pooled[method][known], scale)
+        known = np.isfinite(pooled.errors[method])
+        errors = depth_errors(depths[known], pooled.errors[method][known], scale)
         curves[method] = binned_sigma(depths[known], errors)
     middle, measured = curves["refined"]
     constant = middle**2 / scale * sigma_px  # eq. 3-6 with one sigma for all ranges
     index = np.digitize(depths, EDGES) - 1
-    predicted = [_median(pooled["predicted"][index == n]) for n in range(len(middle))]
+    predicted = [_median(pooled.predicted[index == n]) for n in range(len(middle))]
     ratio = measured / constant
     output.measure("eq_3-6_ratio/worst", float(np.nanmax(np.maximum(ratio, 1.0 / ratio))))
     output.measure("eq_3-6_ratio/one_pixel", float(1.0 / sigma_px))

@@ -9,8 +9,8 @@ emulated boards; the other three parts set cameras or draw points themselves, an
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Annotated, Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, ClassVar
 
 import numpy as np
 import tyro
@@ -23,7 +23,7 @@ from experiments.ch3.stereo.figures import growth_figure, points_figure, scene_f
 from experiments.ch3.stereo.noise import measure_noise
 from experiments.ch3.stereo.record import MapRecorder
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene
-from experiments.ch3.stereo.trial import Trial, map_scene, run_trial
+from experiments.ch3.stereo.trial import MappingRun, MappingTrial, map_scene, run_trial
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.intervals import distribution, fraction
@@ -104,49 +104,45 @@ def measure_mapping(options: Options, output: Output) -> None:
     seeds = options.job_seeds(SCENES, QUICK_SCENES)
     methods = METHODS[:2] if options.quick else METHODS
     configs = [
-        dataclasses.asdict(
-            Trial(seed, method, scans, seed == seeds[0] and method in FIGURE, options.robot)
-        )
+        MappingTrial(seed, method, scans, seed == seeds[0] and method in FIGURE, options.robot)
         for seed in seeds
         for method in methods
     ]
     results = sweep(run_trial, configs, options, output, label="scenes mapped")
     scenes = [results[i : i + len(methods)] for i in range(0, len(results), len(methods))]
-    mapped = [scene for scene in scenes if all(run["located"] for run in scene)]
+    mapped = [scene for scene in scenes if all(run.located for run in scene)]
     output.measure("mapped_scenes_fraction", fraction(len(mapped), len(scenes)))
     if not mapped:
         raise ExperimentError("no robot found the target in any scene; try another --seed")
     runs = dict(zip(methods, map(list, zip(*mapped)), strict=True))
-    curves = {method: _aligned([r["curve"] for r in runs[method]], scans) for method in methods}
+    curves = {method: _aligned([r.curve for r in runs[method]], scans) for method in methods}
     for method in methods:
         output.measure(f"surface_share/{method}", distribution(curves[method][:, -1, 0]))
         output.measure(f"points_mapped/{method}", distribution(curves[method][:, -1, 1]))
-        output.measure(
-            f"nees/{method}", distribution([float(r["nees"].mean()) for r in runs[method]])
-        )
-        pooled = np.concatenate([r["corrected_error"] for r in runs[method]])
-        guessed = np.concatenate([r["guess_error"] for r in runs[method]])
+        output.measure(f"nees/{method}", distribution([float(r.nees.mean()) for r in runs[method]]))
+        pooled = np.concatenate([r.corrected_error for r in runs[method]])
+        guessed = np.concatenate([r.guess_error for r in runs[method]])
         output.measure(f"camera_error_mm/{method}/arm", distribution(1e3 * guessed))
         output.measure(f"camera_error_mm/{method}/corrected", distribution(1e3 * pooled))
-        shares = [r["corrected_share"] for r in runs[method]]
+        shares = [r.corrected_share for r in runs[method]]
         output.measure(f"corrected_share/{method}", distribution(shares))
-    located = sum(int(r["located"]) for r in results)
+    located = sum(r.located for r in results)
     output.measure("located_fraction", fraction(located, 2 * len(results)))
-    turns = [1e3 * float(r["frame_turn"]) for r in results if r["located"]]
+    turns = [1e3 * r.frame_turn for r in results if r.located]
     output.measure("frame_turn_mrad", distribution(turns))
-    lost = max(float(r["lost_share"]) for r in results)
+    lost = max(r.lost_share for r in results)
     output.measure("surface_nowhere_near_share/worst", lost)
     _compare(curves, runs["information"], output)
     output.figure("figure_3-25", growth_figure(curves))
     _show(dict(zip(methods, results, strict=False)), seeds[0], output)
     if options.record:
         with MapRecorder(output.file("run.rrd")) as recorder:
-            map_scene(Trial(seeds[0], "information", scans, robot=options.robot), recorder.take)
+            map_scene(
+                MappingTrial(seeds[0], "information", scans, robot=options.robot), recorder.take
+            )
 
 
-def _compare(
-    curves: dict[str, np.ndarray], informed: Sequence[dict[str, Any]], output: Output
-) -> None:
+def _compare(curves: dict[str, np.ndarray], informed: Sequence[MappingRun], output: Output) -> None:
     """Hold information against the others at equal scans, and its covariances against the truth."""
     for other in [method for method in curves if method != "information"]:
         ratios = curves["information"][:, -1, 0] / curves[other][:, -1, 0]
@@ -157,7 +153,7 @@ def _compare(
             output.check(
                 "surface mapped, information over raster, mean", mean, bound, mean >= RATIO_BOUND
             )
-    nees = float(np.mean([r["nees"].mean() for r in informed]))
+    nees = float(np.mean([r.nees.mean() for r in informed]))
     output.measure("nees", nees)
     low, high = NEES_BOUNDS
     bound = f"{low:g} to {high:g}"
@@ -173,13 +169,14 @@ def _aligned(curves: Sequence[np.ndarray], scans: int) -> np.ndarray:
     return whole
 
 
-def _show(runs: dict[str, dict[str, Any]], seed: int, output: Output) -> None:
+def _show(runs: Mapping[str, MappingRun], seed: int, output: Output) -> None:
     """Draw one scene as it is, and as it was seen and mapped by each method."""
     output.figure("figure_3-22", scene_figure(StereoScene(SceneConfig(seed=seed))))
     for method, name in FIGURE.items():
-        run = runs[method]
-        output.figure(f"{name}a", views_figure(run["panoramas"], run["images"]))
-        output.figure(f"{name}b", points_figure(run["surface"]))
+        shown = runs[method].shown
+        assert shown is not None
+        output.figure(f"{name}a", views_figure(shown.panoramas, shown.images))
+        output.figure(f"{name}b", points_figure(shown.surface))
 
 
 PARTS: dict[str, Callable[[Options, Output], None]] = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -42,7 +41,7 @@ LONGEST = 300.0  # [s]
 
 
 @dataclasses.dataclass(frozen=True)
-class Trial:
+class MappingTrial:
     """One run.
 
     Attributes:
@@ -81,9 +80,50 @@ class Scored:
     frame_turn: float
 
 
-def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class Shown:
+    """What one run saw and mapped, for the figures; whole images would be too large to store.
+
+    Attributes:
+        panoramas: (robots, rows, columns) float32 grey levels by direction, NaN where not seen.
+        images: Number of images in each panorama.
+        surface: (N, 3) mapped surface points [m].
+    """
+
+    panoramas: NDArray[np.float32]
+    images: tuple[int, ...]
+    surface: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class MappingRun:
+    """One scene mapped and scored.
+
+    Attributes:
+        curve: (n, 3) number of views, share of the true surface mapped, and occupied voxels.
+        guess_error: (n,) error of each camera's position by the arm alone [m].
+        corrected_error: (n,) error of each camera's position after correction [m].
+        corrected_share: Share of the views whose camera was corrected.
+        nees: Squared normalised error of each fused point.
+        lost_share: Share of the mapped points that are near no true surface.
+        located: Number of robots that found the target.
+        frame_turn: Angle of the map's frame to the level one [rad].
+        shown: What was seen and mapped, if the trial is shown.
+    """
+
+    curve: FloatArray
+    guess_error: FloatArray
+    corrected_error: FloatArray
+    corrected_share: float
+    nees: FloatArray
+    lost_share: float
+    located: int
+    frame_turn: float
+    shown: Shown | None = None
+
+
+def run_trial(trial: MappingTrial) -> MappingRun:
     """Map a scene and score it; a job of the sweep."""
-    trial = Trial(**config)
     scored = map_scene(trial)
     guess, corrected = pose_errors(scored.mapper.looks, scored.cameras)
     nees, lost = surface_errors(
@@ -93,40 +133,40 @@ def run_trial(config: Mapping[str, Any]) -> dict[str, Any]:
         np.random.default_rng((trial.seed, 6)),
     )
     corrections = [look.correction for look in scored.mapper.looks if look.correction]
-    result = {
-        "curve": np.array(scored.curve),
-        "guess_error": guess,
-        "corrected_error": corrected,
-        "corrected_share": sum(c.corrected for c in corrections) / max(len(corrections), 1),
-        "nees": nees,
-        "lost_share": lost,
-        "located": len(scored.mapper.standings),
-        "frame_turn": scored.frame_turn,
-    }
-    return result | (_pictures(scored) if trial.shown else {})
+    return MappingRun(
+        curve=np.array(scored.curve),
+        guess_error=guess,
+        corrected_error=corrected,
+        corrected_share=sum(c.corrected for c in corrections) / max(len(corrections), 1),
+        nees=nees,
+        lost_share=lost,
+        located=len(scored.mapper.standings),
+        frame_turn=scored.frame_turn,
+        shown=_shown(scored) if trial.shown else None,
+    )
 
 
-def _pictures(scored: Scored) -> dict[str, Any]:
-    """Return what was seen and mapped; whole images would be too large to keep."""
+def _shown(scored: Scored) -> Shown:
+    """Return what was seen and mapped."""
     mapper = scored.mapper
     placed = [
         [look for look in mapper.looks if look.robot == name and look.correction is not None]
         for name in scored.scene.robot_names
     ]
-    return {
-        "panoramas": np.array([panorama(looks, mapper.geometry) for looks in placed], np.float32),
-        "images": [len(looks) for looks in placed],
-        "surface": mapper.shared.voxels.surface().means,
-    }
+    return Shown(
+        np.array([panorama(looks, mapper.geometry) for looks in placed], np.float32),
+        tuple(len(looks) for looks in placed),
+        mapper.shared.voxels.surface().means,
+    )
 
 
 def map_scene(
-    trial: Trial, on_look: Callable[[StereoMapper, Look, float], None] | None = None
+    trial: MappingTrial, on_look: Callable[[StereoMapper, Look, float], None] | None = None
 ) -> Scored:
     """Let two rovers map a scene.
 
     Args:
-        trial: Which.
+        trial: Scene and method.
         on_look: Called after each look with the mapper, the look and the share of the true surface
             that is mapped by now, for recording.
     """
@@ -209,9 +249,9 @@ class Witness(LoopRecorder):
         if simulation is not None:
             return camera_in_world(simulation.model, simulation.data, f"{name}/stereo_left")
         assert emulator is not None
-        told = emulator.state()[name]["camera"]
-        turn = Rotation.from_matrix(told["rotation"])
-        return RigidTransform.from_components(told["translation"], turn)
+        pose = emulator.state()[name]["camera"]
+        turn = Rotation.from_matrix(pose["rotation"])
+        return RigidTransform.from_components(pose["translation"], turn)
 
 
 def shared_errors(config: MapperConfig) -> float:

@@ -29,7 +29,7 @@ from controllers.placement.planar.occluders import occluders_of_map
 from controllers.placement.planar.search import PlanarTask
 from controllers.placement.planar.sight import KnownSpace, clear_line, sees, sees_on_map
 from controllers.placement.task import PlacementError, View
-from experiments.ch3.planar.trial import Round, Trial, run_trial
+from experiments.ch3.planar.trial import PlanarTrial, Round, run_trial
 from experiments.ch3.planar.worlds import World
 from experiments.ch4.planar.scenes import make_lens, work_site, work_targets
 from perception.planar.raycast import scan
@@ -116,7 +116,7 @@ def map_site(seed: int) -> Site:
     Each also looks once at a target, as the algorithm begins by identifying them (4.2.2).
     """
     world, solid = work_site(PlanarPose(START, 50.0, 0.0).to_world(PANEL.outline), seed)
-    trial = Trial(
+    trial = PlanarTrial(
         "unstructured", seed, "information", limit=SCAN_ROUNDS, robots=SCANNERS
     )  # fmt: skip
     seen: list[Round] = []

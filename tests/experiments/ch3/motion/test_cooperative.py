@@ -13,23 +13,35 @@ import pytest
 
 from experiments.ch3.motion import cooperative as ch3_cooperative
 from experiments.ch3.motion import cooperative_rendered as ch3_cooperative_rendered
-from experiments.ch3.motion.cooperative import CASES, JOINT, NOISE, report_cases, triangulate_drawn
-from experiments.ch3.motion.cooperative_rendered import triangulate_rendered
+from experiments.ch3.motion.cooperative import (
+    CASES,
+    JOINT,
+    NOISE,
+    CooperativeRun,
+    CooperativeTrial,
+    report_cases,
+    triangulate_drawn,
+)
+from experiments.ch3.motion.cooperative_rendered import (
+    RenderedPair,
+    RenderedScene,
+    triangulate_rendered,
+)
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 
 
 @pytest.fixture(scope="module")
-def drawn() -> dict[str, list[dict]]:
-    return {n: [triangulate_drawn({"seed": s, "noise": n}) for s in range(12)] for n in NOISE}
+def drawn() -> dict[str, list[CooperativeRun]]:
+    return {n: [triangulate_drawn(CooperativeTrial(s, n)) for s in range(12)] for n in NOISE}
 
 
-def median(results: list[dict], case: str) -> float:
-    return float(np.median([result[case] for result in results]))
+def median(results: list[CooperativeRun], case: str) -> float:
+    return float(np.median([result.errors[case] for result in results]))
 
 
 def test_same_seed_same_errors():
-    first, second = (triangulate_drawn({"seed": 3, "noise": "0.25px"}) for _ in range(2))
+    first, second = (triangulate_drawn(CooperativeTrial(3, "0.25px")) for _ in range(2))
     assert first == second
 
 
@@ -48,7 +60,7 @@ def test_two_robots_are_better_and_the_relative_pose_is_what_limits_them(drawn, 
 
 @pytest.mark.parametrize("case", JOINT)
 def test_points_are_as_certain_as_they_say(drawn, case):
-    values = [result[f"nees/{case}"] for results in drawn.values() for result in results]
+    values = [result.nees[case] for results in drawn.values() for result in results]
     assert 0.6 < np.mean(values) < 1.5
 
 
@@ -65,19 +77,19 @@ def test_failures_are_counted_and_checks_made(tmp_path):
 
 
 @pytest.fixture(scope="module")
-def rendered() -> dict:
-    return triangulate_rendered({"seed": 4})
+def rendered() -> RenderedPair:
+    return triangulate_rendered(RenderedScene(4))
 
 
 @pytest.mark.slow
 def test_natural_points_are_matched_across_two_robots_and_better_than_by_one(rendered):
-    assert rendered["matched"] > 60
-    assert rendered["agreed"].mean() > 0.85
-    assert not rendered["gross"].any()
-    assert rendered["bundle"] < 0.5 * rendered["single"]
-    assert rendered["perfect"] < 0.3  # [mm]
-    assert rendered["baseline_m"] > 0.5
-    assert np.abs(rendered["marker_errors"]).max() < 0.3  # [px]
+    assert rendered.matched > 60
+    assert rendered.agreed.mean() > 0.85
+    assert not rendered.gross.any()
+    assert rendered.errors["bundle"] < 0.5 * rendered.errors["single"]
+    assert rendered.errors["perfect"] < 0.3  # [mm]
+    assert rendered.baseline_m > 0.5
+    assert np.abs(rendered.marker_errors).max() < 0.3  # [px]
 
 
 @pytest.mark.slow

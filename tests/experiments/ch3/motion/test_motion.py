@@ -11,6 +11,7 @@ from experiments.ch3.motion.motion import (
     HEAD,
     PERSISTENT,
     ArmMotion,
+    CameraTrial,
     accumulate,
     follow_by_map,
     follow_by_motions,
@@ -41,17 +42,17 @@ def test_without_noise_nothing_accumulates():
     path = ArmMotion().draw(rng, 3, 1.1)
     chained = follow_by_motions(path, 1.1, 8, 1e-7, rng)
     mapped = follow_by_map(path, 1.1, 8, 1e-7, rng)
-    for errors in (*(chained[solver] for solver in SOLVERS), mapped[PERSISTENT]):
+    for errors in (*(chained.errors[solver] for solver in SOLVERS), mapped.errors[PERSISTENT]):
         assert errors.max() < 0.01  # [mm]
 
 
 def test_same_seed_same_errors_and_ml_beats_linear():
-    config = {"seed": 5, "range": "1100mm", "fiducials": 6, "sigma": 0.25, "steps": 8}
+    config = CameraTrial(5, "1100mm", 6, 0.25, steps=8)
     first, second = accumulate(config), accumulate(config)
-    for name, values in first.items():
-        np.testing.assert_array_equal(values, second[name])
-    assert first["ml"].mean() < 0.2 * first["linear"].mean()
-    assert first[PERSISTENT][-3:].mean() < first["kabsch"][-3:].mean()
+    for name, values in first.errors.items():
+        np.testing.assert_array_equal(values, second.errors[name])
+    assert first.errors["ml"].mean() < 0.2 * first.errors["linear"].mean()
+    assert first.errors[PERSISTENT][-3:].mean() < first.errors["kabsch"][-3:].mean()
 
 
 @pytest.mark.slow
@@ -74,18 +75,14 @@ def test_run_measures_what_the_contract_names(tmp_path):
 
 @pytest.mark.slow
 def test_rendered_fiducials_are_tracked_and_give_the_motion():
-    from experiments.ch3.motion.rendered import follow_rendered  # noqa: PLC0415
+    from experiments.ch3.motion.rendered import RenderedTrial, follow_rendered  # noqa: PLC0415
 
-    result = follow_rendered({"seed": 3, "range": "350mm", "steps": 2})
-    assert result["found"] >= 0.6 * result["sought"]
-    assert np.median(np.abs(result["tracking"])) < 0.06
-    assert result["ml"].max() < 2.0  # [mm]
-    assert result[PERSISTENT].max() < 2.0
-    figure = tracking_figure(
-        list(result["images"]),
-        [result[f"previous/{k}"] for k in range(3)],
-        [result[f"next/{k}"] for k in range(3)],
-    )
+    result = follow_rendered(RenderedTrial(3, "350mm", steps=2))
+    assert result.found >= 0.6 * result.sought
+    assert np.median(np.abs(result.tracking)) < 0.06
+    assert result.errors["ml"].max() < 2.0  # [mm]
+    assert result.errors[PERSISTENT].max() < 2.0
+    figure = tracking_figure(list(result.images), result.with_previous, result.with_next)
     squares = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "s"]
     circles = [line for axes in figure.axes for line in axes.lines if line.get_marker() == "o"]
     assert len(squares) == len(circles) == 2

@@ -12,7 +12,7 @@ from experiments.__main__ import main
 from experiments.ch3.planar import planar as ch3_planar
 from experiments.ch3.planar import record as ch3_planar_record
 from experiments.ch3.planar.explain import merge
-from experiments.ch3.planar.trial import Trial, build_world, first_at, run_trial
+from experiments.ch3.planar.trial import PlanarTrial, build_world, first_at, run_trial
 from experiments.ch3.planar.worlds import image_world, indoor_world, make_world, unstructured_world
 from experiments.harness.contract import OptionError
 from perception.planar.raycast import RangeSensor, scan
@@ -53,54 +53,54 @@ def test_visible_cells_are_those_of_scans_from_everywhere():
 
 @pytest.mark.parametrize("world", ["unstructured", "indoor"])
 def test_a_run_without_noise_never_unlearns_and_calls_no_obstacle_free(world):
-    trial = Trial(world, 5, "information", limit=30, **NARROW)
+    trial = PlanarTrial(world, 5, "information", limit=30, **NARROW)
     truth = build_world(trial)
     result = run_trial(trial, truth)
-    assert (np.diff(result["fraction"]) >= 0).all()
-    assert (np.diff(result["metres"]) >= 0).all()
-    free, hit = result["states"] == State.FREE, result["states"] == State.OCCUPIED
+    assert (np.diff(result.fraction) >= 0).all()
+    assert (np.diff(result.metres) >= 0).all()
+    free, hit = result.states == State.FREE, result.states == State.OCCUPIED
     assert not (free & truth.occupied).any()
     assert not (hit & ~truth.occupied).any()
     assert not ((free | hit) & ~truth.visible).any()
-    assert result["fraction"][-1] > 0.08
-    assert result["called_wrong"] == 0.0 and result["bumps"] == 0
-    cells = result["paths"][:, 1:]
+    assert result.fraction[-1] > 0.08
+    assert result.called_wrong == 0.0 and result.bumps == 0
+    cells = result.paths[:, 1:]
     assert not truth.occupied[cells[:, 0], cells[:, 1]].any()
 
 
 def test_same_seed_gives_the_same_run():
-    trial = Trial("indoor", 6, "information", limit=8, robots=2, noise=0.001, **NARROW)
+    trial = PlanarTrial("indoor", 6, "information", limit=8, robots=2, noise=0.001, **NARROW)
     first, again = (run_trial(trial, build_world(trial)) for _ in range(2))
     for key in ("fraction", "metres", "states", "paths", "stands"):
         np.testing.assert_array_equal(first[key], again[key])
 
 
 def test_noisy_ranges_mistake_cells_and_robots_still_keep_out_of_obstacles():
-    trial = Trial("indoor", 7, "information", limit=25, noise=0.003, **NARROW)
+    trial = PlanarTrial("indoor", 7, "information", limit=25, noise=0.003, **NARROW)
     world = build_world(trial)
     result = run_trial(trial, world)
-    assert 0.0 < result["called_wrong"] < 0.2
-    cells = result["paths"][:, 1:]
+    assert 0.0 < result.called_wrong < 0.2
+    cells = result.paths[:, 1:]
     assert not world.occupied[cells[:, 0], cells[:, 1]].any()
 
 
 def test_information_moves_far_less_than_max_new():
     found = {}
     for method in ("information", "max_new"):
-        trial = Trial("unstructured", 8, method, limit=35)
+        trial = PlanarTrial("unstructured", 8, method, limit=35)
         found[method] = run_trial(trial, build_world(trial))
     ours, theirs = found["information"], found["max_new"]
-    assert ours["metres"][-1] < 0.4 * theirs["metres"][-1]
-    assert ours["fraction"][-1] > 0.6 * theirs["fraction"][-1]
+    assert ours.metres[-1] < 0.4 * theirs.metres[-1]
+    assert ours.fraction[-1] > 0.6 * theirs.fraction[-1]
 
 
 def test_a_small_room_is_mapped_completely_and_the_run_ends(tmp_path):
     world = image_world(picture(tmp_path, np.pad(np.full((30, 40), 255), 1)), 1)
-    trial = Trial("room", 1, "information", limit=200)
+    trial = PlanarTrial("room", 1, "information", limit=200)
     result = run_trial(trial, world)
-    assert result["fraction"][-1] == 1.0
-    assert len(result["fraction"]) < 30
-    assert first_at(result)[0] <= len(result["fraction"])
+    assert result.fraction[-1] == 1.0
+    assert len(result.fraction) < 30
+    assert first_at(result)[0] <= len(result.fraction)
 
 
 def picture(folder, pixels):
@@ -179,7 +179,7 @@ def test_runs_that_never_arrive_count_as_infinite():
 
 
 def test_a_recording_holds_the_run(tmp_path):
-    trial = Trial("indoor", 9, "information", limit=3, robots=2, **NARROW)
+    trial = PlanarTrial("indoor", 9, "information", limit=3, robots=2, **NARROW)
     ch3_planar_record.record_trial(trial, tmp_path / "run.rrd")
     assert (tmp_path / "run.rrd").stat().st_size > 5_000
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from experiments.ch3.planar import swarm as ch3_swarm
-from experiments.ch3.planar.trial import Trial, build_world, run_trial
+from experiments.ch3.planar.trial import PlanarTrial, build_world, run_trial
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 
 
 def test_a_swarm_starts_on_as_many_different_free_cells():
-    world = build_world(Trial("indoor", 1, "information"))
+    world = build_world(PlanarTrial("indoor", 1, "information"))
     starts = world.starts(50)
     assert len(set(starts)) == 50
     assert starts[0] == world.start
@@ -22,16 +22,16 @@ def test_a_swarm_starts_on_as_many_different_free_cells():
 def test_five_cooperating_robots_map_more_than_five_independent_ones():
     mapped = {}
     for cooperative in (True, False):
-        trial = Trial("indoor", 2, "information", 75.0, 10.0, 8, 5, cooperative)
-        mapped[cooperative] = run_trial(trial, build_world(trial))["fraction"][-1]
+        trial = PlanarTrial("indoor", 2, "information", 75.0, 10.0, 8, 5, cooperative)
+        mapped[cooperative] = run_trial(trial, build_world(trial)).fraction[-1]
     assert mapped[True] > mapped[False]
 
 
 def test_every_robot_has_a_way_of_its_own():
-    trial = Trial("indoor", 3, "information", 75.0, 10.0, 4, 10)
+    trial = PlanarTrial("indoor", 3, "information", 75.0, 10.0, 4, 10)
     result = run_trial(trial, build_world(trial))
     for robot in range(10):
-        way = result["paths"][result["paths"][:, 0] == robot, 1:]
+        way = result.paths[result.paths[:, 0] == robot, 1:]
         steps = np.abs(np.diff(way, axis=0))
         assert steps.max(initial=0) <= 1
 

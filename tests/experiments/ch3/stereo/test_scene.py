@@ -13,6 +13,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.stereo.noise import (
+    NoiseTrial,
+    SceneNoise,
     binned_sigma,
     log_slope,
     measure_scene,
@@ -163,22 +165,21 @@ def test_rectified_pair_of_distorting_lenses_gives_true_depths(scene):
     assert robust_sigma(straight["raw"]) > 3.0 * robust_sigma(straight["rectified"])
 
 
-def synthetic(seed: int) -> dict:
+def synthetic(seed: int) -> SceneNoise:
     """Return what `measure_scene` would of a head with 0.03 px of noise at all ranges."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.35, 2.0, 6000)
     noise = {m: 0.03 * rng.standard_normal(6000) for m in ("refined", "bm", "sgbm")}
     scale = 25.7
-    return {
-        "seed": seed,
-        "focal_baseline": scale,
-        "depth": depth,
-        "bare": 0,
-        "predicted": depth**2 / scale * 0.03,
-        "arm": np.zeros(6000) + (depth < 0.6),
-        **noise,
-        **{f"matched_{m}": 0.8 for m in noise},
-    }
+    return SceneNoise(
+        focal_baseline=scale,
+        depth=depth,
+        predicted=depth**2 / scale * 0.03,
+        arm=np.zeros(6000) + (depth < 0.6),
+        errors=noise,
+        matched=dict.fromkeys(noise, 0.8),
+        bare=0,
+    )
 
 
 def test_report_finds_slope_2_and_unit_nees_of_constant_disparity_noise(tmp_path):
@@ -203,9 +204,9 @@ def test_log_slope_of_binned_sigma_is_the_exponent():
 
 @pytest.mark.slow
 def test_ours_is_at_least_twice_as_accurate_as_block_matching_on_a_rendered_scene():
-    found = measure_scene({"seed": 11, "ranges": (0.5, 1.0)})
-    both = np.isfinite(found["bm"])
-    ours, theirs = (robust_sigma(found[m][both]) for m in ("refined", "bm"))
+    found = measure_scene(NoiseTrial(11, (0.5, 1.0)))
+    both = np.isfinite(found.errors["bm"])
+    ours, theirs = (robust_sigma(found.errors[m][both]) for m in ("refined", "bm"))
     assert ours < 0.5 * theirs
     assert ours < 0.04
-    assert robust_sigma(found["sgbm"][np.isfinite(found["sgbm"])]) > theirs
+    assert robust_sigma(found.errors["sgbm"][np.isfinite(found.errors["sgbm"])]) > theirs

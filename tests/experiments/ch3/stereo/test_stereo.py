@@ -10,7 +10,7 @@ from scipy.stats import chi2
 from controllers.mapping.looking import MapperConfig
 from experiments.__main__ import main
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene
-from experiments.ch3.stereo.trial import Trial, map_scene
+from experiments.ch3.stereo.trial import MappingTrial, map_scene
 from experiments.ch3.stereo.truth import mapped_share, surface_errors, true_surface
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import Surface, VoxelMap
@@ -24,7 +24,7 @@ def scene() -> StereoScene:
 
 @pytest.mark.slow
 def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
-    scored = map_scene(Trial(1, "information", 2))
+    scored = map_scene(MappingTrial(1, "information", 2))
     mapper = scored.mapper
     assert set(mapper.standings) == {"rover1", "rover2"} and mapper.done
     assert len({(look.robot, look.number) for look in mapper.looks}) == len(mapper.looks) == 4
@@ -58,7 +58,7 @@ def check_camera(look, true):
 
 @pytest.mark.slow
 def test_rovers_on_emulated_boards_map_as_well():
-    scored = map_scene(Trial(3, "information", 1, robot="emulated"))
+    scored = map_scene(MappingTrial(3, "information", 1, robot="emulated"))
     assert set(scored.mapper.standings) == {"rover1", "rover2"} and scored.mapper.done
     assert len(scored.curve) == 2 and scored.curve[-1][1] > 0.005
     for look in scored.mapper.looks:
