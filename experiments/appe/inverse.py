@@ -32,7 +32,7 @@ from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
-from experiments.harness.sweep import sweep
+from experiments.harness.sweep import concatenated, sweep
 
 FloatArray = NDArray[np.float64]
 Results = dict[str, Solved]
@@ -122,7 +122,7 @@ def _joined(
     case: tuple[str, int], trials: Sequence[TargetTrial], solved: Sequence[Results]
 ) -> Results:
     parts = [result for trial, result in zip(trials, solved) if (trial.kind, trial.stages) == case]
-    return {name: Solved.joined([part[name] for part in parts]) for name in parts[0]}
+    return {name: concatenated([part[name] for part in parts]) for name in parts[0]}
 
 
 def _measure(kind: str, stages: int, result: Results, output: Output) -> None:

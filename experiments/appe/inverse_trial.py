@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence, Set
+from collections.abc import Set
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,12 +95,6 @@ class Solved:
     displacement: FloatArray
     angle: FloatArray
     ms: FloatArray
-
-    @classmethod
-    def joined(cls, parts: Sequence[Solved]) -> Solved:
-        """Return several results of one method as one."""
-        names = [field.name for field in dataclasses.fields(cls)]
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 @dataclasses.dataclass(frozen=True)

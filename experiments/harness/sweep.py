@@ -13,7 +13,7 @@ import types
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import joblib
 import numpy as np
@@ -72,11 +72,22 @@ def sweep(
             progress.advance(task)
     finished: dict[str, Result] = {}
     for key, path in paths.items():
-        result = _read(path, kind)
-        if result is None:  # To leave it out would shift all results behind it.
+        stored = _read(path, kind)
+        if stored is None:  # To leave it out would shift all results behind it.
             raise ExperimentError(f"{path}: lost after it was written; --resume runs it again")
-        finished[key] = result
+        (finished[key],) = stored
     return [finished[key] for key in keys]
+
+
+def concatenated(parts: Sequence[Result]) -> Result:
+    """Return dataclasses of arrays as one, each field joined along its first axis.
+
+    Args:
+        parts: Results of one type, at least one.
+    """
+    fields = dataclasses.fields(cast("Any", parts[0]))
+    columns = (np.concatenate([getattr(part, field.name) for part in parts]) for field in fields)
+    return type(parts[0])(*columns)
 
 
 def _results(
@@ -150,12 +161,12 @@ def _write(path: Path, config: Any, result: Any) -> None:
     os.replace(partial, path)
 
 
-def _read(path: Path, kind: Any) -> Any:
-    """Read one job as a type; None if it is not there or was damaged."""
+def _read(path: Path, kind: Any) -> tuple[Any] | None:
+    """Read one job's result (in a tuple, as it may be None); None if missing or damaged."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             result = json.loads(str(stored["json"]))["result"]
-            return _restored(result, kind, {name: stored[name] for name in stored.files})
+            return (_restored(result, kind, {name: stored[name] for name in stored.files}),)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
 

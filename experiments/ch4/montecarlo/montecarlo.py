@@ -61,7 +61,6 @@ is a sparser one with more obstacles.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,11 +70,18 @@ from experiments.ch4.montecarlo.figures import SHOWN, table_figure, way_figure
 from experiments.ch4.montecarlo.orderings import cell_name, compare_all, second_chance
 from experiments.ch4.montecarlo.record import record_test
 from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES, FloatArray
-from experiments.ch4.montecarlo.trial import FIXED, PLACEMENTS, TARGETS, run_tests
+from experiments.ch4.montecarlo.trial import (
+    FIXED,
+    PLACEMENTS,
+    TARGETS,
+    GuidedTests,
+    TestsJob,
+    run_tests,
+)
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
-from experiments.harness.sweep import sweep
+from experiments.harness.sweep import concatenated, sweep
 
 TESTS, QUICK_TESTS = 300, 100
 CHUNK = 25
@@ -120,49 +126,38 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(TESTS, QUICK_TESTS)
     cases = {"": {}, **VARIANTS}
     chunks = [seeds[i : i + CHUNK] for i in range(0, len(seeds), CHUNK)]
-    jobs = [{"seeds": chunk, "changes": case} for case in cases.values() for chunk in chunks]
+    jobs = [TestsJob(tuple(chunk), case) for case in cases.values() for chunk in chunks]
     results = sweep(run_tests, jobs, options, output, label=f"{CHUNK} tests a cell")
-    joined = [_join(results[i : i + len(chunks)]) for i in range(0, len(results), len(chunks))]
+    tests = [result for result, _ in results]
+    joined = [concatenated(tests[i : i + len(chunks)]) for i in range(0, len(tests), len(chunks))]
     success = {name: succeeded(result) for name, result in zip(cases, joined)}
     for name, cells in success.items():
         _measure_table(cells, name, output)
         _measure_orderings(cells, name, output)
     _measure_causes(joined[0], output)
-    seconds = sum(result["seconds"] for result in results[: len(chunks)])
+    seconds = sum(seconds for _, seconds in results[: len(chunks)])
     rate = success[""].size / seconds
     output.measure("tests_per_second", rate)
     output.check("tests a second and core", rate, f">= {SPEED_BOUND:g}", rate >= SPEED_BOUND)
     coarse = success["one_pixel"].mean(axis=0)
     output.figure("table_4-1", table_figure(success[""], coarse, TABLE_4_1))
-    shown = seeds[_telling(joined[0]["sightings"])]
+    shown = seeds[_telling(joined[0].sightings)]
     output.figure("one_test", way_figure(shown))
     if options.record:
         record_test(shown, output.file("run.rrd"))
 
 
-def succeeded(results: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
-    """Return which tests succeeded.
-
-    Args:
-        results: ``error`` and ``sightings`` (n, densities, placements, targets) of `run_tests`.
-
-    Returns:
-        (n, densities, tolerances, placements, targets).
-    """
+def succeeded(results: GuidedTests) -> NDArray[np.bool_]:
+    """Return which tests succeeded, (n, densities, tolerances, placements, targets)."""
     clearance = 0.5 * np.array(TOLERANCES)[:, None, None] / 100.0 * SCENARIO.width
-    close = np.abs(results["error"])[:, :, None] <= clearance
-    return close & (results["sightings"] > 0)[:, :, None]
+    close = np.abs(results.error)[:, :, None] <= clearance
+    return close & (results.sightings > 0)[:, :, None]
 
 
 def _telling(sightings: FloatArray) -> int:
     """Return the first test, at the density shown, whose fixed camera never sees; or the first."""
     blind = sightings[:, SHOWN, FIXED, 1] == 0
     return int(np.argmax(blind))
-
-
-def _join(results: Sequence[Mapping[str, Any]]) -> dict[str, FloatArray]:
-    names = [name for name in results[0] if name != "seconds"]
-    return {name: np.concatenate([result[name] for result in results]) for name in names}
 
 
 def _measure_table(success: NDArray[np.bool_], variant: str, output: Output) -> None:
@@ -210,19 +205,19 @@ def _measure_orderings(success: NDArray[np.bool_], variant: str, output: Output)
         output.measure(f"second_chance_rms_points/{placement}", deviation)
 
 
-def _measure_causes(results: Mapping[str, FloatArray], output: Output) -> None:
+def _measure_causes(results: GuidedTests, output: Output) -> None:
     """Store what the successes come from: being seen, from where, and how late."""
     for d, density in enumerate(DENSITIES):
-        output.measure(f"covered_percent/{density}", 100.0 * float(results["covered"][:, d].mean()))
-        output.measure(f"reachable_percent/{density}", 100.0 * float(results["free"][:, d].mean()))
+        output.measure(f"covered_percent/{density}", 100.0 * float(results.covered[:, d].mean()))
+        output.measure(f"reachable_percent/{density}", 100.0 * float(results.free[:, d].mean()))
     for d, p, s in np.ndindex(len(DENSITIES), len(PLACEMENTS), len(TARGETS)):
         ending = f"{PLACEMENTS[p]}/{DENSITIES[d]}/{TARGETS[s]}"
-        seen = results["sightings"][:, d, p, s] > 0
+        seen = results.sightings[:, d, p, s] > 0
         output.measure(f"never_seen_fraction/{ending}", fraction(int((~seen).sum()), len(seen)))
         if seen.any():
             for name in ("last_gap", "last_view"):
                 output.measure(
-                    f"{name}_mm/{ending}", distribution(1e3 * results[name][seen, d, p, s])
+                    f"{name}_mm/{ending}", distribution(1e3 * getattr(results, name)[seen, d, p, s])
                 )
-            error = 1e3 * np.abs(results["error"][seen, d, p, s])
+            error = 1e3 * np.abs(results.error[seen, d, p, s])
             output.measure(f"arrival_error_mm/{ending}", distribution(error))

@@ -6,6 +6,7 @@ a test is the same whoever runs it, beside whichever others.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -38,6 +39,7 @@ from experiments.ch4.montecarlo.sight import (
     object_corners,
     sighting_variance,
 )
+from experiments.harness.sweep import concatenated
 
 PLACEMENTS = ("optimal", "random", "fixed")
 OPTIMAL, RANDOM, FIXED = range(3)
@@ -76,7 +78,7 @@ class World(NamedTuple):
     """One test's obstacles and map.
 
     Attributes:
-        corners: (N, `SIDES`, 2) of the obstacles [m].
+        corners: (N, `SIDES`, 2) corners of the obstacles [m].
         occupied: (rows, columns) probability that a camera cannot be there.
     """
 
@@ -102,9 +104,9 @@ def worlds(
     """Return a test's worlds and what part of the work space their obstacles cover.
 
     Args:
-        chance: Of the test.
-        scenario: The numbers.
-        densities: [%], ascending.
+        chance: Random numbers of the test.
+        scenario: Numbers of the scenario.
+        densities: Densities of the obstacles, ascending [%].
 
     Raises:
         ValueError: If a density cannot be reached with the obstacles drawn.
@@ -118,50 +120,75 @@ def worlds(
     return made, parts
 
 
-def run_tests(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Run tests by all placements at all densities, with and without secondary target; a job.
+@dataclasses.dataclass(frozen=True)
+class TestsJob:
+    """Some tests of one case.
 
-    Args:
-        config: ``seeds``, one for each test; ``changes``, of `SCENARIO`'s numbers by name.
+    Attributes:
+        seeds: Random seed of each test.
+        changes: Numbers that differ from `SCENARIO`'s, by name.
+    """
+
+    seeds: tuple[int, ...]
+    changes: Mapping[str, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class GuidedTests:
+    """Tests by all placements at all densities, with and without secondary target.
+
+    The first four are (n, densities, placements, targets), the others (n, densities).
+
+    Attributes:
+        error: Error at arrival [m].
+        sightings: Number of sightings.
+        last_gap: Distance of the object from the goal when it was last seen [m]; infinite if never.
+        last_view: Distance of the camera from the goal then [m]; infinite if never.
+        covered: Share of the work space that obstacles cover.
+        free: Share of the work space that cameras can reach.
+    """
+
+    error: FloatArray
+    sightings: FloatArray
+    last_gap: FloatArray
+    last_view: FloatArray
+    covered: FloatArray
+    free: FloatArray
+
+
+def run_tests(job: TestsJob) -> tuple[GuidedTests, float]:
+    """Run tests; a job of the sweep.
 
     Returns:
-        (n, densities, placements, targets): ``error`` at arrival [m]; ``sightings``, how many;
-        ``last_gap``, how far off the object was last seen [m], and ``last_view``, from how far off
-        the goal [m], both infinite if it never was. ``covered`` and ``free`` (n, densities), the
-        parts of the work space that obstacles cover and that cameras can reach; ``seconds`` that
-        the tests took, without compiling.
+        The tests, and the processor time that they took without compiling [s].
     """
-    scenario = SCENARIO._replace(**config["changes"])
-    seeds = config["seeds"]
-    run_test(seeds[0], scenario)  # compiles
+    scenario = SCENARIO._replace(**job.changes)
+    run_test(job.seeds[0], scenario)  # compiles
     begin = time.process_time()
-    results = [run_test(seed, scenario) for seed in seeds]
+    results = [run_test(seed, scenario) for seed in job.seeds]
     seconds = time.process_time() - begin
-    joined = {name: np.stack([result[name] for result in results]) for name in results[0]}
-    return {**joined, "seconds": seconds}
+    return concatenated(results), seconds
 
 
-def run_test(seed: int, scenario: Scenario = SCENARIO) -> dict[str, FloatArray]:
-    """Run one test of `run_tests`; the same entries, without the first axis."""
+def run_test(seed: int, scenario: Scenario = SCENARIO) -> GuidedTests:
+    """Run one test of `run_tests`."""
     chance = draw_chance(seed)
     made, covered = worlds(chance, scenario)
     shape = (len(DENSITIES), len(PLACEMENTS), len(TARGETS))
-    names = ("error", "sightings", "last_gap", "last_view")
-    result = {name: np.full(shape, np.inf) for name in names}
+    error, sightings, last_gap, last_view = np.full((4, *shape), np.inf)
     track = np.empty((PERIODS, len(TRACK)))
     for density, placement, target in np.ndindex(*shape):
         index = density, placement, target
-        result["error"][index], steps = guide(
-            scenario, made[density], chance, placement, target == 1, track
-        )
+        error[index], steps = guide(scenario, made[density], chance, placement, target == 1, track)
         seen = np.flatnonzero(track[:steps, 3])
-        result["sightings"][index] = len(seen)
+        sightings[index] = len(seen)
         if len(seen):
             last = track[seen[-1]]
-            result["last_gap"][index] = last[0]
-            result["last_view"][index] = math.hypot(last[1], last[2])
+            last_gap[index] = last[0]
+            last_view[index] = math.hypot(last[1], last[2])
     free = np.array([1.0 - float(world.occupied.mean()) for world in made])
-    return {**result, "covered": covered, "free": free}
+    arrays = (error, sightings, last_gap, last_view, covered, free)
+    return GuidedTests(*(array[None] for array in arrays))
 
 
 @_njit
@@ -176,8 +203,8 @@ def guide(
     """Guide the object to the goal.
 
     Args:
-        scenario: The numbers.
-        world: Obstacles and map.
+        scenario: Numbers of the scenario.
+        world: Obstacles and their map.
         chance: All random numbers.
         placement: `OPTIMAL`, `RANDOM` or `FIXED`.
         secondary: Whether the left-hand pair of markers may be watched, too.
@@ -231,10 +258,10 @@ def expanded(scenario: Scenario, corners: FloatArray, target: int, gap: float) -
     """Return all occluders expanded by the gap, from its middle.
 
     Args:
-        scenario: The numbers.
-        corners: (N, `SIDES`, 2) of the obstacles [m].
-        target: 0 primary, 1 secondary.
-        gap: Between the markers [m].
+        scenario: Numbers of the scenario.
+        corners: (N, `SIDES`, 2) corners of the obstacles [m].
+        target: Target to watch: 0 primary, 1 secondary.
+        gap: Gap between the markers [m].
 
     Returns:
         Corners of N + 1 hulls [m]; the object is the last.

@@ -35,8 +35,8 @@ def draw_hull_cost(distances: Floats, angles: Floats) -> Figure:
     """Draw the occluded angle over the occluder's distance, true and by hulls (figure 4-6).
 
     Args:
-        distances: (N,) [m].
-        angles: (N, 2) true and hull's [rad].
+        distances: (N,) distances of the occluder from the target [m].
+        angles: (N, 2) occluded angles, true and by the hull [rad].
     """
     figure = Figure(figsize=(10, 4))
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
@@ -59,7 +59,7 @@ def draw_searches(rows: Sequence[Sequence[Any]], names: Sequence[str]) -> Figure
 
     Args:
         rows: Density [%] and the scene's results.
-        names: Of the results.
+        names: Names of the results.
     """
     table = np.array(rows, dtype=float)
     figure = Figure(figsize=(6, 4))
@@ -68,9 +68,9 @@ def draw_searches(rows: Sequence[Sequence[Any]], names: Sequence[str]) -> Figure
         place = 1 + list(names).index(name)
         for at, density in enumerate(np.unique(table[:, 0])):
             times = 1e6 * table[table[:, 0] == density, place]
-            spread = np.linspace(-0.25, 0.25, len(times))
+            offsets = np.linspace(-0.25, 0.25, len(times))
             label = name.removesuffix("_s") if at == 0 else None
-            axes.plot(at + spread, times, ".", markersize=3, color=colour, label=label)
+            axes.plot(at + offsets, times, ".", markersize=3, color=colour, label=label)
     densities = [f"{density:g} %" for density in np.unique(table[:, 0])]
     axes.set_xticks(range(len(densities)), densities)
     axes.set(yscale="log", xlabel="area covered", ylabel="time of a search [us]")

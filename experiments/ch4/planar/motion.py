@@ -11,7 +11,6 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,25 +128,57 @@ def map_site(seed: int) -> Site:
     return Site(world, solid, KnownSpace(mapped.probability(), world.grid.cell))
 
 
+@dataclasses.dataclass(frozen=True)
+class Approach:
+    """One approach of the panel, watched.
+
+    Attributes:
+        moves: Number of moves of the camera after its first placement.
+        steps: Number of steps.
+        placed: Number of steps that had a view.
+        watched: Number of these at which the whole target was truly seen.
+        target: (steps,) target watched: 0 primary, 1 secondary, -1 none.
+        replan_ms: (steps,) processor time of planning [ms].
+        pose_error: (steps,) error of the panel's estimated position [m].
+        metres: Distance that the camera moved [m].
+    """
+
+    moves: int
+    steps: int
+    placed: int
+    watched: int
+    target: NDArray[np.int64]
+    replan_ms: Floats
+    pose_error: Floats
+    metres: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Approaches:
+    """The same approach with hysteresis and without.
+
+    Attributes:
+        steady: With hysteresis.
+        plain: Without.
+    """
+
+    steady: Approach
+    plain: Approach
+
+
 def approach(
     trial: MotionTrial,
     site: Site,
     observe: Callable[[Moment], None] | None = None,
     steps: int = STEPS,
-) -> dict[str, Any]:
+) -> Approach:
     """Carry the panel to the target and keep watching.
 
     Args:
         trial: Seed and hysteresis.
-        site: From `map_site`.
+        site: The mapped site.
         observe: Called after each step.
-        steps: How many.
-
-    Returns:
-        ``moves`` of the camera after its first placement, ``steps``, ``placed`` how many of them
-        had a view, ``watched`` how many of these truly saw the whole target, ``target`` (steps,)
-        0 primary, 1 secondary, -1 none, ``replan_ms`` (steps,) processor time, ``pose_error``
-        (steps,) [m], and ``metres`` that the camera moved.
+        steps: Number of steps.
     """
     generator = np.random.default_rng([trial.seed, 5])
     true = PlanarPose(START, 50.0, 0.0)
@@ -184,36 +215,32 @@ def approach(
         if observe is not None:
             observe(Moment(step, task, view, moved, panel, believed, watched))
     target, watched_at, replans, errors = np.array(rows, dtype=float).T
-    return {
-        "moves": max(moves, 0),
-        "steps": len(rows),
-        "placed": int(np.sum(target >= 0)),
-        "watched": int(watched_at.sum()),
-        "target": target.astype(int),
-        "replan_ms": replans,
-        "pose_error": errors,
-        "metres": metres,
-    }
+    return Approach(
+        moves=max(moves, 0),
+        steps=len(rows),
+        placed=int(np.sum(target >= 0)),
+        watched=int(watched_at.sum()),
+        target=target.astype(int),
+        replan_ms=replans,
+        pose_error=errors,
+        metres=metres,
+    )
 
 
-def watch_approach(trial: MotionTrial) -> dict[str, Any]:
-    """Map a site, then watch the panel with hysteresis and without; a job of the sweep.
-
-    Returns:
-        `approach`'s results, those without hysteresis under names that begin with ``plain_``.
-    """
+def watch_approach(trial: MotionTrial) -> Approaches:
+    """Map a site, then watch the panel with hysteresis and without; a job of the sweep."""
     site = map_site(trial.seed)
     approach(trial, site, steps=2)  # Loads the compiled code, so that no plan is timed with it.
     plain = approach(dataclasses.replace(trial, factor=1.0), site)
-    return approach(trial, site) | {f"plain_{name}": value for name, value in plain.items()}
+    return Approaches(approach(trial, site), plain)
 
 
 def _carry(
     true: PlanarPose, believed: PlanarPose, generator: np.random.Generator
 ) -> tuple[PlanarPose, PlanarPose]:
     """Move the panel by a step: the carrier heads for where it believes the goal to be."""
-    spread = np.diag([SLIP * STEP, SLIP * STEP, TURN_SLIP]) ** 2
-    slip = generator.multivariate_normal(np.zeros(3), spread)
+    covariance = np.diag([SLIP * STEP, SLIP * STEP, TURN_SLIP]) ** 2
+    slip = generator.multivariate_normal(np.zeros(3), covariance)
     # It brings itself back to the line and to the right heading as far as it knows.
     command = np.array([-STEP, 50.0 - believed.y, -believed.heading])
     real = command + slip
@@ -221,7 +248,7 @@ def _carry(
         PlanarPose(true.x + real[0], true.y + real[1], true.heading + real[2]),
         PlanarPose(
             believed.x + command[0], believed.y + command[1], believed.heading + command[2],
-            believed.covariance + spread,
+            believed.covariance + covariance,
         ),
     )  # fmt: skip
 

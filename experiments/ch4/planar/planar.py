@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controllers.placement.planar.search import RingCandidates, best_view
 from experiments.ch4.planar.figures import (
@@ -26,7 +27,8 @@ from experiments.ch4.planar.record import record_approach
 from experiments.ch4.planar.scenes import two_instances
 from experiments.ch4.planar.trials import (
     HullTrial,
-    SearchTrial,
+    PlanarSearches,
+    PlanarSearchTrial,
     compare_searches,
     compare_sights,
     occluded_angles,
@@ -35,7 +37,7 @@ from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
-from experiments.harness.sweep import sweep
+from experiments.harness.sweep import concatenated, sweep
 
 SPEEDUPS = {5: 20.0, 20: 3.0, 35: 3.0}
 """Density [%] and how many times faster than the exhaustive search the fast one must be."""
@@ -105,7 +107,7 @@ def run(options: Options, output: Output) -> None:
 def _searches(options: Options, output: Output, seeds: Sequence[int]) -> None:
     """Measure the searches on random scenes of all densities."""
     trials = [
-        SearchTrial(density / 100.0, seed, SCENES, options.rings, options.directions)
+        PlanarSearchTrial(density / 100.0, seed, SCENES, options.rings, options.directions)
         for density in SPEEDUPS
         for seed in seeds
     ]
@@ -114,27 +116,27 @@ def _searches(options: Options, output: Output, seeds: Sequence[int]) -> None:
     matches: list[float] = []
     for index, (density, bound) in enumerate(SPEEDUPS.items()):
         chosen = results[index * len(seeds) : (index + 1) * len(seeds)]
-        joined = {key: np.concatenate([np.asarray(r[key], float) for r in chosen])
-                  for key in chosen[0]}  # fmt: skip
-        matches += joined["matches"].tolist()
-        speedup = float(joined["exhaustive_s"].sum() / joined["fast_s"].sum())
+        joined = concatenated(chosen)
+        matches += joined.matches.tolist()
+        speedup = float(joined.exhaustive_s.sum() / joined.fast_s.sum())
         output.measure(f"search_speedup/{density}", speedup)
         output.check(f"search speedup at {density} %", speedup, f">= {bound:g}", speedup >= bound)
-        output.measure(f"search_us/{density}", distribution(1e6 * joined["fast_s"]))
-        output.measure(f"placement_ms/{density}", distribution(1e3 * joined["placement_s"]))
-        seen = np.isfinite(joined["gain"])
+        output.measure(f"search_us/{density}", distribution(1e6 * joined.fast_s))
+        output.measure(f"placement_ms/{density}", distribution(1e3 * joined.placement_s))
+        seen = np.isfinite(joined.gain)
         output.measure(f"scenes_with_a_view/{density}", fraction(int(seen.sum()), seen.size))
-        beyond = int(np.sum(joined["distance"][seen] > 5.0 + 1e-6))  # noqa: PLR2004
+        beyond = int(np.sum(joined.distance[seen] > 5.0 + 1e-6))  # noqa: PLR2004
         output.measure(f"optimum_beyond_nearest/{density}", fraction(beyond, max(seen.sum(), 1)))
         if seen.any():
-            output.measure(f"climb_gain/{density}", distribution(joined["gain"][seen]))
-            output.measure(f"cells_rating_fraction/{density}", distribution(joined["cells"][seen]))
-        rows += [[density, *values] for values in zip(*joined.values())]
+            output.measure(f"climb_gain/{density}", distribution(joined.gain[seen]))
+            output.measure(f"cells_rating_fraction/{density}", distribution(joined.cells[seen]))
+        rows += [[density, *values] for values in zip(*vars(joined).values())]
     share = float(np.mean(matches))
     output.measure("search_match_fraction", share)
     output.check("fast search matches the exhaustive one", share, "== 1", share == 1.0)
-    output.table("searches", ("density [%]", *results[0]), rows)
-    output.figure("searches", draw_searches(rows, list(results[0])))
+    names = [field.name for field in dataclasses.fields(PlanarSearches)]
+    output.table("searches", ("density [%]", *names), rows)
+    output.figure("searches", draw_searches(rows, names))
 
 
 def _hulls(options: Options, output: Output, seeds: Sequence[int]) -> None:
@@ -142,13 +144,13 @@ def _hulls(options: Options, output: Output, seeds: Sequence[int]) -> None:
     cases = QUICK_CASES if options.quick else CASES
     trials = [HullTrial(seed, cases) for seed in seeds]
     results = sweep(compare_sights, trials, options, output, label="hulls")
-    counts = {key: np.sum([r[key] for r in results], axis=0) for key in results[0]}
-    wrong = int(np.sum(counts["false_visible"]))
+    wrong = sum(int(r.false_visible.sum()) for r in results)
     output.measure("hull_false_visible", wrong)
     output.measure("hull_cases", cases * len(seeds))
     output.check("hulls see what is hidden", wrong, "== 0", wrong == 0)
     for index, kind in enumerate(("convex", "map")):
-        visible, given_up = int(counts["visible"][index]), int(counts["given_up"][index])
+        visible = sum(int(r.visible[index]) for r in results)
+        given_up = sum(int(r.given_up[index]) for r in results)
         if visible > 0:
             output.measure(f"hull_given_up_fraction/{kind}", fraction(given_up, visible))
     distances = np.geomspace(1.0, 30.0, 40)
@@ -168,30 +170,35 @@ def _motion(options: Options, output: Output, seeds: Sequence[int]) -> None:
     """Watch the panel approach, and draw and film the first seed's."""
     trials = [MotionTrial(seed, options.factor) for seed in seeds]
     results = sweep(watch_approach, trials, options, output, label="approaches")
-    for ending, prefix in (("", ""), ("/without_hysteresis", "plain_")):
-        output.measure(
-            f"replacements{ending}", distribution([r[f"{prefix}moves"] for r in results])
-        )
-        output.measure(f"camera_metres{ending}",
-                       distribution([r[f"{prefix}metres"] for r in results]))  # fmt: skip
-        placed, watched, steps = (
-            sum(int(r[prefix + key]) for r in results) for key in ("placed", "watched", "steps")
-        )
-        output.measure(f"placed_fraction{ending}", fraction(placed, steps))
+    steady, plains = [r.steady for r in results], [r.plain for r in results]
+    for ending, runs in (("", steady), ("/without_hysteresis", plains)):
+        output.measure(f"replacements{ending}", distribution([run.moves for run in runs]))
+        output.measure(f"camera_metres{ending}", distribution([run.metres for run in runs]))
+        placed = sum(run.placed for run in runs)
+        output.measure(f"placed_fraction{ending}", fraction(placed, sum(r.steps for r in runs)))
+        watched = sum(run.watched for run in runs)
         output.measure(f"watched_fraction{ending}", fraction(watched, max(placed, 1)))
-    fewer = sum(int(r["moves"]) for r in results)
-    more = sum(int(r["plain_moves"]) for r in results)
+    fewer = sum(r.moves for r in steady)
+    more = sum(r.moves for r in plains)
     output.check("moves with hysteresis against without", fewer, f"<= {more}", fewer <= more)
-    orders = [_order(r["target"]) for r in results]
+    orders = [_order(r.target) for r in steady]
     turned = sum(order == "primary, secondary" for order in orders)
     output.measure("primary_then_secondary", fraction(turned, len(orders)))
-    replan = distribution(np.concatenate([r["replan_ms"] for r in results]))
+    replan = distribution(np.concatenate([r.replan_ms for r in steady]))
     output.measure("replan_ms", replan)
     p95 = float(replan["p95"])
     output.check("processor time of a replan in ms, 95th percentile", p95, f"<= {VISION_PERIOD:g}",
                  p95 <= VISION_PERIOD)  # fmt: skip
     rows = [
-        [seed, r["moves"], r["plain_moves"], r["placed"], r["watched"], r["steps"], order]
+        [
+            seed,
+            r.steady.moves,
+            r.plain.moves,
+            r.steady.placed,
+            r.steady.watched,
+            r.steady.steps,
+            order,
+        ]
         for seed, r, order in zip(seeds, results, orders)
     ]
     columns = ("seed", "moves", "without hysteresis", "placed", "watched", "steps", "targets")
@@ -199,10 +206,9 @@ def _motion(options: Options, output: Output, seeds: Sequence[int]) -> None:
     _pictures(trials[0], options, output)
 
 
-def _order(targets: Any) -> str:
+def _order(targets: NDArray[np.int64]) -> str:
     """Return the targets in the order that they were watched in, each change once."""
-    seen = np.asarray(targets, int)
-    changes = seen[np.r_[True, np.diff(seen) != 0]]
+    changes = targets[np.r_[True, np.diff(targets) != 0]]
     return ", ".join("none" if index < 0 else WATCHED[index] for index in changes)
 
 

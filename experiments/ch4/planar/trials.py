@@ -35,7 +35,7 @@ MAP_SHARE = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
-class SearchTrial:
+class PlanarSearchTrial:
     """Scenes of one density to search; a job of the sweep.
 
     Attributes:
@@ -58,25 +58,58 @@ class HullTrial:
     """Cases of camera, occluders and target; a job of the sweep.
 
     Attributes:
-        seed: Of the cases.
-        cases: How many.
+        seed: Random seed of the cases.
+        cases: Number of cases.
     """
 
     seed: int
     cases: int
 
 
-def compare_searches(trial: SearchTrial) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class PlanarSearches:
+    """Searches of random scenes, each both ways.
+
+    Attributes:
+        matches: (scenes,) whether the fast search is as good, 0 or 1.
+        exhaustive_s: (scenes,) processor time of the exhaustive search [s].
+        fast_s: (scenes,) processor time of the fast search [s].
+        placement_s: (scenes,) processor time of a whole placement with its hulls [s].
+        gain: (scenes,) gain of the climb between candidates; NaN where no target is seen.
+        cells: (scenes,) rating of the best cell centre over the optimum; NaN likewise.
+        hulls: (scenes,) number of occluders.
+        distance: (scenes,) distance of the optimum [m].
+    """
+
+    matches: Floats
+    exhaustive_s: Floats
+    fast_s: Floats
+    placement_s: Floats
+    gain: Floats
+    cells: Floats
+    hulls: Floats
+    distance: Floats
+
+
+@dataclasses.dataclass(frozen=True)
+class HullCounts:
+    """How hulls compare with exact sight, for convex occluders and for maps.
+
+    Attributes:
+        false_visible: (2,) how often hulls see what is hidden.
+        visible: (2,) how often the target is truly visible.
+        given_up: (2,) how often the hulls say hidden of a visible target.
+    """
+
+    false_visible: NDArray[np.int64]
+    visible: NDArray[np.int64]
+    given_up: NDArray[np.int64]
+
+
+def compare_searches(trial: PlanarSearchTrial) -> PlanarSearches:
     """Search scenes both ways, over all targets; a job of the sweep.
 
     Both take the same hulls, and each target's best bounds the next target's search.
-
-    Returns:
-        By scene: ``matches`` whether the fast search is as good, ``exhaustive_s`` and ``fast_s``
-        times of the searches, ``placement_s`` processor time of a whole placement with its hulls,
-        ``gain`` of the climb between candidates, ``cells`` the best cell centre's rating over the
-        optimum (NaN where no target is seen), ``hulls`` how many occluders, and ``distance`` the
-        optimum's [m].
     """
     candidates = RingCandidates(trial.rings, trial.directions)
     rows: list[list[float]] = []
@@ -107,9 +140,7 @@ def compare_searches(trial: SearchTrial) -> dict[str, Any]:
             times["ours_s"]["median"] / REPEATS, whole, rating / every if seen else np.nan,
             of_cells / rating if seen else np.nan, len(task.occluders), distance,
         ])  # fmt: skip
-    names = ("matches", "exhaustive_s", "fast_s", "placement_s", "gain", "cells", "hulls",
-             "distance")  # fmt: skip
-    return dict(zip(names, np.array(rows, dtype=float).T))
+    return PlanarSearches(*np.array(rows, dtype=float).T.copy())
 
 
 def _search(
@@ -131,16 +162,11 @@ def _repeat(
         _search(kernel, compiled, rings, candidates)
 
 
-def compare_sights(trial: HullTrial) -> dict[str, Any]:
+def compare_sights(trial: HullTrial) -> HullCounts:
     """Ask hulls and exact sight whether cameras see targets; a job of the sweep.
 
     Convex occluders are judged by separating axes. On maps the occluders are clusters of any shape
     and sight is by lines from cell to cell.
-
-    Returns:
-        ``false_visible`` how often hulls see what is hidden, ``visible`` how often the target is
-        truly visible, ``given_up`` how often of these the hulls say hidden; each for convex
-        occluders and for maps.
     """
     generator = np.random.default_rng(trial.seed)
     counts = np.zeros((2, 3), dtype=int)
@@ -148,7 +174,7 @@ def compare_sights(trial: HullTrial) -> dict[str, Any]:
         kind = int(generator.random() < MAP_SHARE)
         hulls_see, truly = (_case_on_map if kind else _case_of_polygons)(generator)
         counts[kind] += [hulls_see and not truly, truly, truly and not hulls_see]
-    return dict(zip(("false_visible", "visible", "given_up"), counts.T))
+    return HullCounts(*counts.T.copy())
 
 
 def _case_of_polygons(generator: np.random.Generator) -> tuple[bool, bool]:
@@ -205,8 +231,8 @@ def occluded_angles(distances: Floats, radius: float) -> Floats:
     The true one is found by bisection on the exact sight, the other is the hull's interval.
 
     Args:
-        distances: (N,) from the target to the box's near side [m].
-        radius: Of the cameras [m].
+        distances: (N,) distances from the target to the box's near side [m].
+        radius: Distance of the cameras from the target [m].
 
     Returns:
         (N, 2) true and hull's occluded angle [rad].

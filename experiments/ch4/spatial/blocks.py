@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -49,8 +48,8 @@ class BlocksTrial:
     """One drawn arrangement.
 
     Attributes:
-        seed: Of all of it.
-        blocks: How many.
+        seed: Random seed of the arrangement.
+        blocks: Number of blocks.
     """
 
     seed: int
@@ -69,19 +68,19 @@ def occluders_of(blocks: tuple[Block, ...]) -> list[Occluder]:
 
 
 def believed_blocks(blocks: Sequence[Block], rng: np.random.Generator) -> tuple[Block, ...]:
-    """Return blocks as the planner is told: each pose with an error.
+    """Return blocks as the planner knows them: each pose with an error.
 
     Args:
-        blocks: As they are.
-        rng: Of the errors.
+        blocks: Blocks at their true poses.
+        rng: Random generator for the errors.
     """
-    told: list[Block] = []
+    believed: list[Block] = []
     for block in blocks:
         x, y, z = block.centre
         dx, dy = rng.normal(scale=SIGMA, size=2)
         yaw = block.yaw + rng.normal(scale=SIGMA_YAW)
-        told.append(Block(block.name, (x + dx, y + dy, z), block.half, yaw))
-    return tuple(told)
+        believed.append(Block(block.name, (x + dx, y + dy, z), block.half, yaw))
+    return tuple(believed)
 
 
 def margins_of(blocks: tuple[Block, ...]) -> list[float]:
@@ -140,43 +139,58 @@ def random_places(
     """Return (count, 3) places before the target, in focus and free, drawn evenly by direction."""
     found = np.empty((0, 3))
     while len(found) < count:
-        way = rng.normal(size=(50, 3))
-        way[:, 2] = np.abs(way[:, 2])
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        places = field.to_world(way * rng.uniform(LENS.near, LENS.far, (50, 1)))
+        rays = rng.normal(size=(50, 3))
+        rays[:, 2] = np.abs(rays[:, 2])
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        places = field.to_world(rays * rng.uniform(LENS.near, LENS.far, (50, 1)))
         found = np.concatenate([found, places[occupancy(places) < 0.05]])  # noqa: PLR2004
     return found[:count]
 
 
-def run_blocks(trial: BlocksTrial) -> dict[str, Any]:
-    """Plan in one arrangement and score the plan and random views by rendering.
+@dataclasses.dataclass(frozen=True)
+class BlocksView:
+    """A planned view of the hole, and random views, scored by rendering.
 
-    Returns:
-        ``placed``; if so ``optimal`` and (n,) ``random``: visible parts of the hole; ``pixels`` and
-        (n,) ``random_pixels``: how many of its pixels are seen; ``cap`` [rad] and ``elevation``.
+    Attributes:
+        optimal: Visible share of the hole from the planned view.
+        random: (n,) visible share from each random view.
+        pixels: Number of the hole's pixels seen from the planned view.
+        random_pixels: (n,) the same from each random view.
+        cap: Angle by which the planned view is free of occlusion [rad].
+        elevation: Elevation of the planned view [rad].
     """
+
+    optimal: float
+    random: FloatArray
+    pixels: float
+    random_pixels: FloatArray
+    cap: float
+    elevation: float
+
+
+def run_blocks(trial: BlocksTrial) -> BlocksView | None:
+    """Plan in one arrangement and score the plan and random views; None if none is possible."""
     rng = np.random.default_rng(trial.seed)
     arrangement = draw_arrangement(rng, trial.blocks)
-    told = believed_blocks(arrangement.blocks, rng)
-    margins = margins_of(told)
-    target, occupancy = hole_of(arrangement), occupancy_of(told, margins)
+    believed = believed_blocks(arrangement.blocks, rng)
+    margins = margins_of(believed)
+    target, occupancy = hole_of(arrangement), occupancy_of(believed, margins)
     try:
-        field = expand(target, occluders_of(told), margins)
+        field = expand(target, occluders_of(believed), margins)
         view = best_view(SpatialTask([field], LENS, occupancy))
-    except PlacementError as error:
-        return {"placed": False, "reason": str(error)}
+    except PlacementError:
+        return None
     rendered = Rendered(arrangement)
     places = [view.position, *random_places(field, occupancy, rng, RANDOM_VIEWS)]
     scores = np.array([rendered.seen(place, target.position) for place in places])
-    return {
-        "placed": True,
-        "optimal": float(scores[0, 0]),
-        "random": scores[1:, 0],
-        "pixels": float(scores[0].prod()),
-        "random_pixels": scores[1:].prod(axis=1),
-        "cap": view.free_cap,
-        "elevation": spherical(field, view.position)[2],
-    }
+    return BlocksView(
+        optimal=float(scores[0, 0]),
+        random=scores[1:, 0],
+        pixels=float(scores[0].prod()),
+        random_pixels=scores[1:].prod(axis=1),
+        cap=view.free_cap,
+        elevation=spherical(field, view.position)[2],
+    )
 
 
 def rating_cloud(
@@ -184,7 +198,7 @@ def rating_cloud(
 ) -> tuple[FloatArray, FloatArray]:
     """Return (N, 3) places [m], world, on five shells about the target, and their ratings (N,)."""
     shells = np.geomspace(LENS.near, 2.0 * LENS.near, 5)
-    ways = direction_tree(level).leaves
-    places = field.to_world((ways[:, None] * shells[:, None]).reshape(-1, 3))
+    rays = direction_tree(level).leaves
+    places = field.to_world((rays[:, None] * shells[:, None]).reshape(-1, 3))
     views = rate_positions(field, LENS, places, occupancy)
     return places, np.array([view.rating for view in views])

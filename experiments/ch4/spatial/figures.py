@@ -19,6 +19,8 @@ from controllers.placement.spatial.field import signed_caps
 from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.spatial.search import rate_positions, spherical
 from controllers.placement.task import Lens, View
+from experiments.ch4.spatial.blocks import BlocksView
+from experiments.ch4.spatial.search import SpatialSearch, SpatialSearchTrial
 from models.blocks import Arrangement
 from models.datasheets import CAMERA, INCH
 
@@ -159,7 +161,7 @@ def pictures(
 
 
 def searches(
-    trials: Sequence[Any], results: Sequence[dict[str, Any]], hull: NDArray[Any],
+    trials: Sequence[SpatialSearchTrial], results: Sequence[SpatialSearch], hull: NDArray[Any],
     exact: NDArray[Any], far: FloatArray,
 ) -> Figure:  # fmt: skip
     """Draw both searches' times over the number of occluders, and what the hulls give up."""
@@ -167,7 +169,7 @@ def searches(
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
     for key, name in (("slow_s", "every candidate"), ("fast_s", "best first")):
         for patchy, marker in ((False, "o"), (True, "x")):
-            chosen = [(t.occluders, 1e3 * r[key]) for t, r in zip(trials, results)
+            chosen = [(t.occluders, 1e3 * getattr(r, key)) for t, r in zip(trials, results)
                       if t.patchy == patchy]  # fmt: skip
             if chosen:
                 label = f"{name}{', map' if patchy else ''}"
@@ -191,7 +193,7 @@ def searches(
 
 
 def seen(
-    optimal: FloatArray, others: FloatArray, placed: Sequence[dict[str, Any]], drawn: FloatArray
+    optimal: FloatArray, others: FloatArray, placed: Sequence[BlocksView], drawn: FloatArray
 ) -> Figure:
     """Draw how much of the hole planned and random cameras see, in part and in pixels."""
     figure = Figure(figsize=(11, 4))
@@ -201,7 +203,7 @@ def seen(
         weights = np.full(len(values), 100.0 / len(values))
         left.hist(100 * values, bins, weights=weights, alpha=0.6, label=name)
     left.set(xlabel="part of the hole that is seen [%]", ylabel="poses [%]")
-    pixels = np.array([result["pixels"] for result in placed])
+    pixels = np.array([result.pixels for result in placed])
     for values, name in ((drawn, "random poses"), (pixels, "planned poses")):
         ordered = np.sort(values)
         share = 100.0 * np.arange(1, len(ordered) + 1) / len(ordered)

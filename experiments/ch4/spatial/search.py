@@ -38,12 +38,12 @@ SIGHT_CASES = 50
 
 
 @dataclasses.dataclass(frozen=True)
-class SearchTrial:
+class SpatialSearchTrial:
     """One random scene.
 
     Attributes:
-        seed: Of all of it.
-        occluders: How many solids, 3 to 20.
+        seed: Random seed of the scene.
+        occluders: Number of solids, 3 to 20.
         patchy: Whether places for the camera are partly unknown.
     """
 
@@ -85,7 +85,7 @@ def draw_solids(rng: np.random.Generator, count: int, target: Target) -> list[Oc
 
 
 def make_scene(
-    trial: SearchTrial, rng: np.random.Generator
+    trial: SpatialSearchTrial, rng: np.random.Generator
 ) -> tuple[TargetField, list[Occluder], Occupancy | None]:
     """Draw a target that something leaves in view, its solids, and the map."""
     while True:
@@ -109,38 +109,52 @@ def _patches(middle: FloatArray, waves: FloatArray) -> Occupancy:
     return occupancy
 
 
-def run_search(trial: SearchTrial) -> dict[str, Any]:
-    """Search one scene both ways and compare; also ask the hulls and exact sight.
+@dataclasses.dataclass(frozen=True)
+class SpatialSearch:
+    """One scene searched both ways, and hulls compared with exact sight.
 
-    Args:
-        trial: Which scene.
-
-    Returns:
-        ``match`` (1 if the fast search is as good or better, or both found nothing), the processor
-        times ``slow_s`` and ``fast_s``, ``gain`` (refined over exhaustive rating), ``seen``, and
-        for the cases of sight (n,) ``hull``, ``exact`` and ``distance``.
+    Attributes:
+        match: Whether the fast search is as good or better, or both found nothing.
+        gain: Refined over exhaustive rating.
+        seen: Whether the exhaustive search finds a view.
+        slow_s: Processor time of the exhaustive search [s].
+        fast_s: Processor time of the fast search [s].
+        hull: (n,) whether the hulls let each camera see the target, 0 or 1.
+        exact: (n,) whether it truly sees the target, 0 or 1.
+        distance: (n,) distance of each camera [m].
     """
+
+    match: bool
+    gain: float
+    seen: bool
+    slow_s: float
+    fast_s: float
+    hull: NDArray[np.int8]
+    exact: NDArray[np.int8]
+    distance: FloatArray
+
+
+def run_search(trial: SpatialSearchTrial) -> SpatialSearch:
+    """Search one scene both ways and compare; also ask the hulls and exact sight."""
     rng = np.random.default_rng(trial.seed)
     field, solids, occupancy = make_scene(trial, rng)
     slow, slow_s = _timed(best_view_of_all, field, occupancy)
     fast, fast_s = _timed(best_view, field, occupancy)
-    result: dict[str, Any] = {"slow_s": slow_s, "fast_s": fast_s, "seen": slow is not None}
     if slow is None or fast is None:
-        result |= {"match": slow is None and fast is None, "gain": 1.0}
+        match, gain = slow is None and fast is None, 1.0
     else:
         refined = best_view(SpatialTask([field], LENS, occupancy))
-        result["match"] = fast.rating >= slow.rating * (1.0 - 1e-12)
-        result["match"] = bool(result["match"] and refined.rating >= fast.rating)
-        result["gain"] = refined.rating / slow.rating
-    way = rng.normal(size=(SIGHT_CASES, 3))
-    way *= np.sign(way @ field.target.normal)[:, None]
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+        match = fast.rating >= slow.rating * (1.0 - 1e-12) and refined.rating >= fast.rating
+        gain = refined.rating / slow.rating
+    rays = rng.normal(size=(SIGHT_CASES, 3))
+    rays *= np.sign(rays @ field.target.normal)[:, None]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     distance = rng.uniform(LENS.near, LENS.far, SIGHT_CASES)
-    places = field.target.position + distance[:, None] * way
-    result["hull"] = (free_caps(field, places) > 0.0).astype(np.int8)
-    result["exact"] = sees_all(field.target, solids, places).astype(np.int8)
-    result["distance"] = distance
-    return result
+    places = field.target.position + distance[:, None] * rays
+    hull = (free_caps(field, places) > 0.0).astype(np.int8)
+    exact = sees_all(field.target, solids, places).astype(np.int8)
+    seen = slow is not None
+    return SpatialSearch(bool(match), gain, seen, slow_s, fast_s, hull, exact, distance)
 
 
 def _timed(
@@ -156,4 +170,4 @@ def _timed(
 
 def warm_up() -> None:
     """Let everything compile, so that no trial's time counts it."""
-    run_search(SearchTrial(0, 3, True))
+    run_search(SpatialSearchTrial(0, 3, True))

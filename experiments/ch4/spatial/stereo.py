@@ -26,6 +26,7 @@ from controllers.placement.task import View
 from experiments.ch4.spatial import figures
 from experiments.ch4.spatial.blocks import (
     BlocksTrial,
+    BlocksView,
     Rendered,
     believed_blocks,
     hole_of,
@@ -37,7 +38,7 @@ from experiments.ch4.spatial.blocks import (
     run_blocks,
 )
 from experiments.ch4.spatial.record import record_placement
-from experiments.ch4.spatial.search import LENS, SearchTrial, run_search, warm_up
+from experiments.ch4.spatial.search import LENS, SpatialSearchTrial, run_search, warm_up
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
@@ -117,11 +118,11 @@ def _wall(output: Output) -> None:
 def _figure_scene(options: Options, output: Output) -> None:
     """Plan in the scene of figure 4-12 from an uncertain model; render what is seen from there."""
     rng = np.random.default_rng(options.seed)
-    told = believed_blocks(FIGURE_4_12.blocks, rng)
-    margins = margins_of(told)
+    believed = believed_blocks(FIGURE_4_12.blocks, rng)
+    margins = margins_of(believed)
     target = hole_of(FIGURE_4_12, int(options.target.removeprefix("hole")))
-    field = expand(target, occluders_of(told), margins)
-    occupancy = occupancy_of(told, margins)
+    field = expand(target, occluders_of(believed), margins)
+    occupancy = occupancy_of(believed, margins)
     view = best_view(SpatialTask([field], LENS, occupancy))
     distance, azimuth, elevation = spherical(field, view.position)
     output.measure("uncertain_r_inch", distance / INCH)
@@ -141,15 +142,17 @@ def _figure_scene(options: Options, output: Output) -> None:
     shots = [rendered.picture(v.position, target.position) for v in pair]
     output.figure("two_cameras", figures.pictures(pair, shots, ("first camera", "second camera")))
     if options.record:
-        record_placement(output.file("run.rrd"), field, told, cloud, views, images, target.position)
+        record_placement(
+            output.file("run.rrd"), field, believed, cloud, views, images, target.position
+        )
 
 
 def _pair(field: TargetField, occupancy: Any, output: Output) -> tuple[View, View]:
     """Place two cameras at once."""
     pair = best_pair([field], SYSTEMS, occupancy)
     alone = best_view(SpatialTask([field], LENS, occupancy))
-    ways = [(v.position - field.target.position) / v.distance for v in pair]
-    apart = float(np.rad2deg(np.arccos(np.clip(ways[0] @ ways[1], -1.0, 1.0))))
+    rays = [(v.position - field.target.position) / v.distance for v in pair]
+    apart = float(np.rad2deg(np.arccos(np.clip(rays[0] @ rays[1], -1.0, 1.0))))
     output.measure("pair_separation_deg", apart)
     product = pair[0].rating * pair[1].rating / alone.rating**2
     output.measure("pair_product_over_best_squared", product)
@@ -163,23 +166,25 @@ def _searches(options: Options, output: Output) -> None:
     count = options.scenes or (QUICK_SCENES if options.quick else SCENES)
     words = np.random.SeedSequence((options.seed, 1)).generate_state(count)
     span = COUNTS[1] - COUNTS[0] + 1
-    trials = [SearchTrial(int(w), COUNTS[0] + i % span, i % 2 == 1) for i, w in enumerate(words)]
+    trials = [
+        SpatialSearchTrial(int(w), COUNTS[0] + i % span, i % 2 == 1) for i, w in enumerate(words)
+    ]
     # What is timed runs alone, one scene after the other.
     results = [run_search(trial) for trial in trials]
-    matches = sum(bool(result["match"]) for result in results)
+    matches = sum(result.match for result in results)
     output.measure("search_match_fraction", matches / count)
     output.measure("search_scenes", count)
     output.check("fast search as good as all candidates", matches / count, "= 1", matches == count)
-    slow, fast = (np.array([r[key] for r in results]) for key in ("slow_s", "fast_s"))
+    slow, fast = np.array([(r.slow_s, r.fast_s) for r in results]).T
     ratio = float(slow.sum() / fast.sum())
     output.measure("search_speedup/spatial", ratio)
     output.check("exhaustive over fast search, processor time", ratio, ">= 3", ratio >= 3.0)  # noqa: PLR2004
     output.measure("search_ms/fast", distribution(1e3 * fast))
     output.measure("search_ms/exhaustive", distribution(1e3 * slow))
-    output.measure("refined_over_exhaustive", distribution([r["gain"] for r in results]))
-    hull, exact, far = (
-        np.concatenate([r[key] for r in results]) for key in ("hull", "exact", "distance")
-    )
+    output.measure("refined_over_exhaustive", distribution([r.gain for r in results]))
+    hull = np.concatenate([r.hull for r in results])
+    exact = np.concatenate([r.exact for r in results])
+    far = np.concatenate([r.distance for r in results])
     wrong = int(np.count_nonzero((hull == 1) & (exact == 0)))
     output.measure("hull_false_visible", wrong)
     output.measure("hull_cases", len(hull))
@@ -187,8 +192,8 @@ def _searches(options: Options, output: Output) -> None:
     lost = int(np.count_nonzero((hull == 0) & (exact == 1)))
     output.measure("hull_given_up_fraction", fraction(lost, int(exact.sum())))
     rows = [
-        [t.seed, t.occluders, int(t.patchy), int(r["seen"]), int(r["match"]), r["gain"],
-         1e3 * r["slow_s"], 1e3 * r["fast_s"], float(r["exact"].mean()), float(r["hull"].mean())]
+        [t.seed, t.occluders, int(t.patchy), int(r.seen), int(r.match), r.gain,
+         1e3 * r.slow_s, 1e3 * r.fast_s, float(r.exact.mean()), float(r.hull.mean())]
         for t, r in zip(trials, results)
     ]  # fmt: skip
     columns = ("seed", "occluders", "partly unknown", "seen", "match", "refined / exhaustive",
@@ -202,17 +207,17 @@ def _rendered(options: Options, output: Output) -> None:
     seeds = options.job_seeds(ARRANGEMENTS, QUICK_ARRANGEMENTS)
     trials = [BlocksTrial(seed, options.blocks) for seed in seeds]
     results = sweep(run_blocks, trials, options, output, label="arrangements")
-    placed = [result for result in results if result["placed"]]
+    placed = [result for result in results if result is not None]
     output.measure("placed_fraction", fraction(len(placed), len(results)))
     if not placed:
         return
-    optimal = np.array([result["optimal"] for result in placed])
-    others = np.concatenate([np.asarray(result["random"]) for result in placed])
+    optimal = np.array([result.optimal for result in placed])
+    others = np.concatenate([result.random for result in placed])
     output.measure("visible_fraction/optimal", distribution(optimal))
     output.measure("visible_fraction/random", distribution(others))
-    pixels = distribution([result["pixels"] for result in placed])
+    pixels = distribution([result.pixels for result in placed])
     output.measure("target_pixels/optimal", pixels)
-    drawn = np.concatenate([np.asarray(result["random_pixels"]) for result in placed])
+    drawn = np.concatenate([result.random_pixels for result in placed])
     output.measure("target_pixels/random", distribution(drawn))
     least = float(optimal.min())
     output.check("least part of the hole seen from a planned pose", least, ">= 0.98", least >= 0.98)  # noqa: PLR2004
@@ -221,15 +226,15 @@ def _rendered(options: Options, output: Output) -> None:
 
 
 def _arrangement_rows(
-    seeds: Sequence[int], results: Sequence[dict[str, Any]]
+    seeds: Sequence[int], results: Sequence[BlocksView | None]
 ) -> tuple[tuple[str, ...], list[list[Any]]]:
     columns = ("seed", "placed", "seen from the plan", "mean seen at random", "free cap [deg]",
                "elevation [deg]")  # fmt: skip
     rows: list[list[Any]] = []
     for seed, result in zip(seeds, results):
-        if not result["placed"]:
+        if result is None:
             rows.append([seed, 0, "", "", "", ""])
             continue
-        angles = [float(np.rad2deg(result[key])) for key in ("cap", "elevation")]
-        rows.append([seed, 1, result["optimal"], float(np.mean(result["random"])), *angles])
+        angles = [float(np.rad2deg(angle)) for angle in (result.cap, result.elevation)]
+        rows.append([seed, 1, result.optimal, float(np.mean(result.random)), *angles])
     return columns, rows

@@ -29,6 +29,8 @@ from experiments.ch4.montecarlo.trial import (
     RANDOM,
     RINGS,
     TRACK,
+    GuidedTests,
+    TestsJob,
     World,
     draw_chance,
     guide,
@@ -86,7 +88,7 @@ def test_success_is_within_the_clearance_and_seen():
     error[0, 1, 0, 0] = 0.1001 * SCENARIO.width
     sightings = np.ones((1, 3, 3, 2))
     sightings[0, 2, 0, 0] = 0
-    found = succeeded({"error": error, "sightings": sightings})[0, :, :, 0, 0]
+    found = succeeded(GuidedTests(error, sightings, *[np.empty(0)] * 4))[0, :, :, 0, 0]
     assert found.tolist() == [[True, False, False], [False, False, False], [False, False, False]]
 
 
@@ -171,11 +173,10 @@ def test_random_cameras_move_only_when_they_see_nothing_and_fixed_ones_never():
 
 @pytest.mark.slow
 def test_a_test_is_the_same_beside_whichever_others():
-    together = run_tests({"seeds": [3, 4], "changes": {}})
-    alone = run_tests({"seeds": [4], "changes": {}})
-    for name, values in alone.items():
-        if name != "seconds":
-            np.testing.assert_array_equal(values[0], together[name][1])
+    together, _ = run_tests(TestsJob((3, 4), {}))
+    alone, _ = run_tests(TestsJob((4,), {}))
+    for name, values in vars(alone).items():
+        np.testing.assert_array_equal(values[0], getattr(together, name)[1])
 
 
 @pytest.mark.slow

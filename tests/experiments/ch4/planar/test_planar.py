@@ -13,7 +13,7 @@ from experiments.ch4.planar.motion import MotionTrial, approach, map_site
 from experiments.ch4.planar.scenes import random_task, two_instances
 from experiments.ch4.planar.trials import (
     HullTrial,
-    SearchTrial,
+    PlanarSearchTrial,
     compare_searches,
     compare_sights,
     occluded_angles,
@@ -33,15 +33,15 @@ def test_random_obstacles_cover_what_they_should_and_not_the_targets():
 
 
 def test_fast_search_matches_on_the_experiments_scenes():
-    result = compare_searches(SearchTrial(0.05, 3, 2, 8, 64))
-    assert result["matches"].tolist() == [1.0, 1.0]
-    assert np.all(result["gain"] >= 1.0 - 1e-12)
+    result = compare_searches(PlanarSearchTrial(0.05, 3, 2, 8, 64))
+    assert result.matches.tolist() == [1.0, 1.0]
+    assert np.all(result.gain >= 1.0 - 1e-12)
 
 
 def test_hulls_never_see_what_is_hidden():
     counts = compare_sights(HullTrial(2, 150))
-    assert counts["false_visible"].tolist() == [0, 0]
-    assert 0 < counts["given_up"].sum() < 0.3 * counts["visible"].sum()
+    assert counts.false_visible.tolist() == [0, 0]
+    assert 0 < counts.given_up.sum() < 0.3 * counts.visible.sum()
 
 
 def test_occluded_angles_are_those_of_the_corners():
@@ -79,12 +79,12 @@ def test_approaching_panel_turns_the_camera_to_the_secondary_target_without_losi
     site = map_site(5)
     trial = MotionTrial(5, 1.2)
     result = approach(trial, site)
-    assert result["target"][0] == 0
-    assert result["target"][-1] == 1
-    assert result["placed"] == result["steps"]
-    assert result["watched"] == result["placed"]
+    assert result.target[0] == 0
+    assert result.target[-1] == 1
+    assert result.placed == result.steps
+    assert result.watched == result.placed
     again = approach(dataclasses.replace(trial, factor=1.0), site)
-    assert result["moves"] <= again["moves"]
+    assert result.moves <= again.moves
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from experiments.ch4.spatial.blocks import (
     occupancy_of,
     run_blocks,
 )
-from experiments.ch4.spatial.search import LENS, SearchTrial, disc, run_search
+from experiments.ch4.spatial.search import LENS, SpatialSearchTrial, disc, run_search
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from models.blocks import FIGURE_4_12, draw_arrangement
@@ -34,10 +34,10 @@ def test_polygon_holds_the_disc_and_touches_it_on_the_axes():
 
 def test_both_searches_agree_and_hulls_see_no_more_than_there_is():
     for seed, patchy in ((1, False), (2, True)):
-        result = run_search(SearchTrial(seed, 5, patchy))
-        assert result["match"]
-        assert result["gain"] >= 1.0 - 1e-12
-        assert not np.any((result["hull"] == 1) & (result["exact"] == 0))
+        result = run_search(SpatialSearchTrial(seed, 5, patchy))
+        assert result.match
+        assert result.gain >= 1.0 - 1e-12
+        assert not np.any((result.hull == 1) & (result.exact == 0))
 
 
 def test_rendered_hole_is_whole_just_where_exact_sight_says_so():
@@ -65,9 +65,9 @@ def test_camera_is_kept_off_blocks_and_face():
 
 def test_planned_pose_sees_the_whole_hole():
     result = run_blocks(BlocksTrial(5, 8))
-    assert result["placed"]
-    assert result["optimal"] > 0.98
-    assert result["pixels"] > 2.0 * np.median(result["random_pixels"])
+    assert result is not None
+    assert result.optimal > 0.98
+    assert result.pixels > 2.0 * np.median(result.random_pixels)
 
 
 @pytest.mark.parametrize(
