@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
-from experiments.appc.compression_figures import draw_methods, draw_predictors, draw_views
+from experiments.appc.figures import draw_methods, draw_predictors, draw_views
 from experiments.appc.pictures import (
     DRAWINGS,
     SIZES,

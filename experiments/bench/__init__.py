@@ -1,1 +1,14 @@
-"""bench."""
+"""Speed and accuracy, measured against a named peer in the same run.
+
+- `bench`: the experiment ``bench``: which benchmarks, in which order.
+- `loop`: the control loop beside bare physics.
+- `identification`, `sysid_peer`: our estimator beside ``mujoco.sysid``.
+- `mapping`: voxel maps beside OctoMap.
+- `placement`: placing a camera again within a vision period.
+- `markers`, `markers_figures`: marker detectors beside OpenCV's circles (figures 5-5 to 5-10).
+- `braid`: exact inverse kinematics beside brute force.
+- `compression`: the nine predictors beside NumPy.
+- `scaling`: how the cost grows with the size of a problem.
+- `echo_probe`: a process that echoes, the least that boards behind a port can cost.
+- `table`: the table of docs/benchmarks.md.
+"""

@@ -33,8 +33,8 @@ from controllers.identification.parameters import (
 )
 from experiments.bench import sysid_peer
 from experiments.bench.sysid_peer import SysidPeer
-from experiments.ch2.plant import NOISE_FRACTION, SAMPLING, Plant
-from experiments.ch2.trial import fixed_scale
+from experiments.ch2.simulation.plant import NOISE_FRACTION, SAMPLING, Plant
+from experiments.ch2.simulation.trial import fixed_scale
 from experiments.harness.contract import ExperimentError, Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output

@@ -1,1 +1,4 @@
-"""commands."""
+"""Commands for people.
+
+- `calibrate`: calibrates a real robot's inclinometer (appendix D).
+"""

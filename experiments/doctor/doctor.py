@@ -15,11 +15,11 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from experiments.doctor.findings import Finding
 from experiments.doctor.robot import examine_robot, wiring_of
 from experiments.harness import provenance
 from experiments.harness.command_line import parse
 from experiments.harness.contract import OptionError
-from experiments.harness.findings import Finding
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 PROBE_TIMEOUT = 60.0  # [s]

@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from experiments.doctor.findings import Finding
 from experiments.harness.contract import OptionError
-from experiments.harness.findings import Finding
 from twin.clock import WallClock
 from twin.connect import TARGETS
 from twin.hardware.board_robot import BoardRobot

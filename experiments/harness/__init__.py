@@ -1,1 +1,13 @@
-"""harness."""
+"""What all experiments share.
+
+- `contract`: options, the catalogue's entries and errors.
+- `catalogue`: all experiments and commands by name.
+- `command_line`: options from the command line.
+- `sweep`: one function over many configurations, in parallel and resumable.
+- `output`: metrics, checks, figures and tables of a run.
+- `intervals`: medians and fractions with their 95 % intervals.
+- `timing`: processor time of a function.
+- `provenance`: versions, commit and processor of a run.
+- `summary`: the result of a run on the terminal.
+- `thesis_elements`: every table and figure of the thesis, and reasons of shortfalls.
+"""

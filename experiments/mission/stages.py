@@ -19,7 +19,7 @@ from controllers.mapping.looking import MapperConfig, RobotBrief
 from controllers.mapping.standing import Standing, lean
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.motion.arm_move import ArmMove
-from experiments.ch2.rover_trial import known_swinging_arm
+from experiments.ch2.rover.trial import known_swinging_arm
 from experiments.ch3.stereo.mapping_scene import head_geometry
 from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.knowledge import Knowledge

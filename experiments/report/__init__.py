@@ -1,1 +1,8 @@
-"""report."""
+"""``python -m experiments report``: all results in one self-contained page.
+
+- `report`: gathers the results and writes the page.
+- `page`: the page's parts.
+- `elements`: every table and figure of the thesis, and where it is shown.
+- `findings`: what falls short of its bar, and why.
+- `html`, `images`, `style`: pieces of HTML, pictures and the style sheet.
+"""

@@ -18,7 +18,7 @@ from controllers.identification.compliant_base import ArmOnMount, BaseState, sim
 from controllers.identification.excitation import random_excitation
 from controllers.identification.output_error import Estimate, OutputError, Window
 from controllers.identification.parameters import from_mapping
-from experiments.ch2.plant import Plant
+from experiments.ch2.simulation.plant import Plant
 from models.datasheets import TABLE_2_1_TRUTH
 
 TRUTH = from_mapping(TABLE_2_1_TRUTH)

@@ -9,7 +9,7 @@ from controllers.identification.arm_motion import CONSTANT, MODES, ArmLimits
 from controllers.identification.identifier import EXCITATIONS, Identifier, IdentifierConfig
 from controllers.identification.parameters import average_error_percent
 from controllers.identification.regressor import MeasurementError
-from experiments.ch2.plant import Plant
+from experiments.ch2.simulation.plant import Plant
 from models.datasheets import TABLE_2_1_TRUTH
 from tests.controllers.identification.recorded import TRUTH, noise_bound, recorded
 

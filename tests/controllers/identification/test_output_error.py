@@ -29,8 +29,8 @@ from controllers.identification.parameters import (
     from_coordinates,
 )
 from controllers.identification.regressor import MeasurementError
-from experiments.ch2.plant import Plant
-from experiments.ch2.trial import fixed_scale
+from experiments.ch2.simulation.plant import Plant
+from experiments.ch2.simulation.trial import fixed_scale
 from tests.controllers.identification.recorded import (
     ARMS,
     TRUTH,

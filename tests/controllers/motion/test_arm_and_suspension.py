@@ -6,7 +6,7 @@ import pytest
 
 from controllers.kinematics.arm_model import ArmModel
 from controllers.motion.suspension import Corner, reduce_suspension
-from experiments.appa.control_plant import PLAIN
+from experiments.appa.control.plant import PLAIN
 from experiments.ch3.stereo.known_camera_arm import body_pose, known_camera_arm
 from models.compose import ARM_JOINTS, RobotPlacement, make_model, settle
 from models.datasheets import ARM, ROVER

@@ -15,8 +15,8 @@ from controllers.kinematics.serial_arm import (
     frame_motions,
 )
 from controllers.motion.lagrange import controllability_rank, observability_rank
-from experiments.appa.control import ranks
-from experiments.appa.control_plant import PLAIN, model_errors, planar_plant
+from experiments.appa.control.control import ranks
+from experiments.appa.control.plant import PLAIN, model_errors, planar_plant
 from experiments.ch2.known_arm import known_arm
 from experiments.ch3.stereo.known_camera_arm import body_pose
 from models.compose import ARM_JOINTS, RobotPlacement, make_model

@@ -19,7 +19,7 @@ from controllers.motion.cooperation import (
 )
 from controllers.motion.master_slave import Master, PairConfig, Slave, Stage
 from controllers.motion.planar_grip import PlanarArm, Stance
-from experiments.appa.truss_trial import planar_arm
+from experiments.appa.truss.trial import planar_arm
 from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from twin.robot import Channel, Observation, RobotError, Validity

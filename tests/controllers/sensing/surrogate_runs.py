@@ -13,8 +13,8 @@ from controllers.motion.arm_control import ArmController
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
 from controllers.sensing.surrogate_tilt import TiltAxis, TiltModel, TiltModelConfig
 from controllers.sensing.surrogate_wrench import WrenchModel, WrenchModelConfig, motor_efforts
-from experiments.appa.control_plant import MOUNT, sprung_rover
-from experiments.appa.control_trial import ROBOT, arm_config, reference
+from experiments.appa.control.plant import MOUNT, sprung_rover
+from experiments.appa.control.trial import ROBOT, arm_config, reference
 from experiments.ch2.known_arm import known_arm
 from models import datasheets
 from models.compose import settle

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.appd.tilt_table import FIELD, TiltTable
+from experiments.appd.calibration.tilt_table import FIELD, TiltTable
 from experiments.commands import calibrate
 from models.compose import RobotPlacement
 from models.datasheets import ARM, DEGREE

@@ -17,7 +17,7 @@ from controllers.braid.arm.inverse import (
 from controllers.braid.arm.meeting import improve_free_stages, meet, pairs_below
 from controllers.braid.arm.obstacles import LinkCheck, body_points, free_words
 from controllers.braid.arm.pose_tree import build_tree, gather, nearest
-from experiments.appe.inverse_trial import draw_targets
+from experiments.appe.arm.inverse_trial import draw_targets
 
 SHORT = InverseConfig(neighbourhoods=((2, 4), (3, 2)), restarts=3)
 THREE, FOUR = BinaryArm(3, config=SHORT), BinaryArm(4, config=InverseConfig(weight=0.4))

@@ -9,7 +9,7 @@ from controllers.braid.arm.chain import all_words, forward, identity
 from controllers.braid.arm.inverse import CLEAR_METHODS, BinaryArm, solve
 from controllers.braid.arm.obstacles import LinkCheck, VoxelObstacles, occupied_voxels
 from controllers.braid.arm.stage import StageGeometry, rim_joints
-from experiments.appe.inverse_trial import draw_targets
+from experiments.appe.arm.inverse_trial import draw_targets
 from perception.geometry.pinhole import Frustum
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
-from experiments.ch2.rover_trial import known_swinging_arm
+from experiments.ch2.rover.trial import known_swinging_arm
 from models.compose import PayloadConfig, RobotPlacement
 from twin.camera import StereoConfig
 from twin.connect import connect

@@ -1,0 +1,275 @@
+"""One run of ``appa-truss``: two rovers carry a segment to a truss stage and insert it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controllers.insertion.guide import GuideConfig, InsertionGuide, StraightInsertion
+from controllers.kinematics.chain import Chain
+from controllers.motion.cooperation import (
+    MASTER_FORCES,
+    NO_FORCES,
+    SLAVE_FORCES,
+    Grip,
+    HybridConfig,
+    HybridGrip,
+)
+from controllers.motion.master_slave import Master, PairConfig, Slave, Stage
+from controllers.motion.planar_grip import GripSensor, PlanarArm, Stance
+from experiments.appa.truss.bench import ROBOTS, TrussBench
+from experiments.ch2.known_arm import known_arm
+from models import datasheets
+from models.truss import MASTER, SLAVE, TRUSS
+from twin.hardware.emulator.modem import ModemConfig, VirtualModems
+from twin.hardware.radio.framed_radio import FramedLink
+from twin.simulation import Simulation
+
+Floats = NDArray[np.float64]
+
+PERIOD = 0.01
+OFFSET, TILT = 4e-3, math.radians(2.0)
+"""Widest misalignment of the stage from where the master believes it."""
+MUTUAL = 5e-3
+"""Widest error of the slave's believed place, along and up [m]."""
+ALONG = 0.02
+"""Of the mouth from where the segment starts, along s [m]."""
+SQUEEZE = 1.0
+"""Wanted force along the segment from both ends [N]."""
+SEATED = 0.8
+"""Share of the depth that both corners of the leading edge must have reached."""
+LIMIT = 45.0
+"""Longest run [s]."""
+WAYS: dict[str, tuple[bool, bool]] = {
+    "hybrid": (True, True),
+    "position_only": (False, True),
+    "unguided": (True, False),
+}
+"""Whether the grips control forces, and whether the insertion is guided by them."""
+
+COLUMNS = {
+    "contact": slice(3, 5),
+    "gripper": slice(5, 11),
+    "wrench": slice(11, 17),
+    "joints": slice(17, 23),
+    "base": slice(23, 29),
+    "efforts": slice(29, 35),
+    "base_wrench": slice(35, 41),
+}
+"""Of a course, after time, stage and the segment's planned height: the stage's force on the
+segment (2,), then of master and slave (3,) each the gripper's true pose and wrench on the segment,
+shoulder, elbow and wrist, the base's pose, the three motors' efforts and the wrench on the arm."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrussTrial:
+    """What one run is.
+
+    Attributes:
+        way: Of `WAYS`.
+        share: Of the widest misalignment asked for; signs, and sizes from half of it, are drawn.
+        seed: Of misalignments, sensors and radio; all ways get the same.
+        traced: Whether courses are kept.
+        byte_errors: Probability that the radio hits a byte.
+    """
+
+    way: str
+    share: float
+    seed: int
+    traced: bool = False
+    byte_errors: float = 1e-3
+
+
+def guide_config() -> GuideConfig:
+    """Return what the guide knows; slower than with one hand, for it feels over the radio."""
+    return GuideConfig(
+        TRUSS.web_width,
+        TRUSS.friction,
+        datasheets.HAND.stiffness,
+        depth=TRUSS.depth,
+        speed=0.008,
+        give=0.0015,
+        give_turn=0.3,
+        moment_deadband=0.06,
+        filter_time=0.06,
+        turn_rate=0.05,
+        timeout=38.0,
+    )
+
+
+def planar_arm() -> PlanarArm:
+    """Return the arm in its plane, in the robot frame."""
+    rover, arm = datasheets.ROVER, datasheets.ARM
+    rise = arm.base_height + arm.turret_height
+    return PlanarArm(
+        (rover.arm_mount[1], rover.arm_mount[2] + rise),
+        (arm.upper_length, arm.forearm_length, arm.wrist_length),
+    )
+
+
+def make_pair(
+    bench: TrussBench, way: str, mouth: tuple[float, float], mutual: Floats
+) -> tuple[Master, Slave]:
+    """Return both controllers.
+
+    Args:
+        bench: Whose robots they drive; where these stand is what the map tells them.
+        way: Of `WAYS`.
+        mouth: s, z of the mouth as the master believes [m].
+        mutual: (2,) error of the slave's believed place [m].
+    """
+    by_force, guided = WAYS[way]
+    arm, half = planar_arm(), TRUSS.grip_span / 2.0
+    mount = (datasheets.ROVER.arm_mount[1], datasheets.ROVER.arm_mount[2])
+    grips: list[HybridGrip] = []
+    for name, facing, forces, wrong in (
+        (MASTER, 1, MASTER_FORCES, np.zeros(2)),
+        (SLAVE, -1, SLAVE_FORCES, mutual),
+    ):
+        known = known_arm(bench.model, name)
+        chain = Chain.of_arm(known, datasheets.ARM_MOTOR.armature)
+        sensor = GripSensor(chain, known.base, arm, mount)
+        s, z = bench.place(f"{name}/chassis")[:2] + wrong
+        config = HybridConfig(
+            forces if by_force else NO_FORCES, (-SQUEEZE, 0.0, 0.0), period=PERIOD
+        )
+        grips.append(HybridGrip(config, arm, sensor, Stance((float(s), float(z)), facing)))
+    pair = PairConfig(
+        Grip((-half, TRUSS.grip_rise), TRUSS.grip_pitch),
+        Grip((half, TRUSS.grip_rise), -TRUSS.grip_pitch),
+        mouth,
+        guide_config(),
+        period=PERIOD,
+    )
+    guide = InsertionGuide if guided else StraightInsertion
+    return Master(grips[0], pair, guide), Slave(grips[1], pair)
+
+
+@dataclasses.dataclass(frozen=True)
+class TrussRun:
+    """What one insertion of the segment did.
+
+    Forces and moments are what truly is between stage and segment and in the grips, at 100 Hz; all
+    but the contact's from the start of the approach on.
+
+    Attributes:
+        success: Whether it was believed seated, and truly is to `SEATED` of the depth.
+        contact_peak: Largest force between stage and segment [N].
+        squeeze_peak: Largest force along the segment between the grips [N].
+        squeeze_error_rms: R.m.s. of that force's error [N].
+        moment_peak: Largest moment in a grip [N m].
+        seconds: Duration [s].
+        reason: Why the master ended.
+        tries: Number of attempts to insert.
+        depth: Final depth of the leading edge below the mouth [m].
+        offset: True offset of the stage along s [m].
+        tilt: True tilt of the stage [rad].
+        mutual: (2,) error of the slave's believed place, along and up [m].
+        course: (n, 41) the run over time, by `COLUMNS`, if traced.
+    """
+
+    success: bool
+    contact_peak: float
+    squeeze_peak: float
+    squeeze_error_rms: float
+    moment_peak: float
+    seconds: float
+    reason: str
+    tries: int
+    depth: float
+    offset: float
+    tilt: float
+    mutual: Floats
+    course: Floats | None = None
+
+
+def run_truss(trial: TrussTrial) -> TrussRun:
+    """Carry and insert once.
+
+    Raises:
+        ValueError: If there is no such way.
+    """
+    if trial.way not in WAYS:
+        raise ValueError(f"way {trial.way!r}: valid are {', '.join(WAYS)}")
+    rng = np.random.default_rng([trial.seed, 20])
+    wrong = trial.share * rng.uniform(0.5, 1.0, 4) * rng.choice([-1.0, 1.0], 4)
+    offset, tilt, mutual = wrong[0] * OFFSET, wrong[1] * TILT, wrong[2:] * MUTUAL
+    bench = TrussBench(ALONG + offset, tilt)
+    master, slave = make_pair(bench, trial.way, (ALONG, TRUSS.mouth_height), mutual)
+    course = _drive(bench, master, slave, trial, rng)
+    depth = bench.depth()
+    rows = np.array(course)
+    after = rows[rows[:, 1] > list(Stage).index(Stage.HOLD)]
+    wrenches = after[:, COLUMNS["wrench"]].reshape(-1, 2, 3)
+    squeeze = (wrenches[:, 0, 0] - wrenches[:, 1, 0]) / 2.0
+    moments = np.abs(wrenches[:, :, 2])
+    contact = rows[:, COLUMNS["contact"]]
+    return TrussRun(
+        success=bool(master.success and depth > SEATED * TRUSS.depth),
+        contact_peak=float(np.max(np.hypot(*contact.T))),
+        squeeze_peak=float(np.max(np.abs(squeeze))),
+        squeeze_error_rms=float(np.sqrt(np.mean((squeeze - SQUEEZE) ** 2))),
+        moment_peak=float(np.max(moments)),
+        seconds=float(rows[-1, 0]),
+        reason=master.reason,
+        tries=master.tries,
+        depth=depth,
+        offset=offset,
+        tilt=tilt,
+        mutual=mutual,
+        course=rows if trial.traced else None,
+    )
+
+
+def _drive(
+    bench: TrussBench, master: Master, slave: Slave, trial: TrussTrial, rng: np.random.Generator
+) -> list[list[float]]:
+    """Run both controllers on their robots until the master is done."""
+    simulation = Simulation(
+        bench.model, list(ROBOTS), seed=trial.seed, period=PERIOD, data=bench.data
+    )
+    modems = VirtualModems(ModemConfig(error_rate=trial.byte_errors), rng)
+    links = [FramedLink(end, rng) for end in modems.ends]
+    robots = [simulation.robots[name] for name in ROBOTS]
+    for robot in robots:
+        robot.activate()
+    course: list[list[float]] = []
+    for _ in range(round(LIMIT / PERIOD)):
+        modems.time = simulation.time
+        for robot, link, side in zip(robots, links, (master, slave), strict=True):
+            command, message = side.step(robot.observe(), link.poll().messages)
+            if message is not None:
+                link.send_latest(message)
+                link.poll()
+            robot.command(command)
+        simulation.step()
+        course.append(_row(bench, master, simulation.time))
+        if master.stage is Stage.OVER:
+            break
+    simulation.close()
+    return course
+
+
+def _row(bench: TrussBench, master: Master, time: float) -> list[float]:
+    """Return a line of the course."""
+    bench.look()
+    grippers: list[float] = []
+    for name in ROBOTS:
+        place = bench.data.site(f"{name}/gripper").xpos
+        grippers += [place[1], place[2], bench.place(f"{name}/wrist")[2]]
+    bases = [bench.place(f"{name}/chassis") for name in ROBOTS]
+    return [
+        time,
+        list(Stage).index(master.stage),
+        master.target[1],
+        *bench.contact(),
+        *grippers,
+        *bench.grips().ravel(),
+        *bench.joints()[:, 1:].ravel(),
+        *np.ravel(bases),
+        *bench.efforts()[:, 1:].ravel(),
+        *bench.base_wrenches().ravel(),
+    ]

@@ -1,0 +1,8 @@
+"""The rover through emulated boards (figure D-3).
+
+- `boards`: the experiment ``appd-boards``: options, metrics and checks.
+- `trial`: one fault injected into a rover in motion.
+- `line`: calls over a line that damages exchanges.
+- `live`: boards compared with the rover without wires, and the loop in real time.
+- `figures`: the figures.
+"""

@@ -1,0 +1,8 @@
+"""BRAID in physics.
+
+- `mechanism`: the experiment ``appe-mechanism``: options, metrics and checks.
+- `bench`: an arm of some stages in MuJoCo, driven by its muscle wires.
+- `trial`: settled states, detents, sag, and words in sequence.
+- `figures`: figures E-1, E-2 and E-9.
+- `record`, `braid_record`: a recording of words, and of an arm in any scene.
+"""

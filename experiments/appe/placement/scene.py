@@ -1,0 +1,159 @@
+"""A rover with BRAID before a target that blocks hide: the scene, and what its camera sees."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from experiments.appe.mechanism.bench import BraidBench
+from models.blocks import Block
+from models.braid.build import BraidConfig, build_rover
+from models.compose import FLAT, RobotPlacement
+from models.datasheets import CAMERA
+from twin.camera import camera_model, camera_pose
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+
+ROVER = "rover1/"
+CAMERA_NAME = f"{ROVER}stereo_left"
+TARGET_RADIUS = 0.01
+"""Of the disc on the board [m]."""
+FACING = np.array([0.0, -1.0, 0.0])
+"""Normal of the target: it faces the rover, which looks along y."""
+SETTLE = 1.0
+_BLOCK_GROUP = 1
+_HIDDEN = {"contype": 0, "conaffinity": 0}
+_COLOURS = ([0.75, 0.45, 0.2, 1.0], [0.25, 0.45, 0.7, 1.0], [0.35, 0.6, 0.35, 1.0])
+
+
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What stands before the rover.
+
+    Attributes:
+        target: (3,) middle of the disc [m], world.
+        blocks: Upright, on the ground, between rover and target.
+    """
+
+    target: FloatArray
+    blocks: tuple[Block, ...]
+
+
+def draw_setting(rng: np.random.Generator, count: int = 2) -> Setting:
+    """Draw a target, and blocks that stand about the line to it from the arm at home.
+
+    Args:
+        rng: Source of randomness.
+        count: Blocks.
+    """
+    target = np.array([rng.uniform(-0.08, 0.08), rng.uniform(0.48, 0.56), rng.uniform(0.28, 0.4)])
+    blocks = []
+    for index in range(count):
+        wide, deep = (float(edge) for edge in rng.uniform([0.015, 0.01], [0.04, 0.02]))
+        high = 0.5 * float(rng.uniform(0.30, 0.42))
+        y = 0.29 + 0.08 * index + rng.uniform(-0.01, 0.01)
+        x = target[0] + rng.uniform(-0.07, 0.07)
+        centre = (float(x), float(y), high)
+        blocks.append(Block(f"block{index}", centre, (wide, deep, high)))
+    return Setting(target, tuple(blocks))
+
+
+class RoverView:
+    """The rover with BRAID in a setting, at rest.
+
+    Attributes:
+        bench: Physics.
+        transform_base_to_world: Of BRAID's base, the rover at rest with all legs short.
+        transform_camera_to_tip: Where the left camera is on the last platform.
+        intrinsics: Of the left camera.
+    """
+
+    def __init__(self, setting: Setting, stages: int) -> None:
+        """Build the scene and let the rover settle."""
+        scene = build_rover(BraidConfig(stages), FLAT, RobotPlacement())
+        _add_setting(scene, setting)
+        model = scene.compile()
+        self.bench = BraidBench(model, stages, ROVER)
+        self._target = model.geom("target").id
+        self._camera = model.camera(CAMERA_NAME).id
+        self.bench.step(SETTLE)
+        self.transform_base_to_world = self._site(f"{ROVER}braid_base")
+        tip = self._site(f"{ROVER}tip")
+        self.transform_camera_to_tip = tip.inv() * self.transform_camera_to_world()
+        self.intrinsics = camera_model(model, CAMERA_NAME)
+
+    def transform_camera_to_world(self) -> RigidTransform:
+        """Return where the left camera truly is."""
+        rotation, place = camera_pose(self.bench.data, self._camera)
+        return RigidTransform.from_components(place, Rotation.from_matrix(rotation))
+
+    def picture(self) -> ImageArray:
+        """Return (height, width, 3) what the left camera sees."""
+        with mujoco.Renderer(self.bench.model, CAMERA.height, CAMERA.width) as renderer:
+            renderer.update_scene(self.bench.data, CAMERA_NAME, self._option(True))
+            return renderer.render().copy()
+
+    def seen(self) -> tuple[float, float]:
+        """Return which part of the target's pixels is visible, and how many there are unhidden.
+
+        A target that is cut off by the picture's edge counts with what is in the picture only.
+        """
+        counts = []
+        with mujoco.Renderer(self.bench.model, CAMERA.height, CAMERA.width) as renderer:
+            renderer.enable_segmentation_rendering()
+            for blocks in (True, False):
+                renderer.update_scene(self.bench.data, CAMERA_NAME, self._option(blocks))
+                ids = renderer.render()
+                counts.append(float(np.count_nonzero(ids[..., 0] == self._target)))
+        return (counts[0] / counts[1] if counts[1] else 0.0), counts[1]
+
+    def from_outside(self) -> ImageArray:
+        """Return (480, 640, 3) rover, blocks and target from the side."""
+        view = mujoco.MjvCamera()
+        view.lookat[:] = (0.0, 0.28, 0.22)
+        view.distance, view.azimuth, view.elevation = 1.15, 155.0, -20.0
+        with mujoco.Renderer(self.bench.model, 480, 640) as renderer:
+            renderer.update_scene(self.bench.data, view)
+            return renderer.render().copy()
+
+    def _option(self, blocks: bool) -> mujoco.MjvOption:
+        option = mujoco.MjvOption()
+        option.geomgroup[_BLOCK_GROUP] = int(blocks)
+        option.geomgroup[3:] = 0
+        option.sitegroup[:] = 0
+        return option
+
+    def _site(self, name: str) -> RigidTransform:
+        site = self.bench.data.site(name)
+        return RigidTransform.from_components(
+            site.xpos, Rotation.from_matrix(site.xmat.reshape(3, 3))
+        )
+
+
+def _add_setting(scene: mujoco.MjSpec, setting: Setting) -> None:
+    board = setting.target - FACING * 0.006
+    scene.worldbody.add_geom(
+        name="board", type=mujoco.mjtGeom.mjGEOM_BOX, pos=board, size=[0.06, 0.005, 0.06],
+        rgba=[0.85, 0.85, 0.88, 1.0], group=2, **_HIDDEN,
+    )  # fmt: skip
+    post = 0.5 * (setting.target[2] - 0.06)
+    scene.worldbody.add_geom(
+        name="post", type=mujoco.mjtGeom.mjGEOM_BOX, pos=[board[0], board[1], post],
+        size=[0.008, 0.004, post], rgba=[0.55, 0.57, 0.60, 1.0], group=2, **_HIDDEN,
+    )  # fmt: skip
+    scene.worldbody.add_geom(
+        name="target", type=mujoco.mjtGeom.mjGEOM_CYLINDER, pos=setting.target,
+        size=[TARGET_RADIUS, 5e-4, 0.0], quat=[np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
+        rgba=[0.85, 0.1, 0.1, 1.0], group=2, **_HIDDEN,
+    )  # fmt: skip
+    for block, colour in zip(setting.blocks, _COLOURS * len(setting.blocks)):
+        turn = [np.cos(block.yaw / 2.0), 0.0, 0.0, np.sin(block.yaw / 2.0)]
+        scene.worldbody.add_geom(
+            name=block.name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=block.centre, size=block.half,
+            quat=turn, rgba=colour, group=_BLOCK_GROUP, **_HIDDEN,
+        )  # fmt: skip

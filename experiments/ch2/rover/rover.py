@@ -1,0 +1,231 @@
+"""Table 2-2: the complete rover identifies how it pitches, by inclinometer and arm wrench alone."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import rerun.blueprint as rrb
+from rich.console import Console
+from rich.table import Table
+
+from controllers.identification.pitch import NAMES, UNITS
+from controllers.identification.rover_identifier import (
+    EXCITATIONS,
+    RoverIdentifier,
+    RoverIdentifierConfig,
+)
+from experiments.ch2.rover.figures import draw_arm_motion, draw_convergence, draw_errors, draw_tilt
+from experiments.ch2.rover.laboratory import laboratory_values
+from experiments.ch2.rover.trial import (
+    ROBOT,
+    RoverIdentification,
+    RoverTrial,
+    error_percent,
+    known_swinging_arm,
+    run_rover_trial,
+)
+from experiments.harness import contract
+from experiments.harness.contract import OptionError
+from experiments.harness.intervals import distribution
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from models.compose import RobotPlacement
+from models.datasheets import (
+    TABLE_2_2_AVERAGE_ERROR,
+    TABLE_2_2_CONSTANT,
+    TABLE_2_2_TRUTH,
+    TABLE_2_2_VARIABLE,
+)
+from twin import loop
+from twin.camera import StereoConfig
+from twin.connect import connect
+from twin.layout import default_blueprint
+from twin.loop import LoopRecorder, Tick
+from twin.record import Recorder
+
+Results = dict[str, list[RoverIdentification]]
+
+THESIS_COLUMN = {"constant": 0, "information": 1}
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of ch2-rover.
+
+    Attributes:
+        robot: Which robot: sim, quantised, emulated, or serial:PORT[,NAME=VALUE...] for real
+            boards.
+        excitations: Which excitations to compare (unless said, all; two with --quick).
+        duration: Time of excitation [s].
+    """
+
+    robot: str = "sim"
+    excitations: tuple[str, ...] = ()
+    duration: float = 10.0
+
+    def __post_init__(self) -> None:
+        """Refuse unknown excitations and durations that hold no window.
+
+        Raises:
+            OptionError: Naming the option.
+        """
+        super().__post_init__()
+        for name in self.excitations:
+            if name not in EXCITATIONS:
+                raise OptionError(
+                    f"--excitations {name}: unknown; there are {', '.join(EXCITATIONS)}"
+                )
+        if not 1.0 <= self.duration <= 120.0:
+            raise OptionError(f"--duration: expected 1 to 120 s, got {self.duration}")
+
+    def chosen(self) -> tuple[str, ...]:
+        """Return the excitations to run."""
+        if self.excitations:
+            return self.excitations
+        return ("constant", "information") if self.quick else EXCITATIONS
+
+
+def run(options: Options, output: Output) -> None:
+    """Run every excitation over the seeds and compare with the laboratory's values."""
+    truth = laboratory_values()
+    trials = [
+        RoverTrial(options.robot, excitation, seed, options.duration)
+        for excitation in options.chosen()
+        for seed in options.job_seeds(full=20, quick=3)
+    ]
+    found = sweep(run_rover_trial, trials, options, output, label="rover runs")
+    results: Results = {name: [] for name in options.chosen()}
+    for trial, result in zip(trials, found):
+        results[trial.excitation].append(result)
+    _measure(results, truth, output)
+    _figures(results, truth, output)
+    _table(results, truth, output)
+    if options.record:
+        path = record_run(options, output)
+        Console().print(f"recording: {path}")
+
+
+def _measure(results: Results, truth: dict[str, float], output: Output) -> None:
+    for name, value in truth.items():
+        output.measure(f"laboratory/{name}", value, thesis=TABLE_2_2_TRUTH.get(name))
+    medians = {}
+    for excitation, trials in results.items():
+        errors = np.array([error_percent(t.parameters, truth) for t in trials])
+        column = THESIS_COLUMN.get(excitation)
+        thesis = None if column is None else TABLE_2_2_AVERAGE_ERROR[column]
+        average = distribution(errors.mean(axis=1))
+        medians[excitation] = average["median"]
+        output.measure(f"avg_error_percent/{excitation}", average, thesis)
+        nrmse = distribution([t.tilt_nrmse for t in trials])
+        output.measure(f"tilt_prediction_nrmse/{excitation}", nrmse)
+        output.measure(f"chi_square/{excitation}", distribution([t.chi_square for t in trials]))
+        lost = {name for t in trials for name in t.unidentifiable}
+        output.measure(f"unidentifiable/{excitation}", sorted(lost))
+        for name, column_errors in zip(NAMES, errors.T):
+            output.measure(f"error_percent/{excitation}/{name}", distribution(column_errors))
+        steps = 1e3 * np.concatenate([np.ravel(t.step_seconds) for t in trials])
+        output.measure(f"step_ms/{excitation}", distribution(steps))
+    if "information" in medians:
+        best = results["information"]
+        nrmse = distribution([t.tilt_nrmse for t in best])
+        output.measure("tilt_prediction_nrmse", nrmse)
+        value = medians["information"]
+        output.check("average error, information [%]", value, "<= 10", value <= 10)
+        value = nrmse["median"]
+        output.check("tilt of an unseen motion, NRMSE [%]", value, "<= 10", value <= 10)
+    if {"information", "constant"} <= set(medians):
+        ratio = medians["information"] / medians["constant"]
+        output.measure("error_ratio_to_constant/information", ratio)
+        output.check("average error, information over constant", ratio, "<= 0.2", ratio <= 0.2)
+
+
+def _figures(results: Results, truth: Mapping[str, float], output: Output) -> None:
+    names = {"constant": "figure_2-9", "information": "figure_2-10"}
+    for excitation, name in names.items():
+        if excitation in results:
+            output.figure(name, draw_arm_motion(results[excitation][0], excitation))
+    output.figure("figure_2-11", draw_tilt(results))
+    output.figure("figure_2-12", draw_convergence(results, truth))
+    output.figure("errors_by_excitation", draw_errors(results, truth))
+
+
+def _table(results: Results, truth: Mapping[str, float], output: Output) -> None:
+    """Write Table 2-2 beside ours, to a file and to the terminal."""
+    columns = ["parameter", "unit", "thesis true", "thesis constant", "thesis variable"]
+    columns += ["laboratory (ours)"] + [f"{name}, median" for name in results]
+    rows: list[Sequence[Any]] = []
+    medians = {n: np.median([t.parameters for t in ts], axis=0) for n, ts in results.items()}
+    for index, (name, unit) in enumerate(zip(NAMES, UNITS)):
+        thesis = [t[name] for t in (TABLE_2_2_TRUTH, TABLE_2_2_CONSTANT, TABLE_2_2_VARIABLE)]
+        ours = [truth[name]] + [float(m[index]) for m in medians.values()]
+        rows.append([name, unit, *thesis, *(f"{value:.4g}" for value in ours)])
+    errors = [
+        np.median([error_percent(t.parameters, dict(truth)).mean() for t in trials])
+        for trials in results.values()
+    ]
+    averages = [f"{value:.1f}" for value in TABLE_2_2_AVERAGE_ERROR]
+    rows.append(["average error", "%", "", *averages, "", *(f"{value:.1f}" for value in errors)])
+    output.table("table_2-2", columns, rows)
+    table = Table(*columns, title="Table 2-2, thesis and ours")
+    for row in rows:
+        table.add_row(*(str(cell) for cell in row))
+    Console().print(table)
+
+
+def record_run(options: Options, output: Output) -> str:
+    """Record one identification, under information if it was chosen, for the rerun viewer."""
+    chosen = options.chosen()
+    config = RoverIdentifierConfig(
+        ROBOT,
+        known_swinging_arm(),
+        "information" if "information" in chosen else chosen[0],
+        duration=options.duration,
+    )
+    path = output.file("run.rrd")
+    controller = RoverIdentifier(config, np.random.default_rng(options.seed))
+    with (
+        connect(
+            options.robot,
+            robots=[RobotPlacement(ROBOT)],
+            stereo=StereoConfig(),
+            seed=options.seed,
+        ) as connection,
+        Recorder(path, connection.robots, connection.simulation, _blueprint()) as recorder,
+    ):
+        recorders = [recorder, EstimateRecorder(recorder, controller)]
+        loop.run(connection.robots, [controller], connection.clock, recorders, config.total)
+    return str(output.directory / "run.rrd")
+
+
+def _blueprint() -> rrb.Blueprint:
+    """Return the usual layout with one view for each parameter: their sizes differ widely."""
+    views = [
+        rrb.TimeSeriesView(origin=f"estimates/{name}", name=f"{name} [{unit}]")
+        for name, unit in zip(NAMES, UNITS)
+    ]
+    excitation = rrb.TimeSeriesView(origin="excitation", name="Excitation")
+    return default_blueprint([ROBOT], [rrb.Grid(excitation, *views, grid_columns=3)])
+
+
+class EstimateRecorder(LoopRecorder):
+    """Adds the controller's estimates and excitations to a recording."""
+
+    def __init__(self, recorder: Recorder, controller: RoverIdentifier) -> None:
+        """Watch a controller."""
+        self._recorder, self._controller, self._told = recorder, controller, 0
+
+    def record(self, tick: Tick) -> None:
+        """Take one tick; new estimates and excitations go in with their bands."""
+        log = self._controller.log
+        if len(log.estimates) == self._told:
+            return
+        self._told = len(log.estimates)
+        estimate = log.estimates[-1]
+        sigma = np.sqrt(np.diag(estimate.covariance))
+        for name, value, band in zip(NAMES, estimate.parameters, 2 * sigma):
+            self._recorder.log_band(f"estimates/{name}", value, value - band, value + band, [name])
+        names = ("offset [rad]", "amplitude [rad]", "frequency [rad/s]")
+        self._recorder.log_scalars("excitation", log.excitations[-1].vector(), names)

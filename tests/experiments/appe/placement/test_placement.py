@@ -1,0 +1,76 @@
+"""A placement is carried out by BRAID on a rover, and the camera then sees the target."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from experiments.appe.placement.placement import Options
+from experiments.appe.placement.scene import Setting, draw_setting
+from experiments.appe.placement.trial import (
+    PlacementTrial,
+    Planner,
+    RoverView,
+    look_at,
+    run_placement,
+)
+from experiments.harness.contract import OptionError
+
+
+@pytest.fixture(scope="module")
+def scene() -> RoverView:
+    return RoverView(Setting(np.array([0.0, 0.5, 0.33]), ()), 3)
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.5])
+def test_camera_looks_at_its_aim_with_its_top_up_but_for_the_roll(roll):
+    place, aim = np.array([0.1, 0.2, 0.4]), np.array([0.0, 0.5, 0.3])
+    camera = look_at(place, aim, roll)
+    seen = camera.inv().apply(aim)
+    np.testing.assert_allclose(seen, [0.0, 0.0, np.linalg.norm(aim - place)], atol=1e-12)
+    level = np.cross([0.0, 0.0, 1.0], camera.rotation.as_matrix()[:, 2])
+    level /= np.linalg.norm(level)
+    assert -level @ camera.rotation.as_matrix()[:, 0] == pytest.approx(np.cos(roll))
+
+
+def test_kinematics_and_physics_agree_on_the_camera_but_for_sag_and_the_rovers_springs(scene):
+    planner = Planner(scene, np.array([0.0, 0.5, 0.33]), ())
+    for word in ([0, 0, 0], [1, 0, 6], [5, 5, 2]):
+        scene.bench.put(np.array(word))
+        mujoco.mj_forward(scene.bench.model, scene.bench.data)
+        error = planner.camera_of(np.array(word)).inv() * scene.transform_camera_to_world()
+        assert np.linalg.norm(error.translation) < 2e-3
+        assert error.rotation.magnitude() < np.deg2rad(0.5)
+    scene.bench.put(np.array([0, 0, 0]))
+
+
+def test_a_target_that_nothing_hides_is_seen_whole_from_home(scene):
+    part, pixels = scene.seen()
+    assert part == 1.0
+    assert pixels > 500.0
+
+
+def test_settings_stand_clear_of_the_rover_and_before_the_target():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        setting = draw_setting(rng)
+        corners = np.concatenate([block.corners for block in setting.blocks])
+        assert corners[:, 1].min() > 0.23
+        assert corners[:, 1].max() < setting.target[1]
+
+
+@pytest.mark.slow
+def test_a_hidden_target_is_seen_after_braid_has_gone_to_its_word():
+    result = run_placement(PlacementTrial(seed=2968811710, stages=5))
+    assert result.home < 1.0
+    assert result.placed is not None
+    assert result.placed.wrong == 0
+    assert result.placed.seen > 0.9
+    assert result.placed.turn_deg < 5.0
+
+
+@pytest.mark.parametrize("stages", [0, 6])
+def test_arms_whose_words_cannot_be_listed_are_refused(stages):
+    with pytest.raises(OptionError, match=f"--stages {stages}"):
+        Options(stages=stages)

@@ -1,0 +1,75 @@
+"""The complete rover identifies itself through the contract."""
+
+import numpy as np
+import pytest
+
+from controllers.identification.pitch import NAMES
+from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
+from experiments.__main__ import main
+from experiments.ch2.rover.laboratory import laboratory_values
+from experiments.ch2.rover.trial import (
+    ROBOT,
+    RoverTrial,
+    known_swinging_arm,
+    run_rover_trial,
+)
+from models.compose import RobotPlacement
+from models.datasheets import ROVER, TABLE_2_2_TRUTH
+from twin.connect import connect
+from twin.loop import run
+from twin.robot import RobotError
+
+
+def test_laboratory_finds_what_the_rover_was_built_for():
+    found = laboratory_values()
+    assert found["k_pitch"] == pytest.approx(TABLE_2_2_TRUTH["k_pitch"], rel=0.01)
+    assert found["b_pitch"] == pytest.approx(TABLE_2_2_TRUTH["b_pitch"], rel=0.02)
+    assert found["ixx"] == pytest.approx(ROVER.pitch_inertia, rel=0.01)
+    assert found["ixx_pendulum"] == pytest.approx(found["ixx"], rel=0.01)
+    assert found["ry"] == pytest.approx(TABLE_2_2_TRUTH["ry"], rel=0.01)
+    assert found["rz_to_centre"] == pytest.approx(TABLE_2_2_TRUTH["rz"], rel=0.01)
+    # Pitch turns about the ground, so the lever is the mount's whole height.
+    assert found["rz"] == pytest.approx(ROVER.arm_mount[2] + ROVER.centre_height, rel=0.01)
+
+
+@pytest.mark.parametrize("sensor", ["arm_base_wrench", "inclinometer", "arm_angles"])
+def test_a_disconnected_sensor_is_named(sensor):
+    controller = RoverIdentifier(
+        RoverIdentifierConfig(ROBOT, known_swinging_arm()), np.random.default_rng(0)
+    )
+    with connect("sim", robots=[RobotPlacement(ROBOT)], settling=0.1) as connection:
+        connection.robots[ROBOT].disconnect_sensor(sensor)
+        with pytest.raises(RobotError, match=sensor):
+            run(connection.robots, [controller], connection.clock, duration=0.1)
+
+
+def test_same_seed_gives_the_same_run():
+    trial = RoverTrial("sim", "information", seed=3, duration=1.6, unseen=0.4)
+    first, second = run_rover_trial(trial), run_rover_trial(trial)
+    np.testing.assert_array_equal(first.tilt, second.tilt)
+    np.testing.assert_array_equal(first.parameters, second.parameters)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_information_tells_more_than_the_constant_excitation_and_both_are_as_far_off_as_they_say(
+    seed,
+):
+    laboratory = laboratory_values()
+    truth = np.array([laboratory[name] for name in NAMES])
+    sigmas = {}
+    for excitation in ("constant", "information"):
+        result = run_rover_trial(RoverTrial("sim", excitation, seed))
+        sigmas[excitation] = result.sigma
+        assert np.all(np.abs(result.parameters - truth) < 4.0 * result.sigma)
+        assert 0.5 < result.chi_square < 1.6
+    # Four to nine times in five seeds, but for the stiffness, which any motion tells.
+    assert np.all(sigmas["information"][:4] < 0.5 * sigmas["constant"][:4])
+    assert np.all(sigmas["information"] < 0.5 * np.abs(truth))
+    assert result.tilt_nrmse < 10.0
+
+
+def test_an_unknown_excitation_ends_in_one_line(capsys, tmp_path):
+    status = main(["ch2-rover", "--excitations", "wiggle", "--out", str(tmp_path)])
+    assert status == 2
+    assert "wiggle" in capsys.readouterr().err
