@@ -53,7 +53,7 @@ def growth_figure(curves: Mapping[str, FloatArray]) -> Figure:
     return figure
 
 
-def views_figure(panoramas: FloatArray, counts: Sequence[int]) -> Figure:
+def views_figure(panoramas: NDArray[np.float32], counts: Sequence[int]) -> Figure:
     """Draw all left images of each robot where they were taken (figures 3-26 a, 3-27 a).
 
     Args:

@@ -13,7 +13,7 @@ from experiments.harness.output import Output
 def test_every_word_has_one_fate_and_the_seed_fixes_it():
     config = BusTrialConfig("thesis", 40, seed=1, missed=0.01)
     first, second = run_trial(config), run_trial(config)
-    assert sum(first[fate] for fate in FATES) == 40
+    assert sum(first.fates[fate] for fate in FATES) == 40
     assert 0 < first.fates["right"] < 40
     np.testing.assert_array_equal(first.wrong_bits, second.wrong_bits)
     assert np.count_nonzero(first.wrong_bits) == 40 - first.fates["right"]

@@ -12,7 +12,7 @@ from experiments.__main__ import main
 from experiments.ch3.planar import planar as ch3_planar
 from experiments.ch3.planar import record as ch3_planar_record
 from experiments.ch3.planar.explain import merge
-from experiments.ch3.planar.trial import PlanarTrial, build_world, first_at, run_trial
+from experiments.ch3.planar.trial import PlanarRun, PlanarTrial, build_world, first_at, run_trial
 from experiments.ch3.planar.worlds import image_world, indoor_world, make_world, unstructured_world
 from experiments.harness.contract import OptionError
 from perception.planar.raycast import RangeSensor, scan
@@ -71,8 +71,8 @@ def test_a_run_without_noise_never_unlearns_and_calls_no_obstacle_free(world):
 def test_same_seed_gives_the_same_run():
     trial = PlanarTrial("indoor", 6, "information", limit=8, robots=2, noise=0.001, **NARROW)
     first, again = (run_trial(trial, build_world(trial)) for _ in range(2))
-    for key in ("fraction", "metres", "states", "paths", "stands"):
-        np.testing.assert_array_equal(first[key], again[key])
+    for key in ("fraction", "metres", "states", "paths", "stops"):
+        np.testing.assert_array_equal(getattr(first, key), getattr(again, key))
 
 
 def test_noisy_ranges_mistake_cells_and_robots_still_keep_out_of_obstacles():
@@ -173,7 +173,9 @@ def test_merging_is_the_product_of_gaussians():
 
 
 def test_runs_that_never_arrive_count_as_infinite():
-    result = {"fraction": np.array([0.2, 0.5]), "metres": np.array([0.0, 3.0])}
+    none = np.empty(0)
+    fraction, metres = np.array([0.2, 0.5]), np.array([0.0, 3.0])
+    result = PlanarRun(fraction, metres, none, none, none, none, 0.0, 0)
     assert first_at(result) == (np.inf, np.inf)
     assert first_at(result, 0.5) == (2.0, 3.0)
 
