@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -195,7 +194,7 @@ def _sweeps(options: Options, output: Output, rounds: int) -> Curve:
             # No run before this one had the same configurations: a job that is taken for done,
             # as --resume would have it, takes no time.
             now = time.time_ns()
-            configs = [{"begun": now, "jobs": jobs, "job": job} for job in range(SWEPT)]
+            configs = [(now, jobs, job) for job in range(SWEPT)]
             start = time.perf_counter()
             sweep(spin, configs, chosen, output, label=f"sweep by {jobs:g}")
             if index >= 0:
@@ -203,9 +202,13 @@ def _sweeps(options: Options, output: Output, rounds: int) -> Curve:
     return Curve("processes", times, _exponents(times))
 
 
-def spin(config: Mapping[str, Any]) -> dict[str, int]:
-    """Count; a job that needs a processor and nothing else."""
+def spin(config: tuple[int, float, int]) -> int:
+    """Count; a job that needs a processor and nothing else.
+
+    Args:
+        config: Beginning of the sweep [ns], number of processes and number of the job.
+    """
     total = 0
     for index in range(LOOPS):
         total += index & 1
-    return {"total": total}
+    return total

@@ -1,4 +1,4 @@
-"""``python -m experiments bench-table``: the table of docs/benchmarks.md, made from metrics.json."""
+"""``python -m experiments bench-table``: the table of docs/benchmarks.md, from metrics.json."""
 
 from __future__ import annotations
 
