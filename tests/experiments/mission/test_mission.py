@@ -138,7 +138,7 @@ Ways = list[tuple[np.ndarray, typing.Callable[[np.ndarray], bool]]]
 
 @pytest.fixture
 def ways(monkeypatch: pytest.MonkeyPatch) -> Ways:
-    """Return a list that gets the goal of each `DriveToPose`, and what it asks whether a pose is free."""
+    """Return a list of each `DriveToPose`: its goal, and what it asks whether a pose is free."""
     told: Ways = []
     begin = DriveToPose.__init__
 
