@@ -82,9 +82,11 @@ def read_arm(log: ObservationLog, config: SensingConfig) -> ArmRecord:
         raise IdentificationError("the ticks of the run are not even; resample it first")
     stamps = times - log.age("arm_base_wrench")
     seen = times - log.age("arm_angles")
-    motion = _at(stamps, seen, *_differentiate(log.values("arm_angles"), seen))
+    measured = _differentiate(log.values("arm_angles"), seen)
+    angles, rates, accelerations = _at(stamps, seen, *measured)
     base = _base_motion(log, config, stamps)
-    return ArmRecord(stamps, *motion, base, log.values("arm_base_wrench"))
+    wrench = log.values("arm_base_wrench")
+    return ArmRecord(stamps, angles, rates, accelerations, base, wrench)
 
 
 def filter_alike(values: FloatArray, window: int, stride: int = 1) -> FloatArray:

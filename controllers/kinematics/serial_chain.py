@@ -175,10 +175,8 @@ class SerialChain:
         """
         rotations, origins = self.link_frames(positions)
         last = 0 if np.ndim(positions) == 1 else slice(None)
-        link = RigidTransform.from_components(
-            origins[last, -1], Rotation.from_matrix(rotations[last, -1], assume_valid=True)
-        )
-        return link * self.transform_tool_to_link
+        turn = Rotation.from_matrix(rotations[last, -1])
+        return RigidTransform.from_components(origins[last, -1], turn) * self.transform_tool_to_link
 
     def tool_frame(self, positions: ArrayLike) -> FloatArray:
         """Return `tool_in_robot` of one configuration as a matrix (4, 4).
