@@ -1,5 +1,7 @@
 """The known arm against MuJoCo, and payloads recovered from synthetic and simulated runs."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -162,3 +164,24 @@ def test_too_short_a_run_is_told(arm):
     seen = observations(arm, config, config.swing.fade + 0.88, 0.0)
     with pytest.raises(IdentificationError, match="two windows of 59; at least 89 are needed"):
         identify(arm, config, seen).estimate()
+
+
+def test_parameters_are_unidentifiable_from_their_deviation_over_their_size_on(arm):
+    """Sizes are 0.3 kg for the mass, m d for first moments and m d^2 for inertias."""
+    config = PayloadConfig(arm)
+    seen = observations(arm, config, 12.0, 1.0)
+    found = identify(arm, config, seen).estimate()
+    lever = 0.15
+    sizes = found.mass * np.array([0.3 / found.mass] + [lever] * 3 + [lever**2] * 6)
+    shares = np.sqrt(np.diag(found.covariance)) / sizes
+    for threshold in np.sort(shares)[[1, 4, 8]]:
+        for factor in (0.99, 1.01):
+            level = factor * threshold
+            if level <= shares[0]:
+                continue
+            tried = dataclasses.replace(config, resolution=level)
+            hidden = identify(arm, tried, seen).estimate().unidentifiable
+            assert hidden == tuple(n for n, share in zip(NAMES, shares) if share > level)
+    blind = dataclasses.replace(config, resolution=0.99 * shares[0])
+    with pytest.raises(IdentificationError, match="does not show the payload's mass"):
+        identify(arm, blind, seen).estimate()
