@@ -157,12 +157,3 @@ def test_bad_input_is_named():
         identify_turn_share(STEER, straight, np.zeros(100), PERIOD)
     with pytest.raises(ValueError, match="as many"):
         identify_turn_share(STEER, straight, np.zeros(99), PERIOD)
-
-
-@pytest.mark.parametrize(
-    ("motion", "speeds"),
-    [((-0.5, 2.0), (-5.0, 0.0)), ((-0.5, -2.0), (0.0, -5.0)), ((0.5, 1.0), (2.5 / 1.5, 5.0))],
-)
-def test_speeds_beyond_the_largest_are_reduced_alike_both_ways(motion, speeds):
-    """Of -20 and 0 rad/s remain -5 and 0: the radius of the curve, v / w, is kept."""
-    np.testing.assert_allclose(STEER.wheel_speeds(*motion), [*speeds, *speeds], atol=1e-12)
