@@ -22,7 +22,7 @@ DRAWN = describe(MODEL, "rover1")
 STRAIGHT = SerialChain.of_robot(DRAWN)
 OFF = RigidTransform.from_exp_coords([0.02, 0.03, -0.05, 0.01, 0.01, 0.02])
 SQUINTING = dataclasses.replace(
-    STRAIGHT, transform_camera_to_wrist=STRAIGHT.transform_camera_to_wrist * OFF
+    STRAIGHT, transform_tool_to_link=STRAIGHT.transform_tool_to_link * OFF
 )
 HOME = np.array(ARM.home)
 BRIEF = RobotBrief(STRAIGHT, HOME, DRAWN.body_spheres)
