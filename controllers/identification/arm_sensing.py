@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from controllers.identification.observation_log import IdentificationError, ObservationLog
-from controllers.kinematics.serial_arm import BaseMotion, JointMotion
+from controllers.kinematics.frame_motion import FrameMotion
 
 FloatArray = NDArray[np.float64]
 
@@ -48,14 +48,18 @@ class ArmRecord:
 
     Attributes:
         times: (n,) [s].
-        joints: Of the arm.
-        base: Of the arm's base frame: tilt only, the base does not travel.
+        angles: (n, joints) joint angles [rad].
+        rates: (n, joints) [rad/s].
+        accelerations: (n, joints) [rad/s^2].
+        base: Motion of the arm's base frame: tilt only, the base does not travel.
         wrench: (n, 6) force [N] and moment [N m] by the rover on the arm.
     """
 
     times: FloatArray
-    joints: JointMotion
-    base: BaseMotion
+    angles: FloatArray
+    rates: FloatArray
+    accelerations: FloatArray
+    base: FrameMotion
     wrench: FloatArray
 
 
@@ -78,9 +82,11 @@ def read_arm(log: ObservationLog, config: SensingConfig) -> ArmRecord:
         raise IdentificationError("the ticks of the run are not even; resample it first")
     stamps = times - log.age("arm_base_wrench")
     seen = times - log.age("arm_angles")
-    motion = _at(stamps, seen, *_differentiate(log.values("arm_angles"), seen))
+    measured = _differentiate(log.values("arm_angles"), seen)
+    angles, rates, accelerations = _at(stamps, seen, *measured)
     base = _base_motion(log, config, stamps)
-    return ArmRecord(stamps, JointMotion(*motion), base, log.values("arm_base_wrench"))
+    wrench = log.values("arm_base_wrench")
+    return ArmRecord(stamps, angles, rates, accelerations, base, wrench)
 
 
 def filter_alike(values: FloatArray, window: int, stride: int = 1) -> FloatArray:
@@ -117,7 +123,7 @@ def _at(times: FloatArray, stamps: FloatArray, *series: FloatArray) -> list[Floa
     return [np.stack([np.interp(times, stamps, row) for row in one.T], axis=1) for one in series]
 
 
-def _base_motion(log: ObservationLog, config: SensingConfig, times: FloatArray) -> BaseMotion:
+def _base_motion(log: ObservationLog, config: SensingConfig, times: FloatArray) -> FrameMotion:
     """Return the base's tilting motion at some times; heading and travel are taken as fixed."""
     stamps, seen = log.samples("inclinometer")
     if len(stamps) < SHORTEST // 4:
@@ -134,9 +140,9 @@ def _base_motion(log: ObservationLog, config: SensingConfig, times: FloatArray) 
     up = np.stack([-np.sin(roll) * np.cos(pitch), np.sin(pitch), np.cos(roll) * np.cos(pitch)], 1)
     if not config.tilt_motion:
         nothing = np.zeros_like(up)
-        return BaseMotion(config.gravity * up, nothing, nothing)
+        return FrameMotion(config.gravity * up, nothing, nothing)
     omega = np.stack([rate[:, 0], rate[:, 1], still], axis=1)
     alpha = np.stack([acceleration[:, 0], acceleration[:, 1], still], axis=1)
     # Products of rates are left out: at a tilt of a few degrees they are below their own noise.
     moving = np.cross(alpha, np.asarray(config.lever))
-    return BaseMotion(config.gravity * up + moving, omega, alpha)
+    return FrameMotion(config.gravity * up + moving, omega, alpha)

@@ -47,13 +47,8 @@ from controllers.identification.arm_sensing import (
 )
 from controllers.identification.limit_load import friction_in_use, normal_forces
 from controllers.identification.observation_log import ObservationLog
-from controllers.kinematics.serial_arm import (
-    RigidBody,
-    SerialArm,
-    arm_wrench,
-    frame_motions,
-    locked_inertia,
-)
+from controllers.kinematics.serial_chain import SerialChain
+from twin.description import RigidBody, RobotDescription
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
@@ -74,6 +69,22 @@ class KnownBase:
     body: RigidBody
     mount: FloatArray
     wheels: FloatArray
+
+    @classmethod
+    def of_robot(cls, robot: RobotDescription) -> KnownBase:
+        """Return the base of a rover with four wheels, as drawn.
+
+        Args:
+            robot: The rover, with its arm.
+
+        Raises:
+            ValueError: If it has no arm or not four wheels.
+        """
+        if robot.arm is None or len(robot.wheels) != 4:
+            raise ValueError(f"robot {robot.name}: expected an arm and four wheels")
+        wheels = np.array([wheel.centre for wheel in robot.wheels])
+        wheels[:, 2] = -robot.centre_height
+        return cls(robot.body, np.asarray(robot.arm.transform_base_to_robot.translation), wheels)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +130,7 @@ class FrictionConfig:
         rolling: Wheel speed above which a wheel rolled and did not only slide [rad/s].
     """
 
-    arm: SerialArm
+    arm: SerialChain
     base: KnownBase
     sensing: SensingConfig = dataclasses.field(default_factory=SensingConfig)
     jerks: JerkConfig = dataclasses.field(default_factory=JerkConfig)
@@ -321,14 +332,14 @@ def ground_load(record: ArmRecord, config: FrictionConfig) -> GroundLoad:
         record: Of the arm.
         config: What is known.
     """
-    frames = frame_motions(config.arm, record.joints, record.base)
+    motion = record.angles, record.rates, record.accelerations
     extra, wrench, locked, gravity, times = (
         filter_alike(values, config.window)
         for values in (
-            record.wrench - arm_wrench(config.arm, frames),
+            record.wrench - config.arm.inverse_dynamics(*motion, record.base)[1],
             record.wrench,
-            locked_inertia(config.arm, record.joints.angles),
-            record.base.acceleration,
+            config.arm.base_inertia(record.angles),
+            record.base.specific_force,
             record.times,
         )
     )

@@ -27,15 +27,8 @@ from controllers.identification.arm_sensing import (
     read_arm,
 )
 from controllers.identification.observation_log import IdentificationError, ObservationLog
-from controllers.kinematics.serial_arm import (
-    COUNT,
-    INERTIA_ELEMENTS,
-    NAMES,
-    SerialArm,
-    arm_wrench,
-    frame_motions,
-    wrench_regressor,
-)
+from controllers.kinematics.rigid_body import COUNT, INERTIA_ELEMENTS, NAMES, wrench_regressor
+from controllers.kinematics.serial_chain import SerialChain
 from twin.robot import ArmMode, Command, Observation
 
 FloatArray = NDArray[np.float64]
@@ -74,7 +67,7 @@ class PayloadConfig:
             m d and m d^2, with the mass m that was found.
     """
 
-    arm: SerialArm
+    arm: SerialChain
     wrench_noise: tuple[float, ...] = (0.1, 0.1, 0.1, 0.01, 0.01, 0.01)
     sensing: SensingConfig = dataclasses.field(default_factory=SensingConfig)
     swing: SwingConfig = dataclasses.field(default_factory=SwingConfig)
@@ -88,7 +81,7 @@ class PayloadEstimate:
     """The identified payload, in the wrist's frame.
 
     Attributes:
-        parameters: (10,) in the order of `serial_arm.NAMES`, of a body that can exist.
+        parameters: (10,) in the order of `rigid_body.NAMES`, of a body that can exist.
         covariance: (10, 10) of the linear estimate, from the sensor's noise; where `chi_squared`
             is above 1, times that.
         linear: (10,) the linear estimate, whether or not a body can have it.
@@ -200,12 +193,12 @@ def estimate_payload(log: ObservationLog, config: PayloadConfig) -> PayloadEstim
             f"a run of {len(record.times)} ticks is too short for two windows of {config.window}; "
             f"at least {needed} are needed"
         )
-    frames = frame_motions(config.arm, record.joints, record.base)
+    motion = record.angles, record.rates, record.accelerations
     left, matrix, times = (
         filter_alike(values, config.window, stride)
         for values in (
-            record.wrench - arm_wrench(config.arm, frames),
-            wrench_regressor(frames[-1]),
+            record.wrench - config.arm.inverse_dynamics(*motion, record.base)[1],
+            wrench_regressor(config.arm.last_link_motion(*motion, record.base)),
             record.times,
         )
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.watching import WatchPlan, target_field
 from controllers.kinematics.arm_inverse import arm_solutions
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
 from controllers.placement.task import Lens, Occluder, PlacementError, View
 from twin.description import RobotDescription, StereoHeadDescription
@@ -157,7 +157,7 @@ def random_camera_station(
 
 
 def base_placement(
-    camera: FloatArray, target: FloatArray, arm: CameraArm, centre_height: float
+    camera: FloatArray, target: FloatArray, arm: SerialChain, centre_height: float
 ) -> CameraStation | None:
     """Return where a level rover stands so that its camera is at a place and looks at another.
 
@@ -180,7 +180,7 @@ def base_placement(
         return None
     yaw = math.atan2(-view[0], view[1])
     height = camera[2] - centre_height
-    beside = float(arm.camera_in_robot(np.zeros(4)).translation[0])
+    beside = float(arm.tool_in_robot(np.zeros(4)).translation[0])
     best: tuple[float, float, FloatArray] | None = None
     for reach in _REACHES:
         eye = np.array([beside, reach, height])
@@ -206,7 +206,7 @@ def is_clear(station: CameraStation) -> bool:
     return math.hypot(x, y - nearest) > _CLEAR and max(abs(x), abs(y)) < _FIELD
 
 
-def camera_arm(robot: RobotDescription) -> tuple[CameraArm, StereoHeadDescription]:
+def camera_arm(robot: RobotDescription) -> tuple[SerialChain, StereoHeadDescription]:
     """Return a rover's arm that carries its stereo head, and the head.
 
     Args:
@@ -219,4 +219,4 @@ def camera_arm(robot: RobotDescription) -> tuple[CameraArm, StereoHeadDescriptio
         raise ValueError(
             f"robot {robot.name!r} has no stereo head on an arm: it cannot look around"
         )
-    return CameraArm.of(robot.arm, robot.head), robot.head
+    return SerialChain.of_robot(robot), robot.head

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.arm_model import ArmModel
-from controllers.kinematics.camera_arm import CameraArm
-from controllers.kinematics.chain import Chain, at_rest
-from controllers.kinematics.serial_arm import RigidBody, SerialArm
-from perception.geometry.gravity import GRAVITY
+from controllers.kinematics.arm_inverse import GripperInverse
+from controllers.kinematics.frame_motion import at_rest
+from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.se3 import cross_matrix
 from twin.description import RobotDescription
 
@@ -61,50 +61,31 @@ def inverse(transform: FloatArray) -> FloatArray:
 
 
 class CardArm:
-    """Kinematics and weight of the arm with the card in its gripper, robot frame."""
+    """Kinematics and weight of the arm with the card in its gripper, robot frame.
 
-    def __init__(self, arm: CameraArm, chain: Chain, tip: float, plate: RigidBody) -> None:
-        """Put the card into the gripper.
+    Args:
+        robot: The rover as drawn; its wrist's body counts the card.
+        tip: Distance from the wrist's joint to the middle of the card's leading edge [m].
 
-        Args:
-            arm: Hinges and limits.
-            chain: The arm with the card, for its weight.
-            tip: From the wrist's joint to the middle of the card's leading edge [m].
-            plate: What the force sensor carries before the first joint.
-        """
-        self._plate = plate
-        self._model = ArmModel(arm, [0.0, tip, 0.0])
+    Raises:
+        ValueError: If the robot has no arm, naming it.
+    """
+
+    def __init__(self, robot: RobotDescription, tip: float) -> None:
+        arm, place = SerialChain.of_robot(robot), [0.0, tip, 0.0]
+        self._inverse = GripperInverse(arm, place)
+        card = RigidTransform.from_components(place, Rotation.from_matrix(CARD_IN_WRIST))
+        self._chain = dataclasses.replace(arm, transform_tool_to_link=card)
         self._base = arm.transform_base_to_robot.as_matrix()
-        self._chain = chain
-        self._card = np.eye(4)
-        self._card[:3, :3], self._card[:3, 3] = CARD_IN_WRIST, [0.0, tip, 0.0]
-
-    @classmethod
-    def of(cls, robot: RobotDescription, tip: float) -> CardArm:
-        """Return the arm of a robot as drawn, with the card in its gripper.
-
-        Args:
-            robot: The rover; its wrist's body counts the card.
-            tip: From the wrist's joint to the middle of the card's leading edge [m].
-
-        Raises:
-            ValueError: If it has no arm, naming it.
-        """
-        arm = robot.arm
-        if arm is None or robot.head is None:
-            raise ValueError(f"robot {robot.name!r} has no arm with a stereo head to hold a card")
-        known = SerialArm.of(arm)
-        chain = Chain.of_arm(known, arm.joints[0].rotor_inertia)
-        return cls(CameraArm.of(arm, robot.head), chain, tip, known.base)
 
     @property
     def limits(self) -> FloatArray:
         """(4, 2) lowest and highest joint angles [rad]."""
-        return self._model.limits
+        return self._chain.limits
 
     def card_in_robot(self, angles: ArrayLike) -> FloatArray:
         """Return (4, 4) from the card to the robot frame at joint angles (4,) [rad]."""
-        return self._base @ self._chain.last_frame(angles) @ self._card
+        return self._chain.tool_frame(angles)
 
     def angles_at(self, place: ArrayLike, pitch: float, near: ArrayLike) -> FloatArray:
         """Return the joint angles that bring the card somewhere.
@@ -119,7 +100,7 @@ class CardArm:
         Returns:
             (4,) [rad]; NaN if it is out of reach.
         """
-        found = self._model.inverse([*np.asarray(place, dtype=float), pitch], near)
+        found = self._inverse.solutions([*np.asarray(place, dtype=float), pitch], near)
         return found[0] if len(found) else np.full(4, np.nan)
 
     @property
@@ -139,9 +120,7 @@ class CardArm:
         """
         level = self._base[:3, :3].T @ np.asarray(up, dtype=float)
         zero = np.zeros(len(self._chain))
-        held = self._chain.inverse_dynamics(angles, zero, zero, at_rest(level))[1]
-        plate = self._plate.mass * GRAVITY * level
-        return held + np.concatenate([plate, cross_matrix(self._plate.centre) @ plate])
+        return self._chain.inverse_dynamics(angles, zero, zero, at_rest(level))[1]
 
     def contact(self, wrench: ArrayLike, angles: ArrayLike, up: ArrayLike) -> FloatArray:
         """Return what touches the card, from the wrench under the arm.
@@ -156,7 +135,7 @@ class CardArm:
             edge, at rest and slow motion [N, N m].
         """
         outside = self.weight(angles, up) - np.asarray(wrench, dtype=float)
-        card = self._chain.last_frame(angles) @ self._card
+        card = inverse(self._base) @ self._chain.tool_frame(angles)
         moment = outside[3:] - cross_matrix(card[:3, 3]) @ outside[:3]
         turn = card[:3, :3].T
         return np.concatenate([turn @ outside[:3], turn @ moment])

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.watching import SeenParts, WatchPlan, best_angles
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.se3 import composed_covariance, inverse_covariance
 from perception.markers.ellipses import MarkerExpectation
 from perception.markers.markers import find_bodies
@@ -64,7 +64,7 @@ class MarkerGuide:
     def __init__(
         self,
         config: MarkerGuideConfig,
-        arm: CameraArm,
+        arm: SerialChain,
         geometry: StereoGeometry,
         slot: tuple[RigidTransform, FloatArray],
         card: RigidTransform,
@@ -145,7 +145,7 @@ class MarkerGuide:
     def _look(self, seen: Observation, angles: FloatArray) -> Guidance:
         """Find card and slot in a pair."""
         config = self.config
-        camera = self._arm.camera_in_robot(angles)
+        camera = self._arm.tool_in_robot(angles)
         to_camera = camera.inv()
         turn, place = np.square(config.wander)
         spread = self.slot_covariance + np.diag([turn] * 3 + [place] * 3)

@@ -15,7 +15,7 @@ from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.guidance import Guidance, GuidanceLink
 from controllers.insertion.guide import GuideConfig
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
-from controllers.kinematics.serial_arm import SerialArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
 from controllers.sensing.surrogate_tilt import TiltAxis, TiltModel, TiltModelConfig
 from controllers.sensing.surrogate_wrench import WrenchModel, WrenchModelConfig
@@ -164,15 +164,12 @@ def surrogate_sensing(
     Raises:
         ValueError: If it has no arm, naming it.
     """
-    if robot.arm is None:
-        raise ValueError(f"robot {robot.name!r} has no arm: there is no wrench to expect")
-    joints, sigma = robot.arm.joints, robot.sensor_sigma
+    chain, sigma = SerialChain.of_robot(robot), robot.sensor_sigma
     arm = WrenchModelConfig(
-        SerialArm.of(robot.arm),
-        np.asarray(robot.arm.transform_base_to_robot.translation),
+        chain,
+        np.asarray(chain.transform_base_to_robot.translation),
         np.array([0.0, tip, 0.0]),
-        joints[0].rotor_inertia,
-        friction=np.array([joint.friction for joint in joints]),
+        friction=np.array([joint.friction for joint in chain.joints]),
     )
     base = TiltModelConfig(*springs, wheel_radius=robot.wheel_radius)
     limits = {

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.arm_inverse import standing_views
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.spatial.occluders import TargetField, expand
 from controllers.placement.spatial.search import rate_positions
 from controllers.placement.task import Exponents, Lens, Occluder, PlacementError, Target
@@ -117,7 +117,7 @@ def target_field(
 def best_angles(
     plan: WatchPlan,
     parts: SeenParts,
-    arm: CameraArm,
+    arm: SerialChain,
     geometry: StereoGeometry,
     now: FloatArray,
 ) -> ArmChoice:
@@ -140,7 +140,7 @@ def best_angles(
 def _best_of(
     plan: WatchPlan,
     parts: SeenParts,
-    arm: CameraArm,
+    arm: SerialChain,
     geometry: StereoGeometry,
     now: FloatArray,
     whole: bool,
@@ -152,7 +152,7 @@ def _best_of(
         return ArmChoice(now, 0.0, 0.0)
     views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
     angles = np.vstack([now, views.angles[above_its_foot(arm, views.angles)]])
-    cameras = arm.camera_in_robot(angles)
+    cameras = arm.tool_in_robot(angles)
     markers = parts.markers() if whole else parts.card_pose.apply(parts.card.points)
     seen = in_both_images(cameras, markers, geometry, plan.border)
     places = np.asarray(cameras.translation)
@@ -164,7 +164,7 @@ def _best_of(
     return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]))
 
 
-def above_its_foot(arm: CameraArm, angles: FloatArray) -> NDArray[np.bool_]:
+def above_its_foot(arm: SerialChain, angles: FloatArray) -> NDArray[np.bool_]:
     """Say in which postures (N, joints) the arm stays above the plane that it stands on.
 
     Below are deck and ground: an arm that reaches there lifts its own robot.
@@ -172,7 +172,7 @@ def above_its_foot(arm: CameraArm, angles: FloatArray) -> NDArray[np.bool_]:
     if not len(angles):
         return np.zeros(0, dtype=bool)
     foot = float(arm.transform_base_to_robot.translation[2])
-    return arm.body_in_robot(angles)[..., 2].min(axis=1) > foot + arm.body_radius
+    return arm.cover_points(angles)[..., 2].min(axis=1) > foot + arm.cover_radius
 
 
 def in_both_images(

@@ -1,11 +1,11 @@
-"""Joint angles of an arm whose camera stands at a point and looks straight at another.
+"""Closed-form inverse kinematics of an arm as the rover's: a yaw about z, then three pitches.
 
-For arms as the rover's: a yaw about z, then shoulder, elbow and wrist about x. All links move in
-one vertical plane that the yaw turns; the camera may sit beside that plane and may squint out of
-it. Five numbers are asked for (the camera's place and where its axis points) and four joints are
+Shoulder, elbow and wrist turn about x. All links move in one vertical plane that the yaw turns;
+the chain's tool, a camera with z along its view, may sit beside that plane and may squint out of
+it. A view asks for five numbers (the camera's place and where its axis points) and four joints are
 there, so that from a fixed base only views in a plane can be had: `standing_views` gives those.
-`arm_solutions` gives none for other views; the base must move
-(`controllers.placement.reach.reach`).
+`arm_solutions` gives none for other views; the base must move. A gripper's task is its place and
+the pitch of its forward axis, as many numbers as there are joints: `GripperInverse`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from typing import Any
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 
 FloatArray = NDArray[np.float64]
 
 STRAIGHT = 1e-9
 """Slack of angles [rad] and lengths [m] where rounding must not decide."""
+LEAST_DISTANCE = 1e-6
+"""Distance of a gripper from the yaw's axis [m] below which every yaw is as good."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,25 +52,24 @@ class ArmGeometry:
     limits: FloatArray
 
     @classmethod
-    def of(cls, arm: CameraArm) -> ArmGeometry:
+    def of(cls, arm: SerialChain) -> ArmGeometry:
         """Read an arm's numbers.
 
         Raises:
             ValueError: If it is not of this kind, naming the hinge.
         """
         expected = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
-        if len(arm.hinges) != len(expected):
-            raise ValueError(f"arm of {len(arm.hinges)} hinges: expected yaw and three about x")
-        for number, (hinge, axis) in enumerate(zip(arm.hinges, expected, strict=True)):
-            if hinge.to_parent.rotation.magnitude() > STRAIGHT or not np.allclose(
-                hinge.axis, axis, atol=STRAIGHT
-            ):
+        if len(arm) != len(expected):
+            raise ValueError(f"arm of {len(arm)} joints: expected a yaw and three pitches about x")
+        for joint, axis in zip(arm.joints, expected, strict=True):
+            turned = joint.transform_link_to_parent.rotation.magnitude() > STRAIGHT
+            if turned or joint.slides or not np.allclose(joint.axis, axis, atol=STRAIGHT):
                 raise ValueError(
-                    f"hinge {number} turns about {hinge.axis}: expected {axis}, not turned to its "
-                    "parent"
+                    f"joint {joint.name} moves along or about {joint.axis}: expected a hinge about "
+                    f"{axis}, not turned to its parent"
                 )
-        offsets = np.array([hinge.to_parent.translation for hinge in arm.hinges])
-        camera = arm.transform_camera_to_wrist
+        offsets = np.array([joint.transform_link_to_parent.translation for joint in arm.joints])
+        camera = arm.transform_tool_to_link
         place = np.asarray(camera.translation, dtype=float)
         return cls(
             offsets[0],
@@ -185,13 +187,75 @@ def _bend(
                 found[k] = min(max(near, low), high)
 
 
+class GripperInverse:
+    """Joint angles of a yaw-and-pitch arm that bring its gripper somewhere, robot frame.
+
+    Args:
+        arm: Chain of the arm; its own tool plays no part.
+        grip: (3,) grip point in the last link's frame, whose y axis points forward [m].
+
+    Raises:
+        ValueError: If the arm is not a yaw and three hinges about x, or the grip point is beside
+            the plane in which they move it.
+    """
+
+    def __init__(self, arm: SerialChain, grip: ArrayLike) -> None:
+        place = np.asarray(grip, dtype=float)
+        if place.shape != (3,) or not np.all(np.isfinite(place)):
+            raise ValueError(f"grip point {grip}: expected three finite numbers")
+        # As a camera: x to the right, y down, z along the gripper.
+        forward = Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+        gripper = RigidTransform.from_components(place, forward)
+        self._geometry = ArmGeometry.of(dataclasses.replace(arm, transform_tool_to_link=gripper))
+        self._base = arm.transform_base_to_robot.as_matrix()
+        if abs(self._geometry.beside) > STRAIGHT:
+            raise ValueError(
+                f"grip point {grip}: {self._geometry.beside} m beside the arm's plane, needs 0"
+            )
+
+    def solutions(self, task: ArrayLike, near: ArrayLike | None = None) -> FloatArray:
+        """Return the joint angles that bring the gripper somewhere.
+
+        The arm's base must stand level in the robot frame, as the rover's does.
+
+        Args:
+            task: (4,) place x, y, z [m] of the grip point and pitch of the gripper's forward axis
+                [rad], robot frame.
+            near: (4,) angles [rad]; the solutions are sorted by their distance to these. None for
+                the order in which they are found.
+
+        Returns:
+            (N, 4) within the limits [rad]; none if it is out of reach.
+
+        Raises:
+            ValueError: If a number is missing or not finite, or the place is on the yaw's axis.
+        """
+        asked = np.asarray(task, dtype=float)
+        if asked.shape != (4,) or not np.all(np.isfinite(asked)):
+            raise ValueError(f"gripper task {task}: expected x, y, z and pitch, finite")
+        eye = self._base[:3, :3].T @ (asked[:3] - self._base[:3, 3]) - self._geometry.yaw_axis
+        distance = math.hypot(eye[0], eye[1])
+        if distance < LEAST_DISTANCE:
+            raise ValueError(f"gripper task {task}: on the yaw's axis, where no yaw is singled out")
+        heading = math.atan2(-eye[0], eye[1])
+        # Facing the place, or turned away and reaching over the shoulder.
+        yaws = self._geometry.turned([heading, heading + math.pi])
+        bends = self._geometry.bend([distance, -distance], eye[2], asked[3])
+        turns = np.broadcast_to(yaws[:, None, None], (2, 2, 1))
+        angles = np.concatenate([turns, bends], axis=2).reshape(4, 4)
+        angles = angles[np.isfinite(angles).all(axis=1)]
+        if near is None:
+            return angles
+        return angles[np.argsort(np.linalg.norm(angles - np.asarray(near, dtype=float), axis=1))]
+
+
 def arm_solutions(
-    arm: CameraArm, camera: ArrayLike, target: ArrayLike, tolerance: float = STRAIGHT
+    arm: SerialChain, camera: ArrayLike, target: ArrayLike, tolerance: float = STRAIGHT
 ) -> FloatArray:
     """Return all joint angles with which the camera stands at a point and looks at another.
 
     Args:
-        arm: Its kinematics.
+        arm: Chain of the arm with the camera as its tool.
         camera: (3,) the left camera [m], robot frame.
         target: (3,) on its axis [m], robot frame.
         tolerance: How far beside the arm's plane the camera may be asked for [m]; the answer's
@@ -268,12 +332,12 @@ class StandingViews:
 
 
 def standing_views(
-    arm: CameraArm, target: ArrayLike, distances: ArrayLike, pitches: ArrayLike
+    arm: SerialChain, target: ArrayLike, distances: ArrayLike, pitches: ArrayLike
 ) -> StandingViews:
     """Return the views of a target that the arm can take while the base stands.
 
     Args:
-        arm: Its kinematics.
+        arm: Chain of the arm with the camera as its tool.
         target: (3,) [m], robot frame.
         distances: (R,) of the camera from it [m].
         pitches: (S,) angles of the view above the horizon of the arm's base [rad], over a whole
@@ -295,4 +359,4 @@ def standing_views(
     angles = angles[np.isfinite(angles).all(axis=1)]
     if len(angles) == 0:
         return StandingViews(np.zeros((0, 3)), angles)
-    return StandingViews(np.asarray(arm.camera_in_robot(angles).translation), angles)
+    return StandingViews(np.asarray(arm.tool_in_robot(angles).translation), angles)

@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.frame_motion import LEVEL, FrameMotion, LinkMotion
 from controllers.kinematics.rigid_body import WEIGHTLESS
-from twin.description import ArmDescription, JointDescription, RigidBody
+from twin.description import ArmDescription, JointDescription, RigidBody, RobotDescription
 
 FloatArray = NDArray[np.float64]
 
@@ -78,6 +78,7 @@ class SerialChain:
     """(n,) inertia of the motors' rotors at the joints [kg m^2, or kg for a slide]."""
     _arrays: ChainArrays = dataclasses.field(init=False, repr=False)
     _root: FloatArray = dataclasses.field(init=False, repr=False)
+    _tool: FloatArray = dataclasses.field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Gather the joints' numbers for the kernels."""
@@ -102,6 +103,7 @@ class SerialChain:
         )
         object.__setattr__(self, "_arrays", arrays)
         object.__setattr__(self, "_root", self.transform_base_to_robot.as_matrix())
+        object.__setattr__(self, "_tool", self.transform_tool_to_link.as_matrix())
         object.__setattr__(self, "limits", np.array([joint.limits for joint in self.joints]))
         rotors = np.array([joint.rotor_inertia for joint in self.joints])
         object.__setattr__(self, "rotor_inertia", rotors)
@@ -117,13 +119,29 @@ class SerialChain:
             transform_tool_to_link: From the tool to the last link, as a stereo head's
                 `transform_camera_to_wrist`; None for the last link itself.
         """
+        tool = transform_tool_to_link
         return cls(
             arm.joints,
             arm.base,
             arm.transform_base_to_robot,
-            transform_tool_to_link or RigidTransform.identity(),
+            RigidTransform.identity() if tool is None else tool,
             arm.cover_radius,
         )
+
+    @classmethod
+    def of_robot(cls, robot: RobotDescription) -> SerialChain:
+        """Return the chain of a robot's arm, with the left camera of its stereo head as the tool.
+
+        Args:
+            robot: The robot; without a head the tool is the last link itself.
+
+        Raises:
+            ValueError: If the robot has no arm.
+        """
+        if robot.arm is None:
+            raise ValueError(f"robot {robot.name} has no arm: there is no chain to build")
+        head = robot.head
+        return cls.from_description(robot.arm, head.transform_camera_to_wrist if head else None)
 
     def __len__(self) -> int:
         """Return the number of joints."""
@@ -157,10 +175,24 @@ class SerialChain:
         """
         rotations, origins = self.link_frames(positions)
         last = 0 if np.ndim(positions) == 1 else slice(None)
-        link = RigidTransform.from_components(
-            origins[last, -1], Rotation.from_matrix(rotations[last, -1])
-        )
-        return link * self.transform_tool_to_link
+        turn = Rotation.from_matrix(rotations[last, -1])
+        return RigidTransform.from_components(origins[last, -1], turn) * self.transform_tool_to_link
+
+    def tool_frame(self, positions: ArrayLike) -> FloatArray:
+        """Return `tool_in_robot` of one configuration as a matrix (4, 4).
+
+        A fiftieth of the time of the object: for what runs many times a tick.
+
+        Args:
+            positions: (n,) [rad or m].
+
+        Raises:
+            ValueError: As `link_frames`.
+        """
+        rotations, origins = self.link_frames(positions)
+        frame = np.eye(4)
+        frame[:3, :3], frame[:3, 3] = rotations[0, -1], origins[0, -1]
+        return frame @ self._tool
 
     def cover_points(self, positions: ArrayLike) -> FloatArray:
         """Return (N, K, 3) points [m], robot frame; spheres about them cover the chain.
@@ -188,7 +220,7 @@ class SerialChain:
             ValueError: As `link_frames`.
         """
         rotations, origins = (part[0] for part in self.link_frames(positions))
-        tool = origins[-1] + rotations[-1] @ self.transform_tool_to_link.translation
+        tool = origins[-1] + rotations[-1] @ self._tool[:3, 3]
         axes = np.einsum("nij,nj->ni", rotations, self._arrays.axes)
         slides = self._arrays.slides[:, None]
         linear = np.where(slides, axes, np.cross(axes, tool - origins))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from perception.voxels.views import (
     PlanningGrid,
     claimed_by_view,
@@ -98,18 +98,18 @@ class ArmViews:
         config: How views are drawn and rated.
     """
 
-    arm: CameraArm
+    arm: SerialChain
     transform_robot_to_world: RigidTransform
     lens: Lens
     config: ViewConfig = ViewConfig()
 
     def cameras(self, angles: FloatArray) -> RigidTransform:
         """Return the transforms from camera to world for angles (N, joints) [rad]."""
-        return self.transform_robot_to_world * self.arm.camera_in_robot(angles)
+        return self.transform_robot_to_world * self.arm.tool_in_robot(angles)
 
     def body(self, angles: FloatArray) -> FloatArray:
         """Return points (N, K, 3) [m] that stand for the arm, world, for angles (N, joints)."""
-        points = self.arm.body_in_robot(angles)
+        points = self.arm.cover_points(angles)
         world = self.transform_robot_to_world.apply(points.reshape(-1, 3))
         return world.reshape(points.shape)
 

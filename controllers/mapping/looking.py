@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.arm_views import RatedViews, ViewConfig
 from controllers.mapping.localiser import Correction, LocaliserConfig
 from controllers.mapping.searching import SearchConfig
@@ -85,7 +85,7 @@ class RobotBrief:
         body: (K, 4) spheres that cover the rest of it, centre and radius [m], robot frame.
     """
 
-    arm: CameraArm
+    arm: SerialChain
     home: FloatArray
     body: FloatArray
 

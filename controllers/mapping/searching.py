@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.standing import lean
 from perception.registration.target import PossibleMarkers
 
@@ -49,7 +49,7 @@ class TargetSearch:
 
     def __init__(
         self,
-        arm: CameraArm,
+        arm: SerialChain,
         home: ArrayLike,
         survey: ArrayLike,
         extent: float,
@@ -90,7 +90,7 @@ class TargetSearch:
         self._tried.append(angles)
         place = self._likeliest(hints)
         if place is not None:
-            wanted = self._arm.camera_in_robot(angles).apply(place)
+            wanted = self._arm.tool_in_robot(angles).apply(place)
             for posture in sorted(self._postures, key=lambda p: float(np.abs(p - angles)[1])):
                 view = self._aim(wanted, posture)
                 if self._is_new(view):
@@ -138,7 +138,7 @@ class TargetSearch:
         return aim(self._arm, place, posture, self._config.bend)
 
 
-def aim(arm: CameraArm, place: ArrayLike, posture: ArrayLike, bend: float = np.pi) -> FloatArray:
+def aim(arm: SerialChain, place: ArrayLike, posture: ArrayLike, bend: float = np.pi) -> FloatArray:
     """Return a posture with yaw and wrist such that the left camera looks at a point.
 
     Args:
@@ -159,7 +159,7 @@ def aim(arm: CameraArm, place: ArrayLike, posture: ArrayLike, bend: float = np.p
         return np.concatenate([turns[:1], stance[1:-1], turns[1:]])
 
     def off_axis(turns: FloatArray) -> FloatArray:
-        seen = arm.camera_in_robot(view(turns)).apply(point, inverse=True)
+        seen = arm.tool_in_robot(view(turns)).apply(point, inverse=True)
         return seen / np.linalg.norm(seen) - [0.0, 0.0, 1.0]
 
     away = point - arm.transform_base_to_robot.translation

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.standing import (
     CameraPose,
     Standing,
@@ -68,7 +68,7 @@ class SharedMap:
 
     def locate(
         self,
-        arm: CameraArm,
+        arm: SerialChain,
         angles: FloatArray,
         tilt: FloatArray,
         pair: ImageArray,

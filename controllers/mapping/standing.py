@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.se3 import adjoint, transport_covariance
 from perception.registration.fiducial_map import PosePrior
 
@@ -79,7 +79,7 @@ class Standing:
         config: How well the rest is known.
     """
 
-    arm: CameraArm
+    arm: SerialChain
     transform_level_to_world: RigidTransform
     covariance: FloatArray
     transform_sighting_to_world: RigidTransform
@@ -125,9 +125,9 @@ def lean(tilt: FloatArray) -> RigidTransform:
     return RigidTransform.from_rotation(Rotation.from_euler("XY", tilt))
 
 
-def camera_in_level(arm: CameraArm, angles: FloatArray, tilt: FloatArray) -> RigidTransform:
+def camera_in_level(arm: SerialChain, angles: FloatArray, tilt: FloatArray) -> RigidTransform:
     """Return the transform from the left camera to the level robot frame."""
-    return lean(tilt) * arm.camera_in_robot(angles)
+    return lean(tilt) * arm.tool_in_robot(angles)
 
 
 def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
@@ -148,7 +148,7 @@ def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
 
 
 def stand(
-    arm: CameraArm,
+    arm: SerialChain,
     angles: FloatArray,
     tilt: FloatArray,
     camera: CameraPose,

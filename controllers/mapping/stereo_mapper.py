@@ -233,8 +233,8 @@ class StereoMapper:
         for name, standing in self.standings.items():
             if name not in arms:
                 continue
-            points = standing.arm.body_in_robot(arms[name][None])[0]
-            radii = np.full((len(points), 1), standing.arm.body_radius)
+            points = standing.arm.cover_points(arms[name][None])[0]
+            radii = np.full((len(points), 1), standing.arm.cover_radius)
             local = np.vstack([np.hstack([points, radii]), self._briefs[name].body])
             local[:, :3] = standing.transform_level_to_world.apply(local[:, :3])
             spheres.append(local + [0.0, 0.0, 0.0, self._config.aura])

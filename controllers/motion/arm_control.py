@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.kinematics.chain import Chain
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from twin.robot import ArmMode, Command, Observation, RobotError
 
@@ -84,7 +84,7 @@ class ArmControlConfig:
     """
 
     robot: str
-    chain: Chain
+    chain: SerialChain
     mount: FloatArray
     gains: ArmGains = dataclasses.field(default_factory=ArmGains)
     law: Law = "feed_forward"

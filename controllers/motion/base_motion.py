@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.kinematics.chain import LEVEL, FrameState, at_rest
+from controllers.kinematics.frame_motion import LEVEL, FrameMotion, at_rest
 from twin.robot import Observation
 
 FloatArray = NDArray[np.float64]
@@ -61,7 +61,7 @@ class BaseMotionFilter:
         self._gyro: FloatArray | None = None
         self._shaped = np.zeros(6)
 
-    def update(self, observation: Observation) -> FrameState | None:
+    def update(self, observation: Observation) -> FrameMotion | None:
         """Take a tick's samples.
 
         Gravity comes from the inclinometer at once, and what the accelerometer reads beyond it
@@ -85,10 +85,10 @@ class BaseMotionFilter:
         force = np.asarray(observation.accelerometer.value, dtype=float)
         measured = np.concatenate([force - rest, (gyro - before) / self._config.period])
         self._shaped = self._keep * self._shaped + (1.0 - self._keep) * measured
-        return FrameState(rest + self._shaped[:3], gyro, self._shaped[3:])
+        return FrameMotion(rest + self._shaped[:3], gyro, self._shaped[3:])
 
 
-def level_of(observation: Observation) -> FrameState:
+def level_of(observation: Observation) -> FrameMotion:
     """Return the base at rest as the inclinometer has it; level without one.
 
     Args:

@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
 
-from controllers.kinematics.chain import LEVEL, Chain, Joint
-from controllers.kinematics.serial_arm import RigidBody, SerialArm
+from controllers.kinematics.frame_motion import LEVEL
+from controllers.kinematics.rigid_body import WEIGHTLESS
+from controllers.kinematics.serial_chain import SerialChain
+from twin.description import JointDescription, RigidBody
 
 FloatArray = NDArray[np.float64]
 COUNT = 9
 _YAW = 6
-_NOTHING = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
+_HERE = RigidTransform.identity()
 
 
 class NineCoordinates:
@@ -26,9 +29,7 @@ class NineCoordinates:
         self,
         vehicle: RigidBody,
         base: RigidBody,
-        arm: SerialArm,
-        mount: ArrayLike,
-        rotor: float = 0.0,
+        arm: SerialChain,
         yaw: float = 0.0,
     ) -> None:
         """Build the chain.
@@ -36,29 +37,27 @@ class NineCoordinates:
         Args:
             vehicle: What does not ride on the springs, in the vehicle's frame.
             base: What rides on them, in the same axes and about the same origin at rest.
-            arm: On the base; yaw, then three hinges about x.
-            mount: (3,) foot of the arm in the base's frame [m].
-            rotor: Inertia of each arm motor's rotor at its joint [kg m^2].
+            arm: Arm on the base, whose frame is the chain's robot frame: a yaw, then three hinges
+                about x.
             yaw: Angle at which the arm's yaw is held [rad].
 
         Raises:
             ValueError: If the arm has not four joints.
         """
-        if len(arm.links) != 4:
-            raise ValueError(f"arm of {len(arm.links)} joints: expected a yaw and three more")
-        flange = Joint(arm.base, np.asarray(mount, dtype=float), np.eye(3), _axis(1), True)
-        forward, up, pitch = _axis(1), _axis(2), _axis(0)
-        joints = [
-            _free(forward, True, _NOTHING),
-            _free(up, True, _NOTHING),
+        if len(arm) != 4:
+            raise ValueError(f"arm of {len(arm)} joints: expected a yaw and three more")
+        pitch, forward, up = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+        joints = (
+            _free(forward, True, WEIGHTLESS),
+            _free(up, True, WEIGHTLESS),
             _free(pitch, False, vehicle),
-            _free(pitch, False, _NOTHING),
-            _free(forward, True, _NOTHING),
+            _free(pitch, False, WEIGHTLESS),
+            _free(forward, True, WEIGHTLESS),
             _free(up, True, base),
-            flange,
-            *Chain.of_arm(arm, rotor).joints,
-        ]
-        self._chain = Chain(joints)
+            _free(forward, True, arm.base, arm.transform_base_to_robot),
+            *arm.joints,
+        )
+        self._chain = SerialChain(joints)
         # The flange does not slide and the yaw does not turn: their coordinates are left out.
         self._kept = np.array([0, 1, 2, 3, 4, 5, 8, 9, 10])
         self._held = np.zeros(len(joints))
@@ -164,12 +163,13 @@ def observability_rank(a: FloatArray, c: FloatArray) -> int:
     return controllability_rank(a.T, c.T)
 
 
-def _axis(index: int) -> FloatArray:
-    return np.eye(3)[index]
-
-
-def _free(axis: FloatArray, slides: bool, body: RigidBody) -> Joint:
-    return Joint(body, np.zeros(3), np.eye(3), axis, slides)
+def _free(
+    axis: tuple[float, float, float],
+    slides: bool,
+    body: RigidBody,
+    place: RigidTransform = _HERE,
+) -> JointDescription:
+    return JointDescription("", place, axis, body, slides=slides)
 
 
 def _nine(values: ArrayLike) -> FloatArray:

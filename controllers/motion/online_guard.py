@@ -18,7 +18,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.kinematics.chain import FrameState
+from controllers.kinematics.frame_motion import FrameMotion
 from controllers.motion.tip_over import Footing
 
 FloatArray = NDArray[np.float64]
@@ -112,7 +112,7 @@ class OnlineGuard:
             text = f"slowed to rest, held at {self.time:.2f} s of the motion"
         return text if self.lost == 0 else f"{text}, half the reserve lost for {self.lost} ticks"
 
-    def step(self, still: FrameState | None) -> None:
+    def step(self, still: FrameMotion | None) -> None:
         """Go on by a tick; `at` tells the reference within it.
 
         Args:
@@ -169,7 +169,7 @@ class OnlineGuard:
         angles = self._path(0.0)[0]
         zero = np.zeros(len(angles))
         here = self._footing.margin(
-            self._footing.zero_moment_point(angles, zero, zero, FrameState(up, _ZERO, _ZERO))
+            self._footing.zero_moment_point(angles, zero, zero, FrameMotion(up, _ZERO, _ZERO))
         )
         self._floor = min(self._floor, here - 1e-3)
         self._reserve = max(min(self._reserve, 0.5 * here), 0.0)
@@ -178,13 +178,13 @@ class OnlineGuard:
         """Return (6, 5): the ground's wrench by a, by x, and by the three of specific force."""
         angles, slopes, bends = self._path(time)
         zero = np.zeros(len(angles))
-        free = FrameState(_ZERO, _ZERO, _ZERO)
+        free = FrameMotion(_ZERO, _ZERO, _ZERO)
         columns = [
             self._footing.wrench(angles, zero, slopes, free),
             self._footing.wrench(angles, slopes, bends, free),
         ]
         for axis in np.eye(3):
-            pulled = FrameState(axis, _ZERO, _ZERO)
+            pulled = FrameMotion(axis, _ZERO, _ZERO)
             columns.append(self._footing.wrench(angles, zero, zero, pulled))
         return np.column_stack(columns)
 

@@ -16,8 +16,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.kinematics.chain import Chain
-from controllers.kinematics.serial_arm import RigidBody
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import level_of
 from twin.robot import Observation
 
@@ -134,14 +133,12 @@ class GripSensor:
     """What the gripper puts on what it holds, from the sensor under the arm.
 
     Attributes:
-        chain: The arm above its base.
-        flange: What the sensor carries before the first joint, in the sensor's frame.
+        chain: The arm and what the sensor carries before its first joint.
         arm: In the robot frame.
         mount: (2,) place of the sensor's frame forward and up in the robot frame [m].
     """
 
-    chain: Chain
-    flange: RigidBody
+    chain: SerialChain
     arm: PlanarArm
     mount: tuple[float, float]
 
@@ -162,9 +159,6 @@ class GripSensor:
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         level, still = level_of(seen), np.zeros(len(self.chain))
         own = self.chain.inverse_dynamics(angles, still, still, level)[1]
-        weight = self.flange.mass * level.specific_force
-        own[:3] += weight
-        own[3:] += np.cross(self.flange.centre, weight)
         pushed = np.asarray(seen.arm_base_wrench.value, dtype=float) - own
         forward, up = self.arm.task(angles[1:])[:2] - self.mount
         moment = pushed[3] - (forward * pushed[2] - up * pushed[1])

@@ -13,9 +13,10 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.kinematics.chain import LEVEL, Chain, FrameState
-from controllers.kinematics.serial_arm import RigidBody
+from controllers.kinematics.frame_motion import LEVEL, FrameMotion
+from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.se3 import cross_matrix
+from twin.description import RigidBody
 
 FloatArray = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ class Footing:
     """A rover as one rigid body on its wheels, with its arm, in the body frame.
 
     Attributes:
-        base: The rover without its arm's links.
+        base: The rover without its arm.
         chain: The arm, with what it carries.
         mount: (3,) foot of the arm [m].
         polygon: (k, 2) x, y of the tyres' contacts, counter-clockwise [m].
@@ -74,7 +75,7 @@ class Footing:
     """
 
     base: RigidBody
-    chain: Chain
+    chain: SerialChain
     mount: FloatArray
     polygon: FloatArray
     ground: float
@@ -84,7 +85,7 @@ class Footing:
         angles: ArrayLike,
         rates: ArrayLike,
         accelerations: ArrayLike,
-        motion: FrameState = LEVEL,
+        motion: FrameMotion = LEVEL,
     ) -> FloatArray:
         """Return (2,) x, y of the zero-moment point [m], body frame; arguments as `wrench`.
 
@@ -99,7 +100,7 @@ class Footing:
         angles: ArrayLike,
         rates: ArrayLike,
         accelerations: ArrayLike,
-        motion: FrameState = LEVEL,
+        motion: FrameMotion = LEVEL,
     ) -> FloatArray:
         """Return (6,) the ground's force [N] and moment about the origin [N m], body frame.
 
@@ -195,7 +196,7 @@ class Guarded:
 
 
 def guard(
-    footing: Footing, sweep: Sweep, still: FrameState = LEVEL, config: GuardConfig | None = None
+    footing: Footing, sweep: Sweep, still: FrameMotion = LEVEL, config: GuardConfig | None = None
 ) -> Guarded:
     """Slow a motion until its zero-moment point stays within the footprint, or cut it short.
 
@@ -234,7 +235,7 @@ def guard(
     return Guarded(stretched(high), high, asked, report)
 
 
-def least_margin(footing: Footing, sweep: Sweep, still: FrameState, samples: int) -> float:
+def least_margin(footing: Footing, sweep: Sweep, still: FrameMotion, samples: int) -> float:
     """Return the zero-moment point's least distance inside the polygon over a motion [m].
 
     Minus infinity if the rover would leave the ground.
@@ -257,7 +258,7 @@ def least_margin(footing: Footing, sweep: Sweep, still: FrameState, samples: int
     return min(margins)
 
 
-def _stable_part(footing: Footing, sweep: Sweep, still: FrameState, rules: GuardConfig) -> float:
+def _stable_part(footing: Footing, sweep: Sweep, still: FrameMotion, rules: GuardConfig) -> float:
     """Return how much of the way, in [0, 1], the arm could stand still at every point of.
 
     A tenth of the reserve is left to the motion, so that a slow one fits in.

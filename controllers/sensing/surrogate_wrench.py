@@ -15,8 +15,8 @@ import scipy.stats
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from controllers.kinematics.chain import Chain, FrameState, Joint
-from controllers.kinematics.serial_arm import SerialArm
+from controllers.kinematics.frame_motion import FrameMotion
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from perception.geometry.se3 import adjoint, cross_matrix
 from twin.robot import Observation
@@ -51,7 +51,6 @@ class WrenchModelConfig:
         arm: The arm with what it carries, as identified.
         mount: (3,) its base from the accelerometer, in the body frame [m].
         grip: (3,) where the hand touches things, in the last link's frame [m].
-        rotor: Inertia of each motor's rotor at its joint [kg m^2].
         lag: Of the filter that makes accelerations of rates [s].
         rate_noise: Standard deviation of a rate [rad/s].
         jerk: Of the joints, usual: what the lag leaves out is this times it [rad/s^3].
@@ -68,10 +67,9 @@ class WrenchModelConfig:
         spread: Distance from the grip point within which things touch [m].
     """
 
-    arm: SerialArm
+    arm: SerialChain
     mount: FloatArray
     grip: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(3))
-    rotor: float = 0.0
     lag: float = 0.02
     rate_noise: float = 0.01
     jerk: float = 10.0
@@ -96,7 +94,7 @@ class WrenchModelConfig:
             name, value = field.name, getattr(self, field.name)
             if isinstance(value, float) and not 0.0 <= value < math.inf:
                 raise ValueError(f"wrench model {name}: got {value}, needs a finite number >= 0")
-        for name, count in (("mount", 3), ("grip", 3), ("friction", len(self.arm.links))):
+        for name, count in (("mount", 3), ("grip", 3), ("friction", len(self.arm))):
             value = np.asarray(getattr(self, name))
             if value.shape != (count,) or not np.all(np.isfinite(value)):
                 raise ValueError(f"wrench model {name}: got {value}, needs {count} finite numbers")
@@ -112,16 +110,17 @@ class WrenchModel:
             config: Arm and uncertainties.
         """
         self.config = config
-        links = Chain.of_arm(config.arm, config.rotor).joints
-        # What the sensor carries before the first joint hangs on a slide that stays where it is.
-        flange = Joint(config.arm.base, np.zeros(3), np.eye(3), np.array([0.0, 0.0, 1.0]), True)
-        self._chain = Chain([flange, *links])
+        hand = RigidTransform.from_translation(config.grip)
+        base = RigidTransform.identity()
+        self._chain = dataclasses.replace(
+            config.arm, transform_tool_to_link=hand, transform_base_to_robot=base
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
         self._rates: FloatArray | None = None
-        self._accelerations = np.zeros(len(self._chain) - 1)
+        self._accelerations = np.zeros(len(self._chain))
         self._base: BaseMotionFilter | None = None
         self._shaken = 0.0
         self._slopes: tuple[FloatArray, FloatArray] | None = None
@@ -282,7 +281,7 @@ class WrenchModel:
         covariance += 1e-12 * np.eye(len(covariance))
         return wrench, covariance[:6, :6], Prediction(efforts, covariance[6:, 6:])
 
-    def _motion(self, observation: Observation, dt: float) -> tuple[FrameState, bool]:
+    def _motion(self, observation: Observation, dt: float) -> tuple[FrameMotion, bool]:
         if self._base is None:
             self._base = BaseMotionFilter(BaseFilterConfig(self.config.lag, dt))
         measured = self._base.update(observation)
@@ -291,11 +290,10 @@ class WrenchModel:
         return measured.at(self.config.mount), True
 
     def _dynamics(
-        self, angles: FloatArray, rates: FloatArray, accelerations: FloatArray, base: FrameState,
+        self, angles: FloatArray, rates: FloatArray, accelerations: FloatArray, base: FrameMotion,
     ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        state = [np.concatenate([[0.0], row]) for row in (angles, rates, accelerations)]
-        efforts, wrench = self._chain.inverse_dynamics(state[0], state[1], state[2], base)
-        return wrench, efforts[1:]
+        efforts, wrench = self._chain.inverse_dynamics(angles, rates, accelerations, base)
+        return wrench, efforts
 
     def _by_motion(self, angles: FloatArray) -> FloatArray:
         """Return (6 + n, n + 6) change of wrench and efforts by the accelerations.
@@ -304,7 +302,7 @@ class WrenchModel:
         """
         if self._slopes is not None and np.max(np.abs(self._slopes[0] - angles)) < _SAME_POSE:
             return self._slopes[1]
-        count, still = len(angles), FrameState(np.zeros(3), np.zeros(3), np.zeros(3))
+        count, still = len(angles), FrameMotion(np.zeros(3), np.zeros(3), np.zeros(3))
         none = np.zeros(count)
         columns = [self._dynamics(angles, none, unit, still) for unit in np.eye(count)]
         for unit in np.eye(3):
@@ -316,7 +314,7 @@ class WrenchModel:
         self._slopes = angles, np.column_stack([np.concatenate(both) for both in columns])
         return self._slopes[1]
 
-    def _uncertain(self, motion: FrameState, dt: float, keep: float, known: bool) -> FloatArray:
+    def _uncertain(self, motion: FrameMotion, dt: float, keep: float, known: bool) -> FloatArray:
         """Return (n + 7,) deviations of what `_by_motion` stands for, and of the mass's part."""
         config = self.config
         # White noise, differenced and then filtered; and filtered alone.
@@ -336,9 +334,9 @@ class WrenchModel:
     def _contact_maps(self, observation: Observation) -> tuple[FloatArray, FloatArray]:
         """Return (n, 6) and (6, 6): efforts and wrench by what the hand does to the world."""
         angles, _ = _joints(observation)
-        lever = adjoint(RigidTransform.from_translation(self.config.grip))
-        by_efforts, by_wrench = self._chain.carried(np.concatenate([[0.0], angles]))
-        return by_efforts[1:] @ lever, by_wrench @ lever
+        by_wrench = adjoint(self._chain.tool_in_robot(angles))
+        turned = np.kron(np.eye(2), by_wrench[:3, :3])
+        return self._chain.jacobian(angles).T @ turned, by_wrench
 
 
 def motor_efforts(duty: ArrayLike, rates: ArrayLike, stall: float, no_load: float) -> FloatArray:
@@ -353,7 +351,7 @@ def motor_efforts(duty: ArrayLike, rates: ArrayLike, stall: float, no_load: floa
     return stall * (np.asarray(duty, dtype=float) - np.asarray(rates, dtype=float) / no_load)
 
 
-def _leaned(motion: FrameState, tilt: ArrayLike) -> FloatArray:
+def _leaned(motion: FrameMotion, tilt: ArrayLike) -> FloatArray:
     """Return (3,) deviations of the specific force by those of the turn about each axis (3,)."""
     return np.sqrt(np.square(cross_matrix(motion.specific_force)) @ np.square(tilt))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.looking import RobotBrief
 from controllers.placement.reach.footprint import Part, PoseDrives, pose_drives
 from controllers.placement.reach.ground import ground_of
@@ -23,7 +24,6 @@ from controllers.placement.spatial.search import (
     best_view_of_all,
 )
 from controllers.placement.task import Occluder, PlacementError, Target, View
-from experiments.ch3.stereo.known_camera_arm import body_pose, known_body, known_camera_arm
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene
 from experiments.ch4.spatial.placement_scene import (
     BOX,
@@ -37,6 +37,7 @@ from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from perception.voxels.map import VoxelMap, window
+from twin.describe import body_pose, describe
 
 FloatArray = NDArray[np.float64]
 
@@ -197,9 +198,8 @@ class _Asked:
 
 def _ask(voxels: VoxelMap, target: Target, scene: StereoScene, name: str, most: int) -> _Asked:
     """Find the best view that a rover can take, among the best so many."""
-    brief = RobotBrief(
-        known_camera_arm(scene.model, name), scene.joints(name), known_body(scene.model, name)
-    )
+    drawn = describe(scene.model, name)
+    brief = RobotBrief(SerialChain.of_robot(drawn), scene.joints(name), drawn.body_spheres)
     level = leveled(body_pose(scene.data, scene.model.body(f"{name}/chassis").id))
     heading = float(level.rotation.as_euler("ZYX")[0])
     start = time.process_time()

@@ -20,17 +20,19 @@ from controllers.identification.friction import (
     FrictionEstimate,
     FrictionProbe,
     JerkConfig,
+    KnownBase,
 )
 from controllers.identification.observation_log import IdentificationError
-from experiments.ch2.known_arm import known_arm, known_base
+from controllers.kinematics.serial_chain import SerialChain
 from experiments.ch2.payload import run_recorded, sensing
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from models.compose import FieldConfig, RobotPlacement, make_model
+from models.compose import FieldConfig, RobotPlacement
 from twin.connect import connect
+from twin.describe import describe_rover
 
 FloatArray = NDArray[np.float64]
 
@@ -94,9 +96,10 @@ def probe(
     Raises:
         IdentificationError: If a sensor is missing.
     """
+    drawn = describe_rover(ROBOT)
     config = FrictionConfig(
-        known_arm(make_model(FIELD, [RobotPlacement(ROBOT)]), ROBOT),
-        known_base(),
+        SerialChain.of_robot(drawn),
+        KnownBase.of_robot(drawn),
         dataclasses.replace(sensing(), tilt_motion=False),
         JerkConfig(rates=EFFORTS[effort]),
     )

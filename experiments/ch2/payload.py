@@ -18,18 +18,20 @@ from numpy.typing import NDArray
 from controllers.identification.arm_sensing import SensingConfig
 from controllers.identification.observation_log import IdentificationError
 from controllers.identification.payload import PayloadConfig, PayloadEstimate, PayloadIdentifier
-from controllers.kinematics.serial_arm import NAMES, RigidBody, SerialArm
-from experiments.ch2.known_arm import known_arm
+from controllers.kinematics.rigid_body import NAMES, inertial_parameters
+from controllers.kinematics.serial_chain import SerialChain
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models import datasheets
-from models.compose import FieldConfig, RobotPlacement, make_model
+from models.compose import FieldConfig, RobotPlacement
 from models.configuration import PayloadConfig as Box
 from perception.geometry.gravity import GRAVITY
 from twin.connect import Connection, connect
+from twin.describe import describe_rover
+from twin.description import RigidBody
 from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
 from twin.record import Recorder
@@ -120,7 +122,7 @@ def sensing() -> SensingConfig:
     )
 
 
-def payload_config(arm: SerialArm) -> PayloadConfig:
+def payload_config(arm: SerialChain) -> PayloadConfig:
     """Return what the identification may know beforehand."""
     sheet = datasheets.FORCE_TORQUE
     return PayloadConfig(
@@ -146,7 +148,7 @@ def identify(
     Raises:
         IdentificationError: If a sensor is missing or the run too short.
     """
-    arm = known_arm(make_model(FIELD, [RobotPlacement(ROBOT)]), ROBOT)
+    arm = SerialChain.of_robot(describe_rover(ROBOT))
     identifier = PayloadIdentifier(ROBOT, payload_config(arm))
     placement = RobotPlacement(ROBOT, payload=box)
     connection = connect(robot, robots=[placement], field=FIELD, seed=seed)
@@ -257,7 +259,7 @@ def identify_one(config: PayloadJob) -> PayloadRun:
         centre=truth.centre,
         centre_estimate=estimate.centre,
         centre_error_mm=1e3 * float(np.linalg.norm(estimate.centre - truth.centre)),
-        parameters=truth.parameters(),
+        parameters=inertial_parameters(truth),
         estimate=estimate.parameters,
         sigma=np.sqrt(np.diag(estimate.covariance)),
         corrected=bool(np.any(estimate.parameters != estimate.linear)),

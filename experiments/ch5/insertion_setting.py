@@ -183,7 +183,7 @@ def _inserter(trial: InsertionTrial, data: mujoco.MjData, rng: np.random.Generat
     steer = rover_steer(trial.turn_share)
     drawing = insertion_drawing(trial.width)
     config = CardInserterConfig(guide_config(drawing, rover_springs()[0]))
-    arm = CardArm.of(describe_rover(SLAVE, card=True), drawing.tip)
+    arm = CardArm(describe_rover(SLAVE, card=True), drawing.tip)
     return CardInserter(config, arm, steer, slot.as_matrix(), covariance)
 
 

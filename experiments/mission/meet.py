@@ -13,8 +13,8 @@ from controllers.insertion.card_arm import CardArm
 from controllers.insertion.guidance import Guidance, GuidanceLink
 from controllers.insertion.marker_guide import MarkerGuide
 from controllers.mapping.searching import aim
-from controllers.mission.going import Going
 from controllers.motion.arm_move import ArmMove
+from controllers.motion.drive_to_pose import DriveToPose
 from controllers.motion.driving import Odometry
 from experiments.ch5.insertion_identify import rover_steer
 from experiments.mission.knowledge import Knowledge, tilt_of
@@ -74,7 +74,7 @@ class Meet:
         self._around = iter(_AROUND)
         self._ahead, self._looked, self._centred = HOME, 0.0, False
         self._turns = [_TURN, -_TURN] if turns else []
-        self._going: Going | None = None
+        self._going: DriveToPose | None = None
         self._rolling = Odometry(rover_steer())
         self._heard: list[float] = []
         self._yaws: list[tuple[float, float]] = []
@@ -167,7 +167,7 @@ class Meet:
 
     def _go_on(self) -> None:
         if self._turns:
-            self._going = Going(rover_steer(), [0.0, 0.0, self._turns.pop(0)])
+            self._going = DriveToPose(rover_steer(), [0.0, 0.0, self._turns.pop(0)])
             return
         self.done = True
         if len(self._yaws) > 1:

@@ -14,8 +14,8 @@ from controllers.insertion.camera_station import CameraStation, best_camera_stat
 from controllers.mapping.looking import MapperConfig
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.shared_map import SharedMap
-from controllers.mission.going import Going
 from controllers.motion.arm_move import ArmMove
+from controllers.motion.drive_to_pose import DriveToPose
 from controllers.placement.spatial.occluders import occluders_of_voxels
 from controllers.placement.task import Occluder
 from experiments.ch3.stereo.mapping_scene import head_geometry
@@ -138,7 +138,7 @@ class GoToStand:
 
     def _set_off(self) -> None:
         """Go to the stand from where the slot is seen now."""
-        self._going = Going(self._knowledge.steer(), self._way(), free=self._free)
+        self._going = DriveToPose(self._knowledge.steer(), self._way(), free=self._free)
         self._fold = ArmMove(HOME)
         self._folded = False
         self._search: TargetSearch | None = None

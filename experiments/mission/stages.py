@@ -14,7 +14,7 @@ from controllers.identification.rover_identifier import RoverIdentifier, RoverId
 from controllers.insertion.camera_station import camera_arm
 from controllers.insertion.marker_guide import MarkerGuide
 from controllers.insertion.team import marker_guide_config
-from controllers.kinematics.camera_arm import CameraArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.looking import MapperConfig, RobotBrief
 from controllers.mapping.standing import Standing, lean
 from controllers.mapping.stereo_mapper import StereoMapper
@@ -184,7 +184,7 @@ def _slave_standing(knowledge: Knowledge) -> Standing:
     spread = composed_covariance(slave, master.covariance, knowledge.slave_covariance)
     tilt = knowledge.slave_tilt
     level = slave * lean(tilt).inv()
-    sighting = slave * arm.camera_in_robot(HOME)
+    sighting = slave * arm.tool_in_robot(HOME)
     return Standing(arm, level, spread, sighting, master.config)
 
 
@@ -194,7 +194,7 @@ def brief() -> RobotBrief:
     return RobotBrief(reference_arm(), HOME, describe_rover(MASTER).body_spheres)
 
 
-def reference_arm() -> CameraArm:
+def reference_arm() -> SerialChain:
     """Return the arm with its camera, as drawn."""
     return camera_arm(describe_rover(MASTER))[0]
 

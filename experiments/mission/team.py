@@ -145,7 +145,7 @@ class MissionTeam:
         self._width, self._rng = width, rng
         self.links: Mapping[str, Link] = {}
         self._without, self._scans = without, scans
-        self._arm = CardArm.of(describe_rover(SLAVE, card=True), TIP)
+        self._arm = CardArm(describe_rover(SLAVE, card=True), TIP)
         self._stages = self._all()
         self.stage: MissionStage = next(self._stages)
         self.over = False

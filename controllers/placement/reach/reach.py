@@ -356,10 +356,10 @@ class _Space:
         return np.concatenate(parts)
 
     def _free(self, there: RigidTransform, angles: FloatArray) -> bool:
-        points = self.brief.arm.body_in_robot(angles).reshape(-1, 3)
+        points = self.brief.arm.cover_points(angles).reshape(-1, 3)
         if len(self.brief.body):
             # All spheres of a body have nearly one size: the largest stands for all.
-            width = self.brief.arm.body_radius + float(self.brief.body[:, 3].max())
+            width = self.brief.arm.cover_radius + float(self.brief.body[:, 3].max())
             near, _ = cKDTree(self.brief.body[:, :3]).query(points, distance_upper_bound=width)
             if np.isfinite(near).any():
                 return False

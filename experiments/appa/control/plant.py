@@ -8,12 +8,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.kinematics.serial_arm import RigidBody
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.lagrange import NineCoordinates
-from experiments.ch2.known_arm import known_arm
 from models import datasheets
 from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part, make_model
 from perception.geometry.gravity import GRAVITY
+from twin.describe import describe
+from twin.description import RigidBody
 
 FloatArray = NDArray[np.float64]
 PLAIN = FieldConfig(texture_pixels=16)
@@ -63,9 +64,7 @@ def planar_plant() -> PlanarPlant:
         joint.frictionloss = 0.0
     spec.attach(arm, site=site, prefix="rover1/")
     rover = make_model(PLAIN, [RobotPlacement("rover1")])
-    coordinates = NineCoordinates(
-        vehicle, base, known_arm(rover), MOUNT, datasheets.ARM_MOTOR.armature
-    )
+    coordinates = NineCoordinates(vehicle, base, SerialChain.of_robot(describe(rover, "rover1")))
     return PlanarPlant(spec.compile(), coordinates)
 
 

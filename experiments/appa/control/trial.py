@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.kinematics.chain import Chain
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmControlConfig, ArmController, Law, Reference
 from controllers.motion.base_motion import BaseFilterConfig
 from experiments.appa.control.plant import MOUNT, sprung_rover
-from experiments.ch2.known_arm import known_arm
 from models import datasheets
 from models.compose import ARM_JOINTS, settle
+from twin.describe import describe
 from twin.simulation import Simulation
 
 FloatArray = NDArray[np.float64]
@@ -65,7 +65,7 @@ def reference(time: float) -> Reference:
     )
 
 
-def arm_config(chain: Chain, law: Law, lag: float) -> ArmControlConfig:
+def arm_config(chain: SerialChain, law: Law, lag: float) -> ArmControlConfig:
     """Return the controller's knowledge of a rover's arm.
 
     Args:
@@ -109,7 +109,7 @@ class ControlRun:
 def run_control(trial: ControlTrial) -> ControlRun:
     """Run a trial on the simulated rover, through the robot contract and its datasheet sensors."""
     model = sprung_rover(trial.stiffness)
-    chain = Chain.of_arm(known_arm(model), datasheets.ARM_MOTOR.armature)
+    chain = SerialChain.of_robot(describe(model, ROBOT))
     simulation = Simulation(model, [ROBOT], seed=trial.seed, data=settle(model))
     robot = simulation.robots[ROBOT]
     controller = ArmController(arm_config(chain, trial.law, trial.lag), reference)

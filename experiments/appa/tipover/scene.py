@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from controllers.kinematics.chain import Chain, at_rest
+from controllers.kinematics.frame_motion import at_rest
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.tip_over import Footing, ground_wrench
 from controllers.motion.tip_over import zero_moment_point as balance
 from experiments.appa.control.plant import MOUNT, PLAIN
 from experiments.appa.control.trial import ROBOT
-from experiments.ch2.known_arm import known_arm, known_base, merge
 from models import datasheets
 from models.compose import (
     ARM_JOINTS,
@@ -24,6 +24,7 @@ from models.compose import (
     compile_scene,
     settle,
 )
+from twin.describe import describe, describe_rover
 
 FloatArray = NDArray[np.float64]
 
@@ -115,18 +116,10 @@ def footing_of(model: mujoco.MjModel) -> Footing:
     Args:
         model: The scene with it.
     """
-    base = known_base()
-    arm = known_arm(model)
-    # The flange under the first joint rides on the base.
-    body = merge(
-        [base.body.mass, arm.base.mass],
-        [base.body.centre, arm.base.centre + MOUNT],
-        [base.body.inertia, arm.base.inertia],
-    )
-    chain = Chain.of_arm(arm, datasheets.ARM_MOTOR.armature)
+    arm = SerialChain.of_robot(describe(model, ROBOT))
     x, y = datasheets.ROVER.half_track, datasheets.ROVER.half_wheelbase
     polygon = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
-    return Footing(body, chain, MOUNT, polygon, -datasheets.ROVER.centre_height)
+    return Footing(describe_rover(ROBOT).body, arm, MOUNT, polygon, -datasheets.ROVER.centre_height)
 
 
 def contact_wrench(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:

@@ -8,11 +8,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.kinematics.arm_model import ArmModel
-from experiments.ch3.stereo.known_camera_arm import known_camera_arm
+from controllers.kinematics.arm_inverse import GripperInverse
+from controllers.kinematics.serial_chain import SerialChain
 from models import datasheets
 from models.compose import ARM_JOINTS, FieldConfig, make_model
 from models.truss import MASTER, SLAVE, TRUSS, make_truss, placements, settle_truss
+from twin.describe import describe
 
 Floats = NDArray[np.float64]
 
@@ -28,9 +29,10 @@ def start_angles(height: float) -> Floats:
         ValueError: If the arm cannot reach it.
     """
     model = make_model(FieldConfig(texture_pixels=16), placements()[:1])
-    arm = ArmModel(known_camera_arm(model, MASTER), [0.0, datasheets.ARM.wrist_length, 0.0])
+    arm = SerialChain.of_robot(describe(model, MASTER))
+    inverse = GripperInverse(arm, [0.0, datasheets.ARM.wrist_length, 0.0])
     task = [0.0, TRUSS.reach, height - datasheets.ROVER.centre_height, TRUSS.grip_pitch]
-    found = arm.inverse(task, near=datasheets.ARM.home)
+    found = inverse.solutions(task, near=datasheets.ARM.home)
     if len(found) == 0:
         raise ValueError(f"truss: the arm does not reach {TRUSS.reach} m ahead at {height} m")
     return found[0]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.insertion.guide import GuideConfig, InsertionGuide, StraightInsertion
-from controllers.kinematics.chain import Chain
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.cooperation import (
     MASTER_FORCES,
     NO_FORCES,
@@ -21,9 +21,9 @@ from controllers.motion.cooperation import (
 from controllers.motion.master_slave import Master, PairConfig, Slave, Stage
 from controllers.motion.planar_grip import GripSensor, PlanarArm, Stance
 from experiments.appa.truss.bench import ROBOTS, TrussBench
-from experiments.ch2.known_arm import known_arm
 from models import datasheets
 from models.truss import MASTER, SLAVE, TRUSS
+from twin.describe import describe
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.simulation import Simulation
@@ -129,9 +129,8 @@ def make_pair(
         (MASTER, 1, MASTER_FORCES, np.zeros(2)),
         (SLAVE, -1, SLAVE_FORCES, mutual),
     ):
-        known = known_arm(bench.model, name)
-        chain = Chain.of_arm(known, datasheets.ARM_MOTOR.armature)
-        sensor = GripSensor(chain, known.base, arm, mount)
+        chain = SerialChain.of_robot(describe(bench.model, name))
+        sensor = GripSensor(chain, arm, mount)
         s, z = bench.place(f"{name}/chassis")[:2] + wrong
         config = HybridConfig(
             forces if by_force else NO_FORCES, (-SQUEEZE, 0.0, 0.0), period=PERIOD

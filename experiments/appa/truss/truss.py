@@ -13,7 +13,15 @@ import math
 from typing import Any
 
 from experiments.appa.truss.figures import draw_comparison, draw_course
-from experiments.appa.truss.trial import MUTUAL, OFFSET, TILT, WAYS, TrussRun, TrussTrial, run_truss
+from experiments.appa.truss.trial import (
+    MUTUAL,
+    OFFSET,
+    TILT,
+    WAYS,
+    TrussRun,
+    TrussTrial,
+    run_truss,
+)
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output

@@ -1,4 +1,4 @@
-"""A moving picture of the rover at work: ``python -m experiments.ch2.rover.movie OUT.gif``."""
+"""A moving picture of the rover: ``python -m experiments.ch2.rover.movie OUT.gif``."""
 
 from __future__ import annotations
 

@@ -17,7 +17,12 @@ from controllers.identification.rover_identifier import (
     RoverIdentifier,
     RoverIdentifierConfig,
 )
-from experiments.ch2.rover.figures import draw_arm_motion, draw_convergence, draw_errors, draw_tilt
+from experiments.ch2.rover.figures import (
+    draw_arm_motion,
+    draw_convergence,
+    draw_errors,
+    draw_tilt,
+)
 from experiments.ch2.rover.laboratory import laboratory_values
 from experiments.ch2.rover.trial import (
     ROBOT,

@@ -29,7 +29,12 @@ from experiments.ch2.simulation.results import (
     tabulate,
 )
 from experiments.ch2.simulation.trial import PlantIdentification, Trial, run_trial
-from experiments.ch2.simulation.truths import TABLE_TRUTH, Truth, load_truth, random_truth
+from experiments.ch2.simulation.truths import (
+    TABLE_TRUTH,
+    Truth,
+    load_truth,
+    random_truth,
+)
 from experiments.ch2.simulation.verification import verify
 from experiments.harness import contract
 from experiments.harness.contract import OptionError

@@ -6,6 +6,5 @@
 - `noise`: the depth noise of the stereo heads (eq. 3-6).
 - `trial`: one scene mapped by two rovers.
 - `figures`, `record`: figures and a recording.
-- `known_camera_arm`: the arm with the stereo head, as a controller knows it.
 - `mapping_scene`: analytic shapes with a closed-form truth, for benchmarks and tests.
 """

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import level_target
 from controllers.mapping.stereo_mapper import StereoMapper
 from experiments.ch3.stereo.figures import panorama
-from experiments.ch3.stereo.known_camera_arm import camera_in_world, known_body, known_camera_arm
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene
 from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
 from models import datasheets
@@ -24,6 +24,7 @@ from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
+from twin.describe import camera_in_world, describe
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 
@@ -271,8 +272,9 @@ def target_cad(scene: StereoScene) -> TargetCad:
 
 def _brief(model: mujoco.MjModel, name: str, rng: np.random.Generator) -> RobotBrief:
     """Return what is known of a robot; its head does not sit quite as drawn."""
-    arm = known_camera_arm(model, name)
+    drawn = describe(model, name)
+    arm = SerialChain.of_robot(drawn)
     turn, place = (d * rng.standard_normal(3) for d in MOUNT_ERROR)
     off = RigidTransform.from_exp_coords(np.concatenate([turn, place]))
-    arm = dataclasses.replace(arm, transform_camera_to_wrist=arm.transform_camera_to_wrist * off)
-    return RobotBrief(arm, np.array(datasheets.ARM.home), known_body(model, name))
+    arm = dataclasses.replace(arm, transform_tool_to_link=arm.transform_tool_to_link * off)
+    return RobotBrief(arm, np.array(datasheets.ARM.home), drawn.body_spheres)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from controllers.identification.friction import KnownBase
 from controllers.identification.limit_load import friction_in_use, normal_forces
-from experiments.ch2.known_arm import known_base
+from twin.describe import describe_rover
 
 WHEELS = np.array([[-0.14, 0.15], [0.14, 0.15], [-0.14, -0.15], [0.14, -0.15]])
 EVEN = np.full((1, 4), 11.0)
@@ -54,7 +55,7 @@ def test_holding_wheels_never_use_more_than_they_have():
 
 
 def test_normal_forces_balance_weight_and_moments():
-    base = known_base()
+    base = KnownBase.of_robot(describe_rover())
     force = np.array([[3.0, -2.0, 44.0]])
     moment = np.array([[1.0, -0.5, 0.0]])
     normals = normal_forces(force, moment, base.wheels)[0]
@@ -66,7 +67,7 @@ def test_normal_forces_balance_weight_and_moments():
 
 
 def test_known_base_is_the_rover_without_arm():
-    base = known_base()
+    base = KnownBase.of_robot(describe_rover())
     assert base.body.mass == pytest.approx(3.74)
     np.testing.assert_allclose(base.body.centre, 0.0, atol=1e-6)
     assert np.all(np.linalg.eigvalsh(base.body.inertia) > 0.0)

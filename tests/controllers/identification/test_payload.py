@@ -11,24 +11,17 @@ from controllers.identification.observation_log import IdentificationError
 from controllers.identification.payload import (
     PayloadConfig,
     PayloadIdentifier,
+    SwingConfig,
     physical_parameters,
     pseudo_inertia,
     swing_targets,
 )
-from controllers.kinematics.serial_arm import (
-    NAMES,
-    BaseMotion,
-    JointMotion,
-    Link,
-    RigidBody,
-    SerialArm,
-    arm_wrench,
-    frame_motions,
-    locked_inertia,
-    wrench_regressor,
-)
-from experiments.ch2.known_arm import known_arm
-from models.compose import ARM_JOINTS, FieldConfig, RobotPlacement, make_model
+from controllers.kinematics.frame_motion import LEVEL
+from controllers.kinematics.rigid_body import NAMES, inertial_parameters, wrench_regressor
+from controllers.kinematics.serial_chain import SerialChain
+from models.compose import FieldConfig, RobotPlacement, make_model
+from twin.describe import describe
+from twin.description import RigidBody
 from twin.robot import MISSING, Channel, Observation, Validity
 
 FIELD = FieldConfig(texture_pixels=16)
@@ -44,65 +37,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def arm(model):
-    return known_arm(model)
-
-
-def random_motion(model, count, rng):
-    """Inverse dynamics of random states of the whole rover: wrench, joints and base."""
-    data = mujoco.MjData(model)
-    joints = [model.joint(f"rover1/{name}_joint") for name in ARM_JOINTS]
-    places, dofs = ([int(getattr(j, key)[0]) for j in joints] for key in ("qposadr", "dofadr"))
-    mount = model.site("rover1/attachment_site").pos
-    rows = []
-    for _ in range(count):
-        data.qpos[:] = rng.normal(size=model.nq)
-        data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
-        data.qvel[:] = rng.normal(size=model.nv)
-        data.qacc[:] = 5.0 * rng.normal(size=model.nv)
-        mujoco.mj_inverse(model, data)
-        sensors = [data.sensor(f"rover1/arm_base_{name}").data for name in ("force", "torque")]
-        omega, alpha = data.qvel[3:6], data.qacc[3:6]
-        turned = data.body("rover1/chassis").xmat.reshape(3, 3).T @ (
-            data.qacc[:3] - model.opt.gravity
-        )
-        turned += np.cross(alpha, mount) + np.cross(omega, np.cross(omega, mount))
-        base = (turned, omega, alpha)
-        state = (data.qpos[places], data.qvel[dofs], data.qacc[dofs])
-        rows.append([np.concatenate(part) for part in (sensors, state, base)])
-    wrench, state, base = (np.array(part) for part in zip(*rows))
-    joints = JointMotion(*np.split(state, 3, axis=1))
-    return wrench, joints, BaseMotion(*np.split(base, 3, axis=1))
-
-
-def test_arm_wrench_is_mujocos(model, arm):
-    wrench, joints, base = random_motion(model, 50, np.random.default_rng(1))
-    ours = arm_wrench(arm, frame_motions(arm, joints, base))
-    assert np.abs(ours - wrench).max() <= 1e-9 * np.abs(wrench).max()
-
-
-def test_payload_is_linear_in_its_ten_parameters(model, arm):
-    """A heavier last link is the same as a payload fixed to it."""
-    _, joints, base = random_motion(model, 20, np.random.default_rng(2))
-    frames = frame_motions(arm, joints, base)
-    added = wrench_regressor(frames[-1]) @ BOX.parameters()
-    carried = Link(BOX, np.zeros(3), np.eye(3), np.array([1.0, 0.0, 0.0]))
-    still = [np.pad(part, ((0, 0), (0, 1))) for part in dataclasses.astuple(joints)]
-    longer = SerialArm(arm.base, (*arm.links, carried))
-    total = arm_wrench(longer, frame_motions(longer, JointMotion(*still), base))
-    np.testing.assert_allclose(arm_wrench(arm, frames) + added, total, rtol=1e-12, atol=1e-12)
-
-
-def test_locked_inertia_is_symmetric_and_holds_the_mass(arm):
-    inertia = locked_inertia(arm, np.array([[0.3, 0.9, -1.4, 0.1]]))[0]
-    np.testing.assert_allclose(inertia, inertia.T, atol=1e-12)
-    np.testing.assert_allclose(inertia[:3, :3], 0.76 * np.eye(3), atol=1e-9)
-    assert np.all(np.linalg.eigvalsh(inertia) > 0.0)
-
-
-def test_wrong_number_of_joints_is_told(arm):
-    three = JointMotion(*(np.zeros((5, 3)),) * 3)
-    with pytest.raises(ValueError, match=r"expected shape \(n, 4\), got \(5, 3\)"):
-        frame_motions(arm, three, BaseMotion(*(np.zeros((5, 3)),) * 3))
+    return SerialChain.of_robot(describe(model, "rover1"))
 
 
 def test_filter_keeps_straight_lines():
@@ -112,7 +47,7 @@ def test_filter_keeps_straight_lines():
 
 
 def test_swing_starts_where_the_arm_is_and_rates_are_its_derivative():
-    config = PayloadConfig(SerialArm(BOX, ())).swing
+    config = SwingConfig()
     start = np.array([0.1, 0.2, 0.3, 0.4])
     np.testing.assert_allclose(swing_targets(config, start, 0.0)[0], start)
     for time in (0.7, 3.0):
@@ -133,13 +68,9 @@ def observations(arm, config, seconds, noise, moving=True, seed=0):
         return np.array(rows) if moving else np.tile(start, (len(times), 1))
 
     angles, ahead, behind = at(0.0), at(step), at(-step)
-    joints = JointMotion(
-        angles, (ahead - behind) / (2 * step), (ahead - 2 * angles + behind) / step**2
-    )
-    level = np.zeros((len(times), 3))
-    base = BaseMotion(level + [0.0, 0.0, config.sensing.gravity], level, level)
-    frames = frame_motions(arm, joints, base)
-    wrench = arm_wrench(arm, frames) + wrench_regressor(frames[-1]) @ BOX.parameters()
+    motion = angles, (ahead - behind) / (2 * step), (ahead - 2 * angles + behind) / step**2
+    carried = wrench_regressor(arm.last_link_motion(*motion, LEVEL)) @ inertial_parameters(BOX)
+    wrench = arm.inverse_dynamics(*motion)[1] + carried
     wrench += noise * np.array(config.wrench_noise) * rng.standard_normal(wrench.shape)
 
     def channel(value, time):
@@ -179,7 +110,7 @@ def test_covariance_and_chi_squared_are_calibrated(arm):
         seen = observations(arm, config, 10.0, 1.0, seed=seed)
         estimate = identify(arm, config, seen).estimate()
         sigma = np.sqrt(np.diag(estimate.covariance))
-        errors.append(((estimate.linear - BOX.parameters()) / sigma)[:4])
+        errors.append(((estimate.linear - inertial_parameters(BOX)) / sigma)[:4])
         chi_squared.append(estimate.chi_squared)
     assert np.mean(chi_squared) == pytest.approx(1.0, abs=0.2)
     assert 0.3 < np.mean(np.square(errors)) < 2.5
@@ -196,7 +127,7 @@ def test_resting_arm_hides_inertias_by_name_and_shows_the_mass(arm):
 
 
 def test_impossible_estimate_becomes_a_body():
-    linear = BOX.parameters()
+    linear = inertial_parameters(BOX)
     linear[4:] *= -1.0
     scales = np.array([0.3] + [0.045] * 3 + [0.00675] * 6)
     information = np.diag([1e6] * 4 + [1.0] * 6)
@@ -204,7 +135,7 @@ def test_impossible_estimate_becomes_a_body():
     assert np.all(np.linalg.eigvalsh(pseudo_inertia(found)) > 0.0)
     np.testing.assert_allclose(found[:4], linear[:4], rtol=1e-2, atol=1e-4)
     np.testing.assert_array_equal(
-        physical_parameters(BOX.parameters(), information, scales), BOX.parameters()
+        physical_parameters(inertial_parameters(BOX), information, scales), inertial_parameters(BOX)
     )
 
 
@@ -233,3 +164,24 @@ def test_too_short_a_run_is_told(arm):
     seen = observations(arm, config, config.swing.fade + 0.88, 0.0)
     with pytest.raises(IdentificationError, match="two windows of 59; at least 89 are needed"):
         identify(arm, config, seen).estimate()
+
+
+def test_parameters_are_unidentifiable_from_their_deviation_over_their_size_on(arm):
+    """Sizes are 0.3 kg for the mass, m d for first moments and m d^2 for inertias."""
+    config = PayloadConfig(arm)
+    seen = observations(arm, config, 12.0, 1.0)
+    found = identify(arm, config, seen).estimate()
+    lever = 0.15
+    sizes = found.mass * np.array([0.3 / found.mass] + [lever] * 3 + [lever**2] * 6)
+    shares = np.sqrt(np.diag(found.covariance)) / sizes
+    for threshold in np.sort(shares)[[1, 4, 8]]:
+        for factor in (0.99, 1.01):
+            level = factor * threshold
+            if level <= shares[0]:
+                continue
+            tried = dataclasses.replace(config, resolution=level)
+            hidden = identify(arm, tried, seen).estimate().unidentifiable
+            assert hidden == tuple(n for n, share in zip(NAMES, shares) if share > level)
+    blind = dataclasses.replace(config, resolution=0.99 * shares[0])
+    with pytest.raises(IdentificationError, match="does not show the payload's mass"):
+        identify(arm, blind, seen).estimate()

@@ -15,17 +15,15 @@ from controllers.insertion.card_arm import CardArm, inverse, to_plane
 from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.team import guide_config
-from controllers.kinematics.chain import Chain
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_lean import BaseLean
 from controllers.motion.driving import SkidSteer
 from controllers.sensing.surrogate_tilt import drawn_springs
-from experiments.ch2.known_arm import known_arm
 from experiments.ch5.insertion_scene import SLAVE
 from models import datasheets
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT
-from perception.geometry.gravity import GRAVITY
 from tests.controllers.insertion.scenes import DRAWING, card_arm, scene
-from twin.describe import describe_rover
+from twin.describe import describe, describe_rover
 from twin.robot import ArmMode, Channel, Command, Observation, Validity, WheelMode
 
 PERIOD = 0.01
@@ -63,8 +61,7 @@ class Slave:
         self.push = np.zeros(6)
         self.commands: list[Command] = []
         self.time = 0.0
-        known = known_arm(scene()[0], SLAVE)
-        self._chain, self._plate = Chain.of_arm(known), known.base
+        self._chain = SerialChain.of_robot(describe(scene()[0], SLAVE))
         self._slip, self._springs = slip, springs
         self._speeds, self._rates = np.zeros(4), np.zeros(4)
 
@@ -111,8 +108,6 @@ class Slave:
     def observe(self) -> Observation:
         """Return what it measures, without noise; the wrench is that of a level robot."""
         held = self._chain.inverse_dynamics(self.angles, np.zeros(4), np.zeros(4))[1]
-        weight = np.array([0.0, 0.0, self._plate.mass * GRAVITY])
-        held = held + np.concatenate([weight, np.cross(self._plate.centre, weight)])
         card = self.arm.card_in_robot(self.angles)
         lever = card[:3, 3] - self._base()
         force, moment = card[:3, :3] @ self.push[:3], card[:3, :3] @ self.push[3:]

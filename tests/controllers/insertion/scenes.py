@@ -53,7 +53,7 @@ def fresh() -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 def card_arm() -> CardArm:
     """Return what the slave knows of its arm with the card."""
-    return CardArm.of(describe_rover(SLAVE, card=True), DRAWING.tip)
+    return CardArm(describe_rover(SLAVE, card=True), DRAWING.tip)
 
 
 def arm_at(model: mujoco.MjModel, data: mujoco.MjData, robot: str, angles) -> None:

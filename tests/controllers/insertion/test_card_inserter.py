@@ -121,6 +121,47 @@ def test_speeds_stay_within_their_limits():
     assert speed.max() <= inserter.config.card_speed * 1.02
 
 
+def approach(start):
+    """Return where a slave is in each tick of its approach (N, 3), the commands, the controller."""
+    slave = Slave(start)
+    inserter = slave.inserter()
+    places = []
+
+    def note():
+        if inserter.stage is InsertionStage.APPROACH:
+            places.append((slave.place.copy(), slave.commands[-1]))
+        return inserter.stage is InsertionStage.ALIGN
+
+    slave.run(inserter, 30.0, until=note)
+    assert inserter.stage is InsertionStage.ALIGN
+    return np.array([place for place, _ in places]), [c for _, c in places], slave, inserter
+
+
+@pytest.mark.parametrize("start", [(0.05, -1.1, 0.0), (-0.03, -1.0, 0.15), (0.0, -1.0, -0.2)])
+def test_the_robot_steers_onto_the_slots_line_without_overshoot_and_slows_before_its_place(start):
+    places, commands, _, inserter = approach(start)
+    config = inserter.config
+    # Steered by 2 / L of the heading and 1 / L^2 of what it is beside: critically damped.
+    gone = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1))]
+    )
+    x, _, yaw = places[0]
+    expected = (x + (x / config.look_ahead - yaw) * gone) * np.exp(-gone / config.look_ahead)
+    np.testing.assert_allclose(places[:, 0], expected, atol=3e-3)
+    forward = np.array([inserter._steer.motion(command.wheels)[0] for command in commands])
+    gaps = -places[:, 1] / np.cos(places[:, 2]) - config.reach - config.stand_off
+    wanted = np.clip(config.slowing * gaps, -config.speed, config.speed)
+    np.testing.assert_allclose(forward[1:-1], wanted[1:-1], atol=3e-3)
+    assert forward.max() == pytest.approx(config.speed) and forward[-2] < 0.2 * config.speed
+
+
+def test_the_card_stays_where_the_arm_is_at_ease_until_the_robot_is_there():
+    _, commands, slave, inserter = approach((0.0, -1.0, 0.0))
+    ahead = [slave.arm.card_in_robot(c.arm)[1, 3] for c in commands if np.any(c.wheels)]
+    settled = np.array(ahead)[-200:]
+    np.testing.assert_allclose(settled, inserter.config.reach, atol=3e-3)
+
+
 @pytest.mark.parametrize("looks", [[], [NOTHING_SEEN]])
 def test_nothing_moves_before_the_first_look_and_without_one_it_gives_up(looks):
     slave = Slave()

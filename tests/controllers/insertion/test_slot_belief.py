@@ -163,6 +163,20 @@ def test_drift_is_that_of_drawn_errors_of_dead_reckoning():
     assert belief.deviation() == pytest.approx(largest, rel=1e-6)
 
 
+def test_veer_and_bumps_of_the_way_add_to_turn_tilt_and_height():
+    """About the robot itself, where no lever mixes them: rate^2 x way x stretch."""
+    config = dataclasses.replace(STILL, drift=0.3, turn_drift=0.4, veer=0.5, bump=0.6)
+    belief = SlotBelief(SLOT.as_matrix(), np.zeros((6, 6)), config)
+    belief.note(0.0, np.eye(4), 0.2, 0.7, 0.0)
+    belief.deviation()
+    (stretch, bend), way, turned = config.stretch, 0.2, 0.7
+    tilt = 0.6**2 * way * stretch
+    yaw = 0.4**2 * turned * bend + 0.5**2 * way * stretch
+    along = 0.3**2 * way * stretch
+    expected = np.diag([tilt, tilt, yaw, 0.1 * along, along, tilt])
+    np.testing.assert_allclose(belief.covariance, expected, atol=1e-15)
+
+
 def test_one_outlier_is_refused_and_a_persistent_one_believed():
     belief = after(0.0, 0.0)
     card = RigidTransform.from_translation([0.0, 0.5, 0.3])

@@ -85,14 +85,14 @@ def test_no_candidate_that_rays_reach_rates_much_higher(watched):
     choice = best_angles(plan, parts, arm, EYES, best_station(WIDTH).angles)
     views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
     assert len(views.angles) > 50
-    places = arm.camera_in_robot(views.angles).translation
+    places = arm.tool_in_robot(views.angles).translation
     ratings = np.array([v.rating for v in rate_positions(field, plan.lens, places, None)])
     truly = np.array([visible(watched, angles) for angles in views.angles])
     assert truly.any()
     best = max(ratings[truly].max(), choice.rating_now)
     assert choice.rating >= 0.93 * best
     # What is counted as seen and not hidden is so.
-    cameras = arm.camera_in_robot(views.angles)
+    cameras = arm.tool_in_robot(views.angles)
     counted = in_both_images(cameras, parts.markers(), EYES, plan.border)
     assert np.all(truly[counted & (ratings > 0.0)])
 
@@ -103,7 +103,7 @@ def test_markers_in_both_images_are_those_that_mujocos_cameras_project_there(wat
     now = best_station(WIDTH).angles
     best = best_angles(PLAN, parts, arm, EYES, now).angles
     angles = best + rng.normal(0.0, 0.03, (60, 4))
-    found = in_both_images(arm.camera_in_robot(angles), parts.markers(), EYES, 0.0)
+    found = in_both_images(arm.tool_in_robot(angles), parts.markers(), EYES, 0.0)
     inside = []
     for row in angles:
         arm_at(model, data, MASTER, row)
@@ -127,7 +127,7 @@ def test_card_alone_is_watched_where_both_cannot_be():
     now, arm = best_station(WIDTH).angles, ARM
     choice = best_angles(PLAN, apart, arm, EYES, now)
     assert choice.rating > 0.0
-    camera = arm.camera_in_robot(choice.angles[None])
+    camera = arm.tool_in_robot(choice.angles[None])
     card = parts.card_pose.apply(parts.card.points)
     assert in_both_images(camera, card, EYES, 10.0)[0]
     assert not in_both_images(camera, apart.markers(), EYES, 0.0)[0]

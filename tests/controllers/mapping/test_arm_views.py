@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.arm_views import ArmViews, Lens, ViewConfig, ViewError
-from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
 from perception.voxels.occupancy import State
 from perception.voxels.views import PlanningGrid
+from twin.describe import describe
 
 PLACE = RigidTransform.from_components([0.4, -0.3, 0.1], Rotation.from_euler("z", 0.5))
 HOME = np.array(ARM.home)
@@ -22,7 +23,7 @@ GRID = PlanningGrid(np.array([-1.5, -2.0, 0.0]), 0.05, np.zeros((70, 80, 20), np
 @pytest.fixture(scope="module")
 def views() -> ArmViews:
     model = make_model(FieldConfig(texture_pixels=64), [RobotPlacement("rover1")])
-    arm = known_camera_arm(model)
+    arm = SerialChain.of_robot(describe(model, "rover1"))
     return ArmViews(arm, PLACE, LENS, ViewConfig(candidates=30))
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.arm_views import ViewConfig
 from controllers.mapping.looking import MapperConfig
 from controllers.mapping.searching import SearchConfig, TargetSearch
-from experiments.ch3.stereo.known_camera_arm import known_camera_arm
-from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
 from perception.registration.target import PossibleMarkers
+from twin.describe import describe_rover
 
 HOME, SURVEY = np.array(ARM.home), np.array(ViewConfig().survey)
 NOTHING = PossibleMarkers(np.zeros((0, 3)), np.zeros((0, 3)))
@@ -20,7 +20,7 @@ LEVEL = np.zeros(2)
 
 @pytest.fixture(scope="module")
 def arm():
-    return known_camera_arm(make_model(FieldConfig(texture_pixels=64), [RobotPlacement("rover1")]))
+    return SerialChain.of_robot(describe_rover())
 
 
 def searching(arm):
@@ -30,13 +30,13 @@ def searching(arm):
 
 def hints_at(arm, angles, places, alone=()):
     """Hints (N, 3) in the robot frame as the camera sees them."""
-    to_camera = arm.camera_in_robot(angles).inv()
+    to_camera = arm.tool_in_robot(angles).inv()
     paired, single = (np.reshape(p, (-1, 3)) for p in (places, alone))
     return PossibleMarkers(to_camera.apply(paired), to_camera.apply(single))
 
 
 def off_axis(arm, angles, place):
-    seen = arm.camera_in_robot(angles).inv().apply(place)
+    seen = arm.tool_in_robot(angles).inv().apply(place)
     return np.arccos(seen[2] / np.linalg.norm(seen))
 
 
@@ -96,7 +96,7 @@ def test_leaning_robot_looks_as_high_as_a_level_one(arm, tilt):
         search, view = searching(arm)
         axes = []
         while view is not None:
-            axes.append(turn.apply(arm.camera_in_robot(view).rotation.as_matrix()[:, 2])[2])
+            axes.append(turn.apply(arm.tool_in_robot(view).rotation.as_matrix()[:, 2])[2])
             view = search.after(view, NOTHING, stands)
         heights.append(np.arcsin(axes))
     level, leaning = heights
@@ -119,6 +119,6 @@ def test_arm_keeps_to_the_space_that_is_free_when_the_robot_is_set_down(arm):
         ends[-1][:, 0] = turned
     views = rng.permutation(np.concatenate(ends))
     paths = np.linspace(views[:-1], views[1:], 15).reshape(-1, 4)
-    bodies = arm.body_in_robot(paths) - base
+    bodies = arm.cover_points(paths) - base
     assert np.hypot(bodies[..., 0], bodies[..., 1]).max() <= radius
     assert bodies[..., 2].min() >= height

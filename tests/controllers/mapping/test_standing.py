@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.standing import CameraPose, camera_in_level, lean, level_target, stand
-from experiments.ch3.stereo.known_camera_arm import known_camera_arm
-from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
+from twin.describe import describe_rover
 from twin.wiring import tilt
 
 HOME = np.array(ARM.home)
@@ -16,7 +16,7 @@ TARGET = RigidTransform.from_components([0.2, 1.1, 0.05], Rotation.from_euler("z
 
 @pytest.fixture(scope="module")
 def arm():
-    return known_camera_arm(make_model(FieldConfig(texture_pixels=64), [RobotPlacement("rover1")]))
+    return SerialChain.of_robot(describe_rover())
 
 
 def test_lean_is_what_the_inclinometer_means():
@@ -36,11 +36,11 @@ def test_world_of_a_target_is_level_and_holds_its_origin():
 def test_camera_is_found_where_it_truly_is_after_arm_and_base_have_moved(arm):
     place = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
     before, after = np.array([0.01, -0.02]), np.array([-0.015, 0.005])
-    seen = CameraPose(place * lean(before) * arm.camera_in_robot(HOME), np.zeros((6, 6)))
+    seen = CameraPose(place * lean(before) * arm.tool_in_robot(HOME), np.zeros((6, 6)))
     standing = stand(arm, HOME, before, seen)
     angles = HOME + [0.8, 0.2, -0.3, 0.4]
     found = standing.camera(angles, after)
-    true = place * lean(after) * arm.camera_in_robot(angles)
+    true = place * lean(after) * arm.tool_in_robot(angles)
     np.testing.assert_allclose(
         found.transform_camera_to_world.as_matrix(), true.as_matrix(), atol=1e-12
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from controllers.motion.arm_move import ArmMove
-from tests.controllers.mission.seen import PAIR, seen_at
+from tests.controllers.motion.seen import PAIR, seen_at
 from twin.robot import ArmMode, WheelMode
 
 GOAL = np.array([0.4, 0.8, -1.0, 0.0])

@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.chain import LEVEL, Chain, FrameState, Joint
-from controllers.kinematics.serial_arm import RigidBody
+from controllers.kinematics.frame_motion import LEVEL, FrameMotion
+from controllers.kinematics.rigid_body import WEIGHTLESS
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmGains, Reference
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from controllers.motion.tip_over import (
@@ -20,15 +21,18 @@ from controllers.motion.tip_over import (
     zero_moment_point,
 )
 from perception.geometry.gravity import GRAVITY
+from twin.description import JointDescription, RigidBody
 from twin.robot import Channel, Observation, RobotError, Validity
 
 SQUARE = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+X = (1.0, 0.0, 0.0)
 
 
 def rod(load=1.0, length=0.5):
     """A light arm that turns about x with a point load at its end."""
     body = RigidBody(load, np.array([0.0, length, 0.0]), np.zeros((3, 3)))
-    return Chain([Joint(body, np.zeros(3), np.eye(3), np.array([1.0, 0.0, 0.0]))])
+    return SerialChain((JointDescription("rod", RigidTransform.identity(), X, body),))
 
 
 def footing(load=1.0):
@@ -85,7 +89,7 @@ def test_turning_base_asks_the_ground_for_what_its_particles_do():
     bare = Footing(base, rod(0.0), np.array([0.1, 0.2, 0.3]), SQUARE, -0.1)
     felt = force + np.cross(alpha, places) + np.cross(omega, np.cross(omega, places))
     expected = ground_wrench(masses, places, felt, np.zeros((5, 3)))
-    wrench = bare.wrench([0.3], [0.0], [0.0], FrameState(force, omega, alpha))
+    wrench = bare.wrench([0.3], [0.0], [0.0], FrameMotion(force, omega, alpha))
     np.testing.assert_allclose(wrench, expected, atol=1e-12)
 
 
@@ -185,10 +189,8 @@ def controller(law="feed_forward"):
 def test_efforts_are_those_of_a_4_for_a_rod_in_closed_form(law):
     """A point load on a rod: H = m l^2, G = m g l cos(angle above level)."""
     load, length, pitch, q, rate = 0.6, 0.5, 0.12, 0.4, 0.3
-    nothing = Joint(
-        RigidBody(0.0, np.zeros(3), np.zeros((3, 3))), np.zeros(3), np.eye(3), np.eye(3)[0]
-    )
-    chain, first = Chain([*rod(load, length).joints, nothing, nothing, nothing]), np.eye(4)[0]
+    nothing = JointDescription("more", RigidTransform.identity(), X, WEIGHTLESS)
+    chain, first = SerialChain((*rod(load, length).joints, *(nothing,) * 3)), np.eye(4)[0]
     config = ArmControlConfig(
         "rover1", chain, np.array([0.0, 0.1, 0.2]), ArmGains(15.0, 0.7), law,
         BaseFilterConfig(lag=0.0), friction=0.05 * first, motor_damping=0.2 * first, most=50.0,
@@ -236,7 +238,7 @@ def test_another_point_of_a_turning_base_feels_what_its_way_is_bent_by():
         return turn.apply(lever) + 0.5 * start * time**2
 
     bend = (place(step) - 2.0 * place(0.0) + place(-step)) / step**2
-    moved = FrameState(start, omega, alpha).at(lever)
+    moved = FrameMotion(start, omega, alpha).at(lever)
     np.testing.assert_allclose(moved.specific_force, bend, atol=1e-5)
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guide import GuideConfig
-from controllers.kinematics.arm_model import ArmModel
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.cooperation import (
     REPORT,
     SET_POINT,
@@ -20,8 +21,8 @@ from controllers.motion.cooperation import (
 from controllers.motion.master_slave import Master, PairConfig, Slave, Stage
 from controllers.motion.planar_grip import PlanarArm, Stance
 from experiments.appa.truss.trial import planar_arm
-from experiments.ch3.stereo.known_camera_arm import known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
+from twin.describe import describe
 from twin.robot import Channel, Observation, RobotError, Validity
 
 ARM = planar_arm()
@@ -73,11 +74,14 @@ def hybrid(facing=-1, stiffness=(2000.0, 1500.0, 100.0), **changes):
 
 def test_planar_arm_is_the_spatial_arm_at_zero_yaw():
     model = make_model(FieldConfig(texture_pixels=16), [RobotPlacement("rover1")])
-    spatial = ArmModel(known_camera_arm(model), [0.0, 0.12, 0.0])
+    grip = RigidTransform.from_translation([0.0, 0.12, 0.0])
+    arm = describe(model, "rover1").arm
+    assert arm is not None
+    spatial = SerialChain.from_description(arm, grip)
     for bends in np.random.default_rng(1).uniform(-1.5, 1.5, (10, 3)):
-        expected = spatial.task([0.0, *bends])
-        np.testing.assert_allclose(ARM.task(bends), expected[1:], atol=1e-9)
-        columns = spatial.task_jacobian([0.0, *bends])[1:, 1:]
+        place = spatial.tool_in_robot([0.0, *bends]).translation
+        np.testing.assert_allclose(ARM.task(bends), [*place[1:], bends.sum()], atol=1e-9)
+        columns = spatial.jacobian([0.0, *bends])[1:4, 1:]
         np.testing.assert_allclose(ARM.jacobian(bends), columns, atol=1e-9)
 
 

@@ -7,17 +7,16 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.identification.pitch import PitchFit, PitchSensors
-from controllers.kinematics.chain import Chain
-from controllers.kinematics.serial_arm import SerialArm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmController
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
 from controllers.sensing.surrogate_tilt import TiltAxis, TiltModel, TiltModelConfig
 from controllers.sensing.surrogate_wrench import WrenchModel, WrenchModelConfig, motor_efforts
 from experiments.appa.control.plant import MOUNT, sprung_rover
 from experiments.appa.control.trial import ROBOT, arm_config, reference
-from experiments.ch2.known_arm import known_arm
 from models import datasheets
 from models.compose import settle
+from twin.describe import describe
 from twin.robot import MISSING, Observation
 from twin.simulation import Simulation
 
@@ -39,17 +38,17 @@ class Run:
     wrench: np.ndarray
     tilt: np.ndarray
     hand: list[RigidTransform]
-    arm: SerialArm
+    arm: SerialChain
 
 
 @functools.cache
 def swing(ticks=700, pushed=False, inertial=False) -> Run:
     """Return a run of MuJoCo's on springs of 150 N m/rad."""
     model = sprung_rover(150.0)
-    arm = known_arm(model)
+    arm = SerialChain.of_robot(describe(model, ROBOT))
     simulation = Simulation(model, [ROBOT], seed=3, data=settle(model))
     robot, data = simulation.robots[ROBOT], simulation.data
-    config = arm_config(Chain.of_arm(arm, _MOTOR.armature), "pd_gravity", 0.015)
+    config = arm_config(arm, "pd_gravity", 0.015)
     controller = ArmController(config, reference)
     site, chassis = data.site(f"{ROBOT}/gripper"), data.body(f"{ROBOT}/chassis")
     wrist = int(model.site_bodyid[site.id])
@@ -84,7 +83,7 @@ def swing(ticks=700, pushed=False, inertial=False) -> Run:
 def wrench_model() -> WrenchModel:
     """Return the model of the rover's arm, as it is known."""
     friction = np.full(4, _MOTOR.friction)
-    config = WrenchModelConfig(swing().arm, MOUNT, GRIP, _MOTOR.armature, friction=friction)
+    config = WrenchModelConfig(swing().arm, MOUNT, GRIP, friction=friction)
     return WrenchModel(config)
 
 

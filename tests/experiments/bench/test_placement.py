@@ -8,17 +8,12 @@ import pytest
 import scipy.ndimage
 
 from controllers.kinematics.arm_inverse import standing_views
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.looking import RobotBrief
 from controllers.placement.reach.reach import ReachConfig, RoverState, plan_reach
 from controllers.placement.task import PlacementError
 from experiments.__main__ import main
 from experiments.bench.placement import BASE, DECK, FOLDED, TALL, leveled
-from experiments.ch3.stereo.known_camera_arm import (
-    body_pose,
-    camera_in_world,
-    known_body,
-    known_camera_arm,
-)
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene
 from experiments.ch4.spatial.placement_scene import head_lens, map_scene, panel_targets
 from models.clutter import PanelConfig
@@ -26,6 +21,7 @@ from models.compose import FieldConfig, RobotPlacement
 from perception.voxels.occupancy import State
 from twin.camera import StereoConfig
 from twin.connect import connect
+from twin.describe import body_pose, camera_in_world, describe
 from twin.loop import run
 from twin.robot import ArmMode, Command
 
@@ -125,14 +121,15 @@ def test_simulated_rover_s_camera_ends_up_looking_at_the_target():
         marker = field.panel.markers[1]
         target = panel.apply(field.panel.marker_points[1])
         normal = panel.rotation.apply([0.0, 0.0, 1.0])
-        arm = known_camera_arm(model)
+        drawn = describe(model, "rover1")
+        arm = SerialChain.of_robot(drawn)
         chassis = body_pose(data, model.body("rover1/chassis").id)
         home = np.array([data.joint(f"rover1/{n}_joint").qpos[0] for n in JOINTS])
         state = RoverState(chassis, home)
         pitches = np.linspace(-1.2, 0.2, 30)
         views = standing_views(arm, chassis.inv().apply(target), [0.3], pitches)
         ahead = (chassis.apply(views.positions) - target) @ normal / 0.3
-        brief = RobotBrief(arm, home, known_body(model))
+        brief = RobotBrief(arm, home, drawn.body_spheres)
 
         def in_panel(points):
             return panel.inv().apply(points)[:, 2] < 0.05

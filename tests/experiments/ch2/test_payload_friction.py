@@ -7,13 +7,14 @@ import pytest
 
 from controllers.identification.observation_log import IdentificationError
 from controllers.identification.payload import PayloadIdentifier
+from controllers.kinematics.serial_chain import SerialChain
 from experiments.__main__ import main
 from experiments.ch2 import friction as ch2_friction
 from experiments.ch2 import payload as ch2_payload
-from experiments.ch2.known_arm import known_arm
 from experiments.harness.contract import OptionError
-from models.compose import PayloadConfig, RobotPlacement, make_model
+from models.compose import PayloadConfig
 from twin.connect import connect
+from twin.describe import describe_rover
 from twin.loop import run
 
 BOX = PayloadConfig(0.15, (0.01, 0.0, -0.01))
@@ -28,7 +29,7 @@ def test_payload_on_the_rover_is_within_the_bars():
 
 
 def test_disconnected_wrench_sensor_is_one_clear_error():
-    arm = known_arm(make_model(ch2_payload.FIELD, [RobotPlacement()]))
+    arm = SerialChain.of_robot(describe_rover())
     identifier = PayloadIdentifier("rover1", ch2_payload.payload_config(arm))
     with connect("sim", field=ch2_payload.FIELD) as connection:
         assert connection.simulation is not None

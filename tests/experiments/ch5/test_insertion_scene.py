@@ -116,7 +116,7 @@ def test_masters_camera_begins_where_the_map_says_it_sees_best():
     arm, head = ARM, EYES
     marker_guide = MarkerGuide(config, arm, head, slot, parts.card_pose, station.angles)
     angles = marker_guide.begin(station.angles)
-    camera = arm.camera_in_robot(angles[None])
+    camera = arm.tool_in_robot(angles[None])
     assert in_both_images(camera, parts.card_pose.apply(parts.card.points), head, 5.0)[0]
     begin_with_camera_at(model, angles)
     after = settle(model, 0.2)
@@ -164,7 +164,7 @@ def test_random_stations_are_reproducible_and_within_bounds():
         assert np.all((station.angles >= limits[:, 0]) & (station.angles <= limits[:, 1]))
         assert NEAREST <= station.distance <= FARTHEST and 0.0 <= station.slant <= STEEPEST + 1e-9
         # Where the camera truly is, by the arm on the place.
-        camera = arm.camera_in_robot(station.angles)
+        camera = arm.tool_in_robot(station.angles)
         x, y, yaw = station.place
         c, s = math.cos(yaw), math.sin(yaw)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

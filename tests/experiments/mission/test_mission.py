@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.camera_station import CameraStation
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.standing import Standing, lean, level_target
-from controllers.mission.going import Going
+from controllers.motion.drive_to_pose import DriveToPose
 from controllers.motion.driving import SkidSteer
 from experiments.ch3.stereo.mapping_scene import head_geometry
 from experiments.ch5.insertion_scene import best_station
@@ -138,15 +138,15 @@ Ways = list[tuple[np.ndarray, typing.Callable[[np.ndarray], bool]]]
 
 @pytest.fixture
 def ways(monkeypatch: pytest.MonkeyPatch) -> Ways:
-    """Return a list that gets the goal of each `Going`, and what it asks whether a pose is free."""
+    """Return a list of each `DriveToPose`: its goal, and what it asks whether a pose is free."""
     told: Ways = []
-    begin = Going.__init__
+    begin = DriveToPose.__init__
 
-    def note(self: Going, steer: SkidSteer, goal: np.ndarray, free: typing.Any) -> None:
+    def note(self: DriveToPose, steer: SkidSteer, goal: np.ndarray, free: typing.Any) -> None:
         told.append((np.array(goal), free))
         begin(self, steer, goal, free=free)
 
-    monkeypatch.setattr(Going, "__init__", note)
+    monkeypatch.setattr(DriveToPose, "__init__", note)
     return told
 
 

@@ -29,6 +29,16 @@ def test_disparity_of_a_plane_is_found_to_a_hundredth_of_a_pixel(plane):
     assert np.std(errors) < 0.02
 
 
+@pytest.mark.parametrize("brighter", [-15, 12])
+def test_unequal_exposure_moves_no_disparity(brighter):
+    images, truth = plane_pair(*PLANES[3])
+    images[1] = np.clip(images[1].astype(int) + brighter, 0, 255)
+    found, errors = errors_of(images, truth)
+    assert len(found) > 1000
+    assert abs(np.median(errors)) < 0.01
+    assert np.std(errors) < 0.03
+
+
 def test_refinement_removes_the_bias_and_scatter_of_block_matching_on_a_slope():
     pair, truth = plane_pair(24.2, -0.02, 0.11, noise=1.3)
     coarse = MATCHER.disparities(pair) - truth

@@ -133,6 +133,32 @@ def test_fused_estimates_are_as_far_off_as_they_say(resolution):
     assert len(error) > 300
 
 
+def test_surfaces_of_a_voxel_that_do_not_agree_make_one_estimate_as_unsure_as_both():
+    """Six millimetres apart in a voxel of twenty, each known to within one: no surface moved."""
+    voxels = VoxelMap(GRID)
+    levels = (0.0037, 0.0097)
+    for level in levels:
+        insert_ground(voxels, look_down(0.7), level=level, sigma=0.005)
+    surface = voxels.surface()
+    near = np.linalg.norm(surface.means[:, :2], axis=1) < 0.1
+    # Most: groups whose plane is not sure are compared as loosely as a voxel is wide.
+    assert np.median(surface.means[near, 2]) == pytest.approx(np.mean(levels), abs=1e-4)
+    half = (levels[1] - levels[0]) / 2.0
+    assert np.median(surface.covariances[near, 2, 2]) == pytest.approx(half**2, rel=0.1)
+
+
+def test_surfaces_that_agree_become_one_and_no_place_has_two():
+    """Noise of several voxels: estimates along the ray are merged, not left beside each other."""
+    generator = np.random.default_rng(3)
+    voxels = VoxelMap(VoxelGrid(0.004, (-0.2, -0.2, -0.064), (0.2, 0.2, 0.064)))
+    for _ in range(6):
+        insert_ground(voxels, look_down(0.6), generator)
+    means = voxels.surface().means
+    near = means[np.linalg.norm(means[:, :2], axis=1) < 0.1]
+    columns = {tuple(cell) for cell in np.floor(near[:, :2] / 0.004).astype(int)}
+    assert len(near) > 100 and len(columns) > 0.8 * len(near)
+
+
 def test_points_that_share_an_error_count_as_one():
     sure, unsure = VoxelMap(GRID), VoxelMap(GRID, VoxelMapConfig(correlated_points=1e6))
     for voxels in (sure, unsure):

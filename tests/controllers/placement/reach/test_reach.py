@@ -7,23 +7,25 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.arm_inverse import ArmGeometry, arm_solutions, standing_views
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.looking import RobotBrief
 from controllers.placement.reach.footprint import Part, pose_drives
 from controllers.placement.reach.ground import Ground, drives
 from controllers.placement.reach.reach import Reach, RoverState, plan_reach
 from controllers.placement.task import PlacementError, View
-from experiments.ch3.stereo.known_camera_arm import known_body, known_camera_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
+from twin.describe import describe
 
 MODEL = make_model(FieldConfig(texture_pixels=64), [RobotPlacement("rover1")])
-STRAIGHT = known_camera_arm(MODEL)
+DRAWN = describe(MODEL, "rover1")
+STRAIGHT = SerialChain.of_robot(DRAWN)
 OFF = RigidTransform.from_exp_coords([0.02, 0.03, -0.05, 0.01, 0.01, 0.02])
 SQUINTING = dataclasses.replace(
-    STRAIGHT, transform_camera_to_wrist=STRAIGHT.transform_camera_to_wrist * OFF
+    STRAIGHT, transform_tool_to_link=STRAIGHT.transform_tool_to_link * OFF
 )
 HOME = np.array(ARM.home)
-BRIEF = RobotBrief(STRAIGHT, HOME, known_body(MODEL))
+BRIEF = RobotBrief(STRAIGHT, HOME, DRAWN.body_spheres)
 HEIGHT = 0.0635
 HERE = RoverState(RigidTransform.from_translation([0.0, 0.0, HEIGHT]), HOME)
 RADIUS = 0.28
@@ -31,7 +33,7 @@ RADIUS = 0.28
 
 def looks(arm, angles, target):
     """Return the cameras' places, and how far their axes pass the target over the distance."""
-    pose = arm.camera_in_robot(angles)
+    pose = arm.tool_in_robot(angles)
     ahead = target - pose.translation
     ahead /= np.linalg.norm(ahead, axis=-1, keepdims=True)
     return pose.translation, np.abs(pose.rotation.apply([0.0, 0.0, 1.0]) - ahead).max()
@@ -42,7 +44,7 @@ def test_solutions_hold_the_true_angles_and_all_look_at_the_target(arm):
     rng = np.random.default_rng(0)
     for _ in range(40):
         angles = rng.uniform(*arm.limits.T)
-        pose = arm.camera_in_robot(angles)
+        pose = arm.tool_in_robot(angles)
         target = pose.apply([0.0, 0.0, rng.uniform(0.1, 1.0)])
         found = arm_solutions(arm, pose.translation, target)
         assert 1 <= len(found) <= 4
@@ -55,7 +57,7 @@ def test_solutions_hold_the_true_angles_and_all_look_at_the_target(arm):
 
 def test_camera_straight_above_the_target_is_solved():
     angles = np.array([0.4, 1.0, -1.2, -np.pi / 2 + 0.2])
-    pose = STRAIGHT.camera_in_robot(angles)
+    pose = STRAIGHT.tool_in_robot(angles)
     target = pose.translation - [0.0, 0.0, 0.15]
     found = arm_solutions(STRAIGHT, pose.translation, target)
     assert np.abs(found - angles).max(axis=1).min() < 1e-6
@@ -65,7 +67,7 @@ def test_camera_straight_above_the_target_is_solved():
 
 
 def test_camera_beside_the_arm_s_plane_or_too_far_has_no_solution():
-    pose = STRAIGHT.camera_in_robot(HOME)
+    pose = STRAIGHT.tool_in_robot(HOME)
     target = pose.apply([0.0, 0.0, 0.4])
     beside = pose.apply([0.01, 0.0, 0.0])
     assert len(arm_solutions(STRAIGHT, beside, target)) == 0
@@ -78,8 +80,8 @@ def test_bad_questions_are_refused():
         arm_solutions(STRAIGHT, [0.0, 0.4, 0.2], [0.0, 0.4, 0.2])
     with pytest.raises(ValueError, match="finite"):
         arm_solutions(STRAIGHT, [0.0, np.nan, 0.2], [0.0, 0.4, 0.2])
-    turned = dataclasses.replace(STRAIGHT.hinges[2], axis=(0.0, 1.0, 0.0))
-    odd = dataclasses.replace(STRAIGHT, hinges=(*STRAIGHT.hinges[:2], turned, STRAIGHT.hinges[3]))
+    turned = dataclasses.replace(STRAIGHT.joints[2], axis=(0.0, 1.0, 0.0))
+    odd = dataclasses.replace(STRAIGHT, joints=(*STRAIGHT.joints[:2], turned, STRAIGHT.joints[3]))
     with pytest.raises(ValueError, match="hinge 2"):
         ArmGeometry.of(odd)
 
@@ -120,15 +122,15 @@ EYE, TARGET = np.array([0.1, 0.9, 0.3]), np.array([0.4, 1.0, 0.15])
 def check(plan, eye, target, collides):
     """Check a plan against the arm's own kinematics and the world."""
     there = plan.transform_robot_to_world
-    pose = there * STRAIGHT.camera_in_robot(plan.angles)
+    pose = there * STRAIGHT.tool_in_robot(plan.angles)
     ahead = (target - eye) / np.linalg.norm(target - eye)
     assert np.abs(pose.translation - eye).max() < 1e-9
     assert np.abs(pose.rotation.apply([0.0, 0.0, 1.0]) - ahead).max() < 1e-9
-    points = STRAIGHT.body_in_robot(plan.path).reshape(-1, 3)
+    points = STRAIGHT.cover_points(plan.path).reshape(-1, 3)
     assert not collides(there.apply(points)).any()
     assert np.abs(np.diff(plan.path, axis=0)).max() <= 0.1 + 1e-12
     gap = np.linalg.norm(points[:, None] - BRIEF.body[:, :3], axis=2).min()
-    assert gap >= STRAIGHT.body_radius
+    assert gap >= STRAIGHT.cover_radius
 
 
 def test_rover_drives_to_where_its_arm_reaches_the_view():
@@ -162,7 +164,7 @@ def test_no_way_leads_off_the_map():
 
 
 def test_rover_that_is_near_enough_stays():
-    pose = HERE.transform_robot_to_world * STRAIGHT.camera_in_robot(HOME + [0.5, 0.1, 0.0, 0.2])
+    pose = HERE.transform_robot_to_world * STRAIGHT.tool_in_robot(HOME + [0.5, 0.1, 0.0, 0.2])
     target = pose.apply([0.0, 0.0, 0.3])
     plan = plan_reach(BRIEF, HERE, None, nothing, pose.translation, target)
     assert plan.length == 0.0 and len(plan.fold) == 0
@@ -171,7 +173,7 @@ def test_rover_that_is_near_enough_stays():
 
 def test_arm_goes_over_what_stands_in_the_straight_way():
     goal = HOME + [1.2, 0.0, 0.0, 0.0]
-    pose = HERE.transform_robot_to_world * STRAIGHT.camera_in_robot(goal)
+    pose = HERE.transform_robot_to_world * STRAIGHT.tool_in_robot(goal)
 
     def post(points):
         middle = HERE.transform_robot_to_world.apply([-0.22, 0.36, 0.0])

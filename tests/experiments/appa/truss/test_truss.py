@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controllers.kinematics.chain import Chain
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.planar_grip import GripSensor, Stance
 from experiments.appa.truss.bench import ROBOTS, TrussBench
 from experiments.appa.truss.trial import TrussTrial, planar_arm, run_truss
-from experiments.ch2.known_arm import known_arm
 from models.datasheets import ROVER
 from models.truss import TRUSS
 from perception.geometry.gravity import GRAVITY
+from twin.describe import describe
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
 
@@ -39,8 +39,7 @@ def test_sensor_under_the_arm_tells_what_the_gripper_puts_on_the_segment(bench):
     mount = (ROVER.arm_mount[1], ROVER.arm_mount[2])
     true = bench.grips()
     for index, (name, facing) in enumerate(zip(ROBOTS, (1, -1), strict=True)):
-        arm = known_arm(bench.model, name)
-        sensor = GripSensor(Chain.of_arm(arm), arm.base, planar_arm(), mount)
+        sensor = GripSensor(SerialChain.of_robot(describe(bench.model, name)), planar_arm(), mount)
         s, z, angle = bench.place(f"{name}/chassis")
         stance = Stance((s, z), facing, facing * angle)
         felt = sensor.felt(simulation.robots[name].observe(), stance)

@@ -15,7 +15,15 @@ from experiments.appd.boards import trial as appd_boards_trial
 from experiments.appd.boards.figures import dead_band, draw_calls, draw_pace, draw_stops
 from experiments.appd.boards.line import DamagedCalls, call_damaged
 from experiments.appd.boards.live import IdentityTrial, LoopPace, compare_boards
-from experiments.appd.boards.trial import KINDS, STOPPING, WRAP, Batch, Bench, deal, run_batch
+from experiments.appd.boards.trial import (
+    KINDS,
+    STOPPING,
+    WRAP,
+    Batch,
+    Bench,
+    deal,
+    run_batch,
+)
 from experiments.harness.catalogue import EXPERIMENTS
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output

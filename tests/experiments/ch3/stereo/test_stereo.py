@@ -41,7 +41,7 @@ def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
         check_camera(look, scored.cameras[look.robot, look.time])
     # A robot stands where nothing is in its way: the map has its own arm not in it.
     for standing in mapper.standings.values():
-        arm = standing.arm.body_in_robot(np.zeros((1, 4)))[0]
+        arm = standing.arm.cover_points(np.zeros((1, 4)))[0]
         world = standing.transform_level_to_world.apply(arm)
         assert not np.any(mapper.shared.voxels.states(world) == State.OCCUPIED)
 

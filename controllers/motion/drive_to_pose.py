@@ -1,7 +1,8 @@
-"""A rover that goes to a pose: it turns, drives straight, and turns again, by dead reckoning.
+"""Drive a rover to a pose: turn, drive straight and turn again, by dead reckoning.
 
 A place close beside it would take a quarter turn to either side, in which skidding wheels on rocks
-lose more than the way is long. It backs off first then, and comes forward along the goal's heading.
+lose more than the distance to it. The rover backs off first then, and comes forward along the
+goal's heading.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from controllers.motion.driving import Odometry, SkidSteer
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
-_CLOSE = 0.1  # Nearer, the direction to the goal says nothing [m].
-_LEAST_TURN = 0.05  # Slower turns stall in friction [rad/s].
+_CLOSE = 0.1  # Distance below which the direction to the goal says nothing [m].
+_LEAST_TURN = 0.05  # Turning rate below which friction stalls the rover [rad/s].
 
 
 @dataclasses.dataclass(frozen=True)
-class GoingConfig:
-    """How a rover goes.
+class DriveToPoseConfig:
+    """Limits and tolerances of a drive to a pose.
 
     Attributes:
-        speed: At most [m/s].
-        turn: At most [rad/s].
-        slowing: Speed over what is left of the way or turn [1/s].
-        near: Left of the way [m] and of the turn [rad] that will do.
-        back_off: How far behind the goal it may come from [m].
+        speed: Largest speed [m/s].
+        turn: Largest turning rate [rad/s].
+        slowing: Speed over the remaining distance, and turning rate over the remaining angle [1/s].
+        near: Remaining distance [m] and angle [rad] at which a phase ends.
+        back_off: Distance behind the goal to which the rover may back off first [m].
         period: Servo tick [s].
     """
 
@@ -50,37 +51,35 @@ class _Phase(enum.Enum):
     DONE = "done"
 
 
-class Going:
+class DriveToPose:
     """Drives one rover to a pose.
 
+    Args:
+        steer: Wheels of the rover.
+        goal: (3,) x (to the right), y (ahead) [m] and yaw to the left [rad], from where the rover
+            is now.
+        config: Limits and tolerances; None for the default.
+        free: Says whether the rover may back off to a pose (3,), given as the goal is.
+
     Attributes:
-        odometry: Where it is by dead reckoning, from where it began.
+        odometry: Dead reckoning since the drive began.
+
+    Raises:
+        ValueError: If the goal is not finite.
     """
 
     def __init__(
         self,
         steer: SkidSteer,
         goal: ArrayLike,
-        config: GoingConfig | None = None,
+        config: DriveToPoseConfig | None = None,
         free: Callable[[FloatArray], bool] = lambda place: True,
     ) -> None:
-        """Begin.
-
-        Args:
-            steer: The wheels.
-            goal: (3,) x (to the right), y (ahead) [m] and yaw to the left [rad], from where the
-                rover is now.
-            config: How it goes.
-            free: Says whether a rover may back off to a pose (3,), given as the goal is.
-
-        Raises:
-            ValueError: If the goal is not finite.
-        """
         end = np.asarray(goal, dtype=float)
         if not np.all(np.isfinite(end)) or end.shape != (3,):
             raise ValueError(f"goal {goal}: expected three finite numbers")
         self.odometry = Odometry(steer)
-        self._steer, self._config = steer, config or GoingConfig()
+        self._steer, self._config = steer, config or DriveToPoseConfig()
         self._held: FloatArray | None = None
         self._goals = [end]
         behind = end.copy()
@@ -93,21 +92,21 @@ class Going:
         """Face the next goal."""
         x, y, self._yaw = (float(value) for value in self._goals.pop(0))
         self._goal = np.array([x, y])
-        way = self._goal - self.odometry.place
-        self._course, self._sign = _facing(way, self.odometry.yaw)
-        close = np.linalg.norm(way) <= self._config.near[0]
+        path = self._goal - self.odometry.place
+        self._course, self._sign = _facing(path, self.odometry.yaw)
+        close = np.linalg.norm(path) <= self._config.near[0]
         self._phase = _Phase.ALIGN if close else _Phase.FACE
 
     @property
     def done(self) -> bool:
-        """Whether it is there, as far as it knows."""
+        """Whether the rover has arrived, by its dead reckoning."""
         return self._phase is _Phase.DONE
 
     def step(self, seen: Observation) -> Command:
         """Take what was measured and return the next command; the arm is held where it was.
 
         Args:
-            seen: Of the rover.
+            seen: Observation of the rover.
         """
         if self._held is None:
             if not seen.arm_angles.usable:
@@ -119,7 +118,7 @@ class Going:
         return Command(wheels, self._held, WheelMode.SPEED, ArmMode.POSITION, np.zeros(4))
 
     def _motion(self) -> tuple[float, float]:
-        """Return speed [m/s] and turning rate [rad/s], and go on to the next phase in time."""
+        """Return speed [m/s] and turning rate [rad/s]; a phase that has ended gives the next."""
         config = self._config
         if self._phase is _Phase.FACE:
             left = _wrapped(self._course - self.odometry.yaw)
@@ -129,13 +128,13 @@ class Going:
         if self._phase is _Phase.DRIVE:
             yaw = self.odometry.yaw
             ahead = np.array([-math.sin(yaw), math.cos(yaw)])
-            way = self._goal - self.odometry.place
-            left = float(way @ ahead)
+            path = self._goal - self.odometry.place
+            left = float(path @ ahead)
             if self._sign * left > config.near[0]:
                 speed = min(max(config.slowing * left, -config.speed), config.speed)
                 course = self._course
-                if np.linalg.norm(way) > _CLOSE:
-                    course = math.atan2(-way[0], way[1])
+                if np.linalg.norm(path) > _CLOSE:
+                    course = math.atan2(-path[0], path[1])
                     if self._sign < 0.0:
                         course = _wrapped(course + math.pi)
                 return speed, self._turning(_wrapped(course - yaw))
@@ -151,25 +150,25 @@ class Going:
         return 0.0, 0.0
 
     def _turning(self, left: float) -> float:
-        """Return the rate [rad/s] of a turn of which some is left [rad], to the left."""
+        """Return the turning rate [rad/s] to the left for a remaining angle [rad]."""
         rate = self._config.slowing * left
         size = min(max(abs(rate), _LEAST_TURN), self._config.turn)
         return math.copysign(size, left)
 
 
-def _facing(way: FloatArray, yaw: float) -> tuple[float, float]:
-    """Return the yaw [rad] in which a rover drives a way (2,) [m], and 1 for forward, else -1.
+def _facing(path: FloatArray, yaw: float) -> tuple[float, float]:
+    """Return the yaw [rad] in which a rover drives along (2,) [m], and 1 for forward, else -1.
 
     Backwards where that is the smaller turn from the yaw that it has.
     """
-    ahead = math.atan2(-way[0], way[1])
+    ahead = math.atan2(-path[0], path[1])
     if abs(_wrapped(ahead - yaw)) <= math.pi / 2.0:
         return ahead, 1.0
     return _wrapped(ahead + math.pi), -1.0
 
 
 def _turns(goal: FloatArray) -> float:
-    """Return the angle that a straight way to a goal (3,) takes in turns before and after it."""
+    """Return the angle [rad] of the turns before and after a straight drive to a goal (3,)."""
     course, _ = _facing(goal[:2], 0.0)
     return abs(course) + abs(_wrapped(goal[2] - course))
 

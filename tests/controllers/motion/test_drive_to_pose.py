@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 
-from controllers.mission.going import Going, GoingConfig
+from controllers.motion.drive_to_pose import DriveToPose, DriveToPoseConfig
 from controllers.motion.driving import SkidSteer
-from tests.controllers.mission.seen import seen_at
+from tests.controllers.motion.seen import seen_at
 
 RADIUS, HALF_TRACK, SHARE = 0.065, 0.16, 0.6
 STEER = SkidSteer(RADIUS, HALF_TRACK, SHARE)
-PERIOD = GoingConfig().period
+PERIOD = DriveToPoseConfig().period
 
 
 def drive(
-    going: Going,
+    driver: DriveToPose,
     share: float,
     longest: float = 90.0,
     lame: tuple[float, float] = (1.0, 1.0),
@@ -26,7 +26,7 @@ def drive(
     """Return (3,) where a rover ends that follows at once and turns by a share of rolling.
 
     Args:
-        going: Its controller.
+        driver: Its controller.
         share: Turn rate over that of rolling wheels.
         longest: Time after which it has failed [s].
         lame: What the left and the right wheels do of what is asked of them.
@@ -35,7 +35,7 @@ def drive(
     x = y = yaw = 0.0
     speeds = np.zeros(4)
     for tick in range(round(longest / PERIOD)):
-        command = going.step(seen_at(tick * PERIOD, wheel_speeds=speeds))
+        command = driver.step(seen_at(tick * PERIOD, wheel_speeds=speeds))
         if motions is not None:
             motions.append(STEER.motion(np.asarray(command.wheels, dtype=float)))
         speeds = np.asarray(command.wheels, dtype=float) * [*lame, *lame]
@@ -43,7 +43,7 @@ def drive(
         yaw += share * (right - left) / (2.0 * HALF_TRACK) * PERIOD
         x -= 0.5 * (left + right) * math.sin(yaw) * PERIOD
         y += 0.5 * (left + right) * math.cos(yaw) * PERIOD
-        if going.done:
+        if driver.done:
             return np.array([x, y, yaw])
     raise AssertionError("it never arrived")
 
@@ -63,7 +63,7 @@ def drive(
     ],
 )
 def test_a_rover_that_knows_its_slip_arrives(goal: tuple[float, float, float]) -> None:
-    ended = drive(Going(STEER, goal), SHARE)
+    ended = drive(DriveToPose(STEER, goal), SHARE)
     np.testing.assert_allclose(ended[:2], goal[:2], atol=0.01)
     assert math.remainder(ended[2] - goal[2], 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
 
@@ -71,17 +71,17 @@ def test_a_rover_that_knows_its_slip_arrives(goal: tuple[float, float, float]) -
 @pytest.mark.parametrize("goal", [(0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.3, 0.8, 0.0)])
 @pytest.mark.parametrize("lame", [(0.9, 1.0), (1.0, 0.9)])
 def test_the_course_is_corrected_where_one_side_is_slower_than_asked(goal, lame) -> None:
-    going = Going(STEER, goal)
-    ended = drive(going, SHARE, lame=lame)
+    driver = DriveToPose(STEER, goal)
+    ended = drive(driver, SHARE, lame=lame)
     np.testing.assert_allclose(ended[:2], goal[:2], atol=0.02)
     assert math.remainder(ended[2], 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
 
 
 @pytest.mark.parametrize("goal", [(0.0, 0.6, 0.0), (0.0, -0.6, 0.0), (0.4, 0.4, -2.0)])
 def test_speed_and_turn_keep_their_limits_and_slow_down_before_the_end(goal) -> None:
-    config = GoingConfig()
+    config = DriveToPoseConfig()
     motions: list[tuple[float, float]] = []
-    drive(Going(STEER, goal), SHARE, motions=motions)
+    drive(DriveToPose(STEER, goal), SHARE, motions=motions)
     forward, turn = np.abs(np.array(motions)).T
     assert forward.max() == pytest.approx(config.speed)
     assert turn.max() <= config.turn + 1e-9
@@ -95,9 +95,9 @@ def test_speed_and_turn_keep_their_limits_and_slow_down_before_the_end(goal) -> 
 
 
 def test_a_turn_slows_down_with_what_is_left_of_it() -> None:
-    config = GoingConfig()
+    config = DriveToPoseConfig()
     motions: list[tuple[float, float]] = []
-    drive(Going(STEER, (0.0, 0.0, -0.7)), SHARE, motions=motions)
+    drive(DriveToPose(STEER, (0.0, 0.0, -0.7)), SHARE, motions=motions)
     turn = np.array(motions)[:, 1]
     assert np.all(turn <= 1e-9) and turn.min() == pytest.approx(-config.turn)
     # Half of the largest rate is for a tenth of a radian.
@@ -107,8 +107,8 @@ def test_a_turn_slows_down_with_what_is_left_of_it() -> None:
 
 
 def test_goals_behind_are_reached_backwards() -> None:
-    going = Going(STEER, (0.0, -0.4, 0.0))
-    first = going.step(seen_at(0.0)).wheels
+    driver = DriveToPose(STEER, (0.0, -0.4, 0.0))
+    first = driver.step(seen_at(0.0)).wheels
     assert np.all(np.asarray(first) < 0.0)
 
 
@@ -116,21 +116,21 @@ def test_a_step_aside_is_made_by_backing_off_and_not_by_turning_on_the_spot() ->
     goal = (0.09, 0.0, 0.14)
     turned = {}
     for free in (True, False):
-        going = Going(STEER, goal, free=lambda pose, free=free: free)
-        ended = drive(going, SHARE)
+        driver = DriveToPose(STEER, goal, free=lambda pose, free=free: free)
+        ended = drive(driver, SHARE)
         np.testing.assert_allclose(ended, goal, atol=0.015)
-        turned[free] = going.odometry.turned
+        turned[free] = driver.odometry.turned
     assert turned[False] > math.radians(160.0)
     assert turned[True] < math.radians(80.0)
 
 
 def test_it_backs_off_along_the_heading_that_it_shall_have() -> None:
     asked: list[np.ndarray] = []
-    Going(STEER, (0.09, 0.0, 0.14), free=lambda pose: (asked.append(pose), True)[1])
+    DriveToPose(STEER, (0.09, 0.0, 0.14), free=lambda pose: (asked.append(pose), True)[1])
     (behind,) = asked
     ahead = [-math.sin(0.14), math.cos(0.14)]
     np.testing.assert_allclose(
-        behind[:2] + GoingConfig().back_off * np.array(ahead), [0.09, 0.0], atol=1e-12
+        behind[:2] + DriveToPoseConfig().back_off * np.array(ahead), [0.09, 0.0], atol=1e-12
     )
     assert behind[2] == pytest.approx(0.14)
 
@@ -138,20 +138,20 @@ def test_it_backs_off_along_the_heading_that_it_shall_have() -> None:
 @pytest.mark.parametrize("goal", [(0.0, 0.5, 0.0), (0.4, 0.3, 1.0), (0.0, 0.0, 0.7)])
 def test_where_backing_off_saves_no_turns_it_goes_straight(goal) -> None:
     asked: list[np.ndarray] = []
-    Going(STEER, goal, free=lambda pose: (asked.append(pose), True)[1])
+    DriveToPose(STEER, goal, free=lambda pose: (asked.append(pose), True)[1])
     assert not asked
 
 
 def test_a_rover_that_believes_its_wheels_roll_goes_astray() -> None:
-    ended = drive(Going(SkidSteer(RADIUS, HALF_TRACK, 1.0), (0.4, 0.3, 0.0)), SHARE)
+    ended = drive(DriveToPose(SkidSteer(RADIUS, HALF_TRACK, 1.0), (0.4, 0.3, 0.0)), SHARE)
     assert math.dist(ended[:2], (0.4, 0.3)) > 0.05
 
 
 def test_nothing_moves_before_the_arm_is_known() -> None:
-    command = Going(STEER, (0.0, 0.5, 0.0)).step(seen_at(0.0, arm_angles=None))
+    command = DriveToPose(STEER, (0.0, 0.5, 0.0)).step(seen_at(0.0, arm_angles=None))
     assert np.all(np.asarray(command.wheels) == 0.0)
 
 
 def test_a_goal_that_is_no_number_is_refused() -> None:
     with pytest.raises(ValueError, match="three finite numbers"):
-        Going(STEER, (0.0, math.nan, 0.0))
+        DriveToPose(STEER, (0.0, math.nan, 0.0))
