@@ -284,7 +284,7 @@ class StereoMapper:
     ) -> FloatArray:
         for view in views.raster()[head.raster :]:
             head.raster += 1
-            if views.is_reachable(angles, view, collides):
+            if views.are_reachable(angles, view[None], collides)[0]:
                 return view
         raise ViewError("the raster has ended")
 
