@@ -54,7 +54,7 @@ class RangeSensor:
 
 
 @dataclasses.dataclass(frozen=True)
-class Scan:
+class PlanarScan:
     """What one range scan saw.
 
     Attributes:
@@ -73,7 +73,7 @@ def scan(
     heading: float,
     sensor: RangeSensor,
     generator: np.random.Generator | None = None,
-) -> Scan:
+) -> PlanarScan:
     """Simulate a range scan.
 
     A beam goes towards every cell of the sector, on to the depth of field or the first occupied
@@ -116,7 +116,7 @@ def scan(
         table.kinds, table.entries, table.exits, passed, hit,
     )  # fmt: skip
     passed[row, column] = True
-    return Scan(passed, hit)
+    return PlanarScan(passed, hit)
 
 
 def ray_sums(values: FloatArray, opaque: BoolArray, cells: IntArray, table: Fan) -> FloatArray:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from perception.stereo.geometry import StereoGeometry
-from perception.stereo.stereo import StereoError, check_pair
+from perception.stereo.matching import StereoError, check_pair
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]

@@ -378,7 +378,7 @@ class VoxelMap:
 
 
 @dataclasses.dataclass(frozen=True)
-class Window:
+class MapWindow:
     """Voxels of a box.
 
     Attributes:
@@ -410,7 +410,7 @@ class Window:
         return int(below[-1]) - 127 if len(below) else NEVER
 
 
-def window(voxels: VoxelMap, lower: ArrayLike, upper: ArrayLike) -> Window:
+def window(voxels: VoxelMap, lower: ArrayLike, upper: ArrayLike) -> MapWindow:
     """Return the voxels of a box; the box may reach out of the map, where nothing is known.
 
     Args:
@@ -436,7 +436,7 @@ def window(voxels: VoxelMap, lower: ArrayLike, upper: ArrayLike) -> Window:
     lowest, highest = voxels.config.model.clamps
     scale = LARGEST_STEP / max(-lowest, highest)
     table = np.where(steps == NEVER, np.nan, probability(steps / scale))
-    return Window(grid, values, table, voxels.threshold())
+    return MapWindow(grid, values, table, voxels.threshold())
 
 
 @numba.njit(**KERNEL)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.stereo.matching import StereoError
 from perception.stereo.rectification import Lens, Rectification
-from perception.stereo.stereo import StereoError
 
 SIZE = (400, 360)
 LEFT = Lens(

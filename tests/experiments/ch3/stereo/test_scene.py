@@ -23,8 +23,8 @@ from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, draw_lay
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from models.datasheets import CAMERA
+from perception.stereo.matching import StereoMatcher
 from perception.stereo.rectification import Lens, Rectification
-from perception.stereo.stereo import StereoMatcher
 from twin.camera import StereoConfig, StereoRig, renderer
 
 EYE = look_at([-0.45, -0.35, 0.35], [0.0, 0.35, 0.1])
