@@ -175,34 +175,31 @@ def log_twist(pose: Any) -> Any:
 
 
 @numba.njit(cache=True)
-def write_near_log(rotation: Any, translation: Any, out: Any) -> None:
+def write_near_log(pose: Any, out: Any) -> None:
     """Write exponential coordinates from the antisymmetric part of a rotation; allocates nothing.
 
     Quicker than `log_twist`, but rough near half a turn, and to 1e-7 of the translation about
     1e-4 rad.
 
     Args:
-        rotation: (3, 3) rotation matrix.
-        translation: (3,) translation [m].
+        pose: (12,) translation [m], and the rotation matrix row by row.
         out: (6,) exponential coordinates [rad, m], overwritten.
     """
-    r = rotation
     sine = 0.0
     for d in range(3):
         i, j = (d + 1) % 3, (d + 2) % 3
-        out[d] = 0.5 * r[j, i]
-        out[d] -= 0.5 * r[i, j]
+        out[d] = 0.5 * pose[3 + 3 * j + i]
+        out[d] -= 0.5 * pose[3 + 3 * i + j]
         sine += out[d] * out[d]
     sine = np.sqrt(sine)
-    cosine = 0.5 * (r[0, 0] + r[1, 1] + r[2, 2] - 1.0)
+    cosine = 0.5 * (pose[3] + pose[7] + pose[11] - 1.0)
     angle = np.arctan2(sine, cosine)
     stretch = angle / sine if sine > 1e-9 else 1.0
     factor = 1.0 / 12.0
     if angle > _SMALL:
         factor = (1.0 - 0.5 * angle * sine / (1.0 - cosine)) / (angle * angle)
-    _write_coordinates(
-        stretch * out[0], stretch * out[1], stretch * out[2], translation, factor, out
-    )
+    x, y, z = stretch * out[0], stretch * out[1], stretch * out[2]
+    _write_coordinates(x, y, z, pose, factor, out)
 
 
 @numba.njit(cache=True)

@@ -33,7 +33,7 @@ def test_exponential_coordinates_are_scipys(size):
         np.testing.assert_allclose(log_twist(matrix), xi, atol=1e-7)
         if size <= 3.0:
             near = np.empty(6)
-            write_near_log(matrix[:3, :3], matrix[:3, 3], near)
+            write_near_log(np.concatenate([matrix[:3, 3], matrix[:3, :3].ravel()]), near)
             np.testing.assert_allclose(near, xi, atol=1e-6)
 
 
