@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -34,6 +34,7 @@ __all__ = [
     "FOLDER",
     "ROUGH",
     "FieldConfig",
+    "OwnRobot",
     "PayloadConfig",
     "RobotPlacement",
     "TEXTURE_TILE",
@@ -43,6 +44,7 @@ __all__ = [
     "build_scene",
     "compile_scene",
     "load_part",
+    "load_robot",
     "make_model",
     "make_terrain",
     "settle",
@@ -80,6 +82,60 @@ def load_part(name: str) -> mujoco.MjSpec:
         spec.delete(key)
     spec.default.name = f"{name}_main"  # unique, so that the scene's XML can be read back
     return spec
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnRobot:
+    """A robot that a user brings.
+
+    Attributes:
+        spec: Its MJCF without key frames, ready to be attached.
+        angles: Position of each hinge and slide at rest, by joint name [rad or m].
+        controls: Control of each actuator that holds it there, by name.
+        half_size: Half of its extent along x and y [m].
+    """
+
+    spec: mujoco.MjSpec
+    angles: Mapping[str, float]
+    controls: Mapping[str, float]
+    half_size: tuple[float, float]
+
+
+def load_robot(path: str) -> OwnRobot:
+    """Read a robot's MJCF file, as `RobotPlacement.model` names it.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ValueError: If it cannot be read or compiled, or has no free body ``chassis``.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(path)
+        model = spec.compile()
+    except (ValueError, RuntimeError) as error:
+        raise ValueError(f"robot model {path}: {' '.join(str(error).split())}") from error
+    chassis = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "chassis")
+    if chassis < 0 or model.body_dofnum[chassis] != 6:  # noqa: PLR2004
+        raise ValueError(f"robot model {path}: there is no free body 'chassis'")
+    data = mujoco.MjData(model)
+    home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    if home >= 0:
+        mujoco.mj_resetDataKeyframe(model, data, home)
+    mujoco.mj_kinematics(model, data)
+    reach = np.abs(data.geom_xpos - data.xpos[chassis])[:, :2] + model.geom_rbound[:, None]
+    x, y = reach[model.geom_contype > 0].max(axis=0, initial=0.0).tolist()
+    slide, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
+    single = [i for i in range(model.njnt) if model.jnt_type[i] in (slide, hinge)]
+    for key in list(spec.keys):
+        spec.delete(key)
+    spec.default.name = f"{Path(path).stem}_main"
+    return OwnRobot(
+        spec,
+        {model.joint(i).name: float(data.qpos[model.jnt_qposadr[i]]) for i in single},
+        {model.actuator(i).name: float(data.ctrl[i]) for i in range(model.nu)},
+        (x, y),
+    )
 
 
 def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> terrain.Terrain:
@@ -246,7 +302,14 @@ def add_home(scene: mujoco.MjSpec, robots: Sequence[RobotPlacement]) -> None:
             scene.delete(key)
     model = compile_scene(scene)
     data = mujoco.MjData(model)
-    armed = [robot for robot in robots if robot.arm]
+    armed = [robot for robot in robots if robot.arm and not robot.model]
+    for robot in robots:
+        if robot.model:
+            own = load_robot(robot.model)
+            for name, angle in own.angles.items():
+                data.joint(f"{robot.name}/{name}").qpos = angle
+            for name, control in own.controls.items():
+                data.actuator(f"{robot.name}/{name}").ctrl = control
     for robot in armed:
         for name, angle in zip(ARM_JOINTS, datasheets.ARM.home, strict=True):
             data.joint(f"{robot.name}/{name}_joint").qpos = angle
@@ -306,9 +369,11 @@ def _yaw_quaternion(yaw: float) -> list[float]:
 def _start_height(ground: terrain.Terrain, robot: RobotPlacement) -> float:
     """Height that leaves every wheel a tenth of a millimetre above what is below the rover."""
     sheet = datasheets.ROVER
+    half = sheet.half_track + sheet.wheel_half_width, sheet.half_wheelbase + sheet.wheel_radius
+    if robot.model:
+        half = load_robot(robot.model).half_size
     side = np.linspace(-1.0, 1.0, 21)
-    x = (sheet.half_track + sheet.wheel_half_width) * side
-    y = (sheet.half_wheelbase + sheet.wheel_radius) * side
+    x, y = half[0] * side, half[1] * side
     corners = np.stack(np.meshgrid(x, y), axis=-1)
     c, s = math.cos(robot.yaw), math.sin(robot.yaw)
     points = corners @ np.array([[c, s], [-s, c]]) + robot.position
@@ -320,6 +385,9 @@ def _add_robot(scene: mujoco.MjSpec, robot: RobotPlacement, height: float, frict
     frame = scene.worldbody.add_frame(
         pos=[*robot.position, height], quat=_yaw_quaternion(robot.yaw)
     )
+    if robot.model:
+        scene.attach(load_robot(robot.model).spec, frame=frame, prefix=prefix)
+        return
     rover = load_part("rover")
     for wheel in WHEELS:
         tyre = rover.geom(f"{wheel}_tyre")

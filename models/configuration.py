@@ -148,6 +148,9 @@ class RobotPlacement:
         centre_locked: Whether the centre joint is held at zero.
         payload: Box in the gripper, if any.
         card: Whether the gripper holds the card.
+        model: MJCF file of a robot of your own in place of the thesis' rover, in the same naming:
+            the free body ``chassis``, the arm's first body ``arm_base_link``, motors ``x`` on
+            joints ``x_joint``. Its key frame ``home`` is how it starts, at rest on level ground.
     """
 
     name: str = "rover1"
@@ -158,13 +161,14 @@ class RobotPlacement:
     centre_locked: bool = False
     payload: PayloadConfig | None = None
     card: bool = False
+    model: str = ""
 
     def __post_init__(self) -> None:
         """Refuse impossible robots.
 
         Raises:
             ValueError: If the name cannot be a prefix, there is a payload or a card but no arm, or
-                both at once.
+                both at once, or what is the thesis' rover's is asked of another model.
         """
         _require(
             _NAME.fullmatch(self.name) is not None,
@@ -178,6 +182,13 @@ class RobotPlacement:
             self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm"
         )
         held = self.arm and self.payload is None
+        asked = self.arm, self.stereo, self.centre_locked, self.payload, self.card
+        _require(
+            not self.model or asked == (True, True, False, None, False),
+            f"model of {self.name}",
+            self.model,
+            "nothing but name, position and yaw beside it",
+        )
         _require(held or not self.card, f"card of {self.name}", self.card, "an arm without payload")
 
 

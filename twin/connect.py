@@ -12,6 +12,7 @@ import numpy as np
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
 from twin.camera import StereoConfig
 from twin.clock import Clock, SimClock, TickClock, WallClock
+from twin.describe import describe_placement
 from twin.hardware.connect_boards import (
     Wiring,
     emulated_robots,
@@ -119,6 +120,10 @@ def connect(
     if word == "serial" and colon:
         return _connect_wires(Wiring.parse(wiring))
     scene = SceneConfig(tuple(robots), field, seed, settling, stereo=stereo)
+    if target != "sim" and any(robot.model for robot in scene.robots):
+        raise ValueError(
+            f"{target}: the boards have four wheels and four arm joints each, not more"
+        )
     if target == "emulated":
         bare = _connect_emulated(scene, line_faults)
     elif target == "quantised":
@@ -137,7 +142,7 @@ def _connect_simulation(scene: SceneConfig, suite: SensorSuite) -> Connection:
     model = make_model(scene.field, scene.robots)
     simulation = Simulation(
         model,
-        [robot.name for robot in scene.robots],
+        [describe_placement(robot) for robot in scene.robots],
         suite=suite,
         stereo=scene.stereo,
         seed=scene.seed,

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from models.compose import FLAT, RobotPlacement, make_model
-from models.datasheets import CAMERA, ROVER
+from models.compose import FieldConfig, RobotPlacement, make_model
+from models.datasheets import ARM_MOTOR, CAMERA, ROVER, WHEEL_MOTOR, MotorSheet
 from twin.camera import camera_model, camera_pose
 from twin.description import (
     ArmDescription,
     JointDescription,
+    MotorDescription,
     RigidBody,
     RobotDescription,
     StereoHeadDescription,
@@ -37,6 +38,7 @@ COVER_RADIUS = 0.03
 """Radius of the spheres about these points, half the spacing and a reserve [m]."""
 
 _COLLISION_GROUP = 3
+_BARE = FieldConfig(texture_pixels=16)
 _ARM_BASE = "arm_base_link"
 _LEFT, _RIGHT = "stereo_left", "stereo_right"
 
@@ -52,14 +54,34 @@ def describe_rover(
         arm: Whether it carries the arm.
         card: Whether the gripper holds the card, which then counts as part of the wrist.
     """
-    model = make_model(FLAT, [RobotPlacement(name, arm=arm, card=card)])
+    model = make_model(_BARE, [RobotPlacement(name, arm=arm, card=card)])
     drawn = describe(model, name)
     # The model's literals are rounded; the datasheets' numbers are not.
     camera = CAMERA.pinhole
     head = drawn.head
     if head is not None:
         head = dataclasses.replace(head, camera=camera, baseline=CAMERA.baseline)
-    return dataclasses.replace(drawn, centre_height=ROVER.centre_height, head=head)
+    motors = [WHEEL_MOTOR] * len(drawn.wheels) + [ARM_MOTOR] * len(drawn.joint_names)
+    return dataclasses.replace(
+        drawn,
+        centre_height=ROVER.centre_height,
+        head=head,
+        motors=tuple(map(_motor_by_sheet, motors)),
+    )
+
+
+def describe_placement(robot: RobotPlacement) -> RobotDescription:
+    """Return a robot of a scene as drawn: the thesis' rover, or one of the user's own.
+
+    Args:
+        robot: As placed in the scene; where it stands and its payload do not count.
+    """
+    if robot.model:
+        return describe(
+            make_model(_BARE, [RobotPlacement(robot.name, model=robot.model)]), robot.name
+        )
+    drawn = describe_rover(robot.name, arm=robot.arm, card=robot.card)
+    return drawn if robot.stereo else dataclasses.replace(drawn, head=None)
 
 
 def describe(model: mujoco.MjModel, robot: str) -> RobotDescription:
@@ -94,7 +116,7 @@ def describe(model: mujoco.MjModel, robot: str) -> RobotDescription:
         for name, joint in motors.items()
         if not on_arm[model.jnt_bodyid[joint]]
     )
-    arm = None
+    arm, joints = None, dict[str, int]()
     if base >= 0:
         joints = {n: j for n, j in motors.items() if on_arm[model.jnt_bodyid[j]]}
         arm = _arm(model, data, robot, joints)
@@ -109,6 +131,10 @@ def describe(model: mujoco.MjModel, robot: str) -> RobotDescription:
         arm,
         _head(model, data, robot, on_arm),
         {name: np.asarray(spec.noise, dtype=float) for name, spec in DATASHEET.channels.items()},
+        tuple(
+            _motor(model, f"{robot}/{name}")
+            for name in (*(wheel.name for wheel in wheels), *joints)
+        ),
     )
 
 
@@ -148,6 +174,31 @@ def _motors(model: mujoco.MjModel, robot: str) -> dict[str, int]:
     named = {model.actuator(i).name: int(model.actuator_trnid[i, 0]) for i in range(model.nu)}
     prefix = f"{robot}/"
     return {name[len(prefix) :]: joint for name, joint in named.items() if name.startswith(prefix)}
+
+
+def _motor(model: mujoco.MjModel, actuator: str) -> MotorDescription:
+    """Return the line of an actuator: a ``dcmotor``, or an affine one in volts.
+
+    Raises:
+        ValueError: If it is another kind, whose line nobody knows.
+    """
+    motor = model.actuator(actuator)
+    volts, bias = float(motor.ctrlrange[1]), motor.biasprm
+    if motor.gaintype[0] == mujoco.mjtGain.mjGAIN_DCMOTOR:
+        resistance, constant = motor.gainprm[:2].tolist()
+        return MotorDescription(volts * constant / resistance, volts / constant)
+    if volts > 0.0 and motor.biastype[0] == mujoco.mjtBias.mjBIAS_AFFINE and bias[2] < 0.0:
+        torque = volts * float(motor.gainprm[0])
+        return MotorDescription(torque, -torque / float(bias[2]))
+    raise ValueError(
+        f"actuator {actuator}: neither a dcmotor with a range of volts nor an affine one with "
+        "a speed term, so its torque by speed is not known"
+    )
+
+
+def _motor_by_sheet(sheet: MotorSheet) -> MotorDescription:
+    # The friction that the sheets' shaft torque leaves out is a control loop's to find.
+    return MotorDescription(sheet.gross_stall_torque, sheet.gross_no_load_speed)
 
 
 def _descendants(model: mujoco.MjModel, ancestor: int) -> NDArray[np.bool_]:

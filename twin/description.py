@@ -89,6 +89,31 @@ class ArmDescription:
 
 
 @dataclasses.dataclass(frozen=True)
+class MotorDescription:
+    """A motor's line at its output shaft, with the friction that its sheet leaves out.
+
+    At duty d it turns with torque = stall_torque * (d - speed / no_load_speed).
+
+    Attributes:
+        stall_torque: Torque at full duty and rest [N m].
+        no_load_speed: Speed at full duty without a load [rad/s].
+    """
+
+    stall_torque: float
+    no_load_speed: float
+
+    def __post_init__(self) -> None:
+        """Refuse a motor that could not turn.
+
+        Raises:
+            ValueError: If a number is not positive.
+        """
+        for name, value in vars(self).items():
+            if not value > 0.0:
+                raise ValueError(f"motor {name} must be positive, got {value}")
+
+
+@dataclasses.dataclass(frozen=True)
 class WheelDescription:
     """A driven wheel on its spring, which lets it move up and down.
 
@@ -139,6 +164,7 @@ class RobotDescription:
         head: The stereo head on the arm; None without one.
         sensor_sigma: Standard deviation of each channel's noise by its datasheet, by name of the
             channel, in the channel's units; one number, or one for each of its values.
+        motors: Motor of each axis, in the order of `axes`.
     """
 
     name: str
@@ -149,12 +175,22 @@ class RobotDescription:
     arm: ArmDescription | None
     head: StereoHeadDescription | None
     sensor_sigma: Mapping[str, FloatArray]
+    motors: tuple[MotorDescription, ...]
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Names of all motors in contract order: the wheels, then the arm's joints."""
-        joints = self.arm.joints if self.arm is not None else ()
-        return (*(wheel.name for wheel in self.wheels), *(joint.name for joint in joints))
+        return (*self.wheel_names, *self.joint_names)
+
+    @property
+    def wheel_names(self) -> tuple[str, ...]:
+        """Names of the wheels in contract order."""
+        return tuple(wheel.name for wheel in self.wheels)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the arm's joints from the base to the wrist; none without an arm."""
+        return tuple(joint.name for joint in self.arm.joints) if self.arm is not None else ()
 
     @property
     def wheel_radius(self) -> float:

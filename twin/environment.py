@@ -21,8 +21,9 @@ from dm_control.rl import control
 from dm_env import specs
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
-from twin.robot import AXES, Command, FloatArray, Observation
-from twin.sensors import CHANNEL_WIDTHS, DATASHEET, SensorSuite
+from twin.describe import describe_placement
+from twin.robot import Command, FloatArray, Observation
+from twin.sensors import DATASHEET, SensorSuite, channel_widths
 from twin.simulation import Simulation
 
 Reward = Callable[[Mapping[str, Observation]], float]
@@ -54,10 +55,12 @@ class RoverTask(control.Task):
             robot.activate()
 
     def before_step(self, action: FloatArray, physics: Physics) -> None:
-        """Bring duties (8 a robot: wheels, then arm joints) to the motors."""
-        parts = np.asarray(action, dtype=float).reshape(-1, len(AXES))
-        for robot, duty in zip(self._simulation.robots.values(), parts):
-            robot.command(Command(duty[:4], duty[4:]))
+        """Bring duties (robot by robot: wheels, then arm joints) to the motors."""
+        duty = np.asarray(action, dtype=float)
+        for robot in self._simulation.robots.values():
+            wheels, axes = len(robot.description.wheels), len(robot.description.axes)
+            robot.command(Command(duty[:wheels], duty[wheels:axes]))
+            duty = duty[axes:]
         self._simulation.drive()
 
     def after_step(self, physics: Physics) -> None:
@@ -66,15 +69,16 @@ class RoverTask(control.Task):
 
     def action_spec(self, physics: Physics) -> specs.BoundedArray:
         """Return the shape and range of an action."""
-        names = ",".join(f"{robot}/{axis}" for robot in self._simulation.robots for axis in AXES)
-        count = len(AXES) * len(self._simulation.robots)
-        return specs.BoundedArray((count,), float, -1.0, 1.0, name=names)
+        robots = self._simulation.robots.items()
+        names = [f"{name}/{axis}" for name, robot in robots for axis in robot.description.axes]
+        return specs.BoundedArray((len(names),), float, -1.0, 1.0, name=",".join(names))
 
     def get_observation(self, physics: Physics) -> OrderedDict[str, Any]:
         """Return every channel, named robot/channel."""
         result: OrderedDict[str, Any] = OrderedDict()
-        for name, observation in self._observations().items():
-            for channel, width in CHANNEL_WIDTHS.items():
+        for name, robot in self._simulation.robots.items():
+            observation = robot.observe()
+            for channel, width in channel_widths(robot.description).items():
                 sample = getattr(observation, channel)
                 value = sample.value if sample.usable else np.full(width, np.nan)
                 result[f"{name}/{channel}"] = value
@@ -113,7 +117,8 @@ def make_environment(
     state = np.empty(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, rest, state, _STATE)
     mujoco.mj_setState(model, data, state, _STATE)
-    simulation = Simulation(model, [r.name for r in robots], suite=suite, seed=seed, data=data)
+    drawn = [describe_placement(robot) for robot in robots]
+    simulation = Simulation(model, drawn, suite=suite, seed=seed, data=data)
     return control.Environment(
         physics,
         RoverTask(simulation, reward),

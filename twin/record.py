@@ -20,20 +20,18 @@ import rerun as rr
 import rerun.blueprint as rrb
 import tyro
 
+from twin.description import RobotDescription
 from twin.layout import default_blueprint
 from twin.loop import LoopRecorder, Tick
-from twin.robot import ARM_JOINTS, WHEELS, Channel, FloatArray, Robot, Validity
+from twin.robot import Channel, FloatArray, Robot, Validity
 from twin.scene_mesh import body_mesh
 from twin.screenshot import screenshot
-from twin.sensors import CHANNEL_WIDTHS
+from twin.sensors import CHANNELS
 from twin.simulation import Simulation
 
 _XYZ = ("x", "y", "z")
 _COMPONENTS: Mapping[str, Sequence[str]] = {
-    "wheel_speeds": WHEELS,
     "centre_angle": ("centre",),
-    "arm_angles": ARM_JOINTS,
-    "arm_rates": ARM_JOINTS,
     "inclinometer": ("pitch", "roll"),
     "arm_base_wrench": tuple(f"force {a}" for a in _XYZ) + tuple(f"moment {a}" for a in _XYZ),
     "accelerometer": _XYZ,
@@ -106,6 +104,11 @@ class Recorder(LoopRecorder):
         self._next_flush = self._next_bodies = -np.inf
         self._next_image: dict[str, float] = {}
         self._seen: dict[str, float] = {}
+        self._components = {
+            f"{name}/{channel}": components
+            for name, robot in robots.items()
+            for channel, components in _components(robot.description).items()
+        }
         self._simulation = simulation
         self._moving: list[tuple[int, str]] = []
         if simulation is not None:
@@ -126,13 +129,13 @@ class Recorder(LoopRecorder):
         """Take one servo tick; channels that say nothing new are left out."""
         self._step, self._time = tick.step, tick.time
         for name, observation in tick.observations.items():
-            for channel in CHANNEL_WIDTHS:
+            for channel in CHANNELS:
                 self._take_channel(name, channel, getattr(observation, channel))
             if observation.stereo.validity is not Validity.MISSING:
                 self._take_stereo(name, observation.stereo)
         for name, command in tick.applied.items():
-            self.log_scalars(f"{name}/duty/wheels", command.wheels, WHEELS)
-            self.log_scalars(f"{name}/duty/arm", command.arm, ARM_JOINTS)
+            self._take_row(f"{name}/duty/wheels", command.wheels)
+            self._take_row(f"{name}/duty/arm", command.arm)
         if tick.time >= self._next_bodies - _SLACK:
             self._next_bodies = tick.time + 1.0 / self._config.body_rate
             self._take_bodies()
@@ -250,7 +253,11 @@ class Recorder(LoopRecorder):
         if channel.validity is Validity.MISSING or self._seen.get(path) == channel.stamp:
             return
         self._seen[path] = channel.stamp
-        self.log_scalars(path, channel.value.astype(float), _COMPONENTS[name])
+        self._take_row(path, channel.value.astype(float))
+
+    def _take_row(self, path: str, values: FloatArray) -> None:
+        if values.size:  # a robot without an arm has no curves of one
+            self.log_scalars(path, values, self._components.get(path, ()))
 
     def _take_stereo(self, robot: str, stereo: Channel) -> None:
         early = self._time < self._next_image.get(robot, -np.inf) - _SLACK
@@ -323,6 +330,14 @@ class Recorder(LoopRecorder):
             rr.TimeColumn("sim_time", duration=[self._time]),
             rr.TimeColumn("step", sequence=[self._step]),
         ]
+
+
+def _components(robot: RobotDescription) -> dict[str, Sequence[str]]:
+    """Return the names of the values of each curve of a robot, by entity below the robot."""
+    wheels, joints = robot.wheel_names, robot.joint_names
+    named = {"wheel_speeds": wheels, "arm_angles": joints, "arm_rates": joints, **_COMPONENTS}
+    sensors = {f"sensors/{channel}": names for channel, names in named.items()}
+    return {**sensors, "duty/wheels": wheels, "duty/arm": joints}
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:

@@ -16,13 +16,15 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.description import RobotDescription
+
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
 AXES = (*WHEELS, *ARM_JOINTS)
-"""Motors in contract order: the wheels, then the arm's joints."""
+"""Motors of the thesis' rover; any robot's are in its description."""
 
 
 class RobotError(RuntimeError):
@@ -139,10 +141,10 @@ class Observation(NamedTuple):
 
     Attributes:
         time: Robot time [s].
-        wheel_speeds: (4,) [rad/s], in the order of `WHEELS`, positive forward.
+        wheel_speeds: (wheels,) [rad/s], in the order of the description, positive forward.
         centre_angle: (1,) roll of the rear half relative to the front half [rad].
-        arm_angles: (4,) [rad], in the order of `ARM_JOINTS`.
-        arm_rates: (4,) [rad/s].
+        arm_angles: (joints,) [rad], in the order of the description.
+        arm_rates: (joints,) [rad/s].
         inclinometer: (2,) pitch about x and roll about y of the front half [rad].
         arm_base_wrench: (6,) force [N] and moment [N m] by the rover on the arm, in and about the
             arm base frame; at rest the force is the arm's weight, upward.
@@ -166,13 +168,13 @@ class Observation(NamedTuple):
     stereo: Channel = MISSING
 
 
-NOTHING = np.zeros(4)
-"""Four zeros, read-only."""
+NOTHING = np.empty(0)
+"""Stands for zeros, as many as a robot has wheels or joints; read-only."""
 NOTHING.flags.writeable = False
 
 
 class WheelMode(enum.Enum):
-    """What the four wheel numbers of a command mean."""
+    """What the wheel numbers of a command mean."""
 
     DUTY = "duty"
     EFFORT = "effort"
@@ -180,7 +182,7 @@ class WheelMode(enum.Enum):
 
 
 class ArmMode(enum.Enum):
-    """What the four arm numbers of a command mean."""
+    """What the arm numbers of a command mean."""
 
     DUTY = "duty"
     EFFORT = "effort"
@@ -196,12 +198,15 @@ _WHEEL_DUTY, _ARM_DUTY = WheelMode.DUTY, ArmMode.DUTY
 class Command:
     """What a robot is asked to do until the next command.
 
+    The robot refuses as many numbers as it has not; `NOTHING` fits every robot.
+
     Attributes:
-        wheels: (4,) duty in [-1, 1], effort [N m] or speed [rad/s], in the order of `WHEELS`.
-        arm: (4,) duty in [-1, 1], effort [N m], rate [rad/s] or position [rad].
+        wheels: (wheels,) duty in [-1, 1], effort [N m] or speed [rad/s], in the order of the
+            robot's description.
+        arm: (joints,) duty in [-1, 1], effort [N m], rate [rad/s] or position [rad], likewise.
         wheel_mode: Meaning of `wheels`.
         arm_mode: Meaning of `arm`.
-        arm_rates: (4,) feed-forward rates [rad/s], used with ``ArmMode.POSITION`` only.
+        arm_rates: (joints,) feed-forward rates [rad/s], used with ``ArmMode.POSITION`` only.
     """
 
     wheels: FloatArray
@@ -221,13 +226,13 @@ class Command:
         """Refuse what no wire may ever carry.
 
         Raises:
-            ValueError: If an array is not (4,) or holds a NaN or an infinity.
+            ValueError: If an array is not one-dimensional or holds a NaN or an infinity.
         """
         # Every tick makes one a robot, with caches gone cold: few steps, and those in one place.
-        if not _eight_finite(wheels, arm):
-            wheels, arm = _four("wheels", wheels), _four("arm", arm)
+        if not _surely_finite(wheels, arm):
+            wheels, arm = _finite_row("wheels", wheels), _finite_row("arm", arm)
         if arm_rates is not NOTHING:
-            arm_rates = _four("arm_rates", arm_rates)
+            arm_rates = _finite_row("arm_rates", arm_rates)
         fields = self.__dict__  # frozen otherwise
         fields["wheels"], fields["arm"], fields["arm_rates"] = wheels, arm, arm_rates
         fields["wheel_mode"], fields["arm_mode"] = wheel_mode, arm_mode
@@ -237,8 +242,8 @@ def applied_command(wheels: FloatArray, arm: FloatArray) -> Command:
     """Return as a command what was applied, without the checks of one that is asked for.
 
     Args:
-        wheels: (4,) finite duty in [-1, 1].
-        arm: (4,) finite duty in [-1, 1].
+        wheels: (wheels,) finite duty in [-1, 1].
+        arm: (joints,) finite duty in [-1, 1].
     """
     command = Command.__new__(Command)
     fields = command.__dict__
@@ -248,34 +253,38 @@ def applied_command(wheels: FloatArray, arm: FloatArray) -> Command:
     return command
 
 
-def _eight_finite(wheels: FloatArray, arm: FloatArray) -> bool:
-    """Return whether these are surely (4,) finite numbers each, by the fewest steps."""
+def _surely_finite(wheels: FloatArray, arm: FloatArray) -> bool:
+    """Return whether these are surely rows of finite numbers, by the fewest steps."""
     try:
         if type(wheels) is _ARRAY and wheels.dtype is _DOUBLE:
             if type(arm) is _ARRAY and arm.dtype is _DOUBLE:
-                a, b, c, d = wheels.tolist()
-                e, f, g, h = arm.tolist()
                 # Finite numbers have a finite sum, unless they are absurdly large.
-                return math.isfinite(a + b + c + d + e + f + g + h)
-    except (TypeError, ValueError):
-        pass  # of another shape
+                return math.isfinite(sum(wheels.tolist(), sum(arm.tolist())))
+    except TypeError:
+        pass  # not one-dimensional
     return False
 
 
-def _four(name: str, values: FloatArray) -> FloatArray:
-    """Return four finite numbers, or refuse."""
+def _finite_row(name: str, values: FloatArray) -> FloatArray:
+    """Return finite numbers in a row, or refuse."""
     values = np.asarray(values, dtype=float)
-    if values.shape != (4,):
-        raise ValueError(f"command {name}: expected 4 numbers, got shape {values.shape}")
+    if values.ndim != 1:
+        raise ValueError(f"command {name}: expected numbers in a row, got shape {values.shape}")
     if not all(map(math.isfinite, values.tolist())):
         raise ValueError(f"command {name}: {values} is not finite; nothing was sent")
     return values
 
 
 class Robot(Protocol):
-    """Four methods; the same controller drives any implementation unchanged."""
+    """Four methods; the same controller drives any implementation unchanged.
+
+    Attributes:
+        name: Name of the robot.
+        description: The robot as drawn; readable in every state.
+    """
 
     name: str
+    description: RobotDescription
 
     @property
     def lifecycle(self) -> Lifecycle:
@@ -299,6 +308,7 @@ class Robot(Protocol):
 
         Raises:
             RobotError: If the robot is not ACTIVE.
+            ValueError: If it has not as many wheels or joints as the command has numbers.
         """
         ...
 

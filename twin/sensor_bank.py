@@ -17,25 +17,18 @@ import numba
 import numpy as np
 
 from twin.robot import MISSING, Channel, FloatArray, Validity
-from twin.sensors import CHANNEL_WIDTHS, ChannelSpec, SensorSuite, check_channel
-from twin.wiring import DIRECT, IntArray, Wiring, gather
+from twin.sensors import CHANNELS, ChannelSpec, SensorSuite, check_channel
+from twin.wiring import IntArray, Wiring, direct, gather
 
 _TIME_SLACK = 1e-9
 _BLOCK = 64  # ticks of noise drawn, and of readings laid out, at a time
-_SIZE = sum(CHANNEL_WIDTHS.values())
-_COUNT = len(CHANNEL_WIDTHS)
+_COUNT = len(CHANNELS)
 _ALL_MEASURED = (Validity.MEASURED,) * _COUNT
 # As `Channel._make`, without a Python frame for each channel of each tick.
 _channel = cast(
     "Callable[[Any], Channel]",
     functools.partial(tuple.__new__, Channel),  # pyright: ignore[reportUnknownMemberType]
 )
-# One tick's readings, and when each was taken: NumPy makes an item's views all in one call.
-_READING = np.dtype(
-    [(name, np.float64, (width,)) for name, width in CHANNEL_WIDTHS.items()]
-    + [(f"{name}_stamp", np.float64) for name in CHANNEL_WIDTHS]
-)
-
 # All numbers of a bank are one table, since compiled code takes long to receive an array. Its
 # columns are the components and then the channels. First come the rows of the coefficients of
 # every component: noise, offset, range, the low pass's weights of its state, the last input and
@@ -90,7 +83,8 @@ class SensorBank:
         suite: SensorSuite,
         period: float,
         rng: np.random.Generator,
-        wiring: Wiring = DIRECT,
+        widths: Mapping[str, int],
+        wiring: Wiring | None = None,
     ) -> None:
         """Lay the channels side by side.
 
@@ -98,11 +92,19 @@ class SensorBank:
             suite: How each channel is measured.
             period: Servo tick [s].
             rng: Source of noise and dropout, owned by the bank from now on.
-            wiring: Where the true values come from, and which channels lack them.
+            widths: How many values each channel has, by name in contract order.
+            wiring: Where the true values come from, and which channels lack them; None for values
+                in the order of the channels.
         """
-        self.names = tuple(CHANNEL_WIDTHS)
-        self.size = _SIZE
+        self.names = CHANNELS
+        self.size = sum(widths.values())
+        # One tick's readings, and when each was taken: NumPy makes an item's views all in one call.
+        self._reading = np.dtype(
+            [(name, np.float64, (width,)) for name, width in widths.items()]
+            + [(f"{name}_stamp", np.float64) for name in CHANNELS]
+        )
         self._rng = rng
+        wiring = wiring or direct(widths)
         self._wires, self._orientation = wiring.wires, wiring.orientation
         specs = [suite.channels.get(name, ChannelSpec()) for name in self.names]
         timing = _timing(specs, [wiring.lags.get(name, 0.0) for name in self.names], period)
@@ -113,13 +115,13 @@ class SensorBank:
         ]
         # Noise is drawn in blocks; drop-outs are drawn between its rows, so then row by row.
         self._lossy = bool(np.any(timing[_DROPOUT] > 0.0))
-        self._noise = np.zeros((1 if self._lossy else _BLOCK, _SIZE))
+        self._noise = np.zeros((1 if self._lossy else _BLOCK, self.size))
         self._depth = 1 + int(timing[_DELAY].max())
-        self._table = np.zeros((_PAST + self._depth + len(self._noise), _SIZE + _COUNT))
-        self._table[: _OWNER + 1, :_SIZE] = _chain(specs, period)
-        self._table[: _LUCK + 1, _SIZE:] = timing
-        self._noisy = bool(np.any(self._table[_SIGMA, :_SIZE] > 0.0))
-        self._luck = self._table[_LUCK, _SIZE:]
+        self._table = np.zeros((_PAST + self._depth + len(self._noise), self.size + _COUNT))
+        self._table[: _OWNER + 1, : self.size] = _chain(specs, list(widths.values()), period)
+        self._table[: _LUCK + 1, self.size :] = timing
+        self._noisy = bool(np.any(self._table[_SIGMA, : self.size] > 0.0))
+        self._luck = self._table[_LUCK, self.size :]
         self._used, self._before_block = len(self._noise), {}
         self.reset()
 
@@ -135,7 +137,7 @@ class SensorBank:
         Args:
             time: Robot time of this servo tick [s].
             present: What the wires are connected to; without wires (size,) true values in the
-                order of `CHANNEL_WIDTHS`.
+                order of the channels.
             history: What the wires with several samples are connected to.
         """
         if self._noisy:
@@ -166,17 +168,17 @@ class SensorBank:
         """Return the state, as views of the table."""
         table = self._table
         past = table[_PAST : _PAST + self._depth]
-        return BankState(table[_FILTER : _INPUT + 1, :_SIZE], table[_DUE, _SIZE:], past)
+        return BankState(table[_FILTER : _INPUT + 1, : self.size], table[_DUE, self.size :], past)
 
     def _draw(self) -> None:
         """Draw the next block of noise."""
         self._before_block = dict(self._rng.bit_generator.state)
-        self._table[_PAST + self._depth :, :_SIZE] = self._rng.standard_normal(out=self._noise)
+        self._table[_PAST + self._depth :, : self.size] = self._rng.standard_normal(out=self._noise)
         self._used = 0
 
     def _lay_out(self) -> None:
         """Make room for the next block of readings, which is written here and read-only outside."""
-        self._block: Any = np.zeros(_BLOCK, _READING)
+        self._block: Any = np.zeros(_BLOCK, self._reading)
         self._readings = self._block.view(np.float64).reshape(_BLOCK, -1)
         self._block.flags.writeable = False
 
@@ -231,9 +233,8 @@ class SensorBank:
         self._show()
 
 
-def _chain(specs: list[ChannelSpec], period: float) -> FloatArray:
+def _chain(specs: list[ChannelSpec], widths: list[int], period: float) -> FloatArray:
     """Return the coefficients of filter, noise, range and converter, (10, size)."""
-    widths = list(CHANNEL_WIDTHS.values())
 
     def spread(values: list[Any]) -> FloatArray:
         parts = [np.broadcast_to(value, (width,)) for value, width in zip(values, widths)]
@@ -280,14 +281,14 @@ def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, flo
 @numba.njit(cache=True)
 def _read(table: FloatArray, depth: int, reading: FloatArray) -> float:
     """Write what each channel reads now, and return the oldest stamp; NaN if one is missing."""
-    latest, oldest = _PAST + depth - 1, math.inf
-    for channel in range(_SIZE, _SIZE + _COUNT):
+    latest, oldest, size = _PAST + depth - 1, math.inf, table.shape[1] - _COUNT
+    for channel in range(size, size + _COUNT):
         stamp = table[latest - int(table[_DELAY, channel]), channel]
         reading[channel] = stamp
         if stamp < oldest or math.isnan(stamp):
             oldest = stamp
-    for i in range(_SIZE):
-        channel = _SIZE + int(table[_OWNER, i])
+    for i in range(size):
+        channel = size + int(table[_OWNER, i])
         reading[i] = table[latest - int(table[_DELAY, channel]), i]
     return oldest
 
@@ -306,14 +307,14 @@ def _advance(
     row: int,
 ) -> float:
     """Filter, disturb, limit and quantise a sample, hold it where it arrives, and `_read`."""
-    gather(present, history, wires, orientation, table[_RAW])
-    latest = _PAST + depth - 1
+    latest, size = _PAST + depth - 1, table.shape[1] - _COUNT
+    gather(present, history, wires, orientation, table[_RAW, :size])
     raw, noise, held = table[_RAW], table[latest + used], table[latest]
     for tick in range(_PAST, latest):
         table[tick] = table[tick + 1]
     arrived = np.zeros(_COUNT, np.bool_)
     for channel in range(_COUNT):
-        column = _SIZE + channel
+        column = size + channel
         due = table[_DUE, column]
         if time < due - _TIME_SLACK:
             continue
@@ -324,7 +325,7 @@ def _advance(
         if table[_LUCK, column] >= table[_DROPOUT, column]:
             arrived[channel] = True
             held[column] = time - table[_LAG, column]
-    for i in range(_SIZE):
+    for i in range(size):
         if math.isnan(table[_FILTER, i]):
             table[_FILTER, i] = table[_INPUT, i] = raw[i]
         value = table[_KEEP, i] * table[_FILTER, i]

@@ -10,24 +10,22 @@ from typing import Any
 import numpy as np
 
 from models.datasheets import DEGREE, FORCE_TORQUE, INCLINOMETER
+from twin.description import RobotDescription
+from twin.robot import Observation
 
-CHANNEL_WIDTHS: Mapping[str, int] = {
-    "wheel_speeds": 4,
-    "centre_angle": 1,
-    "arm_angles": 4,
-    "arm_rates": 4,
-    "inclinometer": 2,
-    "arm_base_wrench": 6,
-    "accelerometer": 3,
-    "gyro": 3,
-    "heading": 1,
-}
-"""Numeric channels of an `Observation` and their widths."""
+CHANNELS = Observation._fields[1:-1]
+"""Names of the numeric channels of an `Observation`."""
 
-CHANNEL_OFFSETS: Mapping[str, int] = {
-    name: sum(list(CHANNEL_WIDTHS.values())[:index]) for index, name in enumerate(CHANNEL_WIDTHS)
-}
-"""Where each channel begins in a bank's vector."""
+
+def channel_widths(robot: RobotDescription) -> dict[str, int]:
+    """Return how many values each numeric channel of a robot has, by name in contract order.
+
+    Args:
+        robot: Its description; a channel without wheels or joints has none.
+    """
+    wheels, joints = len(robot.wheels), len(robot.joint_names)
+    return dict(zip(CHANNELS, (wheels, 1, joints, joints, 2, 6, 3, 3, 1), strict=True))
+
 
 PerComponent = float | tuple[float, ...]
 
@@ -105,7 +103,7 @@ class SensorSuite:
 
     Attributes:
         name: For messages and records.
-        channels: Specification by channel name, keys of `CHANNEL_WIDTHS`.
+        channels: Specification by channel name, among `CHANNELS`.
     """
 
     name: str
@@ -124,7 +122,7 @@ class SensorSuite:
         """Return a copy in which one channel's specification has other fields.
 
         Args:
-            channel: Key of `CHANNEL_WIDTHS`.
+            channel: One of `CHANNELS`.
             **changes: Fields of `ChannelSpec`.
 
         Raises:
@@ -137,8 +135,8 @@ class SensorSuite:
 
 def check_channel(name: str) -> None:
     """Raise a ValueError that names an unknown channel and lists the valid ones."""
-    if name not in CHANNEL_WIDTHS:
-        raise ValueError(f"unknown sensor {name!r}; valid ones are {', '.join(CHANNEL_WIDTHS)}")
+    if name not in CHANNELS:
+        raise ValueError(f"unknown sensor {name!r}; valid ones are {', '.join(CHANNELS)}")
 
 
 IDEAL = SensorSuite("ideal")

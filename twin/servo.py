@@ -14,7 +14,7 @@ from typing import Any
 import numba
 import numpy as np
 
-from models.datasheets import ARM_MOTOR, WHEEL_MOTOR
+from twin.description import MotorDescription, RobotDescription
 from twin.robot import (
     NOTHING,
     ArmMode,
@@ -33,55 +33,32 @@ SERVO_PERIOD = 0.01
 
 @dataclasses.dataclass(frozen=True)
 class ServoConfig:
-    """Motor line and loop gains; four numbers each, wheels and arm joints in contract order.
+    """Motor lines and loop gains.
 
     Attributes:
-        wheel_stall_torque: At full duty, at the output shaft [N m].
-        wheel_no_load_speed: At full duty, at the output shaft [rad/s].
-        arm_stall_torque: As above, for the arm joints [N m].
-        arm_no_load_speed: As above, for the arm joints [rad/s].
+        wheels: Motors of the wheels, in contract order.
+        joints: Motors of the arm's joints, in contract order.
         rate_gain: Duty per relative speed error (error / no-load speed); below 1 the loop is
             stable at any motor inertia, however fast the motor follows within a tick.
         rate_integral: Integral of the same [1/s].
         position_gain: Rate asked for per position error [1/s].
     """
 
-    wheel_stall_torque: tuple[float, ...]
-    wheel_no_load_speed: tuple[float, ...]
-    arm_stall_torque: tuple[float, ...]
-    arm_no_load_speed: tuple[float, ...]
+    wheels: tuple[MotorDescription, ...]
+    joints: tuple[MotorDescription, ...]
     rate_gain: float = 0.5
     rate_integral: float = 15.0
     position_gain: float = 15.0
 
-    def __post_init__(self) -> None:
-        """Refuse motors that could not turn.
-
-        Raises:
-            ValueError: If a motor number is not positive, or not four are given.
-        """
-        for name in (
-            "wheel_stall_torque",
-            "wheel_no_load_speed",
-            "arm_stall_torque",
-            "arm_no_load_speed",
-        ):
-            values = np.asarray(getattr(self, name), dtype=float)
-            if values.shape != (4,) or not np.all(values > 0.0):
-                raise ValueError(f"servo {name}: expected 4 positive numbers, got {values}")
-
-
-# The friction that the sheets' shaft torque leaves out is the integral's to find.
-ROVER_SERVO = ServoConfig(
-    wheel_stall_torque=(WHEEL_MOTOR.gross_stall_torque,) * 4,
-    wheel_no_load_speed=(WHEEL_MOTOR.gross_no_load_speed,) * 4,
-    arm_stall_torque=(ARM_MOTOR.gross_stall_torque,) * 4,
-    arm_no_load_speed=(ARM_MOTOR.gross_no_load_speed,) * 4,
-)
-"""The rover's motors, from their sheets."""
+    @classmethod
+    def of(cls, robot: RobotDescription) -> ServoConfig:
+        """Return the usual gains for a robot's motors as drawn."""
+        wheels = len(robot.wheels)
+        return cls(robot.motors[:wheels], robot.motors[wheels:])
 
 
 _PASS, _PUSH, _FOLLOW, _REACH = range(4)
+_DONE, _MISFIT, _NO_NUMBER = range(3)
 # By identity: members of an enumeration are hashed by Python code.
 _WHEEL_LAWS = {id(WheelMode.DUTY): _PASS, id(WheelMode.EFFORT): _PUSH, id(WheelMode.SPEED): _FOLLOW}
 _ARM_LAWS = {
@@ -92,8 +69,6 @@ _ARM_LAWS = {
 }
 _MEASURED = Validity.MEASURED
 _BLOCK = 64  # ticks of duties laid out at a time
-# NumPy makes the views of both parts in one call.
-_DUTIES = np.dtype([("wheels", np.float64, (4,)), ("arm", np.float64, (4,))])
 
 
 class Servo:
@@ -111,22 +86,29 @@ class Servo:
         Args:
             config: Motors and gains.
             period: Servo tick [s].
-            full: (8,) what a motor gets at full duty; None for 1.
-            motors: (8,) receives what the motors get, each time; None for an array of its own.
+            full: (axes,) what a motor gets at full duty; None for 1.
+            motors: (axes,) receives what the motors get, each time; None for an array of its own.
         """
+        lines = (*config.wheels, *config.joints)
+        size = len(lines)
+        self._wheels = len(config.wheels)
+        # NumPy makes the views of both parts in one call.
+        self._parts = np.dtype(
+            [("wheels", np.float64, (self._wheels,)), ("arm", np.float64, (size - self._wheels,))]
+        )
         # Wheels then arm joints; the rows as `_act` reads them, the integrals last.
         self._axes = np.array(
             [
-                [*config.wheel_stall_torque, *config.arm_stall_torque],
-                [*config.wheel_no_load_speed, *config.arm_no_load_speed],
-                [config.rate_gain] * 8,
-                [config.rate_integral * period] * 8,
-                [config.position_gain] * 8,
-                [1.0] * 8 if full is None else full,
-                [0.0] * 8,
+                [line.stall_torque for line in lines],
+                [line.no_load_speed for line in lines],
+                [config.rate_gain] * size,
+                [config.rate_integral * period] * size,
+                [config.position_gain] * size,
+                [1.0] * size if full is None else full,
+                [0.0] * size,
             ]
         )
-        self.motors = np.zeros(8) if motors is None else motors
+        self.motors = np.zeros(size) if motors is None else motors
         self._lay_out()
 
     def reset(self) -> None:
@@ -134,14 +116,14 @@ class Servo:
         self._axes[-1] = 0.0
 
     def _lay_out(self) -> None:
-        """Make room for the next block of duties, which is written here and read-only outside."""
-        self._block: Any = np.zeros(_BLOCK, _DUTIES)
-        self._duties = self._block.view(np.float64).reshape(_BLOCK, 8)
+        """Allocate the next block of duties, which is written here and read-only outside."""
+        self._block: Any = np.zeros(_BLOCK, self._parts)
+        self._duties = self._block.view(np.float64).reshape(_BLOCK, -1)
         self._block.flags.writeable = False
         self._row = -1
 
     def duty(self, command: Command, observation: Observation) -> FloatArray:
-        """Return (8,) duty in [-1, 1], wheels then arm joints; else as `drive`."""
+        """Return (axes,) duty in [-1, 1], wheels then arm joints; else as `drive`."""
         return np.concatenate(self.drive(command, observation))
 
     def drive(self, command: Command, observation: Observation) -> tuple[FloatArray, FloatArray]:
@@ -152,12 +134,13 @@ class Servo:
             observation: What was measured; only the channels that the modes need must be usable.
 
         Returns:
-            (4,) of the wheels and (4,) of the arm joints, read-only.
+            (wheels,) and (joints,) duty, read-only.
 
         Raises:
             RobotError: If a needed channel is missing or stale.
-            ValueError: If a duty comes to no number, as from a command that was written to after
-                its check; the motors get nothing then.
+            ValueError: If the command has another number of wheels or joints than the robot, or a
+                duty comes to no number, as from a command that was written to after its check; the
+                motors get nothing then.
         """
         wheel_mode, arm_mode = command.wheel_mode, command.arm_mode
         wheel_law, arm_law = _WHEEL_LAWS[id(wheel_mode)], _ARM_LAWS[id(arm_mode)]
@@ -181,7 +164,7 @@ class Servo:
             self._lay_out()
             row = 0
         self._row = row
-        finite = _act(
+        result = _act(
             wheel_law,
             arm_law,
             command.wheels,
@@ -194,14 +177,25 @@ class Servo:
             self.motors,
             self._duties,
             row,
+            self._wheels,
         )
-        if not finite:
+        if result != _DONE:
             self.motors[:] = 0.0
+            if result == _MISFIT:
+                raise ValueError(self._misfit(command))
             raise ValueError(f"duty {self._duties[row]} is not finite; nothing was sent")
         return self._block.item(row)
 
+    def _misfit(self, command: Command) -> str:
+        joints = self._axes.shape[1] - self._wheels
+        return (
+            f"command with {len(command.wheels)} wheels, {len(command.arm)} arm joints and "
+            f"{len(command.arm_rates)} arm rates; the robot has {self._wheels} wheels and {joints} "
+            "joints"
+        )
+
     def save(self) -> FloatArray:
-        """Return the complete state: (8,) integrals of the speed loops as duty."""
+        """Return the complete state: (axes,) integrals of the speed loops as duty."""
         return self._axes[-1].copy()
 
     def restore(self, state: FloatArray) -> None:
@@ -223,21 +217,39 @@ def _act(
     motors: FloatArray,
     duties: FloatArray,
     row: int,
-) -> bool:
-    """Write eight axes' duties, bring their integrals on, and return whether all are numbers."""
-    finite, full, integrals = True, axes[5], axes[6]
-    for axis in range(8):
-        joint = axis - 4
-        if axis < 4:
-            law, target, speed = wheel_law, wheels[axis], speeds[axis]
+    count: int,
+) -> int:
+    """Write all axes' duties and update their integrals; `count` of the axes are wheels.
+
+    Returns:
+        _DONE; _MISFIT if arrays are neither empty, for zeros, nor as long as there are axes;
+        _NO_NUMBER if a duty is not a number.
+    """
+    full, integrals = axes[5], axes[6]
+    joints = axes.shape[1] - count
+    for part, size in ((wheels.size, count), (arm.size, joints), (forward.size, joints)):
+        if part != 0 and part != size:
+            return _MISFIT
+    if wheel_law != _PASS and speeds.size != count or arm_law != _PASS and rates.size != joints:
+        return _MISFIT
+    if arm_law == _REACH and angles.size != joints:
+        return _MISFIT
+    result = _DONE
+    for axis in range(count + joints):
+        joint = axis - count
+        if axis < count:
+            law, speed = wheel_law, speeds[axis] if wheel_law != _PASS else 0.0
+            target = wheels[axis] if wheels.size else 0.0
         else:
-            law, target, speed = arm_law, arm[joint], rates[joint]
+            law, speed = arm_law, rates[joint] if arm_law != _PASS else 0.0
+            target = arm[joint] if arm.size else 0.0
         stall, no_load, gain, integral, reach = axes[:5, axis]
         duty = target
         if law == _PUSH:
             duty = target / stall + speed / no_load
         if law == _REACH:
-            target = forward[joint] + reach * (target - angles[joint])
+            rate = forward[joint] if forward.size else 0.0
+            target = rate + reach * (target - angles[joint])
         if law == _FOLLOW or law == _REACH:
             wanted = min(max(target / no_load, -1.0), 1.0)
             error = wanted - speed / no_load
@@ -249,10 +261,11 @@ def _act(
         else:
             integrals[axis] = 0.0
         # Not by the limited duty, which a NaN may pass for a limit.
-        finite = finite and not math.isnan(duty)
+        if math.isnan(duty):
+            result = _NO_NUMBER
         duty = min(max(duty, -1.0), 1.0)
         duties[row, axis], motors[axis] = duty, duty * full[axis]
-    return finite
+    return result
 
 
 def _insist(channel: Channel, name: str, mode: WheelMode | ArmMode) -> None:

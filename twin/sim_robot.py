@@ -10,9 +10,8 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
+from twin.description import RobotDescription
 from twin.robot import (
-    AXES,
-    NOTHING,
     Channel,
     Command,
     FloatArray,
@@ -22,7 +21,7 @@ from twin.robot import (
     applied_command,
 )
 from twin.sensor_bank import SavedBank, SensorBank
-from twin.sensors import SensorSuite
+from twin.sensors import SensorSuite, channel_widths
 from twin.servo import Servo, ServoConfig
 from twin.wiring import wire
 
@@ -53,8 +52,7 @@ class SimRobot:
 
     def __init__(
         self,
-        name: str,
-        prefix: str,
+        description: RobotDescription,
         model: mujoco.MjModel,
         data: mujoco.MjData,
         suite: SensorSuite,
@@ -65,8 +63,7 @@ class SimRobot:
         """Find the robot's actuators and sensors in the scene.
 
         Args:
-            name: Robot name, as controllers see it.
-            prefix: What its elements' names begin with in the scene.
+            description: The robot as drawn; its elements' names begin with its own and a slash.
             model: The scene.
             data: The scene's state, shared with the simulation.
             suite: How its sensors measure.
@@ -77,10 +74,11 @@ class SimRobot:
         Raises:
             ValueError: If an actuator is not in the scene.
         """
-        self.name = name
+        self.name, self.description = description.name, description
+        prefix = f"{description.name}/"
         # Read by anybody, set by the robot alone: a property takes long in a loop.
         self.lifecycle = Lifecycle.UNCONFIGURED
-        axes = np.array([_actuator(model, prefix + axis) for axis in AXES])
+        axes = np.array([_actuator(model, prefix + axis) for axis in description.axes])
         self._axes = axes
         self._ctrl = data.ctrl
         volts = np.array(model.actuator_ctrlrange[axes, 1], dtype=float)
@@ -91,9 +89,14 @@ class SimRobot:
         self._scattered = not row
         self._sensordata = data.sensordata
         self._history = data.history
-        self._bank = SensorBank(suite, period, rng, wire(model, prefix))
+        self._bank = SensorBank(
+            suite, period, rng, channel_widths(description), wire(model, prefix, description)
+        )
         self._held = _AT_REST
-        self._duty = (NOTHING, NOTHING)
+        rest = np.zeros(len(axes))
+        rest.flags.writeable = False
+        self._rest = rest[: len(description.wheels)], rest[len(description.wheels) :]
+        self._duty = self._rest
         self._driven = False
         self._observation = Observation(0.0)
 
@@ -146,7 +149,8 @@ class SimRobot:
         Raises:
             RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable;
                 then it is in ERROR.
-            ValueError: If a duty comes to no number; all axes are zeroed.
+            ValueError: If the command has another number of axes than the robot, or a duty comes
+                to no number; all axes are zeroed.
         """
         if self.lifecycle is not _ACTIVE:
             self._zero()
@@ -232,7 +236,7 @@ class SimRobot:
 
     def _zero(self) -> None:
         self._held = _AT_REST
-        self._duty = (NOTHING, NOTHING)
+        self._duty = self._rest
         self._ctrl[self._axes] = 0.0
         self._servo.reset()
         self._driven = False

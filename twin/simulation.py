@@ -16,9 +16,11 @@ import mujoco
 import numpy as np
 
 from twin.camera import StereoConfig, StereoHead, StereoState, has_stereo
+from twin.describe import describe_rover
+from twin.description import RobotDescription
 from twin.robot import FloatArray
 from twin.sensors import DATASHEET, SensorSuite
-from twin.servo import ROVER_SERVO, SERVO_PERIOD, ServoConfig
+from twin.servo import SERVO_PERIOD, ServoConfig
 from twin.sim_robot import RobotState, SimRobot
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -40,10 +42,10 @@ class Simulation:
     def __init__(
         self,
         model: mujoco.MjModel,
-        robots: Sequence[str] | Mapping[str, str],
+        robots: Sequence[str | RobotDescription],
         *,
         suite: SensorSuite = DATASHEET,
-        servo: ServoConfig = ROVER_SERVO,
+        servo: ServoConfig | None = None,
         stereo: StereoConfig | None = None,
         seed: int = 0,
         period: float = SERVO_PERIOD,
@@ -53,9 +55,9 @@ class Simulation:
 
         Args:
             model: The scene.
-            robots: Names; a robot's elements begin with "name/". Or prefixes by name.
+            robots: The robots as drawn; a name stands for the thesis' rover with that name.
             suite: How the robots' sensors measure.
-            servo: Their motors and gains.
+            servo: Their motors and gains; None for the motors of each description.
             stereo: How their stereo heads see; None leaves the channel missing, as does a head
                 without cameras.
             seed: Of all noise; the same seed gives the same run, bit for bit.
@@ -77,21 +79,23 @@ class Simulation:
         self.data = mujoco.MjData(model) if data is None else data
         self.period = period
         self._whole_tick = period - 0.5 * float(model.opt.timestep)
-        prefixes = robots if isinstance(robots, Mapping) else {name: f"{name}/" for name in robots}
-        if not prefixes:
+        if not robots:
             raise ValueError("a simulation needs at least one robot")
-        seeds = np.random.SeedSequence(seed).spawn(2 * len(prefixes))
+        drawn = [describe_rover(robot) if isinstance(robot, str) else robot for robot in robots]
+        seeds = np.random.SeedSequence(seed).spawn(2 * len(drawn))
         self.robots: dict[str, SimRobot] = {
-            name: SimRobot(name, prefix, model, self.data, suite, servo, period, rng)
-            for (name, prefix), rng in zip(prefixes.items(), map(np.random.default_rng, seeds))
+            robot.name: SimRobot(
+                robot, model, self.data, suite, servo or ServoConfig.of(robot), period, rng
+            )
+            for robot, rng in zip(drawn, map(np.random.default_rng, seeds))
         }
         self._robots = tuple(self.robots.values())
         self._heads: dict[str, StereoHead] = {}
         if stereo is not None:
             self._heads = {
-                name: StereoHead(model, prefix, stereo, source)
-                for (name, prefix), source in zip(prefixes.items(), seeds[len(prefixes) :])
-                if has_stereo(model, prefix)
+                name: StereoHead(model, f"{name}/", stereo, source)
+                for name, source in zip(self.robots, seeds[len(drawn) :])
+                if has_stereo(model, f"{name}/")
             }
         mujoco.mj_forward(model, self.data)
         self._time: float = self.data.time

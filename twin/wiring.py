@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import mujoco
@@ -10,25 +11,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.robot import ARM_JOINTS, WHEELS, FloatArray
-from twin.sensors import CHANNEL_OFFSETS, CHANNEL_WIDTHS
+from twin.description import RobotDescription
+from twin.robot import FloatArray
+from twin.sensors import channel_widths
 
 IntArray = NDArray[np.intp]
 
-# MuJoCo sensors behind the channels, with their widths; orientation feeds the inclinometer and
-# the heading.
-_SENSORS: dict[str, tuple[tuple[str, int], ...]] = {
-    "wheel_speeds": tuple((f"{wheel}_vel", 1) for wheel in WHEELS),
-    "centre_angle": (("centre_pos", 1),),
-    "arm_angles": tuple((f"{joint}_pos", 1) for joint in ARM_JOINTS),
-    "arm_rates": tuple((f"{joint}_vel", 1) for joint in ARM_JOINTS),
-    "arm_base_wrench": (("arm_base_force", 3), ("arm_base_torque", 3)),
-    "accelerometer": (("accelerometer", 3),),
-    "gyro": (("gyro", 3),),
-}
 _ORIENTATION = "orientation"
-_PITCH = CHANNEL_OFFSETS["inclinometer"]
-_HEADING = CHANNEL_OFFSETS["heading"]
+_WRENCH = ("arm_base_force", "arm_base_torque")
+# Pitch and roll and the heading feed on the orientation. From the bank's end, where every robot's
+# channels are alike: behind the inclinometer come wrench, accelerometer, gyro and heading.
+_PITCH, _HEADING = 15, 1
 # These are computed with the accelerations, one physics step before the tick.
 _ACCELERATION_CHANNELS: tuple[str, ...] = ("arm_base_wrench", "accelerometer")
 
@@ -51,31 +44,52 @@ class Wiring(NamedTuple):
     lags: dict[str, float]
 
 
-DIRECT = Wiring(
-    np.array([(i, i, 0, 0) for i in range(sum(CHANNEL_WIDTHS.values()))], dtype=np.intp), -1, (), {}
-)
-"""Every value comes from where it goes."""
+def direct(widths: Mapping[str, int]) -> Wiring:
+    """Return a wiring in which every value comes from where it goes.
+
+    Args:
+        widths: How many values each channel has.
+    """
+    rows = [(i, i, 0, 0) for i in range(sum(widths.values()))]
+    return Wiring(np.array(rows, dtype=np.intp), -1, (), {})
 
 
-def wire(model: mujoco.MjModel, prefix: str) -> Wiring:
+def wire(model: mujoco.MjModel, prefix: str, robot: RobotDescription) -> Wiring:
     """Find a robot's sensors in the scene.
 
     Args:
         model: The scene.
         prefix: What the names of the robot's elements begin with.
+        robot: Its description.
     """
+    # MuJoCo sensors behind the channels, with their widths; orientation feeds the inclinometer and
+    # the heading.
+    sensors: dict[str, list[tuple[str, int]]] = {
+        "wheel_speeds": [(f"{wheel}_vel", 1) for wheel in robot.wheel_names],
+        "centre_angle": [("centre_pos", 1)],
+        "arm_angles": [(f"{joint}_pos", 1) for joint in robot.joint_names],
+        "arm_rates": [(f"{joint}_vel", 1) for joint in robot.joint_names],
+        "inclinometer": [],
+        "arm_base_wrench": [(name, 3) for name in _WRENCH],
+        "accelerometer": [("accelerometer", 3)],
+        "gyro": [("gyro", 3)],
+        "heading": [],
+    }
     wires: list[tuple[int, int, int, int]] = []
     missing: list[str] = []
-    for channel, parts in _SENSORS.items():
-        place = CHANNEL_OFFSETS[channel]
-        starts = [_sensor(model, prefix + sensor) for sensor, _ in parts]
-        if min(starts) < 0:
+    place = wrench = 0
+    for channel, width in channel_widths(robot).items():
+        starts = [_sensor(model, prefix + sensor) for sensor, _ in sensors[channel]]
+        if min(starts, default=0) < 0 or width == 0:
             missing.append(channel)
-            continue
-        for start, (_, width) in zip(starts, parts):
-            wires.extend((place + i, start + i, 0, 0) for i in range(width))
-            place += width
-    averaged, samples = _averaged_wrench(model, prefix)
+        else:
+            first = place
+            for start, (_, part) in zip(starts, sensors[channel]):
+                wires.extend((first + i, start + i, 0, 0) for i in range(part))
+                first += part
+        wrench = place if channel == "arm_base_wrench" else wrench
+        place += width
+    averaged, samples = _averaged_wrench(model, prefix, wrench)
     replaced = {row[0] for row in averaged}
     wires = [row for row in wires if row[0] not in replaced] + averaged
     orientation = _sensor(model, prefix + _ORIENTATION)
@@ -96,7 +110,7 @@ def _sensor(model: mujoco.MjModel, name: str) -> int:
 
 
 def _averaged_wrench(
-    model: mujoco.MjModel, prefix: str
+    model: mujoco.MjModel, prefix: str, place: int
 ) -> tuple[list[tuple[int, int, int, int]], int]:
     """Return the wires of the wrench into MuJoCo's history, and how many samples that has.
 
@@ -105,8 +119,8 @@ def _averaged_wrench(
     """
     averaged: list[tuple[int, int, int, int]] = []
     count = 1
-    place = CHANNEL_OFFSETS["arm_base_wrench"]
-    for offset, (sensor, width) in zip((0, 3), _SENSORS["arm_base_wrench"]):
+    width = 3
+    for offset, sensor in zip((0, width), _WRENCH):
         index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, prefix + sensor)
         if index < 0 or model.sensor_history[index, 0] < 1:
             continue
@@ -148,7 +162,7 @@ def gather(
         history: Its history.
         wires: As in `Wiring`.
         orientation: As in `Wiring`.
-        raw: Receives them; what has no wire stays as it is.
+        raw: (values,) receives them; what has no wire stays as it is.
     """
     for i in range(wires.shape[0]):
         place, first, stride, samples = wires[i, 0], wires[i, 1], wires[i, 2], wires[i, 3]
@@ -161,4 +175,5 @@ def gather(
         raw[place] = total / samples
     if orientation >= 0:
         w, x, y, z = present[orientation : orientation + 4]
-        raw[_PITCH], raw[_PITCH + 1], raw[_HEADING] = tilt(w, x, y, z)
+        pitch, heading = raw.size - _PITCH, raw.size - _HEADING
+        raw[pitch], raw[pitch + 1], raw[heading] = tilt(w, x, y, z)

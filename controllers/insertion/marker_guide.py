@@ -17,8 +17,8 @@ from controllers.insertion.guidance import Guidance
 from controllers.insertion.watching import SeenParts, WatchPlan, best_angles
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.se3 import composed_covariance, inverse_covariance
+from perception.markers.bodies import find_bodies
 from perception.markers.ellipses import MarkerExpectation
-from perception.markers.markers import find_bodies
 from perception.markers.poses import BodyCad, BodyFit, BodyPrior
 from perception.stereo.geometry import StereoGeometry
 from twin.robot import ArmMode, Command, Observation, WheelMode
@@ -35,7 +35,7 @@ class MarkerGuideConfig:
         slot: Markers of the slot.
         diameter: Of a marker [m].
         plan: How the camera is placed; None leaves it where it is.
-        detector: Name in `perception.markers.markers.DETECTORS`.
+        detector: Name in `perception.markers.bodies.DETECTORS`.
         turned: Deviation of the card's attitude from the slot's, before it is seen [rad].
         wander: Deviations of turn [rad] and place [m] by which the slot's belief is widened for a
             look: the robot has moved on its springs since the last that showed the slot.

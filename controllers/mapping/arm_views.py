@@ -23,6 +23,8 @@ from perception.voxels.views import (
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+_PATHS = 50
+"""Paths checked at once: enough that calls cost little, few enough that little is in vain."""
 Collides = Callable[[FloatArray], BoolArray]
 """Of points (N, 3) [m] in the world, which may not be free (P >= 0.05)."""
 
@@ -124,9 +126,12 @@ class ArmViews:
         count = max(2, 1 + int(np.ceil(np.abs(goal - start).max() / self.config.step)))
         return np.linspace(start, goal, count)
 
-    def is_reachable(self, start: FloatArray, goal: FloatArray, collides: Collides) -> bool:
-        """Return whether the straight path is free."""
-        return bool(self.is_free(self.path(start, goal), collides).all())
+    def are_reachable(self, start: FloatArray, goals: FloatArray, collides: Collides) -> BoolArray:
+        """Return (N,), whether the straight paths to goals (N, joints) [rad] are free."""
+        paths = [self.path(start, goal) for goal in goals]
+        free = self.is_free(np.concatenate(paths), collides)
+        begins = np.cumsum([0, *(len(path) for path in paths[:-1])])
+        return np.logical_and.reduceat(free, begins)
 
     def draw(
         self, start: FloatArray, collides: Collides, count: int, rng: np.random.Generator
@@ -150,11 +155,12 @@ class ArmViews:
         # Most of the joint space lies in the ground or in the robot itself.
         for _ in range(20):
             drawn = rng.uniform(low, high, (4 * count, len(low)))
-            for goal in drawn[self.is_free(drawn, collides)]:
-                if len(found) < count and self.is_reachable(start, goal, collides):
-                    found.append(goal)
-            if len(found) >= count:
-                break
+            free = drawn[self.is_free(drawn, collides)]
+            for first in range(0, len(free), _PATHS):
+                goals = free[first : first + _PATHS]
+                found.extend(goals[self.are_reachable(start, goals, collides)])
+                if len(found) >= count:
+                    return np.array(found[:count])
         if not found:
             raise ViewError("no view can be reached without touching what may not be free")
         return np.array(found)

@@ -19,7 +19,7 @@ from perception.registration.fiducial_map import FiducialMap, PosePrior
 from perception.registration.fiducials import FiducialConfig, select_fiducials
 from perception.registration.patch_matching import TrackerConfig, track
 from perception.stereo.geometry import StereoGeometry
-from perception.stereo.stereo import StereoPoints
+from perception.stereo.matching import StereoPoints
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]

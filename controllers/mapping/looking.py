@@ -12,7 +12,7 @@ from controllers.mapping.arm_views import RatedViews, ViewConfig
 from controllers.mapping.localiser import Correction, LocaliserConfig
 from controllers.mapping.searching import SearchConfig
 from controllers.mapping.standing import CameraPose, StandingConfig
-from perception.stereo.stereo import StereoConfig, StereoPoints
+from perception.stereo.matching import StereoMatcherConfig, StereoPoints
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -61,7 +61,7 @@ class MapperConfig:
     search: SearchConfig = SearchConfig()
     views: ViewConfig = ViewConfig()
     standing: StandingConfig = StandingConfig()
-    stereo: StereoConfig = StereoConfig()
+    stereo: StereoMatcherConfig = StereoMatcherConfig()
     localiser: LocaliserConfig = LocaliserConfig()
     marker_sigma: tuple[float, float, float] = (0.07, 0.07, 0.03)
 

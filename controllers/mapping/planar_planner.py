@@ -31,7 +31,13 @@ from controllers.mapping.planar_situation import (
     frontier_cells,
 )
 from perception.planar.beams import fan
-from perception.planar.information import READINGS, Reading, new_information, undecided_entropy
+from perception.planar.information import (
+    READINGS,
+    KnownGround,
+    Reading,
+    new_information,
+    undecided_entropy,
+)
 from perception.planar.map import PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, ray_sums, sector_sums
 
@@ -335,10 +341,10 @@ def expected_information(
     weight = np.where(undecided > MIN_NEW, weighted / np.maximum(undecided, MIN_NEW), 1.0)
     if config.reading == "entropy":
         return undecided, undecided, weight
+    ground = KnownGround(situation.probability, situation.known, situation.opaque)
     information = new_information(
-        config.reading, situation.probability, situation.known, situation.opaque, cells,
-        situation.table, sensor.fov, sensor.depth, config.headings,
-    )  # fmt: skip
+        config.reading, ground, cells, situation.table, sensor, config.headings
+    )
     return information, undecided, weight
 
 

@@ -23,7 +23,7 @@ from perception.registration.likelihood import solve
 from perception.registration.reprojection import KnownPoints, Sighting
 from perception.registration.target import SeenTarget, TargetCad, find_target
 from perception.stereo.geometry import StereoGeometry
-from perception.stereo.stereo import StereoPoints
+from perception.stereo.matching import StereoPoints
 from perception.voxels.map import VoxelMap
 from perception.voxels.occupancy import State
 

@@ -29,7 +29,7 @@ from controllers.mapping.standing import Standing
 from controllers.motion.arm_move import ArmMove
 from perception.registration.target import TargetCad, possible_markers
 from perception.stereo.geometry import StereoGeometry
-from perception.stereo.stereo import StereoMatcher
+from perception.stereo.matching import StereoMatcher
 from perception.voxels.map import VoxelMap
 from perception.voxels.views import planning_grid
 from twin.robot import Command, Observation, WheelMode
@@ -284,7 +284,7 @@ class StereoMapper:
     ) -> FloatArray:
         for view in views.raster()[head.raster :]:
             head.raster += 1
-            if views.is_reachable(angles, view, collides):
+            if views.are_reachable(angles, view[None], collides)[0]:
                 return view
         raise ViewError("the raster has ended")
 

@@ -41,7 +41,7 @@ from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from perception.compression.compression import BEST_PREDICTOR, CODERS, METHODS
+from perception.compression.image_codec import BEST_PREDICTOR, CODERS, METHODS
 from perception.compression.image_predictors import PREDICTORS
 
 FloatArray = NDArray[np.float64]

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.appc.pictures import SIZES, Measured
-from perception.compression.compression import METHODS, coded_bits, compression_ratio
 from perception.compression.entropy_coding import entropy
+from perception.compression.image_codec import METHODS, coded_bits, compression_ratio
 from perception.compression.image_predictors import residuals
 
 ByteArray = NDArray[np.uint8]

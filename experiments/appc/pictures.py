@@ -16,7 +16,8 @@ import skimage
 from numpy.typing import NDArray
 from PIL import Image
 
-from perception.compression.compression import (
+from perception.compression.entropy_coding import entropy, mean_word_length
+from perception.compression.image_codec import (
     CODERS,
     METHODS,
     Coder,
@@ -24,7 +25,6 @@ from perception.compression.compression import (
     compress,
     decompress,
 )
-from perception.compression.entropy_coding import entropy, mean_word_length
 from perception.compression.image_predictors import PREDICTORS, residuals
 
 ByteArray = NDArray[np.uint8]
@@ -119,7 +119,7 @@ def noise(size: int, rng: np.random.Generator) -> ByteArray:
 
 
 def ratios(image: ByteArray) -> FloatArray:
-    """Return (10,) compression ratios by method; see `perception.compression.compression`."""
+    """Return (10,) compression ratios by method; see `perception.compression.image_codec`."""
     before = entropy(image)
     return np.array([before / max(coded_bits(image, method), 1e-12) for method in METHODS])
 

@@ -23,10 +23,10 @@ from experiments.appc.pictures import Measured, measure_whole, resampled
 from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
 from experiments.ch3.stereo.trial import BOX, VOXEL, shared_errors
 from experiments.ch3.stereo.truth import TRUTH_CELL, mapped_share
-from perception.compression.compression import image_information
+from perception.compression.image_codec import image_information
 from perception.geometry.pinhole import Frustum
 from perception.stereo.geometry import StereoGeometry
-from perception.stereo.stereo import StereoMatcher, StereoPoints
+from perception.stereo.matching import StereoMatcher, StereoPoints
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from perception.voxels.occupancy import State

@@ -16,8 +16,8 @@ from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
+from perception.markers.bodies import DETECTORS, MarkerPairs, match_bodies, triangulate
 from perception.markers.ellipses import MarkerExpectation
-from perception.markers.markers import DETECTORS, MarkerPairs, match_bodies, triangulate
 from perception.markers.poses import BodyPrior
 
 FloatArray = NDArray[np.float64]

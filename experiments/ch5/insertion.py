@@ -29,7 +29,7 @@ from experiments.harness.intervals import distribution, fraction, mcnemar
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CARD_AND_SLOT, INCH
-from perception.markers.markers import DETECTORS
+from perception.markers.bodies import DETECTORS
 
 PLACEMENTS = ("optimal", "random")
 THESIS = {

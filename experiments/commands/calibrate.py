@@ -19,6 +19,7 @@ from experiments.doctor.robot import wiring_of
 from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError, OptionError
 from twin.clock import Clock, WallClock
+from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.calibration.calibration import (
     CalibrationError,
@@ -89,7 +90,7 @@ def main(arguments: Sequence[str]) -> int:
         # Its age does not matter: it is made new.
         calibration = read_calibration(path)
         with contextlib.closing(open_boards(wiring, calibration)) as boards:
-            robot = BoardRobot(wiring.robot, boards, calibration, time.monotonic)
+            robot = BoardRobot(describe_rover(wiring.robot), boards, calibration, time.monotonic)
             robot.configure()
             config = ProcedureConfig(weight=options.weight)
             steps = tilt_procedure(calibration, config, datetime.date.today())

@@ -13,6 +13,7 @@ from experiments.doctor.findings import Finding
 from experiments.harness.contract import OptionError
 from twin.clock import WallClock
 from twin.connect import TARGETS
+from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.calibration.calibration import (
@@ -129,7 +130,7 @@ def _examine(patient: Patient) -> Iterator[Finding]:
             yield finding
         if absent:
             return
-        robot = BoardRobot(wiring.robot, boards, calibration, time.monotonic)
+        robot = BoardRobot(describe_rover(wiring.robot), boards, calibration, time.monotonic)
         try:
             robot.configure()
         except RobotError as error:

@@ -7,7 +7,7 @@ covariance follows from the pixels' noise, and its residuals tell what is no ell
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numba
@@ -18,6 +18,9 @@ from perception.markers.ellipses import (
     ImageArray,
     MarkerExpectation,
     Markers,
+    MeasuredEllipses,
+    PixelNoise,
+    allocate_ellipses,
     check_image,
     keep_plausible,
 )
@@ -75,25 +78,6 @@ def find_blobs(
     return np.stack([u, v, suu, suv, svv], axis=1)[keep]
 
 
-def fit_ellipse(
-    image: ImageArray, start: FloatArray, expected: MarkerExpectation
-) -> FloatArray | None:
-    """Fit an ellipse of one grey level on another to an image, by weighted least squares.
-
-    Args:
-        image: (H, W) uint8.
-        start: (5,) ellipse, rough.
-        expected: Noise of the pixels.
-
-    Returns:
-        (32,) the ellipse (5), its covariance (25), its contrast [grey levels] and the r.m.s.
-        misfit over that; None if the fit fails or leaves the image.
-    """
-    found = np.empty(32)
-    good = _fit(image, np.asarray(start, dtype=float), expected.noise, expected.sampling, found)
-    return found if good else None
-
-
 def detect_blobs(
     image: NDArray[Any],
     geometry: StereoGeometry,
@@ -113,14 +97,14 @@ def detect_blobs(
     """
     del rng
     grey = check_image(image, geometry)
-    rows: list[FloatArray] = []
-    for start in find_blobs(grey, geometry, expected):
+    starts = find_blobs(grey, geometry, expected)
+    found, count = allocate_ellipses(len(starts)), 0
+    for start in starts:
         if not _stands_alone(grey, start, expected.contrast):
             continue
-        found = fit_ellipse(grey, start, expected)
-        if found is not None and found[31] < expected.misfit:
-            rows.append(found)
-    return keep_plausible(rows, geometry, expected)
+        fitted = _fit(grey, start, expected.pixels, found, count)
+        count += fitted and bool(found.misfits[count] < expected.misfit)
+    return keep_plausible(found.first(count), geometry, expected)
 
 
 @numba.njit(cache=True)
@@ -213,21 +197,69 @@ def _covered(p: Any, dx: float, dy: float, slopes: Any) -> float:
     return part / 9.0
 
 
+class RimWindow(NamedTuple):
+    """Pixels that an ellipse is fitted to, and the first ellipse, by which they are chosen.
+
+    Attributes:
+        left: First column [px].
+        top: First row [px].
+        right: Last column [px].
+        bottom: Last row [px].
+        u: Column of the first ellipse's centre [px].
+        v: Row of the first ellipse's centre [px].
+        iuu: Element of the inverse of the first ellipse's S [1/px^2].
+        iuv: Element of the inverse of the first ellipse's S [1/px^2].
+        ivv: Element of the inverse of the first ellipse's S [1/px^2].
+    """
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    u: float
+    v: float
+    iuu: float
+    iuv: float
+    ivv: float
+
+
+class NormalEquations(NamedTuple):
+    """Sums of a weighted least-squares fit, overwritten by it.
+
+    Attributes:
+        normal: (7, 7) normal matrix.
+        gradient: (7,) right-hand side.
+        sums: (3,) weighted squares, squares [grey levels^2], and number of pixels.
+    """
+
+    normal: FloatArray
+    gradient: FloatArray
+    sums: FloatArray
+
+
 @numba.njit(cache=True)
-def _sums(image: Any, p: Any, trial: Any, box: Any, noise: float, sampling: float,
-          normal: Any, gradient: Any, sums: Any, own: bool) -> None:  # fmt: skip
+def _sums(
+    image: Any,
+    p: Any,
+    trial: Any,
+    window: RimWindow,
+    pixels: PixelNoise,
+    equations: NormalEquations,
+    own: bool,
+) -> None:
     """Sum up the squares of a trial with the weights of p; if they are one, normal equations too.
 
     p and trial are an ellipse, the background and the contrast.
     """
+    (noise, sampling), (normal, gradient, sums) = pixels, equations
     normal[:] = 0.0
     gradient[:] = 0.0
     sums[:] = 0.0
     jac, slopes = np.empty(7), np.empty(5)
-    for y in range(int(box[1]), int(box[3]) + 1):
-        for x in range(int(box[0]), int(box[2]) + 1):
-            dx, dy = x - box[4], y - box[5]
-            gx, gy = box[6] * dx + box[7] * dy, box[7] * dx + box[8] * dy
+    for y in range(window.top, window.bottom + 1):
+        for x in range(window.left, window.right + 1):
+            dx, dy = x - window.u, y - window.v
+            gx, gy = window.iuu * dx + window.iuv * dy, window.iuv * dx + window.ivv * dy
             rho = math.sqrt(dx * gx + dy * gy)
             if (rho - 1.0) * rho > _BAND * math.sqrt(gx * gx + gy * gy):
                 continue
@@ -278,29 +310,42 @@ def _proper(trial: Any, start: Any) -> bool:
 
 
 @numba.njit(cache=True)
-def _fit(image: Any, start: Any, noise: float, sampling: float, found: Any) -> bool:
+def _fit(image: Any, start: Any, pixels: PixelNoise, found: MeasuredEllipses, number: int) -> bool:
+    """Fit an ellipse of one grey level on another to an image, by weighted least squares.
+
+    Args:
+        image: (H, W) uint8.
+        start: (5,) first ellipse, rough.
+        pixels: Noise of the pixels.
+        found: Ellipses, of which one is written; its misfit is the r.m.s. difference over the
+            contrast.
+        number: Which of them.
+
+    Returns:
+        Whether the fit converged within the image.
+    """
     height, width = image.shape
     p = np.empty(7)
     p[:5] = start
     determinant = p[2] * p[4] - p[3] * p[3]
-    box = np.empty(9)
     reach_x, reach_y = math.sqrt(p[2]) + _BAND, math.sqrt(p[4]) + _BAND
-    box[0], box[2] = math.floor(p[0] - reach_x), math.ceil(p[0] + reach_x)
-    box[1], box[3] = math.floor(p[1] - reach_y), math.ceil(p[1] + reach_y)
-    box[4], box[5] = p[0], p[1]
-    box[6], box[7], box[8] = p[4] / determinant, -p[3] / determinant, p[2] / determinant
-    if box[0] < 0 or box[1] < 0 or box[2] >= width or box[3] >= height:
+    left, right = math.floor(p[0] - reach_x), math.ceil(p[0] + reach_x)
+    top, bottom = math.floor(p[1] - reach_y), math.ceil(p[1] + reach_y)
+    if left < 0 or top < 0 or right >= width or bottom >= height:
         return False
+    iuu, iuv, ivv = p[4] / determinant, -p[3] / determinant, p[2] / determinant
+    window = RimWindow(left, top, right, bottom, p[0], p[1], iuu, iuv, ivv)
     high, low = 0.0, 255.0
-    for y in range(int(box[1]), int(box[3]) + 1):
-        for x in range(int(box[0]), int(box[2]) + 1):
+    for y in range(top, bottom + 1):
+        for x in range(left, right + 1):
             high, low = max(high, float(image[y, x])), min(low, float(image[y, x]))
     p[5], p[6] = low, max(high - low, 1.0)
     normal, gradient, sums = np.empty((7, 7)), np.empty(7), np.empty(3)
-    spare, unused = np.empty((7, 7)), np.empty(7)
+    equations = NormalEquations(normal, gradient, sums)
+    spare = NormalEquations(np.empty((7, 7)), np.empty(7), sums)
     trial, damping, done, change = np.empty(7), 1e-3, False, np.inf
     for _ in range(_ITERATIONS):
-        _sums(image, p, p, box, noise, sampling, normal, gradient, sums, True)
+        _sums(image, p, p, window, pixels, equations, True)
         cost, better = sums[0], False
         for _ in range(4):
             damped = normal.copy()
@@ -310,7 +355,7 @@ def _fit(image: Any, start: Any, noise: float, sampling: float, found: Any) -> b
             change = np.max(np.abs(step[:2]))
             trial[:] = p + step
             if _proper(trial, start):
-                _sums(image, p, trial, box, noise, sampling, spare, unused, sums, False)
+                _sums(image, p, trial, window, pixels, spare, False)
                 if sums[0] < cost:
                     better = True
                     break
@@ -325,16 +370,14 @@ def _fit(image: Any, start: Any, noise: float, sampling: float, found: Any) -> b
             break
     if not done and change > _HALT:
         return False
-    _sums(image, p, p, box, noise, sampling, normal, gradient, sums, True)
+    _sums(image, p, p, window, pixels, equations, True)
     for i in range(7):
         normal[i, i] += 1e-9
     covariance = _inverse(normal)
     # What the weights do not explain, the background's texture or a rim that is no ellipse.
     excess = max(sums[0] / max(sums[2] - 7.0, 1.0), 1.0)
-    found[:5] = p[:5]
-    for i in range(5):
-        for j in range(5):
-            found[5 + 5 * i + j] = excess * covariance[i, j]
-    found[30] = p[6]
-    found[31] = math.sqrt(sums[1] / sums[2]) / p[6]
+    found.ellipses[number] = p[:5]
+    found.covariances[number] = excess * covariance[:5, :5]
+    found.contrasts[number] = p[6]
+    found.misfits[number] = math.sqrt(sums[1] / sums[2]) / p[6]
     return True

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -67,6 +67,11 @@ class MarkerExpectation:
             raise ValueError(f"marker slant: got {self.slant}, needs 0 to below pi/2 rad")
         if not 0.0 <= self.sampling < 1.0:
             raise ValueError(f"marker sampling: got {self.sampling}, needs 0 to below 1")
+
+    @property
+    def pixels(self) -> PixelNoise:
+        """Noise of the pixels."""
+        return PixelNoise(self.noise, self.sampling)
 
     def radii(self, geometry: StereoGeometry) -> tuple[float, float]:
         """Return the least and the largest radius of a marker seen head on [px of the rows]."""
@@ -166,20 +171,75 @@ def check_image(image: NDArray[Any], geometry: StereoGeometry) -> ImageArray:
     return np.ascontiguousarray(image)
 
 
+class PixelNoise(NamedTuple):
+    """Noise of the pixels that a marker is measured from.
+
+    Attributes:
+        grey: Standard deviation of a pixel [grey levels].
+        sampling: Standard deviation of the part of a rim pixel that a marker seems to cover.
+    """
+
+    grey: float
+    sampling: float
+
+
+class RegionLimits(NamedTuple):
+    """Sizes of a bright region that may be a marker.
+
+    Attributes:
+        half: Half the edge of the window about its seed [px].
+        fewest: Least number of its pixels.
+        most: Largest number of its pixels.
+    """
+
+    half: int
+    fewest: int
+    most: int
+
+
+class MeasuredEllipses(NamedTuple):
+    """Buffers for N ellipses as they are measured.
+
+    Attributes:
+        ellipses: (N, 5) column, row [px], Suu, Suv, Svv [px^2].
+        covariances: (N, 5, 5) covariances of the ellipses.
+        contrasts: (N,) contrast with the background [grey levels].
+        misfits: (N,) how unlike an ellipse each is: r.m.s. difference over the contrast, or
+            logarithm of the area over that of the ellipse.
+    """
+
+    ellipses: FloatArray
+    covariances: FloatArray
+    contrasts: FloatArray
+    misfits: FloatArray
+
+    def first(self, count: int) -> MeasuredEllipses:
+        """Return the first of them."""
+        return MeasuredEllipses(*(values[:count] for values in self))
+
+
+def allocate_ellipses(count: int) -> MeasuredEllipses:
+    """Return buffers for a number of ellipses."""
+    return MeasuredEllipses(
+        np.empty((count, 5)), np.empty((count, 5, 5)), np.empty(count), np.empty(count)
+    )
+
+
 def keep_plausible(
-    rows: list[FloatArray], geometry: StereoGeometry, expected: MarkerExpectation
+    measured: MeasuredEllipses, geometry: StereoGeometry, expected: MarkerExpectation
 ) -> Markers:
     """Return those measured ellipses that a marker in range may give, each place once.
 
     Args:
-        rows: Of each (32,): the ellipse, its covariance, contrast and misfit (`measure_region`).
-        geometry: Of the camera.
+        measured: Ellipses as measured.
+        geometry: Geometry of the camera.
         expected: Sizes, slants and contrasts.
     """
     smallest, largest = expected.radii(geometry)
-    kept: list[FloatArray] = []
-    for row in sorted(rows, key=lambda r: float(r[31])):
-        square = row[2:5] * np.array([1.0, geometry.fx / geometry.fy, 1.0])
+    kept: list[int] = []
+    for number in np.argsort(measured.misfits, kind="stable"):
+        ellipse = measured.ellipses[number]
+        square = ellipse[2:] * np.array([1.0, geometry.fx / geometry.fy, 1.0])
         square[0] *= (geometry.fy / geometry.fx) ** 2
         square[1] *= (geometry.fy / geometry.fx) ** 2
         middle, half = (square[0] + square[2]) / 2.0, (square[0] - square[2]) / 2.0
@@ -189,18 +249,18 @@ def keep_plausible(
         major, minor = math.sqrt(middle + span), math.sqrt(middle - span)
         if not (0.85 * smallest - 0.2 <= major <= 1.15 * largest + 0.2):
             continue
-        if minor < math.cos(expected.slant) * major - 0.3 or row[30] < expected.contrast:
+        if minor < math.cos(expected.slant) * major - 0.3:
             continue
-        if all(math.hypot(*(row[:2] - other[:2])) > 0.5 * major for other in kept):
-            kept.append(row)
-    table = np.array(kept).reshape(-1, 32)
-    return Markers(table[:, :5], table[:, 5:30].reshape(-1, 5, 5), table[:, 30])
+        if measured.contrasts[number] < expected.contrast:
+            continue
+        others = measured.ellipses[kept, :2]
+        if all(math.hypot(*(ellipse[:2] - other)) > 0.5 * major for other in others):
+            kept.append(int(number))
+    return Markers(measured.ellipses[kept], measured.covariances[kept], measured.contrasts[kept])
 
 
 @numba.njit(cache=True)
-def grow_region(
-    image: Any, column: int, row: int, half: int, fewest: int, most: int, stamp: Any
-) -> float:
+def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: Any) -> float:
     """Grow a bright region on the grey image from a seed (the last step of section 5.3).
 
     Neighbours join if they are brighter than midway between the seed and what is around. The
@@ -210,15 +270,14 @@ def grow_region(
         image: (H, W) uint8.
         column: Of the seed [px].
         row: Of the seed [px].
-        half: Half the edge of the window about the seed [px].
-        fewest: Pixels of a region.
-        most: Pixels of a region.
+        limits: Sizes of the region and of the window about the seed.
         stamp: (2 half + 1, 2 half + 1) uint8, is filled: 1 region, 2 and 3 layers, 4 background.
 
     Returns:
         Grey level of the background; NaN if too little or too much grows, or out of the window.
     """
     height, width = image.shape
+    half, fewest, most = limits
     size = 2 * half + 1
     if column < half or row < half or column + half >= width or row + half >= height:
         return np.nan
@@ -278,28 +337,34 @@ def grow_region(
 
 
 @numba.njit(cache=True)
-def measure_region(image: Any, column: int, row: int, half: int, fewest: int, most: int,
-                   noise: float, sampling: float, found: Any) -> bool:  # fmt: skip
+def measure_region(
+    image: Any,
+    column: int,
+    row: int,
+    limits: RegionLimits,
+    pixels: PixelNoise,
+    found: MeasuredEllipses,
+    number: int,
+) -> bool:
     """Measure a grown region by the moments of its grey levels over the background.
 
     Args:
         image: (H, W) uint8.
         column: Of the seed [px].
         row: Of the seed [px].
-        half: Half the edge of the window [px].
-        fewest: Pixels of a region.
-        most: Pixels of a region.
-        noise: Standard deviation of a pixel [grey levels].
-        sampling: Standard deviation of a rim pixel's covered part.
-        found: (32,), is filled: the ellipse (5), its covariance (25), the contrast, and the
-            relative difference of the area from that of the ellipse.
+        limits: Sizes of the region and of the window about the seed.
+        pixels: Noise of the pixels.
+        found: Ellipses, of which one is written; its misfit is the logarithm of the region's area
+            over that of the ellipse.
+        number: Which of them.
 
     Returns:
         Whether there is such a region.
     """
+    half, (noise, sampling) = limits.half, pixels
     size = 2 * half + 1
     stamp = np.zeros((size, size), np.uint8)
-    background = grow_region(image, column, row, half, fewest, most, stamp)
+    background = grow_region(image, column, row, limits, stamp)
     if np.isnan(background):
         return False
     total, su, sv, bright, top = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -355,12 +420,13 @@ def measure_region(image: Any, column: int, row: int, half: int, fewest: int, mo
                         covariance[i, j] += variance * gain[i] * gain[j]
     # The background comes from a ring of about as many pixels as the region's own root.
     unsure = noise * noise / max(4.0 * math.sqrt(reached), 1.0)
-    found[0], found[1] = column - half + u, row - half + v
-    found[2], found[3], found[4] = suu, suv, svv
+    ellipse = found.ellipses[number]
+    ellipse[0], ellipse[1] = column - half + u, row - half + v
+    ellipse[2], ellipse[3], ellipse[4] = suu, suv, svv
     for i in range(5):
         for j in range(5):
-            found[5 + 5 * i + j] = covariance[i, j] + unsure * drift[i] * drift[j]
-    found[30] = contrast
+            found.covariances[number, i, j] = covariance[i, j] + unsure * drift[i] * drift[j]
+    found.contrasts[number] = contrast
     area = math.pi * math.sqrt(suu * svv - suv * suv)
-    found[31] = abs(math.log(total / contrast / area))
+    found.misfits[number] = abs(math.log(total / contrast / area))
     return True

@@ -13,7 +13,7 @@ Hough transform is as much quicker.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numba
@@ -24,6 +24,10 @@ from perception.markers.ellipses import (
     ImageArray,
     MarkerExpectation,
     Markers,
+    MeasuredEllipses,
+    PixelNoise,
+    RegionLimits,
+    allocate_ellipses,
     check_image,
     keep_plausible,
     measure_region,
@@ -106,14 +110,6 @@ def rim_points(image: ImageArray) -> NDArray[np.bool_]:
     return image < int(np.argmax(histogram)) - BELOW_PEAK
 
 
-def reduce_image(
-    image: ImageArray, geometry: StereoGeometry, expected: MarkerExpectation
-) -> NDArray[np.bool_]:
-    """Return (H, W), the points that may lie about markers: all before the circles (fig. 5-8)."""
-    level = threshold_level(image, geometry, expected)
-    return _rims(image, level, fewest_pixels(geometry, expected))
-
-
 def detect_hough(
     image: NDArray[Any],
     geometry: StereoGeometry,
@@ -134,19 +130,25 @@ def detect_hough(
     grey = check_image(image, geometry)
     level = threshold_level(grey, geometry, expected)
     fewest = fewest_pixels(geometry, expected)
-    circles = hough_circles(_rims(grey, level, fewest), geometry, expected, rng)
+    circles = hough_circles(find_rims(grey, level, fewest), geometry, expected, rng)
     largest = expected.radii(geometry)[1]
     half = math.ceil(1.15 * largest) + 6
     square = math.pi * geometry.fx / geometry.fy
     most = math.ceil(1.3 * square * largest**2) + 4
-    found = np.empty((len(circles), 32))
-    count = _grow_all(
-        grey, circles, level, half, fewest, most, expected.noise, expected.sampling, found
-    )
-    return keep_plausible(list(found[:count]), geometry, expected)
+    found = allocate_ellipses(len(circles))
+    limits = RegionLimits(half, fewest, most)
+    count = _grow_all(grey, circles, level, limits, expected.pixels, found)
+    return keep_plausible(found.first(count), geometry, expected)
 
 
-def _rims(image: ImageArray, level: int, fewest: int) -> NDArray[np.bool_]:
+def find_rims(image: ImageArray, level: int, fewest: int) -> NDArray[np.bool_]:
+    """Return the points (H, W) that may lie about markers: all before the circles (fig. 5-8).
+
+    Args:
+        image: (H, W) grey image.
+        level: Grey level from which on a pixel may be of a marker.
+        fewest: Least number of pixels of a marker.
+    """
     black = drop_specks(black_markers(image, level), fewest)
     return rim_points(low_pass(signed_laplacian(black)))
 
@@ -158,8 +160,14 @@ def _levels(image: ImageArray) -> FloatArray:
 
 
 @numba.njit(cache=True)
-def _grow_all(image: Any, circles: Any, level: int, half: int, fewest: int, most: int,
-              noise: float, sampling: float, found: Any) -> int:  # fmt: skip
+def _grow_all(
+    image: Any,
+    circles: Any,
+    level: int,
+    limits: RegionLimits,
+    pixels: PixelNoise,
+    found: MeasuredEllipses,
+) -> int:
     """Grow a region in each circle and write those that are like ellipses; return their number."""
     height, width = image.shape
     tried = np.zeros((height, width), np.bool_)
@@ -178,11 +186,9 @@ def _grow_all(image: Any, circles: Any, level: int, half: int, fewest: int, most
         if best < level or tried[seed_y, seed_x]:
             continue
         tried[seed_y, seed_x] = True
-        if measure_region(
-            image, column, row, half, fewest, most, noise, sampling, found[count]
-        ):  # fmt: skip
-            if found[count, 31] < _UNALIKE:
-                count += 1
+        measured = measure_region(image, column, row, limits, pixels, found, count)
+        if measured and found.misfits[count] < _UNALIKE:
+            count += 1
     return count
 
 
@@ -245,15 +251,14 @@ def hough_circles(
     order = draw.permutation(len(rows))
     # A slanted marker's rim is flatter and sharper than its circle.
     least = 0.45 * (smallest + RING)
+    limits = CircleLimits(
+        geometry.fy / geometry.fx, least, 1.6 * (largest + RING), 2.2 * (largest + RING)
+    )
     return _track(
         columns[order].astype(np.int32),
         rows[order].astype(np.int32),
-        geometry.height,
-        geometry.width,
-        geometry.fy / geometry.fx,
-        least,
-        1.6 * (largest + RING),
-        2.2 * (largest + RING),
+        (geometry.height, geometry.width),
+        limits,
         int(draw.integers(1, 2**31)),
     )
 
@@ -284,10 +289,46 @@ def circle_of_three(
     return x, y, radius / 3.0, angle
 
 
+class CircleLimits(NamedTuple):
+    """Sizes of circles, in pixels of the rows.
+
+    Attributes:
+        stretch: Width of a pixel over its height.
+        least: Least radius, and least length of a chord [px].
+        most: Largest radius [px].
+        far: Largest distance between points of one circle [px].
+    """
+
+    stretch: float
+    least: float
+    most: float
+    far: float
+
+
+class RimPoints(NamedTuple):
+    """Points that may lie on rims, and what the tracking keeps of them.
+
+    Attributes:
+        columns: (N,) columns [px].
+        rows: (N,) rows [px].
+        number: (H, W) number of the point in each pixel, or -1.
+        free: (N,) whether a point is on no circle yet.
+        mark: (N,) first point of the chain that last held each.
+        members: (M,) the chain at hand.
+    """
+
+    columns: NDArray[np.int32]
+    rows: NDArray[np.int32]
+    number: NDArray[np.int32]
+    free: NDArray[np.bool_]
+    mark: NDArray[np.int32]
+    members: NDArray[np.int32]
+
+
 @numba.njit(cache=True)
-def _chain(first: int, columns: Any, rows: Any, index: Any, free: Any, far: float, stretch: float,
-           mark: Any, members: Any) -> int:  # fmt: skip
+def _chain(first: int, points: RimPoints, far: float, stretch: float) -> int:
     """Gather the free points that hang together with one, within a distance of it."""
+    columns, rows, index, free, mark, members = points
     height, width = index.shape
     members[0], used, done = first, 1, 0
     mark[first] = first
@@ -309,23 +350,24 @@ def _chain(first: int, columns: Any, rows: Any, index: Any, free: Any, far: floa
 
 
 @numba.njit(cache=True)
-def _track(columns: Any, rows: Any, height: int, width: int, stretch: float, least: float,
-           most: float, far: float, seed: int) -> Any:  # fmt: skip
+def _track(columns: Any, rows: Any, shape: tuple[int, int], limits: CircleLimits, seed: int) -> Any:
     """Fit circles to three points of a chain at a time, and track those that agree."""
     count = len(columns)
-    index = np.full((height, width), -1, np.int32)
+    stretch, least, most, far = limits
+    index = np.full(shape, -1, np.int32)
     for k in range(count):
         index[rows[k], columns[k]] = k
     free = np.ones(count, np.bool_)
     mark = np.full(count, -1, np.int32)
     # Half a rim is enough to draw from.
     members = np.empty(8 + int(1.2 * far) + _AROUND, np.int32)
+    points = RimPoints(columns, rows, index, free, mark, members)
     circles = np.zeros((512, 4))
     found, state = 0, seed
     for first in range(count):
         if not free[first]:
             continue
-        used = _chain(first, columns, rows, index, free, far, stretch, mark, members)
+        used = _chain(first, points, far, stretch)
         for _ in range(8 if used >= 5 else 0):
             state = (state * 1103515245 + 12345) % 2147483648
             second = members[(state >> 8) % used]

@@ -8,7 +8,7 @@ tells to which side it leans. Both are weak for a small marker seen head on; the
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -178,34 +178,28 @@ class _Problem:
 
     def __init__(self, discs: SeenDiscs, geometry: StereoGeometry, cad: BodyCad, radius: float,
                  prior: BodyPrior | None) -> None:  # fmt: skip
-        self._discs, self._geometry, self._cad, self._radius = discs, geometry, cad, radius
-        self._prior = prior
-        self._whiten = np.linalg.inv(np.linalg.cholesky(discs.covariances))
-        self._points = np.array(cad.points, dtype=float)
-        self._normal = np.array(cad.normal, dtype=float)
-        self._root, self._back = np.zeros((6, 6)), np.eye(4)
+        self._cad, self._prior = cad, prior
+        root, back = np.zeros((6, 6)), np.eye(4)
         if prior is not None:
             values, vectors = np.linalg.eigh(prior.information)
-            self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-            self._back = prior.transform_body_to_camera.inv().as_matrix()
-
-        lens = np.array([geometry.fx, geometry.fy, geometry.cx, geometry.cy, geometry.baseline])
+            root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+            back = prior.transform_body_to_camera.inv().as_matrix()
         self._count = discs.ellipses[..., 0].size * 5 + (0 if prior is None else 6)
-        self._numbers = (
-            self._points,
-            self._normal,
+        self._terms = DiscTerms(
+            np.array(cad.points, dtype=float),
+            np.array(cad.normal, dtype=float),
             radius,
-            lens,
+            tuple(map(float, (*geometry.intrinsics[2:], geometry.baseline))),
             np.ascontiguousarray(discs.ellipses),
-            np.ascontiguousarray(self._whiten),
-            np.ascontiguousarray(self._back),
-            np.ascontiguousarray(self._root),
+            np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(discs.covariances)), dtype=float),
+            np.ascontiguousarray(back),
+            np.ascontiguousarray(root),
         )
 
     def residuals(self, poses: FloatArray) -> FloatArray:
         """Return (P, R) of poses (P, 4, 4)."""
         rows = np.empty((len(poses), self._count))
-        write_residuals(np.ascontiguousarray(poses), *self._numbers, rows)
+        _write_residuals(np.ascontiguousarray(poses), self._terms, rows)
         return rows
 
     def allowed(self, poses: FloatArray) -> NDArray[np.bool_]:
@@ -221,7 +215,7 @@ class _Problem:
     def solve(self, start: FloatArray) -> tuple[FloatArray, float, FloatArray]:
         """Return pose (4, 4), cost and normal equations (6, 6) after damped Gauss-Newton steps."""
         pose, normal = np.array(start), np.eye(6)
-        cost = solve_pose(pose, normal, _NUDGES, _STEPS, *self._numbers, self._count)
+        cost = _solve_pose(pose, normal, _NUDGES, _STEPS, self._terms, self._count)
         return pose, cost, normal + 1e-9 * np.eye(6)
 
 
@@ -263,21 +257,33 @@ def _turned(
 _ITERATIONS = 12
 
 
+class DiscTerms(NamedTuple):
+    """What the residuals of a body's pose are made of.
+
+    Attributes:
+        points: (N, 3) centres of the discs [m], body frame.
+        face: (3,) unit normal of the discs, body frame.
+        radius: Radius of the discs [m].
+        eyes: fx, fy, cx, cy [px] and the baseline [m].
+        ellipses: (2, N, 5) ellipses that were seen, left and right.
+        whiten: (2, N, 5, 5) roots of the inverses of their covariances.
+        back: (4, 4) from the camera to the body, by the prior.
+        root: (6, 6) root of the prior's information.
+    """
+
+    points: FloatArray
+    face: FloatArray
+    radius: float
+    eyes: tuple[float, ...]
+    ellipses: FloatArray
+    whiten: FloatArray
+    back: FloatArray
+    root: FloatArray
+
+
 @numba.njit(cache=True)
-def solve_pose(
-    pose: Any,
-    normal: Any,
-    nudges: Any,
-    steps: Any,
-    points: Any,
-    face: Any,
-    radius: float,
-    lens: Any,
-    ellipses: Any,
-    whiten: Any,
-    back: Any,
-    root: Any,
-    count: int,
+def _solve_pose(
+    pose: Any, normal: Any, nudges: Any, steps: Any, terms: DiscTerms, count: int
 ) -> float:
     """Bring a pose (4, 4) to the least squares by damped Gauss-Newton steps; return its cost.
 
@@ -291,7 +297,7 @@ def solve_pose(
     for _ in range(_ITERATIONS):
         for k in range(13):
             poses[k] = nudges[k] @ pose
-        write_residuals(poses, points, face, radius, lens, ellipses, whiten, back, root, rows)
+        _write_residuals(poses, terms, rows)
         slopes = np.empty((6, count))
         for k in range(6):
             slopes[k] = (rows[k + 1] - rows[k + 7]) / (2.0 * steps[k])
@@ -304,7 +310,7 @@ def solve_pose(
         longest = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         step *= -min(1.0, 0.5 / max(longest, 1e-12))
         trial[0] = exp_twist(step) @ pose
-        write_residuals(trial, points, face, radius, lens, ellipses, whiten, back, root, ahead)
+        _write_residuals(trial, terms, ahead)
         there = ahead[0] @ ahead[0]
         if there <= cost:
             pose[:] = trial[0]
@@ -317,24 +323,14 @@ def solve_pose(
 
 
 @numba.njit(cache=True)
-def write_residuals(
-    poses: Any,
-    points: Any,
-    normal: Any,
-    radius: float,
-    lens: Any,
-    ellipses: Any,
-    whiten: Any,
-    back: Any,
-    root: Any,
-    rows: Any,
-) -> None:
+def _write_residuals(poses: Any, terms: DiscTerms, rows: Any) -> None:
     """Write whitened residuals (P, R) of poses (P, 4, 4), and those of the prior if there is room.
 
-    The ellipses are those of `marker_ellipses.project_discs`; a disc that is not wholly ahead
+    The ellipses are those of `ellipses.project_discs`; a disc that is not wholly ahead
     costs 1e6 in each number.
     """
-    fx, fy, cx, cy, baseline = lens
+    points, normal, radius, eyes, ellipses, whiten, back, root = terms
+    fx, fy, cx, cy, baseline = eyes
     count = len(points)
     seen = np.empty(5)
     for p in range(len(poses)):

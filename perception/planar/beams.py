@@ -8,9 +8,9 @@ wedge.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ of field while the cell's centre lies beyond. All may stop the beam; only the fi
 passed."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Beams:
+class Beams(NamedTuple):
     """Cells along the beams of a scan, relative to the sensor's cell.
 
     Attributes:
@@ -44,8 +43,7 @@ class Beams:
     exits: FloatArray
 
 
-@dataclasses.dataclass(frozen=True)
-class Fan:
+class Fan(NamedTuple):
     """Cells along evenly spread rays, relative to the sensor's cell.
 
     Ray k covers the directions from k to k + 1 times 2 pi / n, and runs along their middle.

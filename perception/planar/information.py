@@ -11,7 +11,7 @@ place of numbers of cells, so that a heading's value is a sliding sum over one f
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numba
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from perception.planar.beams import Fan
 from perception.planar.map import FREE_BELOW, BoolArray, FloatArray, IntArray
-from perception.planar.raycast import ray_sums, sector_rays, sector_sums
+from perception.planar.raycast import RangeSensor, ray_sums, sector_rays, sector_sums
 from perception.voxels.occupancy import binary_entropy
 
 Reading: TypeAlias = Literal["histogram", "premultiplied", "entropy"]
@@ -54,45 +54,36 @@ def undecided_entropy(probability: ArrayLike, measured: ArrayLike) -> FloatArray
     return entropy
 
 
-def histogram_entropy(areas: ArrayLike, total: float, premultiplied: bool = False) -> float:
-    """Return the entropy of one histogram of known and unknown grey levels (Thesis eq. 3-12b).
+class KnownGround(NamedTuple):
+    """What is known of the cells of a planar map.
 
-    Args:
-        areas: (2, levels) area of known and of unknown cells at each level [m^2].
-        total: Area of the whole sector [m^2].
-        premultiplied: Weight each term by -p log2 p of its level's middle.
-
-    Returns:
-        Entropy over that of evenly filled levels.
+    Attributes:
+        probability: (rows, columns) of occupancy.
+        measured: (rows, columns) whether a cell was ever measured.
+        opaque: (rows, columns) cells known to hide what is behind.
     """
-    q = np.asarray(areas, dtype=float) / total
-    bits = -q * np.log2(np.where(q > 0.0, q, 1.0))
-    weights = _level_weights(q.shape[-1], premultiplied)
-    return float(np.sum(bits * weights) / _full_entropy(q.shape[-1], premultiplied))
+
+    probability: FloatArray
+    measured: BoolArray
+    opaque: BoolArray
 
 
 def new_information(
     reading: Reading,
-    probability: FloatArray,
-    measured: BoolArray,
-    opaque: BoolArray,
+    ground: KnownGround,
     cells: IntArray,
     table: Fan,
-    fov: float,
-    depth: float,
+    sensor: RangeSensor,
     headings: int,
 ) -> FloatArray:
     """Rate the views from some cells in all headings.
 
     Args:
         reading: Which reading of 3-12b to 3-14.
-        probability: (rows, columns) of occupancy.
-        measured: (rows, columns) whether a cell was ever measured.
-        opaque: (rows, columns) cells known to hide what is behind.
+        ground: What is known of the cells.
         cells: (n, 2) rows and columns to look from.
         table: A fan of the sensor's depth of field.
-        fov: Field of view [rad].
-        depth: Depth of field [m].
+        sensor: Field of view and depth of field.
         headings: Number of headings.
 
     Returns:
@@ -101,7 +92,8 @@ def new_information(
     Raises:
         ValueError: If there is no such reading.
     """
-    total = 0.5 * fov * depth**2
+    probability, measured, opaque = ground
+    fov, depth, total = sensor.fov, sensor.depth, sensor.area
     if reading == "entropy":
         worth = undecided_entropy(probability, measured)
         return sector_sums(ray_sums(worth[None], opaque, cells, table)[0], fov, headings) / total
@@ -112,10 +104,8 @@ def new_information(
     distant = table.radii / depth
     distant = distant if premultiplied else stretch(distant)
     width, first = sector_rays(fov, headings, table.rays)
-    entropies = _fan_entropies(
-        shade, measured, opaque, cells, table.starts, table.offsets, table.areas, distant, total,
-        width, first, _level_weights(LEVELS, premultiplied),
-    )  # fmt: skip
+    levels = GreyLevels(shade, measured, distant, _level_weights(LEVELS, premultiplied), total)
+    entropies = _fan_entropies(levels, opaque, cells, table, width, first)
     return entropies / _full_entropy(LEVELS, premultiplied)
 
 
@@ -131,22 +121,31 @@ def _full_entropy(levels: int, premultiplied: bool) -> float:
     return float(np.log2(levels) * np.mean(_level_weights(levels, premultiplied)))
 
 
+class GreyLevels(NamedTuple):
+    """What histograms of grey levels are made of.
+
+    Attributes:
+        shade: (rows, columns) grey level of each measured cell, 0 to 1.
+        measured: (rows, columns) whether a cell was ever measured.
+        distant: (m,) grey level of an unmeasured cell, for each of the fan's cells, 0 to 1.
+        weights: (levels,) weight of each level's term.
+        total: Area of the whole sector [m^2].
+    """
+
+    shade: FloatArray
+    measured: BoolArray
+    distant: FloatArray
+    weights: FloatArray
+    total: float
+
+
 @_njit
 def _fan_entropies(
-    shade: FloatArray,
-    measured: BoolArray,
-    opaque: BoolArray,
-    cells: IntArray,
-    starts: IntArray,
-    offsets: IntArray,
-    areas: FloatArray,
-    distant: FloatArray,
-    total: float,
-    width: int,
-    first: IntArray,
-    weights: FloatArray,
+    grey: GreyLevels, opaque: BoolArray, cells: IntArray, table: Fan, width: int, first: IntArray
 ) -> FloatArray:
     """Slide a histogram of known and unknown levels around each fan."""
+    shade, measured, distant, weights, total = grey
+    starts, offsets, areas = table.starts, table.offsets, table.areas
     rows, columns = shade.shape
     rays, levels = starts.size - 1, weights.size
     entropies = np.zeros((cells.shape[0], first.size))

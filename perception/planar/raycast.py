@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from perception.planar.beams import Fan, beams
+from perception.planar.beams import Beams, Fan, beams
 from perception.planar.map import BoolArray, FloatArray, Grid, IntArray
 
 SECTOR_SLACK = 1e-9
@@ -53,8 +52,7 @@ class RangeSensor:
         return 0.5 * self.fov * self.depth**2
 
 
-@dataclasses.dataclass(frozen=True)
-class Scan:
+class PlanarScan(NamedTuple):
     """What one range scan saw.
 
     Attributes:
@@ -73,7 +71,7 @@ def scan(
     heading: float,
     sensor: RangeSensor,
     generator: np.random.Generator | None = None,
-) -> Scan:
+) -> PlanarScan:
     """Simulate a range scan.
 
     A beam goes towards every cell of the sector, on to the depth of field or the first occupied
@@ -111,12 +109,10 @@ def scan(
     if generator is not None and sensor.noise > 0.0:
         deviations = sensor.noise * generator.standard_normal(chosen.size)
     passed, hit = np.zeros(grid.shape, dtype=bool), np.zeros(grid.shape, dtype=bool)
-    _scan(
-        occupied, row, column, chosen, deviations, sensor.depth, table.starts, table.offsets,
-        table.kinds, table.entries, table.exits, passed, hit,
-    )  # fmt: skip
+    seen = PlanarScan(passed, hit)
+    _scan(occupied, (row, column), chosen, deviations, sensor.depth, table, seen)
     passed[row, column] = True
-    return Scan(passed, hit)
+    return seen
 
 
 def ray_sums(values: FloatArray, opaque: BoolArray, cells: IntArray, table: Fan) -> FloatArray:
@@ -137,7 +133,7 @@ def ray_sums(values: FloatArray, opaque: BoolArray, cells: IntArray, table: Fan)
     if values.ndim != 3 or values.shape[1:] != opaque.shape:
         expected = ", ".join(map(str, opaque.shape))
         raise ValueError(f"values: expected shape (layers, {expected}), got {values.shape}")
-    return _ray_sums(values, opaque, cells, table.starts, table.offsets, table.areas)
+    return _ray_sums(values, opaque, cells, table)
 
 
 def expected_view(
@@ -155,7 +151,7 @@ def expected_view(
     width, _ = sector_rays(fov, 1, table.rays)
     first = round(heading / (2.0 * math.pi) * table.rays) - width // 2
     seen = np.zeros(opaque.shape, dtype=bool)
-    _mark(opaque, cell[0], cell[1], first, width, table.starts, table.offsets, seen)
+    _mark(opaque, (cell[0], cell[1]), first, width, table, seen)
     return seen
 
 
@@ -195,20 +191,18 @@ def sector_rays(fov: float, headings: int, rays: int) -> tuple[int, IntArray]:
 @_njit
 def _scan(
     occupied: BoolArray,
-    row: int,
-    column: int,
+    cell: tuple[int, int],
     chosen: IntArray,
     deviations: FloatArray,
     depth: float,
-    starts: IntArray,
-    offsets: IntArray,
-    kinds: NDArray[np.int8],
-    entries: FloatArray,
-    exits: FloatArray,
-    passed: BoolArray,
-    hit: BoolArray,
+    table: Beams,
+    seen: PlanarScan,
 ) -> None:
     """Follow the chosen beams and mark what they measure."""
+    row, column = cell
+    starts, offsets, kinds = table.starts, table.offsets, table.kinds
+    entries, exits = table.entries, table.exits
+    passed, hit = seen.passed, seen.hit
     rows, columns = occupied.shape
     for i in range(chosen.size):
         first, last = starts[chosen[i]], starts[chosen[i] + 1]
@@ -242,14 +236,8 @@ def _scan(
 
 
 @_njit
-def _ray_sums(
-    values: FloatArray,
-    opaque: BoolArray,
-    cells: IntArray,
-    starts: IntArray,
-    offsets: IntArray,
-    areas: FloatArray,
-) -> FloatArray:
+def _ray_sums(values: FloatArray, opaque: BoolArray, cells: IntArray, table: Fan) -> FloatArray:
+    starts, offsets, areas = table.starts, table.offsets, table.areas
     layers, rows, columns = values.shape
     rays = starts.size - 1
     sums = np.zeros((layers, cells.shape[0], rays))
@@ -266,15 +254,9 @@ def _ray_sums(
 
 @_njit
 def _mark(
-    opaque: BoolArray,
-    row: int,
-    column: int,
-    first: int,
-    width: int,
-    starts: IntArray,
-    offsets: IntArray,
-    seen: BoolArray,
+    opaque: BoolArray, cell: tuple[int, int], first: int, width: int, table: Fan, seen: BoolArray
 ) -> None:
+    (row, column), starts, offsets = cell, table.starts, table.offsets
     rows, columns = opaque.shape
     rays = starts.size - 1
     for i in range(width):

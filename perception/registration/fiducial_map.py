@@ -29,7 +29,7 @@ from perception.registration.checks import (
     checked_pose_covariance,
     checked_sigma,
 )
-from perception.registration.likelihood import Solution, innovation
+from perception.registration.likelihood import PoseSolution, innovation
 from perception.registration.motion import GATE, Registration, agreeing
 from perception.registration.reprojection import KnownPoints, Pose, Sighting, linearise
 from perception.stereo.geometry import StereoGeometry
@@ -261,7 +261,7 @@ class FiducialMap:
         return MapObservation(registration, added)
 
     def _update(
-        self, index: IndexArray, solution: Solution, known: KnownPoints, sight: Sighting
+        self, index: IndexArray, solution: PoseSolution, known: KnownPoints, sight: Sighting
     ) -> FloatArray:
         """Fuse a view in; return (6, K + 3M), its pose's covariance with offsets and map."""
         count = len(self.offsets)

@@ -32,7 +32,7 @@ LEAST_GAIN = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
-class Solution:
+class PoseSolution:
     """A fit of the pose and the fiducials.
 
     Attributes:
@@ -50,7 +50,7 @@ class Solution:
     cost: float
 
 
-def solve(start: Pose, known: KnownPoints, sight: Sighting) -> Solution:
+def solve(start: Pose, known: KnownPoints, sight: Sighting) -> PoseSolution:
     """Fit the pose and the fiducials by Gauss-Newton with a line search.
 
     Args:
@@ -85,7 +85,7 @@ def solve(start: Pose, known: KnownPoints, sight: Sighting) -> Solution:
     _, _, information = _newton(pose, weights, known, sight)
     covariance = _solve_information(information, np.eye(6))
     coordinates = known.coordinates + known.spread(weights)
-    return Solution(pose, coordinates, weights, covariance, cost)
+    return PoseSolution(pose, coordinates, weights, covariance, cost)
 
 
 def _cost(pose: Pose, weights: FloatArray, known: KnownPoints, sight: Sighting) -> float:

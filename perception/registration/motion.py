@@ -26,7 +26,7 @@ from perception.registration.checks import (
     checked_sigma,
 )
 from perception.registration.closed_form import kabsch, kabsch_pose, linear, pnp, recursive
-from perception.registration.likelihood import Solution, solve
+from perception.registration.likelihood import PoseSolution, solve
 from perception.registration.reprojection import (
     KnownPoints,
     Pose,
@@ -248,7 +248,7 @@ def agreeing(
     sight: Sighting,
     guess: Pose | None,
     rng: np.random.Generator,
-) -> tuple[Solution, BoolArray]:
+) -> tuple[PoseSolution, BoolArray]:
     """Fit the pose to the fiducials that agree on it.
 
     If all agree that is the fit to all. Otherwise minimal sets propose poses, the best are fitted
@@ -274,7 +274,7 @@ def agreeing(
         fitted = _fit(pose, known, sight, everybody)
         if fitted is not None and _all_agree(fitted, alone, sight):
             return fitted, everybody
-    best: tuple[float, Solution, BoolArray] | None = None
+    best: tuple[float, PoseSolution, BoolArray] | None = None
     for pose in _proposals(alone, sight, guess, rng):
         found = _settle(pose, known, alone, sight)
         if found is not None and (best is None or found[0] < best[0]):
@@ -292,11 +292,11 @@ def agreeing(
     return solution, chosen
 
 
-def _all_agree(fitted: Solution, alone: KnownPoints, sight: Sighting) -> bool:
+def _all_agree(fitted: PoseSolution, alone: KnownPoints, sight: Sighting) -> bool:
     return bool(np.all(squared_distances(fitted.pose, alone, sight) <= GATE))
 
 
-def _fit(pose: Pose, known: KnownPoints, sight: Sighting, chosen: BoolArray) -> Solution | None:
+def _fit(pose: Pose, known: KnownPoints, sight: Sighting, chosen: BoolArray) -> PoseSolution | None:
     if chosen.sum() < FEWEST:
         return None
     try:
@@ -346,7 +346,7 @@ def _minimal_sets(count: int, rng: np.random.Generator) -> NDArray[np.intp]:
 
 def _settle(
     pose: Pose, known: KnownPoints, alone: KnownPoints, sight: Sighting
-) -> tuple[float, Solution, BoolArray] | None:
+) -> tuple[float, PoseSolution, BoolArray] | None:
     """Fit to those that agree until these stay the same; return what is left unexplained."""
     chosen = squared_distances(pose, alone, sight) <= WIDE * GATE
     fitted = None

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -69,6 +70,36 @@ def refine(
     return Refinement(result[:, 0], result[:, 1:3], sigmas, residuals, contrasts, inner)
 
 
+class ImageWindow(NamedTuple):
+    """A square window of the left image.
+
+    Attributes:
+        column: Column of its middle [px].
+        row: Row of its middle [px].
+        half: Half of its edge [px].
+    """
+
+    column: int
+    row: int
+    half: int
+
+
+class DisparityPlane(NamedTuple):
+    """A plane of disparity over a window, and an offset of brightness.
+
+    Attributes:
+        disparity: In the middle of the window [px].
+        by_column: Change of disparity per column [-].
+        by_row: Change of disparity per row [-].
+        offset: Grey level of the left image over that of the right one.
+    """
+
+    disparity: float
+    by_column: float
+    by_row: float
+    offset: float
+
+
 @numba.njit(cache=True)
 def _refine(left, right, pixels, starts, half, iterations, result):
     rows, columns = left.shape
@@ -78,11 +109,13 @@ def _refine(left, right, pixels, starts, half, iterations, result):
         u, v = pixels[n, 0], pixels[n, 1]
         if u < half or u >= columns - half or v < half or v >= rows - half:
             continue
+        window = ImageWindow(u, v, half)
         d, a, b = starts[n, 0], starts[n, 1], starts[n, 2]
         offset = 0.0
         fitted = False
         for _ in range(iterations):
-            squares = _accumulate(left, right, u, v, half, d, a, b, offset, normal, target)
+            plane = DisparityPlane(d, a, b, offset)
+            squares = _accumulate(left, right, window, plane, normal, target)
             if squares < 0.0 or not _solve(normal, target, step):
                 break
             d, a, b = d + step[0], a + step[1], b + step[2]
@@ -95,7 +128,8 @@ def _refine(left, right, pixels, starts, half, iterations, result):
                 break
         if not fitted:
             continue
-        squares = _accumulate(left, right, u, v, half, d, a, b, offset, normal, target)
+        plane = DisparityPlane(d, a, b, offset)
+        squares = _accumulate(left, right, window, plane, normal, target)
         target[0], target[1], target[2], target[3] = 1.0, 0.0, 0.0, 0.0
         if squares < 0.0 or not _solve(normal, target, step):
             continue
@@ -108,8 +142,10 @@ def _refine(left, right, pixels, starts, half, iterations, result):
 
 
 @numba.njit(cache=True)
-def _accumulate(left, right, u, v, half, d, a, b, offset, normal, target):
+def _accumulate(left, right, window, plane, normal, target):
     """Fill the normal equations; return the sum of squares, or -1 where the window leaves."""
+    u, v, half = window
+    d, a, b, offset = plane
     last = right.shape[1] - 3
     normal[:] = 0.0
     target[:] = 0.0

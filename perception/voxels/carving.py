@@ -30,12 +30,30 @@ from perception.voxels.bricks import (
 from perception.voxels.fusion import WEAK
 from perception.voxels.scan import TILE, Camera, Scan
 
-Carving = tuple[float, int, int, int, bool, bool]
-
 NOTHING, MIXED, FREE = range(3)
 HALF = SIDE // 2
-LOT = 4
-"""Bricks along a cube that is looked at first."""
+BLOCK = 4
+"""Bricks along a block that is looked at first."""
+
+
+class CarvingSettings(NamedTuple):
+    """How free space enters a map.
+
+    Attributes:
+        resolution: Side of a voxel [m].
+        miss: Log-odds that a miss adds, in the map's steps.
+        lowest: Least log-odds of a voxel, in the map's steps.
+        scan: Number of this scan.
+        drop_when_full: Whether changes without memory are dropped, instead of asking for more.
+        coarse: Whether cubes of 2 x 2 x 2 voxels are looked at together: see `VoxelMapConfig`.
+    """
+
+    resolution: float
+    miss: int
+    lowest: int
+    scan: int
+    drop_when_full: bool
+    coarse: bool
 
 
 class Samples(NamedTuple):
@@ -90,9 +108,9 @@ PART, COARSE_PART = _part(1), _part(2)
 @numba.njit(**KERNEL)
 def bricks_in(window: NDArray[np.int64]) -> int:
     """Return how many bricks `carve_scan` numbers for a window, those beside it included."""
-    count = LOT**3
+    count = BLOCK**3
     for axis in range(3):
-        count *= max(window[3 + axis] // LOT - window[axis] // LOT + 1, 0)
+        count *= max(window[3 + axis] // BLOCK - window[axis] // BLOCK + 1, 0)
     return count
 
 
@@ -103,7 +121,7 @@ def carve_scan(
     camera: Camera,
     samples: Samples,
     window: NDArray[np.int64],
-    settings: Carving,
+    settings: CarvingSettings,
     first: int,
 ) -> int:
     """Lower the voxels that lie before what the scan saw.
@@ -114,44 +132,46 @@ def carve_scan(
         camera: Where it was taken from.
         samples: What `samples_of` returns.
         window: (6,) first and last brick on each axis that may be in view, inside of the map.
-        settings: (resolution, miss, lowest, number of this scan, whether to go on without room,
-            whether to be coarse: see `VoxelMapConfig`).
+        settings: How free space enters the map.
         first: Brick to begin with; they are numbered cube by cube.
 
     Returns:
         The brick before which room is needed, or `bricks_in` of the window.
     """
-    _, miss, lowest, _, go_on, coarse = settings
-    x0, y0, z0 = window[0] // LOT, window[1] // LOT, window[2] // LOT
-    ly, lz = window[4] // LOT - y0 + 1, window[5] // LOT - z0 + 1
+    miss, lowest, coarse = settings.miss, settings.lowest, settings.coarse
+    x0, y0, z0 = window[0] // BLOCK, window[1] // BLOCK, window[2] // BLOCK
+    ly, lz = window[4] // BLOCK - y0 + 1, window[5] // BLOCK - z0 + 1
     count = bricks_in(window)
-    verdict_of_lot, judged = MIXED, -1
+    verdict_of_block, judged = MIXED, -1
     x1, y1, z1 = x0, y0, z0
     number = first - 1
     while number + 1 < count:
         number += 1
-        lot, inner = number // LOT**3, number % LOT**3
-        if lot != judged:
+        block_number, inner = number // BLOCK**3, number % BLOCK**3
+        if block_number != judged:
             # Most of a fine map's bricks are told by a look at a few dozen of them at once.
-            judged = lot
-            x1, y1 = (x0 + lot // (ly * lz)) * LOT, (y0 + lot // lz % ly) * LOT
-            z1 = (z0 + lot % lz) * LOT
-            verdict_of_lot, _, _ = _judge(
-                scan, camera, settings[0], x1 * SIDE, y1 * SIDE, z1 * SIDE, LOT * SIDE
+            judged = block_number
+            x1, y1 = (
+                (x0 + block_number // (ly * lz)) * BLOCK,
+                (y0 + block_number // lz % ly) * BLOCK,
             )
-        if verdict_of_lot == NOTHING:
-            number += LOT**3 - 1 - inner
+            z1 = (z0 + block_number % lz) * BLOCK
+            verdict_of_block, _, _ = _judge(
+                scan, camera, settings.resolution, x1 * SIDE, y1 * SIDE, z1 * SIDE, BLOCK * SIDE
+            )
+        if verdict_of_block == NOTHING:
+            number += BLOCK**3 - 1 - inner
             continue
-        x, y, z = x1 + inner // LOT**2, y1 + inner // LOT % LOT, z1 + inner % LOT
+        x, y, z = x1 + inner // BLOCK**2, y1 + inner // BLOCK % BLOCK, z1 + inner % BLOCK
         if not (x <= window[3] and y <= window[4] and z <= window[5]):
             continue
         index = store.index[x, y, z]
         if index == -129 - lowest:
             continue
         verdict, complete = FREE, True
-        if verdict_of_lot != FREE:
+        if verdict_of_block != FREE:
             verdict, complete, _ = _judge(
-                scan, camera, settings[0], x * SIDE, y * SIDE, z * SIDE, SIDE
+                scan, camera, settings.resolution, x * SIDE, y * SIDE, z * SIDE, SIDE
             )
         if verdict == NOTHING or (verdict == MIXED and coarse and index < 0 and not complete):
             continue
@@ -163,7 +183,7 @@ def carve_scan(
             _lower_all(store, x, y, z, miss, lowest)
         else:
             if index < 0 and not room_left(store, 1, 0, 0):
-                if not go_on:
+                if not settings.drop_when_full:
                     return number
                 store.used[DROPPED] += 1
                 continue
@@ -259,7 +279,7 @@ def _carve_brick(
     scan: Scan,
     camera: Camera,
     samples: Samples,
-    settings: Carving,
+    settings: CarvingSettings,
     brick: tuple[int, int, int],
 ) -> None:
     """Go through a brick in eight parts, each judged by itself first."""
@@ -267,7 +287,9 @@ def _carve_brick(
     for part in range(8):
         i, j, k = HALF * (part >> 2), HALF * ((part >> 1) & 1), HALF * (part & 1)
         corner = (x * SIDE + i, y * SIDE + j, z * SIDE + k)
-        verdict, _, _ = _judge(scan, camera, settings[0], corner[0], corner[1], corner[2], HALF)
+        verdict, _, _ = _judge(
+            scan, camera, settings.resolution, corner[0], corner[1], corner[2], HALF
+        )
         if verdict == NOTHING:
             continue
         told = True
@@ -275,7 +297,7 @@ def _carve_brick(
             for n in range(samples.cell.size):
                 samples.told[n] = FREE
         else:
-            _project(camera, samples, settings[0], corner)
+            _project(camera, samples, settings.resolution, corner)
             told = _ask(scan, samples)
         if told:
             _settle(store, samples, settings, brick, (i << 6) | (j << 3) | k)
@@ -325,10 +347,14 @@ def _ask(scan: Scan, samples: Samples) -> bool:
 
 @numba.njit(**KERNEL, inline="always")
 def _settle(
-    store: Bricks, samples: Samples, settings: Carving, brick: tuple[int, int, int], first: int
+    store: Bricks,
+    samples: Samples,
+    settings: CarvingSettings,
+    brick: tuple[int, int, int],
+    first: int,
 ) -> None:
     """Lower voxels told to be free; of those just before a surface say that they were measured."""
-    _, miss, lowest, now, _, coarse = settings
+    miss, lowest, now, coarse = settings.miss, settings.lowest, settings.scan, settings.coarse
     number = dense_brick(store, brick[0], brick[1], brick[2])
     block = store.block[number]
     for inner in range(8 if coarse else 1):

@@ -13,6 +13,7 @@ one, which stands in the voxel where it then lies. Covariances are packed as xx,
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -38,9 +39,6 @@ from perception.voxels.scan import FLAT, GONE, TILE, Camera, Scan
 
 FloatArray = NDArray[np.float64]
 
-Work = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-Fusing = tuple[float, int, int, int, float, int, bool, int, int, int]
-
 WEAK = -1
 """Log-odds of a voxel just before a surface: measured, hardly decided."""
 GATE = 9.0
@@ -53,11 +51,55 @@ FLOOR = 0.02
 """Deviation that a voxel's surface keeps, in voxels: it is no point."""
 
 
-def workspace() -> Work:
-    """Return room for the estimates that `fuse_scan` works on."""
-    a, b, c = (np.empty(3) for _ in range(3))
-    d, e, f = (np.empty(6) for _ in range(3))
-    return a, d, b, e, c, f, np.empty(3)
+class FusionSettings(NamedTuple):
+    """How points of a scan enter a map.
+
+    Attributes:
+        resolution: Side of a voxel [m].
+        hit: Log-odds that a hit adds, in the map's steps.
+        lowest: Least log-odds of a voxel, in the map's steps.
+        highest: Largest log-odds of a voxel, in the map's steps.
+        correlated_points: How many neighbouring points count as one.
+        scan: Number of this scan.
+        drop_when_full: Whether changes without memory are dropped, instead of asking for more.
+        shape: Voxels on each axis.
+    """
+
+    resolution: float
+    hit: int
+    lowest: int
+    highest: int
+    correlated_points: float
+    scan: int
+    drop_when_full: bool
+    shape: tuple[int, int, int]
+
+
+class Estimates(NamedTuple):
+    """Buffers for the estimates that `fuse_scan` works on.
+
+    Attributes:
+        mean: (3,) of the group of points at hand [m].
+        covariance: (6,) of the group of points at hand [m^2].
+        fused_mean: (3,) of the estimates merged so far [m].
+        fused: (6,) covariance of the estimates merged so far [m^2].
+        other_mean: (3,) of the estimate to be merged [m].
+        other: (6,) covariance of the estimate to be merged [m^2].
+        normal: (3,) normal of the surface at the group, zeros if unknown.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    fused_mean: FloatArray
+    fused: FloatArray
+    other_mean: FloatArray
+    other: FloatArray
+    normal: FloatArray
+
+
+def allocate_estimates() -> Estimates:
+    """Return buffers for `fuse_scan`."""
+    return Estimates(*(np.empty(size) for size in (3, 6, 3, 6, 3, 6, 3)))
 
 
 @numba.njit(**KERNEL, inline="always")
@@ -68,7 +110,12 @@ def _effective(points: float, correlated: float) -> float:
 
 @numba.njit(**KERNEL)
 def fuse_scan(
-    store: Bricks, scan: Scan, camera: Camera, settings: Fusing, work: Work, first: int
+    store: Bricks,
+    scan: Scan,
+    camera: Camera,
+    settings: FusionSettings,
+    work: Estimates,
+    first: int,
 ) -> int:
     """Add the points of a scan tile by tile.
 
@@ -76,25 +123,23 @@ def fuse_scan(
         store: The map.
         scan: The images of the scan; points taken are crossed out.
         camera: Where it was taken from.
-        settings: (resolution, hit, lowest, highest, correlated points, number of this scan,
-            whether to go on without room, voxels on each axis).
-        work: What `workspace` returns.
+        settings: How points enter the map.
+        work: Buffers.
         first: Tile to begin with.
 
     Returns:
         The tile before which room is needed, or the number of tiles.
     """
-    resolution = settings[0]
+    resolution = settings.resolution
     downs, acrosses = scan.high.shape
     focal = math.sqrt(camera.fx * camera.fy)
-    mean, covariance, normal = work[0], work[1], work[6]
     most = TILE * TILE
     for tile in range(first, downs * acrosses):
         down, across = tile // acrosses, tile % acrosses
         high = scan.high[down, across]
         if high == 0.0:
             continue
-        if not room_left(store, most, most, most) and not settings[6]:
+        if not room_left(store, most, most, most) and not settings.drop_when_full:
             return tile
         # Groups of about half a voxel's width (0.35 to 0.7), so that a slanted surface has no gaps.
         side = 1
@@ -107,13 +152,11 @@ def fuse_scan(
                 for turn in range(1 + side * side):
                     # First what lies on the tile's plane, then the rest, the nearest first.
                     flat = turn == 0
-                    count = _gather(scan, corner, flat, resolution, mean, covariance)
+                    count = _gather(scan, corner, flat, resolution, work.mean, work.covariance)
                     if count > 0:
                         for axis in range(3):
-                            normal[axis] = scan.normal[down, across, axis] if flat else 0.0
-                        _fuse_group(
-                            store, camera.origin, mean, covariance, count, normal, settings, work
-                        )
+                            work.normal[axis] = scan.normal[down, across, axis] if flat else 0.0
+                        _fuse_group(store, camera.origin, count, settings, work)
                     elif not flat:
                         break
     return downs * acrosses
@@ -177,15 +220,14 @@ def _gather(
 def _fuse_group(
     store: Bricks,
     origin: FloatArray,
-    mean: FloatArray,
-    covariance: FloatArray,
     count: int,
-    normal: FloatArray,
-    settings: Fusing,
-    work: Work,
+    settings: FusionSettings,
+    work: Estimates,
 ) -> None:
     """Merge a group with the estimates along its ray, and put the result where it lies."""
-    resolution, _, _, _, correlated, now, _, nx, ny, nz = settings
+    resolution, correlated, now = settings.resolution, settings.correlated_points, settings.scan
+    nx, ny, nz = settings.shape
+    mean, covariance, normal = work.mean, work.covariance, work.normal
     rx, ry, rz = mean[0] - origin[0], mean[1] - origin[1], mean[2] - origin[2]
     length = math.sqrt(rx * rx + ry * ry + rz * rz)
     rx, ry, rz = rx / length, ry / length, rz / length
@@ -197,7 +239,8 @@ def _fuse_group(
     stride = reach / steps
     own, own_covariance = mean, covariance
     carried, before, merged = NEVER, 0, False
-    fused_mean, fused, other_mean, other = work[2], work[3], work[4], work[5]
+    fused_mean, fused = work.fused_mean, work.fused
+    other_mean, other = work.other_mean, work.other
     floor = (FLOOR * resolution) ** 2
     spread = resolution * resolution / 12.0
     gate_group = _variance_along(covariance, ax, ay, az) / _effective(count, correlated)
@@ -236,7 +279,7 @@ def _fuse_group(
         store.values[brick, cell] = WEAK
         release_record(store, store.block[brick], cell)
         if merged:
-            _merge(fused_mean, fused, other_mean, other)
+            merge_gaussians(fused_mean, fused, other_mean, other)
         else:
             _copy(fused_mean, fused, other_mean, other)
             merged = True
@@ -254,14 +297,14 @@ def _fuse_group(
         own_covariance[4] -= spread * (ay * az if sure else 0.0)
         own_covariance[5] += spread * (1.0 - (az * az if sure else 0.0))
         if merged:
-            _merge(fused_mean, fused, own, own_covariance)
+            merge_gaussians(fused_mean, fused, own, own_covariance)
         else:
             _copy(fused_mean, fused, own, own_covariance)
     _put_down(store, fused_mean, fused, carried, before, count, settings)
 
 
 @numba.njit(**KERNEL)
-def touch_scan(store: Bricks, scan: Scan, settings: Fusing, first: int) -> int:
+def touch_scan(store: Bricks, scan: Scan, settings: FusionSettings, first: int) -> int:
     """Take voxels as occupied where points are in them, unless they are known to be free.
 
     Estimates stand where a patch has its middle. Voxels of which a slanted surface cuts a corner
@@ -271,11 +314,12 @@ def touch_scan(store: Bricks, scan: Scan, settings: Fusing, first: int) -> int:
     Returns:
         The row of the image before which room is needed, or the number of rows.
     """
-    resolution, hit, _, _, _, _, go_on, nx, ny, nz = settings
+    resolution, hit = settings.resolution, settings.hit
+    nx, ny, nz = settings.shape
     height, width = scan.depth.shape
     lx, ly, lz = -1, -1, -1
     for v in range(first, height):
-        if not go_on and not room_left(store, width, 0, 0):
+        if not settings.drop_when_full and not room_left(store, width, 0, 0):
             return v
         for u in range(width):
             if scan.count[v, u] == 0 or scan.sigma[v, u] > TOUCH * resolution:
@@ -310,11 +354,11 @@ def _put_down(
     carried: int,
     before: int,
     count: int,
-    settings: Fusing,
+    settings: FusionSettings,
 ) -> None:
     """Store an estimate in the voxel where it lies, and let the voxel be hit once a scan."""
-    resolution, hit, lowest, highest, _, now, _, nx, ny, nz = settings
-    scale = 1.0 / resolution
+    now, (nx, ny, nz) = settings.scan, settings.shape
+    scale = 1.0 / settings.resolution
     x, y, z = whole(mean[0] * scale), whole(mean[1] * scale), whole(mean[2] * scale)
     if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz):
         return
@@ -348,12 +392,12 @@ def _put_down(
     store.records[record, POINTS] = before + count
     value = max(int(store.values[brick, cell]), carried)
     if not seen:
-        value = (0 if value == NEVER else value) + hit
-    store.values[brick, cell] = min(max(value, lowest), highest)
+        value = (0 if value == NEVER else value) + settings.hit
+    store.values[brick, cell] = min(max(value, settings.lowest), settings.highest)
 
 
 @numba.njit(**KERNEL)
-def _merge(
+def merge_gaussians(
     mean: FloatArray, covariance: FloatArray, other_mean: FloatArray, other_covariance: FloatArray
 ) -> None:
     """Merge two Gaussians in place: C1 - C1 (C1 + C2)^-1 C1 (Thesis eq. 3-8 and 3-10, mended).

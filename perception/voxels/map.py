@@ -37,8 +37,14 @@ from perception.voxels.bricks import (
     read_cells,
     with_room,
 )
-from perception.voxels.carving import bricks_in, carve_scan, samples_of
-from perception.voxels.fusion import FLOOR, fuse_scan, touch_scan, workspace
+from perception.voxels.carving import CarvingSettings, bricks_in, carve_scan, samples_of
+from perception.voxels.fusion import (
+    FLOOR,
+    FusionSettings,
+    allocate_estimates,
+    fuse_scan,
+    touch_scan,
+)
 from perception.voxels.grid import MapError, VoxelGrid, checked_cloud, checked_points
 from perception.voxels.occupancy import State, UpdateModel, log_odds, probability
 from perception.voxels.scan import (
@@ -213,17 +219,17 @@ class VoxelMap:
     def _fuse(self, scan: Scan, camera: Camera) -> bool:
         """Make voxels with points more occupied; return whether memory ran out."""
         hit, _, low, high = self._steps()
-        fused = (hit, low, high, float(self.config.correlated_points), self.scans)
-        resolution, size = self.grid.resolution, self.grid.shape
-        full, work = False, workspace()
+        correlated, shape = float(self.config.correlated_points), self.grid.shape
+        resolution, scans = self.grid.resolution, self.scans
+        full, work = False, allocate_estimates()
         begin, end = 0, scan.high.size
         while begin < end:
-            settings = (resolution, *fused, full, *size)
+            settings = FusionSettings(resolution, hit, low, high, correlated, scans, full, shape)
             begin = fuse_scan(self.bricks, scan, camera, settings, work, begin)
             full = full or (begin < end and not self._grow(TILE * TILE))
         begin, end = 0, camera.height
         while begin < end:
-            settings = (resolution, *fused, full, *size)
+            settings = FusionSettings(resolution, hit, low, high, correlated, scans, full, shape)
             begin = touch_scan(self.bricks, scan, settings, begin)
             full = full or (begin < end and not self._grow(camera.width))
         return full
@@ -237,7 +243,7 @@ class VoxelMap:
         samples = samples_of(camera, resolution, coarse)
         begin, end = 0, bricks_in(window) if np.all(window[3:] >= window[:3]) else 0
         while begin < end:
-            settings = (resolution, miss, low, self.scans, full, coarse)
+            settings = CarvingSettings(resolution, miss, low, self.scans, full, coarse)
             begin = carve_scan(self.bricks, scan, camera, samples, window, settings, begin)
             full = full or (begin < end and not self._grow(1))
 
@@ -378,7 +384,7 @@ class VoxelMap:
 
 
 @dataclasses.dataclass(frozen=True)
-class Window:
+class MapWindow:
     """Voxels of a box.
 
     Attributes:
@@ -410,7 +416,7 @@ class Window:
         return int(below[-1]) - 127 if len(below) else NEVER
 
 
-def window(voxels: VoxelMap, lower: ArrayLike, upper: ArrayLike) -> Window:
+def window(voxels: VoxelMap, lower: ArrayLike, upper: ArrayLike) -> MapWindow:
     """Return the voxels of a box; the box may reach out of the map, where nothing is known.
 
     Args:
@@ -436,7 +442,7 @@ def window(voxels: VoxelMap, lower: ArrayLike, upper: ArrayLike) -> Window:
     lowest, highest = voxels.config.model.clamps
     scale = LARGEST_STEP / max(-lowest, highest)
     table = np.where(steps == NEVER, np.nan, probability(steps / scale))
-    return Window(grid, values, table, voxels.threshold())
+    return MapWindow(grid, values, table, voxels.threshold())
 
 
 @numba.njit(**KERNEL)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -90,12 +90,44 @@ def view_counts(
     camera = camera_of(transform_camera_to_world, coarse, voxels.grid.corner)
     depths = np.full((coarse.height, coarse.width), np.inf)
     sums = np.zeros(3)
-    settings = (voxels.grid.resolution, 1.0 / mean_free_path)
+    scale = RayScale(voxels.grid.resolution, 1.0 / mean_free_path)
     kinds, states = voxels.outline()
-    _count_rays(kinds, states.ravel(), camera, settings, depths, sums)
+    _count_rays(kinds, states.ravel(), camera, scale, depths, sums)
     # A ray stands for a pixel, which is z^2 / (fx fy) large at depth z.
     unmeasured, free, seen = (sums / (3.0 * coarse.fx * coarse.fy)).tolist()
     return ViewCounts(unmeasured, free, seen / voxels.grid.resolution**3, depths)
+
+
+class RayScale(NamedTuple):
+    """Lengths that rays are counted with.
+
+    Attributes:
+        resolution: Side of a voxel [m].
+        attenuation: Inverse of the mean free path in unmeasured space [1/m].
+    """
+
+    resolution: float
+    attenuation: float
+
+
+class Ray(NamedTuple):
+    """A ray through a map, from where it enters it.
+
+    Attributes:
+        brick: Brick in which it starts.
+        faces: Depth of the next brick on each axis [ticks].
+        widths: Depth from voxel to voxel on each axis [ticks].
+        ahead: Whether it goes up on each axis.
+        ends: Depth where it starts and ends [m].
+        attenuation: By unmeasured space, along the depth [1/m].
+    """
+
+    brick: tuple[int, int, int]
+    faces: tuple[int, int, int]
+    widths: tuple[int, int, int]
+    ahead: tuple[bool, bool, bool]
+    ends: tuple[float, float]
+    attenuation: float
 
 
 @numba.njit(**KERNEL)
@@ -103,7 +135,7 @@ def _count_rays(
     kinds: NDArray[np.int32],
     states: NDArray[np.uint16],
     camera: Camera,
-    settings: tuple[float, float],
+    scale: RayScale,
     depths: FloatArray,
     sums: FloatArray,
 ) -> None:
@@ -113,11 +145,11 @@ def _count_rays(
         kinds: Of `VoxelMap.outline`.
         states: Likewise, flat.
         camera: Where the rays start, and one pixel for each.
-        settings: Side of a voxel [m], attenuation [1/m].
+        scale: Side of a voxel and attenuation.
         depths: (rows, columns) written where a ray is stopped.
         sums: (3,) added to: z1^3 - z0^3 of unmeasured, of free, and of what is seen of unmeasured.
     """
-    side = settings[0] * SIDE
+    side = scale.resolution * SIDE
     bx, by, bz = kinds.shape
     ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
     turn = camera.turn
@@ -128,7 +160,7 @@ def _count_rays(
             dx = turn[0, 0] * u + turn[1, 0] * v + turn[2, 0]
             dy = turn[0, 1] * u + turn[1, 1] * v + turn[2, 1]
             dz = turn[0, 2] * u + turn[1, 2] * v + turn[2, 2]
-            per_depth = settings[1] * math.sqrt(dx * dx + dy * dy + dz * dz)
+            per_depth = scale.attenuation * math.sqrt(dx * dx + dy * dy + dz * dz)
             # No component: as good as never across such faces, and no 0 times inf.
             dx, dy, dz = _not_zero(dx), _not_zero(dy), _not_zero(dz)
             ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
@@ -145,28 +177,22 @@ def _count_rays(
             x = min(max(whole((ox + enter * dx) / side), 0), bx - 1)
             y = min(max(whole((oy + enter * dy) / side), 0), by - 1)
             z = min(max(whole((oz + enter * dz) / side), 0), bz - 1)
-            ticks = settings[0] * TICKS
-            depths[row, column] = _follow(
-                kinds, states, (x, y, z),
-                (int(((x + hx) * side - ox) * ix * TICKS),
-                 int(((y + hy) * side - oy) * iy * TICKS),
-                 int(((z + hz) * side - oz) * iz * TICKS)),
-                (int(ticks * abs(ix)), int(ticks * abs(iy)), int(ticks * abs(iz))),
-                (hx, hy, hz),
-                (enter, leave), per_depth, sums,
-            )  # fmt: skip
+            ticks = scale.resolution * TICKS
+            faces = (
+                int(((x + hx) * side - ox) * ix * TICKS),
+                int(((y + hy) * side - oy) * iy * TICKS),
+                int(((z + hz) * side - oz) * iz * TICKS),
+            )
+            widths = (int(ticks * abs(ix)), int(ticks * abs(iy)), int(ticks * abs(iz)))
+            ray = Ray((x, y, z), faces, widths, (hx, hy, hz), (enter, leave), per_depth)
+            depths[row, column] = _follow(kinds, states, ray, sums)
 
 
 @numba.njit(**KERNEL)
 def _follow(
     kinds: NDArray[np.int32],
     states: NDArray[np.uint16],
-    brick: tuple[int, int, int],
-    faces: tuple[int, int, int],
-    widths: tuple[int, int, int],
-    ahead: tuple[bool, bool, bool],
-    ends: tuple[float, float],
-    per_depth: float,
+    ray: Ray,
     sums: FloatArray,
 ) -> float:
     """Follow a ray brick by brick, and through those that are not alike voxel by voxel.
@@ -177,27 +203,23 @@ def _follow(
     Args:
         kinds: Of `VoxelMap.outline`.
         states: Likewise, flat.
-        brick: In which it starts.
-        faces: Depth of the next brick on each axis [ticks].
-        widths: Depth from voxel to voxel on each axis [ticks].
-        ahead: Whether the ray goes up on each axis.
-        ends: Depth where it starts and ends [m].
-        per_depth: Attenuation by unmeasured space [1/m].
-        sums: As for `_count_rays`.
+        ray: The ray.
+        sums: (3,) added to, as in `_count_rays`.
 
     Returns:
         Depth at which it meets an occupied voxel [m], or infinity.
     """
-    (x, y, z), (tx, ty, tz), (vx, vy, vz) = brick, faces, widths
+    (x, y, z), (tx, ty, tz), (vx, vy, vz) = ray.brick, ray.faces, ray.widths
     bx, by, bz = kinds.shape
-    hx, hy, hz = ahead
+    hx, hy, hz = ray.ahead
+    per_depth = ray.attenuation
     sx, sy, sz = 1 if hx else -1, 1 if hy else -1, 1 if hz else -1
     cx, cy, cz = sx << 3, sy, sz << 1
     wx, wy, wz = vx * SIDE, vy * SIDE, vz * SIDE
     fx, fy, fz = 1.0 / vx, 1.0 / vy, 1.0 / vz
     # Numbers of voxels turned round, where the ray goes down.
     flip_x, flip_y, flip_z = 0 if hx else SIDE - 1, 0 if hy else SIDE - 1, 0 if hz else SIDE - 1
-    now, last = int(ends[0] * TICKS), int(ends[1] * TICKS)
+    now, last = int(ray.ends[0] * TICKS), int(ray.ends[1] * TICKS)
     begin, clear, run = now, 1.0, UNKNOWN
     while True:
         kind = kinds[np.uint64(x), np.uint64(y), np.uint64(z)]
@@ -305,6 +327,22 @@ class PlanningGrid:
             )
 
 
+class GuessedCells(NamedTuple):
+    """A planning grid with the guessed occupancy of its cells.
+
+    Attributes:
+        states: (nx, ny, nz) int8 of `occupancy.State`.
+        occupancy: (nx, ny, nz) probabilities.
+        low: (3,) lowest corner [m], world.
+        edge: Edge of a cell [m].
+    """
+
+    states: StateArray
+    occupancy: FloatArray
+    low: FloatArray
+    edge: float
+
+
 def planning_grid(voxels: VoxelMap) -> PlanningGrid:
     """Return the picture of a map that its bricks make; see `VoxelMap.brick_states`."""
     return PlanningGrid(voxels.grid.corner, SIDE * voxels.grid.resolution, voxels.brick_states())
@@ -405,21 +443,21 @@ def _look(
         raise ValueError(f"occupancy: expected shape {grid.states.shape}, got {occupancy.shape}")
     places = np.ascontiguousarray(cameras.translation.reshape(-1, 3))
     turns = np.ascontiguousarray(cameras.rotation.as_matrix().reshape(-1, 3, 3))
-    near, far = reach
-    writes = claims is not None
-    seen = claims if claims is not None else np.zeros((1, 1, 1), np.bool_)
-    value: FloatArray = _views(
+    cells = GuessedCells(
         grid.states,
         np.asarray(occupancy),
         np.asarray(grid.low, dtype=float),
         float(grid.resolution),
+    )
+    seen = claims if claims is not None else np.zeros((1, 1, 1), np.bool_)
+    value: FloatArray = _views(
+        cells,
         places,
         turns,
         np.ascontiguousarray(rays, dtype=float),
-        float(near),
-        float(far),
+        (float(reach[0]), float(reach[1])),
         seen,
-        writes,
+        claims is not None,
     )
     return value, seen
 
@@ -473,19 +511,17 @@ def _weighted_entropy(p: float) -> float:
 
 @numba.njit(cache=True)
 def _views(
-    states: Any,
-    occupancy: Any,
-    low: Any,
-    edge: float,
+    cells: GuessedCells,
     places: Any,
     turns: Any,
     rays: Any,
-    near: float,
-    far: float,
+    reach: tuple[float, float],
     claims: Any,
     writes: bool,
 ) -> Any:
     """Walk all rays of all views; a stamp tells which cells a view has counted."""
+    states, occupancy, low, edge = cells.states, cells.occupancy, cells.low, cells.edge
+    near, far = reach
     value = np.zeros(len(places))
     stamps = np.zeros(states.shape, np.int32)
     origin, direction = np.empty(3), np.empty(3)

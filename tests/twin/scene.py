@@ -2,11 +2,12 @@
 
 import mujoco
 
+from twin.description import MotorDescription
 from twin.robot import ARM_JOINTS, WHEELS
 from twin.servo import ServoConfig
 
 STALL, NO_LOAD = 6.0, 6.5
-SERVO = ServoConfig((STALL,) * 4, (NO_LOAD,) * 4, (STALL,) * 4, (NO_LOAD,) * 4)
+SERVO = ServoConfig(*[(MotorDescription(STALL, NO_LOAD),) * 4] * 2)
 
 
 def _arm(prefix: str) -> str:

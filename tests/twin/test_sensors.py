@@ -6,25 +6,28 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twin.describe import describe_rover
 from twin.robot import Observation, Validity
 from twin.sensor_bank import SensorBank
 from twin.sensors import (
-    CHANNEL_OFFSETS,
-    CHANNEL_WIDTHS,
+    CHANNELS,
     DATASHEET,
     IDEAL,
     ChannelSpec,
     SensorSuite,
+    channel_widths,
 )
 
 PERIOD = 0.01
-GYRO = CHANNEL_OFFSETS["gyro"]
+WIDTHS = channel_widths(describe_rover())
+OFFSETS = dict(zip(WIDTHS, np.cumsum([0, *WIDTHS.values()])))
+GYRO = OFFSETS["gyro"]
 
 
 def bank(seed=0, suite=IDEAL, **gyro):
     if gyro:
         suite = suite.with_channel("gyro", **gyro)
-    return SensorBank(suite, PERIOD, np.random.default_rng(seed))
+    return SensorBank(suite, PERIOD, np.random.default_rng(seed), WIDTHS)
 
 
 def read(sensors, time):
@@ -43,13 +46,12 @@ def feed(sensors, signal):
 
 
 def test_offsets_lay_the_channels_side_by_side():
-    ends = [CHANNEL_OFFSETS[name] + width for name, width in CHANNEL_WIDTHS.items()]
-    assert ends[:-1] == list(CHANNEL_OFFSETS.values())[1:]
-    assert ends[-1] == bank().size
+    assert WIDTHS["wheel_speeds"] == WIDTHS["arm_rates"] == 4 and sum(WIDTHS.values()) == 28
+    assert bank().size == 28
 
 
 def test_channels_are_those_of_an_observation_in_its_order():
-    assert Observation._fields[1:-1] == tuple(CHANNEL_WIDTHS)
+    assert Observation._fields[1:-1] == CHANNELS
 
 
 def test_ideal_channels_pass_values_unchanged():
@@ -57,8 +59,8 @@ def test_ideal_channels_pass_values_unchanged():
     sensors = bank()
     sensors.sample(0.5, raw)
     for name, channel in read(sensors, 0.5).items():
-        start = CHANNEL_OFFSETS[name]
-        np.testing.assert_array_equal(channel.value, raw[start : start + CHANNEL_WIDTHS[name]])
+        start = OFFSETS[name]
+        np.testing.assert_array_equal(channel.value, raw[start : start + WIDTHS[name]])
         assert channel.stamp == 0.5 and channel.validity is Validity.MEASURED
 
 

@@ -5,6 +5,8 @@ import pytest
 from models.compose import FLAT, RobotPlacement, make_model
 from models.datasheets import ARM, ARM_MOTOR, WHEEL_MOTOR
 from twin.connect import connect
+from twin.describe import describe_rover
+from twin.description import MotorDescription
 from twin.robot import (
     ArmMode,
     Channel,
@@ -15,9 +17,11 @@ from twin.robot import (
     WheelMode,
 )
 from twin.sensors import IDEAL
-from twin.servo import ROVER_SERVO, Servo, ServoConfig
+from twin.servo import Servo, ServoConfig
 
 PERIOD = 0.01
+
+ROVER_SERVO = ServoConfig.of(describe_rover())
 
 
 def measured(values):
@@ -69,7 +73,7 @@ def test_out_of_range_is_clamped():
 @pytest.mark.parametrize("time_constant", [0.001, 0.02, 0.2])
 def test_speed_loop_settles_without_offset_at_any_motor_inertia(time_constant):
     servo = Servo(ROVER_SERVO, PERIOD)
-    no_load = ROVER_SERVO.wheel_no_load_speed[0]
+    no_load = ROVER_SERVO.wheels[0].no_load_speed
     command = Command(np.full(4, 2.0), wheel_mode=WheelMode.SPEED)
     speed, load = 0.0, 0.1
     follow = 1.0 - np.exp(-PERIOD / time_constant)
@@ -88,7 +92,7 @@ def test_saturated_loop_does_not_wind_up():
     for _ in range(500):
         servo.duty(command, observation(wheels=0.0))
     duty = servo.duty(command, observation(wheels=6.9))
-    assert duty[0] < 1.2 * 6.9 / ROVER_SERVO.wheel_no_load_speed[0]
+    assert duty[0] < 1.2 * 6.9 / ROVER_SERVO.wheels[0].no_load_speed
 
 
 @pytest.mark.parametrize("validity", [Validity.STALE, Validity.MISSING])
@@ -140,8 +144,9 @@ def test_duty_that_is_no_number_leaves_the_motors_without_voltage():
 
 
 def test_motors_that_cannot_turn_are_refused():
-    with pytest.raises(ValueError, match="wheel_no_load_speed"):
-        ServoConfig((1.0,) * 4, (0.0,) * 4, (1.0,) * 4, (1.0,) * 4)
+    for numbers, name in (((1.0, 0.0), "no_load_speed"), ((np.nan, 1.0), "stall_torque")):
+        with pytest.raises(ValueError, match=name):
+            MotorDescription(*numbers)
 
 
 def test_arm_of_the_rover_follows_a_sine_with_feed_forward():

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.description import RobotDescription
 from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration.calibration import Calibration
@@ -19,7 +20,7 @@ from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Status
 from twin.hardware.serial_link import LinkError, at_rest
 from twin.robot import AXES, NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
-from twin.servo import ROVER_SERVO, Servo, ServoConfig
+from twin.servo import Servo, ServoConfig
 
 IntArray = NDArray[np.int64]
 
@@ -34,7 +35,6 @@ class BoardRobotConfig:
     """How patient the robot is.
 
     Attributes:
-        servo: Motors and gains.
         sampling: Ages of the samples.
         period: Servo tick [s].
         lost_cycles: Consecutive cycles without a motor board after which the robot stops.
@@ -44,7 +44,6 @@ class BoardRobotConfig:
         most_speed: Fastest that an output shaft can turn [rad/s]; a faster count is a jump.
     """
 
-    servo: ServoConfig = ROVER_SERVO
     sampling: SamplingConfig = SamplingConfig()
     period: float = 0.01
     lost_cycles: int = 3
@@ -58,6 +57,7 @@ class BoardRobot:
 
     Attributes:
         name: As controllers see it.
+        description: The robot as drawn.
         boards: Its boards.
         calibration: Their constants.
         fault: Why it is in ERROR; empty otherwise.
@@ -66,7 +66,7 @@ class BoardRobot:
 
     def __init__(
         self,
-        name: str,
+        description: RobotDescription,
         boards: BoardSet,
         calibration: Calibration,
         clock: Callable[[], float],
@@ -75,13 +75,13 @@ class BoardRobot:
         """Take over open boards; nothing is sent before `configure`.
 
         Args:
-            name: Robot name.
+            description: The robot as drawn, with four wheels and four arm joints, as the boards.
             boards: Its boards.
             calibration: Their constants.
             clock: Robot time [s].
             config: How patient it is.
         """
-        self.name = name
+        self.name, self.description = description.name, description
         self.boards = boards
         self.calibration = calibration
         self.fault = ""
@@ -89,7 +89,7 @@ class BoardRobot:
         self._config = config or BoardRobotConfig()
         self._clock = clock
         self._samples = BoardSamples(boards, calibration, clock, self._config.sampling)
-        self._servo = Servo(self._config.servo, self._config.period)
+        self._servo = Servo(ServoConfig.of(description), self._config.period)
         self._lifecycle = Lifecycle.UNCONFIGURED
         self._homed = False
         # Whether the boards acknowledged the zeros they were last sent.

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.describe import describe_rover
 from twin.hardware.analogue.firmata import BAUD, AnalogueBoard
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_samples import SamplingConfig
@@ -200,7 +201,7 @@ def wired_robot(
     """
     calibration = wiring.load_calibration()
     boards = open_boards(wiring, calibration)
-    robot = BoardRobot(wiring.robot, boards, calibration, clock, config)
+    robot = BoardRobot(describe_rover(wiring.robot), boards, calibration, clock, config)
     try:
         robot.configure()
         if wiring.home:
@@ -258,7 +259,9 @@ def quantised_robots(scene: EmulatedScene, config: SceneConfig) -> dict[str, Boa
     robots: dict[str, BoardRobot] = {}
     for name, rover in scene.rovers.items():
         boards, patience = DirectBoards(rover), _patience(config)
-        robot = BoardRobot(name, boards, rover.calibration, lambda: scene.time, patience)
+        robot = BoardRobot(
+            rover.description, boards, rover.calibration, lambda: scene.time, patience
+        )
         robot.configure()
         robot.home(rover.angles()[4:])
         robots[name] = robot

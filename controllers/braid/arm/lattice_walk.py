@@ -18,7 +18,7 @@ import numpy as np
 from controllers.braid.arm.chain import compose, relative
 from controllers.braid.arm.pose_tree import nearest
 from controllers.braid.arm.stage import STATES, FloatArray
-from perception.geometry.se3 import write_log_twist
+from perception.geometry.se3 import write_near_log
 
 LATTICE_SHARE = 1.0 / 14.0
 """Deviation of tilts from the lattice that the walk aims at, in its spacing."""
@@ -88,7 +88,7 @@ def logarithms(poses):
     """Return the exponential coordinates (m, 6), rotation first, of poses (m, 12)."""
     coordinates = np.empty((poses.shape[0], 6))
     for i in range(poses.shape[0]):
-        write_log_twist(poses[i, 3:].reshape(3, 3), poses[i, :3], coordinates[i])
+        write_near_log(poses[i], coordinates[i])
     return coordinates
 
 
@@ -101,7 +101,7 @@ def misfit(shape, pose, work):
         pose: (12,).
         work: (6,) is written over.
     """
-    write_log_twist(pose[3:].reshape(3, 3), pose[:3], work)
+    write_near_log(pose, work)
     total = shape.sharpness * _off_lattice(shape, work[0], work[1])
     for i in range(6):
         along = 0.0

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from controllers.mapping.planar_paths import Paths, shortest_paths
 from controllers.placement.task import FREE_BELOW
 from perception.voxels.bricks import NEVER
-from perception.voxels.map import Window
+from perception.voxels.map import MapWindow
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -52,7 +52,7 @@ class Ground:
         return np.maximum(apart - 2.0**0.5, 0.0) * self.cell
 
 
-def ground_of(window: Window) -> Ground:
+def ground_of(window: MapWindow) -> Ground:
     """Return the ground below a window of voxels.
 
     Args:

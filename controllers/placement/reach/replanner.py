@@ -36,7 +36,7 @@ from controllers.placement.spatial.search import (
 )
 from controllers.placement.task import FREE_BELOW, Lens, Occluder, PlacementError, Target, View
 from perception.voxels.bricks import NEVER
-from perception.voxels.map import VoxelMap, Window, window
+from perception.voxels.map import MapWindow, VoxelMap, window
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -309,7 +309,7 @@ class Replanner:
             raise PlacementError("; ".join(refusals))
         return fields, made
 
-    def _hiding(self, cut: Window, target: Target, movers: Sequence[Mover]) -> BoolArray:
+    def _hiding(self, cut: MapWindow, target: Target, movers: Sequence[Mover]) -> BoolArray:
         """Return which voxels may hide a target: before its face, and not of what moves."""
         occupied = cut.occupied()
         cells = np.argwhere(occupied)

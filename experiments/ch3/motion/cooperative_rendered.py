@@ -34,7 +34,7 @@ from perception.registration.patch_matching import match_across, surface_normals
 from perception.registration.reprojection import Sighting
 from perception.registration.target import SeenTarget, find_target
 from perception.stereo.geometry import StereoGeometry
-from perception.stereo.stereo import StereoMatcher
+from perception.stereo.matching import StereoMatcher
 
 FloatArray = NDArray[np.float64]
 

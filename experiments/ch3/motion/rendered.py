@@ -27,7 +27,7 @@ from perception.registration.fiducial_map import FiducialMap
 from perception.registration.fiducials import FiducialConfig, select_fiducials
 from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
 from perception.registration.patch_matching import Tracks, track
-from perception.stereo.stereo import StereoMatcher
+from perception.stereo.matching import StereoMatcher
 
 FloatArray = NDArray[np.float64]
 

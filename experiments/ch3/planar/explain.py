@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from experiments.ch3.planar.trial import PlanarTrial, build_world
 from perception.planar.beams import fan
-from perception.planar.information import READINGS, new_information
+from perception.planar.information import READINGS, KnownGround, new_information
 from perception.planar.map import Grid, PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, scan
 
@@ -84,13 +84,12 @@ def evaluation_figure() -> Figure:
         picture[seen & ~model.measured] = 0.85
         picture[opaque] = 0.0
         _draw_sector(axes, picture, grid, world.start, float(np.degrees(heading)), sensor)
+        ground = KnownGround(model.probability(), model.measured, opaque)
+        here = np.array([world.start])
         values = [
-            new_information(
-                reading, model.probability(), model.measured, opaque, np.array([world.start]),
-                table, sensor.fov, sensor.depth, HEADINGS,
-            )[0, turn % HEADINGS]
+            new_information(reading, ground, here, table, sensor, HEADINGS)[0, turn % HEADINGS]
             for reading in READINGS
-        ]  # fmt: skip
+        ]
         readings = ", ".join(f"{name} {value:.2f}" for name, value in zip(READINGS, values))
         axes.set_title(f"NI: {readings}", fontsize=8)
     return figure

@@ -20,7 +20,7 @@ from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from perception.stereo.geometry import StereoGeometry
-from perception.stereo.stereo import StereoConfig, StereoMatcher
+from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
 
 FloatArray = NDArray[np.float64]
 
@@ -199,7 +199,7 @@ def score_view(
 
 
 def semi_global_disparities(
-    pair: NDArray[np.uint8], geometry: StereoGeometry, config: StereoConfig
+    pair: NDArray[np.uint8], geometry: StereoGeometry, config: StereoMatcherConfig
 ) -> FloatArray:
     """Return (H, W) disparities of OpenCV's semi-global matching [px], for comparison."""
     search = 16 * int(np.ceil((geometry.fx * geometry.baseline / config.nearest + 1.0) / 16))

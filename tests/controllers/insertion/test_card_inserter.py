@@ -223,6 +223,16 @@ def test_push_on_the_card_is_felt_less_what_was_there_before():
     np.testing.assert_allclose(inserter.contact, slave.push, atol=1e-3)
 
 
+def test_force_guides_by_what_pushes_across_and_along_the_slot_and_turns_in_its_plane():
+    slave, inserter = inserting()
+    felt = []
+    step = inserter.guide.step
+    inserter.guide.step = lambda wrench: (felt.append(np.array(wrench)), step(wrench))[1]
+    slave.push = np.array([0.4, -0.7, 0.2, 0.01, 0.02, -0.03])
+    slave.run(inserter, 0.02, looks=False)
+    np.testing.assert_allclose(felt[-1], slave.push[[0, 1, 5]], atol=2e-3)
+
+
 def test_lost_wrench_in_contact_does_not_go_on():
     slave, inserter = inserting()
     ahead = slave.error()[1]

@@ -83,6 +83,20 @@ def test_couple_of_two_contacts_turns_the_card_straight():
     assert abs(moved[0]) < 5e-4
 
 
+def test_a_steady_force_is_believed_by_two_thirds_after_the_filters_time():
+    guide = InsertionGuide(CONFIG, START)
+    held(guide, np.zeros(3), 5)
+    bent = []
+    for _ in range(60):
+        guide.step(np.array([0.2, 0.0, 0.0]))
+        bent.append((guide.believed() - guide.command)[0] * CONFIG.stiffness)
+    times = CONFIG.period * np.arange(1, len(bent) + 1)
+    reached = times[np.argmax(np.array(bent) > 0.632 * 0.2)]
+    # A median of three samples before it takes two more.
+    assert reached == pytest.approx(0.03, abs=0.0251)
+    assert bent[-1] == pytest.approx(0.2, rel=1e-3)
+
+
 def test_one_spike_of_the_wrench_is_no_contact():
     guide = InsertionGuide(CONFIG, START)
     held(guide, np.zeros(3), 5)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from controllers.insertion import marker_guide
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.insertion.watching import best_angles
 from experiments.ch5.insertion_scene import MASTER, SLAVE, best_station
@@ -208,3 +209,26 @@ def test_camera_goes_to_its_place_no_faster_than_allowed(eyes):
     assert steps.max() < 0.5 * 0.01 + 1e-12
     # All joints arrive at once, after 0.3 rad at 0.5 rad/s.
     assert np.ptp(np.argmax(np.isclose(wanted, goal), axis=0)) <= 1
+
+
+@pytest.mark.parametrize("rating, moves", [(1.1, 0), (1.2, 1)])
+def test_camera_leaves_its_place_only_for_one_that_is_clearly_better(
+    eyes, monkeypatch, rating, moves
+):
+    """A seventh or more: where markers are seen nearly as well nothing is worth a move."""
+    eyes.place((0.0, 0.0))
+    made = eyes.marker_guide()
+    config = dataclasses.replace(made.config, plan=PLAN)
+    guide = MarkerGuide(config, ARM, EYES, (made.slot, PRIOR), made.card, None)
+    goal = eyes.angles + [0.1, 0.0, 0.0, 0.0]
+    found = dataclasses.replace(
+        best_angles(PLAN, true_parts(eyes.data), ARM, EYES, eyes.angles),
+        angles=goal, rating=rating * 4.0, rating_now=4.0,
+    )  # fmt: skip
+    monkeypatch.setattr(marker_guide, "best_angles", lambda *_: found)
+    guide.step(eyes.observe(0.0))
+    for tick in range(3):
+        command, _ = guide.step(eyes.observe(2.0 + tick))
+    assert (guide.moves > 0) == bool(moves)
+    assert np.any(command.arm != eyes.angles) == bool(moves)
+    assert np.abs(command.arm_rates).max() <= config.rate + 1e-9

@@ -49,8 +49,31 @@ def test_wall_between_start_and_goal_is_seen_though_both_are_free(views):
         return np.linalg.norm(points - ahead, axis=1) < 0.06
 
     assert views.is_free(np.array([left, right]), wall).all()
-    assert not views.is_reachable(left, right, wall)
-    assert views.is_reachable(left, right, above(-1.0))
+    assert list(views.are_reachable(left, np.array([right, left, right]), wall)) == [
+        False,
+        True,
+        False,
+    ]
+    assert views.are_reachable(left, right[None], above(-1.0)).all()
+
+
+def test_views_are_the_first_of_those_drawn_whose_own_path_is_free(views):
+    def posts(points):
+        return (points[:, 2] < 0.12) | (
+            np.cos(7.0 * points[:, 0]) * np.cos(9.0 * points[:, 1]) > 0.9
+        )
+
+    drawn = views.draw(HOME, posts, 70, np.random.default_rng(4))
+    low, high = views.arm.limits.T
+    rng, expected = np.random.default_rng(4), []
+    while len(expected) < 70:
+        goals = rng.uniform(low, high, (280, 4))
+        expected += [
+            goal
+            for goal in goals[views.is_free(goals, posts)]
+            if views.is_free(views.path(HOME, goal), posts).all()
+        ]
+    np.testing.assert_array_equal(drawn, expected[:70])
 
 
 def test_no_room_is_told(views):

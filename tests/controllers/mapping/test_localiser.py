@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.mapping.localiser import Localiser
 from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
 from perception.registration.fiducial_map import PosePrior
-from perception.stereo.stereo import StereoMatcher
+from perception.stereo.matching import StereoMatcher
 
 pytestmark = pytest.mark.slow
 GUESS = np.diag([0.005, 0.005, 0.005, 0.004, 0.004, 0.004]) ** 2

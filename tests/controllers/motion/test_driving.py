@@ -112,6 +112,8 @@ def test_pose_leans_as_the_inclinometer_means():
     yaw = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     wanted = yaw @ lean(np.array([0.04, -0.06])).rotation.as_matrix()
     np.testing.assert_allclose(odometry.pose()[:3, :3], wanted, atol=1e-12)
+    np.testing.assert_allclose(odometry.pose()[:, 3], [0.3, -0.2, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_array_equal(odometry.pose()[3, :3], 0.0)
     np.testing.assert_allclose(odometry.pose()[:3, 3], [0.3, -0.2, 0.0])
 
 

@@ -8,7 +8,7 @@ import pytest
 from experiments.__main__ import main
 from experiments.bench.markers import centre_errors
 from experiments.ch5.marker_scene import MarkerScene, expectation
-from perception.markers.markers import DETECTORS
+from perception.markers.bodies import DETECTORS
 
 
 def test_unfound_centres_are_not_counted_as_errors():

@@ -15,6 +15,7 @@ from experiments.commands import calibrate
 from models.compose import RobotPlacement
 from models.datasheets import ARM, DEGREE
 from twin.clock import TickClock
+from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.calibration.calibration import (
     calibration_path,
@@ -86,7 +87,7 @@ def test_person_finds_the_constants_of_the_boards_behind_wrong_ones():
     scene = EmulatedScene(SceneConfig((RobotPlacement("rover1", stereo=False),), FIELD))
     rover = scene.rovers["rover1"]
     truth, wrong = rover.calibration, _wrong(rover.calibration)
-    robot = BoardRobot("rover1", DirectBoards(rover), wrong, lambda: scene.time)
+    robot = BoardRobot(describe_rover("rover1"), DirectBoards(rover), wrong, lambda: scene.time)
     robot.configure()
     robot.home(rover.angles()[4:])
     robot.activate()
@@ -115,7 +116,7 @@ def test_silent_sensor_is_told_by_name():
     rover = scene.rovers["rover1"]
     boards = DirectBoards(rover)
     boards.has_wrench = False
-    robot = BoardRobot("rover1", boards, rover.calibration, lambda: scene.time)
+    robot = BoardRobot(describe_rover("rover1"), boards, rover.calibration, lambda: scene.time)
     robot.configure()
     try:
         with pytest.raises(RobotError, match="rover1.*arm base wrench gave 0 readings"):
@@ -154,7 +155,9 @@ def test_arm_is_held_while_the_person_works_and_falls_otherwise():
         rover = scene.rovers["rover1"]
         start = rover.angles()[4:]
         boards = DirectBoards(rover)
-        robot = BoardRobot("rover1", boards, rover.calibration, lambda scene=scene: scene.time)
+        robot = BoardRobot(
+            describe_rover("rover1"), boards, rover.calibration, lambda scene=scene: scene.time
+        )
         robot.configure()
         with calibrate.held(robot, start.tolist() if hold else [], TickClock(scene)):
             while hold and scene.time < 1.0:

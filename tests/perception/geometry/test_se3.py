@@ -15,6 +15,7 @@ from perception.geometry.se3 import (
     point_jacobian,
     transform_points_with_covariance,
     transport_covariance,
+    write_near_log,
 )
 from tests.perception.registration.fiducial_views import random_motion
 
@@ -30,6 +31,10 @@ def test_exponential_coordinates_are_scipys(size):
             matrix, RigidTransform.from_exp_coords(xi).as_matrix(), atol=1e-9
         )
         np.testing.assert_allclose(log_twist(matrix), xi, atol=1e-7)
+        if size <= 3.0:
+            near = np.empty(6)
+            write_near_log(np.concatenate([matrix[:3, 3], matrix[:3, :3].ravel()]), near)
+            np.testing.assert_allclose(near, xi, atol=1e-6)
 
 
 def test_logarithm_of_half_turns_gives_them_back():

@@ -12,9 +12,9 @@ from perception.markers.hough import (
     drop_specks,
     equalise,
     fewest_pixels,
+    find_rims,
     hough_circles,
     low_pass,
-    reduce_image,
     signed_laplacian,
     threshold_level,
 )
@@ -85,7 +85,8 @@ def test_circle_of_three_points_is_theirs_in_every_position():
 
 def test_tracking_hough_transform_finds_the_rings_about_the_markers():
     image, ellipses = two_markers()
-    circles = hough_circles(reduce_image(image, HEAD, EXPECTED), HEAD, EXPECTED)
+    level, fewest = threshold_level(image, HEAD, EXPECTED), fewest_pixels(HEAD, EXPECTED)
+    circles = hough_circles(find_rims(image, level, fewest), HEAD, EXPECTED)
     for ellipse in ellipses:
         near = circles[np.hypot(*(circles[:, :2] - ellipse[:2]).T) < 1.5]
         near = near[np.argmax(near[:, 3])]
@@ -111,5 +112,7 @@ def test_a_crowd_of_points_does_not_overrun_a_chain(monkeypatch):
     """Compiled code does not look where it writes; interpreted it does."""
     monkeypatch.setattr(hough, "_chain", hough._chain.py_func)
     rows, columns = np.divmod(np.random.default_rng(0).permutation(144).astype(np.int32), 12)
-    circles = hough._track.py_func(columns, rows, 12, 12, 1.0, 3.0, 12.0, 16.5, 1)
+    circles = hough._track.py_func(
+        columns, rows, (12, 12), hough.CircleLimits(1.0, 3.0, 12.0, 16.5), 1
+    )
     assert circles.shape[1] == 4

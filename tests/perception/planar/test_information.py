@@ -6,22 +6,33 @@ import pytest
 from perception.planar.beams import fan
 from perception.planar.information import (
     READINGS,
-    histogram_entropy,
+    KnownGround,
     new_information,
     stretch,
     undecided_entropy,
 )
 from perception.planar.map import Grid
+from perception.planar.raycast import RangeSensor
 
 GRID = Grid(30, 30, 0.5)
 DEPTH, FOV, RAYS = 5.0, np.radians(90.0), 48
 TABLE = fan(DEPTH, GRID.cell, RAYS)
 HERE = np.array([[15, 15]])
+SENSOR = RangeSensor(FOV, DEPTH)
+
+
+def histogram_entropy(areas, total, premultiplied=False):
+    """Equation 3-12b: (2, levels) areas of known and unknown cells of a sector of a total area."""
+    levels = areas.shape[1]
+    middle = (np.arange(levels) + 0.5) / levels
+    weights = -middle * np.log2(middle) if premultiplied else np.ones(levels)
+    terms = [-q * np.log2(q) * w for row in areas / total for q, w in zip(row, weights) if q > 0]
+    return sum(terms) / (np.log2(levels) * weights.mean())
 
 
 def rate(reading, probability=0.5, measured=False, opaque=False):
     full = [np.broadcast_to(a, GRID.shape).copy() for a in (probability, measured, opaque)]
-    return new_information(reading, *full, HERE, TABLE, FOV, DEPTH, 24)[0]
+    return new_information(reading, KnownGround(*full), HERE, TABLE, SENSOR, 24)[0]
 
 
 def test_stretch_is_continuous_and_maps_0_to_1_onto_itself():
@@ -36,18 +47,6 @@ def test_stretch_is_continuous_and_maps_0_to_1_onto_itself():
 def test_stretch_follows_equation_3_14_without_distance():
     assert stretch(0.2) == pytest.approx((1 / 0.8 - 1) / 2)
     assert stretch(0.8) == pytest.approx(1 - (1 / 0.8 - 1) / 2)
-
-
-def test_histogram_entropy_of_four_levels_by_hand():
-    # A quarter of the sector at two known levels each, half at one unknown level.
-    areas = [[0.25, 0.25, 0, 0], [0, 0, 0, 0.5]]
-    bits = 0.25 * 2 + 0.25 * 2 + 0.5 * 1
-    assert histogram_entropy(areas, 1.0) == pytest.approx(bits / 2.0)
-    middle = np.array([1, 3, 5, 7]) / 8
-    weight = -middle * np.log2(middle)
-    weighted = 0.5 * weight[0] + 0.5 * weight[1] + 0.5 * weight[3]
-    full = 2.0 * weight.mean()
-    assert histogram_entropy(areas, 1.0, True) == pytest.approx(weighted / full)
 
 
 def test_entropy_reading_counts_the_undecided_share_of_the_sector():

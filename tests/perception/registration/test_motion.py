@@ -5,9 +5,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.registration import likelihood
 from perception.registration.closed_form import kabsch_pose, nearest_rotation
 from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion, register
-from perception.registration.reprojection import KnownPoints, Pose, linearise
+from perception.registration.reprojection import KnownPoints, Pose, Sighting, linearise
 from tests.perception.registration.fiducial_views import (
     HEAD,
     error_of,
@@ -314,3 +315,21 @@ def test_a_joint_covariance_of_independent_points_changes_nothing():
     np.testing.assert_allclose(first.covariance, second.covariance, rtol=1e-6)
     difference = error_of(first.transform_camera_to_world, second.transform_camera_to_world)
     assert np.abs(difference).max() < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("solve", "limit"),
+    [(likelihood.solve, "ITERATIONS"), (likelihood.solve_relative, "RELATIVE_ITERATIONS")],
+)
+def test_a_fit_that_has_not_converged_is_no_result(monkeypatch, solve, limit):
+    motion, before, after = two_views(rng(20), 8)
+    sigma = np.full((8, 3), 0.1)
+    known = KnownPoints(before, np.tile(0.01 * np.eye(3), (8, 1, 1)), HEAD)
+    sight, far = Sighting(after, sigma, HEAD), Pose.of(random_motion(rng(21), 4.0, 0.05) * motion)
+    found = solve(far, known, sight)
+    pose = found.pose.transform() if limit == "ITERATIONS" else found.relative
+    pose = pose if limit == "ITERATIONS" else pose.transform_second_to_first
+    assert np.abs(error_of(pose, motion)).max() < 1e-6
+    monkeypatch.setattr(likelihood, limit, 1)
+    with pytest.raises(RegistrationError, match="not converged in 1 iterations"):
+        solve(far, known, sight)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from perception.geometry.pinhole import Frustum
 from perception.stereo.geometry import StereoGeometry
 from perception.voxels.bricks import BLOCKS, BRICKS, FREE_RECORDS, RECORDS
-from perception.voxels.fusion import _merge
+from perception.voxels.fusion import merge_gaussians
 from perception.voxels.grid import MapError, VoxelGrid
 from perception.voxels.map import MapFull, VoxelMap, VoxelMapConfig
 from perception.voxels.occupancy import State, UpdateModel
@@ -112,7 +112,7 @@ def test_merging_gaussians_is_their_product():
         expected = np.linalg.inv(np.linalg.inv(c1) + np.linalg.inv(c2))
         centre = expected @ (np.linalg.solve(c1, m1) + np.linalg.solve(c2, m2))
         mean, packed = m1.copy(), c1[rows, columns]
-        _merge(mean, packed, m2, c2[rows, columns])
+        merge_gaussians(mean, packed, m2, c2[rows, columns])
         np.testing.assert_allclose(mean, centre, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(packed, expected[rows, columns], rtol=1e-9, atol=1e-12)
 

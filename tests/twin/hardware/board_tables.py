@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_set import BoardState
 from twin.hardware.calibration.calibration import calibration_path, read_calibration
@@ -111,7 +112,9 @@ class Bench:
         self.time = 0.0
         self.boards = Boards()
         self.config = BoardRobotConfig(**changes)
-        self.robot = BoardRobot("rover1", self.boards, calibration, lambda: self.time, self.config)
+        self.robot = BoardRobot(
+            describe_rover("rover1"), self.boards, calibration, lambda: self.time, self.config
+        )
 
     def homed(self, angles=(0.0, 0.0, 0.0, 0.0)):
         self.robot.configure()

@@ -15,6 +15,7 @@ from tests.twin.hardware.board_tables import (
     Bench,
     Boards,
 )
+from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.connect_boards import watched
@@ -159,7 +160,9 @@ def test_silent_board_that_holds_the_others_up_stops_the_robot_within_its_time(b
             super().drive(codes)
 
     bench.boards = Bus()
-    bench.robot = BoardRobot("rover1", bench.boards, CALIBRATION, lambda: bench.time)
+    bench.robot = BoardRobot(
+        describe_rover("rover1"), bench.boards, CALIBRATION, lambda: bench.time
+    )
     bench.active().cycle()
     bench.boards.silent, start = {0x83}, bench.time
     bench.cycles_until_error()
@@ -290,7 +293,7 @@ def test_watchdog_leaves_an_inactive_robot_alone(bench):
 def test_watched_robot_stops_while_its_controller_hangs():
     boards = Boards()
     config = BoardRobotConfig(watchdog=0.05)
-    robot = BoardRobot("rover1", boards, CALIBRATION, time.monotonic, config)
+    robot = BoardRobot(describe_rover("rover1"), boards, CALIBRATION, time.monotonic, config)
     robot.configure()
     robot.home(np.zeros(4))
     with watched(robot, period=0.01):

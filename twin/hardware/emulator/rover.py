@@ -62,6 +62,7 @@ class EmulatedRover:
             calibration: How its boards count.
             amplifier: Its power stage.
         """
+        self.description = robot.description
         self.calibration = calibration
         self.codes = np.zeros(8, dtype=np.int64)
         self.battery = 12.0

@@ -18,6 +18,7 @@ from models.compose import (
     settle,
 )
 from twin.camera import StereoConfig
+from twin.describe import describe_placement
 from twin.hardware.calibration.calibration import Calibration, calibration_path, load_calibration
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
 from twin.simulation import Simulation
@@ -104,7 +105,7 @@ class EmulatedScene:
         model = make_model(config.field, config.robots)
         self.simulation = Simulation(
             model,
-            [robot.name for robot in config.robots],
+            [describe_placement(robot) for robot in config.robots],
             suite=ANALOGUE_SENSORS,
             stereo=config.stereo,
             seed=config.seed,

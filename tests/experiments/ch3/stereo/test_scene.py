@@ -25,8 +25,9 @@ from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, draw_lay
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from models.datasheets import CAMERA
-from perception.stereo.rectification import Lens, Rectification
-from perception.stereo.stereo import StereoMatcher
+from perception.geometry.pinhole import DistortedPinhole
+from perception.stereo.matching import StereoMatcher
+from perception.stereo.rectification import Rectification
 from twin.camera import StereoConfig, StereoRig, renderer
 
 EYE = look_at([-0.45, -0.35, 0.35], [0.0, 0.35, 0.1])
@@ -150,9 +151,9 @@ def test_rectified_pair_of_distorting_lenses_gives_true_depths(scene):
     rig = StereoRig(scene.model, f"{RIG}/", StereoConfig(4.0, None, bent))
     rng = np.random.default_rng(0)
     pair, g = rig.capture(scene.data, (rng, rng)), scene.geometry
-    lens = Lens(g.matrix, np.array(bent))
+    lens = DistortedPinhole(*g.intrinsics, bent)
     mount = RigidTransform.from_translation([-g.baseline, 0.0, 0.0])
-    rectified = Rectification(lens, lens, mount, (g.width, g.height)).apply(pair)
+    rectified = Rectification(lens, lens, mount).apply(pair)
     straight = {}
     for name, images in (("rectified", rectified), ("raw", pair)):
         found = StereoMatcher(g).match(images)

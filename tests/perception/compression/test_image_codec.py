@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from perception.compression.compression import (
+from perception.compression.entropy_coding import CodingError
+from perception.compression.image_codec import (
     CODERS,
     METHODS,
     coded_bits,
@@ -15,7 +16,6 @@ from perception.compression.compression import (
     decompress,
     image_information,
 )
-from perception.compression.entropy_coding import CodingError
 
 images = st.tuples(st.integers(0, 12), st.integers(0, 12)).flatmap(
     lambda shape: arrays(np.uint8, shape, elements=st.integers(0, 255))

@@ -30,7 +30,7 @@ class StereoError(ValueError):
 
 
 @dataclasses.dataclass(frozen=True)
-class StereoConfig:
+class StereoMatcherConfig:
     """How a pair is matched.
 
     What the disparity's deviation is made of (`noise_factor`, `edge_factor`, `floor`) was measured
@@ -132,7 +132,7 @@ class StereoPoints:
 class StereoMatcher:
     """Matches pairs of one stereo head."""
 
-    def __init__(self, geometry: StereoGeometry, config: StereoConfig | None = None) -> None:
+    def __init__(self, geometry: StereoGeometry, config: StereoMatcherConfig | None = None) -> None:
         """Prepare.
 
         Args:
@@ -141,10 +141,10 @@ class StereoMatcher:
 
         Raises:
             StereoError: If the images are smaller than a window, or nothing that the cameras see
-                twice can be as near as `StereoConfig.nearest`.
+                twice can be as near as `StereoMatcherConfig.nearest`.
         """
         self.geometry = geometry
-        self.config = config or StereoConfig()
+        self.config = config or StereoMatcherConfig()
         c = self.config
         least = max(c.block, c.window) + 2
         if min(geometry.width, geometry.height) < least:
@@ -264,7 +264,7 @@ def _smooth(image: ImageArray, sigma: float) -> NDArray[np.float32]:
     return np.asarray(cv2.GaussianBlur(fine, (0, 0), sigma), dtype=np.float32)
 
 
-def _block_matcher(config: StereoConfig, search: int) -> cv2.StereoBM:
+def _block_matcher(config: StereoMatcherConfig, search: int) -> cv2.StereoBM:
     matcher = cv2.StereoBM.create(search, config.block)
     matcher.setTextureThreshold(config.texture)
     matcher.setUniquenessRatio(config.uniqueness)
@@ -275,7 +275,7 @@ def _block_matcher(config: StereoConfig, search: int) -> cv2.StereoBM:
 
 
 def _neighbour_misses(
-    planes: FloatArray, config: StereoConfig
+    planes: FloatArray, config: StereoMatcherConfig
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Compare each point's plane of disparity with its neighbours half a window away.
 

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
+from perception.stereo.matching import StereoError, StereoMatcher, StereoMatcherConfig
 from perception.stereo.refinement import refine
-from perception.stereo.stereo import StereoConfig, StereoError, StereoMatcher
 from tests.perception.stereo.stereo_pictures import SMALL, pattern, plane_pair
 
-CONFIG = StereoConfig(nearest=0.25, farthest=4.0)
+CONFIG = StereoMatcherConfig(nearest=0.25, farthest=4.0)
 MATCHER = StereoMatcher(SMALL, CONFIG)
 PLANES = [(20.0, 0.0, 0.0), (20.37, 0.0, 0.0), (13.81, 0.03, -0.02), (24.2, -0.02, 0.11)]
 
@@ -85,7 +85,7 @@ def test_fit_predicts_the_scatter_over_repeated_noise_up_to_the_noise_factor():
     assert np.mean(np.isnan(draws)) < 0.02  # steps that never settle
     ratio = np.nanstd(draws, axis=0) / np.nanmean(sigmas, axis=0)
     # The fit takes the interpolated pixels' noise as independent; `noise_factor` makes up for it.
-    assert 0.9 < np.median(ratio) < StereoConfig().noise_factor
+    assert 0.9 < np.median(ratio) < StereoMatcherConfig().noise_factor
 
 
 def test_fit_finds_the_slopes_of_the_plane():
@@ -177,12 +177,12 @@ def test_what_is_no_pair_is_refused_with_what_is_needed(pair, told):
 )
 def test_impossible_configuration_is_refused_by_name(change):
     with pytest.raises(StereoError, match=next(iter(change))):
-        StereoConfig(**change)
+        StereoMatcherConfig(**change)
 
 
 def test_search_wider_than_the_picture_is_refused():
     with pytest.raises(StereoError, match="nearest: got 0.05 m"):
-        StereoMatcher(SMALL, StereoConfig(nearest=0.05))
+        StereoMatcher(SMALL, StereoMatcherConfig(nearest=0.05))
 
 
 def test_same_pair_gives_the_same_points():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.markers.bodies import DETECTORS, find_bodies
 from perception.markers.ellipses import MarkerExpectation, project_discs, shape_matrices
-from perception.markers.markers import DETECTORS, find_bodies
 from perception.markers.poses import BodyCad, BodyPrior
 from tests.perception.markers.marker_pictures import HEAD, picture, seen
 
