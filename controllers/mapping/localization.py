@@ -23,7 +23,7 @@ IndexArray = NDArray[np.intp]
 
 
 SHARED = 12
-"""Number of error parameters that all of a robot's views share: its pose and its head's mounting."""
+"""Number of error parameters that all views share: the robot's pose, its head's mounting."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +122,7 @@ class RobotLocalization:
 
 
 def tilt_to_level(tilt: FloatArray) -> RigidTransform:
-    """Return the transform from a robot frame tilted by pitch and roll (2,) [rad] to a level one."""
+    """Return the transform from a frame tilted by pitch and roll (2,) [rad] to a level one."""
     return RigidTransform.from_rotation(Rotation.from_euler("XY", tilt))
 
 
@@ -135,7 +135,8 @@ def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
     """Return the transform from a target to the world that it defines.
 
     Args:
-        transform_target_to_level: From the target to the level frame of the first robot that saw it.
+        transform_target_to_level: From the target to the level frame of the first robot that saw
+            it.
 
     Raises:
         ValueError: If the target's x axis is upright, so that it names no direction.

@@ -10,6 +10,7 @@ from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import (
     CameraPose,
     LocalizationConfig,
+    RobotLocalization,
     camera_in_level,
     level_target,
     localize,

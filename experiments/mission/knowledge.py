@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.identification.pitch import PitchEstimate, PitchPrior
-from controllers.mapping.localization import tilt_to_level
+from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
 from controllers.motion.driving import SkidSteer
 from controllers.sensing.surrogate_tilt import TiltAxis

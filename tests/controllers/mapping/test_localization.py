@@ -9,6 +9,7 @@ from controllers.mapping.localization import (
     CameraPose,
     camera_in_level,
     level_target,
+    localize,
     tilt_to_level,
 )
 from models.datasheets import ARM
