@@ -20,8 +20,8 @@ from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, t
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
-from controllers.motion.base_lean import BaseLean
 from controllers.motion.base_motion import level_of
+from controllers.motion.base_tilt import BaseTilt
 from controllers.motion.driving import Odometry, SkidSteer
 from perception.geometry.gravity import GRAVITY
 from twin.robot import ArmMode, Command, Observation, WheelMode
@@ -105,7 +105,7 @@ class CardInserter:
         steer: SkidSteer,
         slot_in_robot: FloatArray,
         covariance: FloatArray,
-        base: BaseLean | None = None,
+        base: BaseTilt | None = None,
     ) -> None:
         """Begin where the map says.
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.standing import CameraPose
+from controllers.mapping.localization import CameraPose
 from perception.registration.fiducial_map import FiducialMap, PosePrior
 from perception.registration.fiducials import FiducialConfig, select_fiducials
 from perception.registration.patch_matching import TrackerConfig, track

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.arm_views import RatedViews, ViewConfig
 from controllers.mapping.localiser import Correction, LocaliserConfig
+from controllers.mapping.localization import CameraPose, LocalizationConfig
 from controllers.mapping.searching import SearchConfig
-from controllers.mapping.standing import CameraPose, StandingConfig
 from perception.stereo.matching import StereoMatcherConfig, StereoPoints
 
 FloatArray = NDArray[np.float64]
@@ -60,7 +60,7 @@ class MapperConfig:
     aura: float = 0.03
     search: SearchConfig = SearchConfig()
     views: ViewConfig = ViewConfig()
-    standing: StandingConfig = StandingConfig()
+    standing: LocalizationConfig = LocalizationConfig()
     stereo: StereoMatcherConfig = StereoMatcherConfig()
     localiser: LocaliserConfig = LocaliserConfig()
     marker_sigma: tuple[float, float, float] = (0.07, 0.07, 0.03)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.mapping.standing import lean
+from controllers.mapping.localization import tilt_to_level
 from perception.registration.target import PossibleMarkers
 
 FloatArray = NDArray[np.float64]
@@ -115,7 +115,7 @@ class TargetSearch:
     def _against_lean(self, view: FloatArray, tilt: FloatArray) -> FloatArray:
         """Return a view with the wrist turned by what the robot's lean raises or lowers it."""
         ahead = np.array([-np.sin(view[0]), np.cos(view[0]), 0.0])
-        raised = float(np.arcsin(lean(tilt).apply(ahead)[2]))
+        raised = float(np.arcsin(tilt_to_level(tilt).apply(ahead)[2]))
         level = view.copy()
         level[-1] -= np.clip(raised, -self._config.bend, self._config.bend)
         return np.clip(level, *self._arm.limits.T)

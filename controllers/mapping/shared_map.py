@@ -7,13 +7,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.mapping.standing import (
+from controllers.mapping.localization import (
     CameraPose,
-    Standing,
-    StandingConfig,
+    LocalizationConfig,
+    RobotLocalization,
     camera_in_level,
     level_target,
-    stand,
+    localize,
 )
 from perception.geometry.pinhole import Frustum
 from perception.geometry.se3 import transform_points_with_covariance, transport_covariance
@@ -73,8 +73,8 @@ class SharedMap:
         tilt: FloatArray,
         pair: ImageArray,
         sigma: ArrayLike,
-        config: StandingConfig,
-    ) -> Standing | None:
+        config: LocalizationConfig,
+    ) -> RobotLocalization | None:
         """Return where a robot stands if it sees the target; the first one defines the world.
 
         Args:
@@ -100,7 +100,7 @@ class SharedMap:
             to_world * camera.transform_camera_to_world,
             transport_covariance(to_world, camera.covariance),
         )
-        return stand(arm, angles, tilt, in_world, config)
+        return localize(arm, angles, tilt, in_world, config)
 
     def _camera_at(self, target: SeenTarget, sigma: FloatArray) -> CameraPose | None:
         """Return where the camera is in the target's frame; None if the markers do not fit.

@@ -22,10 +22,10 @@ from controllers.mapping.arm_views import (
     ViewError,
 )
 from controllers.mapping.localiser import Localiser
+from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
-from controllers.mapping.standing import Standing
 from controllers.motion.arm_move import ArmMove
 from perception.registration.target import TargetCad, possible_markers
 from perception.stereo.geometry import StereoGeometry
@@ -75,7 +75,7 @@ class _Head:
     brief: RobotBrief
     search: TargetSearch
     move: ArmMove
-    standing: Standing | None = None
+    standing: RobotLocalization | None = None
     offsets: IndexArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.intp))
     looks: int = 0
     waiting: list[_Waiting] = dataclasses.field(default_factory=list)
@@ -106,7 +106,7 @@ class StereoMapper:
         rng: np.random.Generator,
         on_look: Callable[[Look], None] | None = None,
         begun: SharedMap | None = None,
-        standings: Mapping[str, Standing] | None = None,
+        standings: Mapping[str, RobotLocalization] | None = None,
     ) -> None:
         """Prepare; nothing moves before the first `step`.
 
@@ -140,7 +140,7 @@ class StereoMapper:
         return all(head.done for head in self._heads.values())
 
     @property
-    def standings(self) -> Mapping[str, Standing]:
+    def standings(self) -> Mapping[str, RobotLocalization]:
         """Where the robots stand, of those that know."""
         heads = self._heads.items()
         return {name: head.standing for name, head in heads if head.standing is not None}
@@ -218,7 +218,7 @@ class StereoMapper:
             self._on_look(self.looks[-1])
         self._choose(name, head, look, tilt)
 
-    def _take(self, taken: _Waiting, standing: Standing, offsets: IndexArray) -> None:
+    def _take(self, taken: _Waiting, standing: RobotLocalization, offsets: IndexArray) -> None:
         """Fuse a look into the map."""
         look = self.looks[taken.place]
         guess = standing.camera(look.angles, taken.tilt)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.identification.pitch import PitchEstimate, PitchPrior
+from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
-from controllers.mapping.standing import Standing, lean
 from controllers.motion.driving import SkidSteer
 from controllers.sensing.surrogate_tilt import TiltAxis
 from experiments.ch5.insertion_identify import rover_steer
@@ -58,7 +58,7 @@ class Knowledge:
     pitch: dict[str, PitchEstimate] = dataclasses.field(default_factory=dict)
     turn_share: float = 1.0
     shared: SharedMap | None = None
-    standing: Standing | None = None
+    standing: RobotLocalization | None = None
     met: bool = False
     slave_tilt: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(2))
 
@@ -99,7 +99,7 @@ class Knowledge:
         Args:
             tilt: (2,) pitch and roll [rad].
         """
-        upright = lean(tilt).inv()
+        upright = tilt_to_level(tilt).inv()
         covariance = transport_covariance(upright, self.slot_covariance)
         return upright * self.slot_in_level, covariance
 

@@ -15,8 +15,8 @@ from controllers.insertion.camera_station import camera_arm
 from controllers.insertion.marker_guide import MarkerGuide
 from controllers.insertion.team import marker_guide_config
 from controllers.kinematics.serial_chain import SerialChain
+from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.looking import MapperConfig, RobotBrief
-from controllers.mapping.standing import Standing, lean
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.motion.arm_move import ArmMove
 from experiments.ch2.rover.trial import known_swinging_arm
@@ -174,7 +174,7 @@ class MapTogether:
         return rest | dict(self.mapper.step(observations))
 
 
-def _slave_standing(knowledge: Knowledge) -> Standing:
+def _slave_standing(knowledge: Knowledge) -> RobotLocalization:
     """Return where the slave stands, by what the master has seen of its card."""
     assert knowledge.standing is not None
     arm, master = reference_arm(), knowledge.standing
@@ -183,9 +183,9 @@ def _slave_standing(knowledge: Knowledge) -> Standing:
     slave = to_world * slot_in_slave.inv()
     spread = composed_covariance(slave, master.covariance, knowledge.slave_covariance)
     tilt = knowledge.slave_tilt
-    level = slave * lean(tilt).inv()
+    level = slave * tilt_to_level(tilt).inv()
     sighting = slave * arm.tool_in_robot(HOME)
-    return Standing(arm, level, spread, sighting, master.config)
+    return RobotLocalization(arm, level, spread, sighting, master.config)
 
 
 @functools.cache
@@ -199,7 +199,7 @@ def reference_arm() -> SerialChain:
     return camera_arm(describe_rover(MASTER))[0]
 
 
-def take_standing(knowledge: Knowledge, standing: Standing) -> None:
+def take_standing(knowledge: Knowledge, standing: RobotLocalization) -> None:
     """Work out where the slot is, from where the master stands.
 
     Args:

@@ -19,7 +19,7 @@ from controllers.insertion.team import (
 )
 from controllers.mapping.searching import aim
 from controllers.motion.arm_move import ArmMove
-from controllers.motion.base_lean import BaseLean
+from controllers.motion.base_tilt import BaseTilt
 from experiments.ch5.insertion_identify import rover_springs
 from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.knowledge import Knowledge, tilt_of
@@ -105,7 +105,7 @@ class InsertCard:
             knowledge.steer(),
             knowledge.slot_in_slave,
             knowledge.slave_covariance,
-            BaseLean(*knowledge.springs(SLAVE), self._arm.mount),
+            BaseTilt(*knowledge.springs(SLAVE), self._arm.mount),
         )
         sensing = surrogate_sensing(describe_rover(SLAVE, card=True), TIP, knowledge.springs(SLAVE))
         master, slave = self._links

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
+from controllers.mapping.localization import level_target
 from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.shared_map import SharedMap
-from controllers.mapping.standing import level_target
 from controllers.mapping.stereo_mapper import StereoMapper
 from experiments.ch3.stereo.figures import panorama
 from experiments.ch3.stereo.scene import SceneConfig, StereoScene
@@ -36,7 +36,7 @@ BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
 """Corners of the map [m], about the target."""
 MOUNT_ERROR = (0.004, 0.001)
 """Deviations of the turn [rad] and place [m] by which a head sits differently from its drawing;
-assumed, and known to the robots as such (`StandingConfig`)."""
+assumed, and known to the robots as such (`LocalizationConfig`)."""
 IMAGE_RATE = 0.5  # [Hz]; in software a pair takes some 0.3 s to render
 LONGEST = 300.0  # [s]
 

@@ -16,7 +16,7 @@ from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.team import guide_config
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.base_lean import BaseLean
+from controllers.motion.base_tilt import BaseTilt
 from controllers.motion.driving import SkidSteer
 from controllers.sensing.surrogate_tilt import drawn_springs
 from experiments.ch5.insertion_scene import SLAVE
@@ -53,7 +53,7 @@ class Slave:
     """
 
     def __init__(
-        self, start=(0.02, -0.85, 0.04), slip: float = 1.0, springs: BaseLean | None = None
+        self, start=(0.02, -0.85, 0.04), slip: float = 1.0, springs: BaseTilt | None = None
     ):
         self.arm: CardArm = card_arm()
         self.place = np.array(start, dtype=float)
@@ -90,7 +90,7 @@ class Slave:
         """Return (5,) `to_plane` of the card in the slot."""
         return to_plane(self.card_in_slot())
 
-    def inserter(self, error=None, base: BaseLean | None = None, **changes) -> CardInserter:
+    def inserter(self, error=None, base: BaseTilt | None = None, **changes) -> CardInserter:
         """Return its controller, with the map's error (6,) in its own frame.
 
         What it feeds forward of its springs is `base`.

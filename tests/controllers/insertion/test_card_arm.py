@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from controllers.insertion.card_arm import inverse, pitch_of, planar, to_plane
-from controllers.mapping.standing import lean
+from controllers.mapping.localization import tilt_to_level
 from experiments.ch5.insertion_scene import SLAVE
 from tests.controllers.insertion.scenes import arm_at, card_arm, drawn_angles, fresh, in_robot
 from twin.robot import ArmMode, Command, WheelMode
@@ -86,7 +86,7 @@ def test_push_on_the_card_is_found_from_the_wrench_under_the_arm(pushed):
 
 
 def felt(arm, seen):
-    up = lean(np.asarray(seen.inclinometer.value)).rotation.inv().apply([0.0, 0.0, 1.0])
+    up = tilt_to_level(np.asarray(seen.inclinometer.value)).rotation.inv().apply([0.0, 0.0, 1.0])
     return arm.contact(seen.arm_base_wrench.value, seen.arm_angles.value, up)
 
 

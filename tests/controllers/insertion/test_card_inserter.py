@@ -11,7 +11,7 @@ import pytest
 
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
-from controllers.motion.base_lean import BaseLean
+from controllers.motion.base_tilt import BaseTilt
 from controllers.sensing.surrogate_tilt import drawn_springs
 from models import datasheets
 from tests.controllers.insertion.kinematic import Slave
@@ -63,7 +63,7 @@ def test_the_lean_under_the_arm_is_fed_forward():
         dataclasses.replace(axis, stiffness=axis.stiffness / 4.0)
         for axis in drawn_springs(describe_rover())
     )
-    base = BaseLean(*soft, datasheets.ROVER.arm_mount)
+    base = BaseTilt(*soft, datasheets.ROVER.arm_mount)
     ended = {}
     for fed in (None, base):
         slave = Slave((0.01, -0.72, 0.04), springs=base)

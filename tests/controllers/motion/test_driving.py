@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from controllers.mapping.standing import lean
+from controllers.mapping.localization import tilt_to_level
 from controllers.motion.driving import Odometry, SkidSteer, identify_turn_share
 from experiments.ch5.insertion_identify import ROBOT, identify_slip, rover_steer
 from models.compose import RobotPlacement
@@ -110,7 +110,7 @@ def test_pose_leans_as_the_inclinometer_means():
     odometry.update(driving([0.0] * 4, 0.04, -0.06), PERIOD)
     c, s = math.cos(0.7), math.sin(0.7)
     yaw = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    wanted = yaw @ lean(np.array([0.04, -0.06])).rotation.as_matrix()
+    wanted = yaw @ tilt_to_level(np.array([0.04, -0.06])).rotation.as_matrix()
     np.testing.assert_allclose(odometry.pose()[:3, :3], wanted, atol=1e-12)
     np.testing.assert_allclose(odometry.pose()[:, 3], [0.3, -0.2, 0.0, 1.0], atol=1e-12)
     np.testing.assert_array_equal(odometry.pose()[3, :3], 0.0)

@@ -13,8 +13,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import CameraStation
+from controllers.mapping.localization import RobotLocalization, level_target, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
-from controllers.mapping.standing import Standing, lean, level_target
 from controllers.motion.drive_to_pose import DriveToPose
 from controllers.motion.driving import SkidSteer
 from experiments.ch3.stereo.mapping_scene import head_geometry
@@ -109,7 +109,7 @@ def test_a_standing_and_the_drawing_tell_where_the_slot_is(site: Site) -> None:
     knowledge = Knowledge.as_told(site)
     knowledge.shared = _map(site.target)
     knowledge.shared.transform_target_to_world = to_world
-    standing = Standing(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
+    standing = RobotLocalization(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
     take_standing(knowledge, standing)
     expected = to_level * site.transform_slot_to_panel
     np.testing.assert_allclose(
@@ -129,7 +129,7 @@ def test_a_leaning_rover_sees_the_slot_where_its_lean_puts_it(site: Site) -> Non
     knowledge = Knowledge.as_told(site)
     tilt = np.array([0.06, -0.03])
     slot, _ = knowledge.slot_in_master(tilt)
-    back = lean(tilt) * slot
+    back = tilt_to_level(tilt) * slot
     np.testing.assert_allclose(back.as_matrix(), knowledge.slot_in_level.as_matrix(), atol=1e-12)
 
 
@@ -297,7 +297,7 @@ def _with_map(site: Site, points: np.ndarray) -> Knowledge:
     """Return knowledge whose map holds points of the level ground below the slot [m]."""
     knowledge = Knowledge.as_told(site)
     level_to_world = RigidTransform.from_components([0.3, 0.2, 0.1], Rotation.from_euler("z", 0.5))
-    standing = Standing(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
+    standing = RobotLocalization(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
     to_world = level_to_world * knowledge.slot_in_level * SLOT_IN_SITE.inv()
     surface = Surface(
         to_world.apply(points), np.tile(1e-8 * np.eye(3), (len(points), 1, 1)), np.ones(len(points))

@@ -15,7 +15,7 @@ from controllers.sensing.surrogate_tilt import TiltAxis, tilting_moments
 FloatArray = NDArray[np.float64]
 
 
-class BaseLean:
+class BaseTilt:
     """A base at rest on its springs, under an arm."""
 
     def __init__(self, pitch: TiltAxis, roll: TiltAxis, mount: ArrayLike) -> None:

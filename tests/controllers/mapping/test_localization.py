@@ -5,7 +5,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.mapping.standing import CameraPose, camera_in_level, lean, level_target, stand
+from controllers.mapping.localization import (
+    CameraPose,
+    camera_in_level,
+    level_target,
+    localize,
+    tilt_to_level,
+)
 from models.datasheets import ARM
 from twin.describe import describe_rover
 from twin.wiring import tilt
@@ -21,7 +27,7 @@ def arm():
 
 def test_lean_is_what_the_inclinometer_means():
     pitch, roll, yaw = 0.04, -0.07, 0.9
-    turned = Rotation.from_euler("z", yaw) * lean(np.array([pitch, roll])).rotation
+    turned = Rotation.from_euler("z", yaw) * tilt_to_level(np.array([pitch, roll])).rotation
     np.testing.assert_allclose(tilt(*turned.as_quat(scalar_first=True)), [pitch, roll, yaw])
 
 
@@ -36,11 +42,11 @@ def test_world_of_a_target_is_level_and_holds_its_origin():
 def test_camera_is_found_where_it_truly_is_after_arm_and_base_have_moved(arm):
     place = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
     before, after = np.array([0.01, -0.02]), np.array([-0.015, 0.005])
-    seen = CameraPose(place * lean(before) * arm.tool_in_robot(HOME), np.zeros((6, 6)))
-    standing = stand(arm, HOME, before, seen)
+    seen = CameraPose(place * tilt_to_level(before) * arm.tool_in_robot(HOME), np.zeros((6, 6)))
+    standing = localize(arm, HOME, before, seen)
     angles = HOME + [0.8, 0.2, -0.3, 0.4]
     found = standing.camera(angles, after)
-    true = place * lean(after) * arm.tool_in_robot(angles)
+    true = place * tilt_to_level(after) * arm.tool_in_robot(angles)
     np.testing.assert_allclose(
         found.transform_camera_to_world.as_matrix(), true.as_matrix(), atol=1e-12
     )
@@ -52,7 +58,7 @@ def test_covariance_is_that_of_drawn_leans(arm):
     angles = HOME + [0.8, 0.2, -0.3, 0.4]
     level = np.zeros(2)
     seen = CameraPose(camera_in_level(arm, HOME, level), 1e-8 * np.eye(6))
-    nominal = stand(arm, HOME, level, seen)
+    nominal = localize(arm, HOME, level, seen)
     base, mount = nominal.config.base_covariance(), nominal.config.mount_covariance()
     first, second, head = (
         RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), spread, 4000))
@@ -77,7 +83,7 @@ def test_prior_moves_with_what_is_shared_as_the_camera_truly_does(arm):
     head = RigidTransform.from_exp_coords(seat)
     sighting = robot * camera_in_level(arm, HOME, level) * head
     told = RigidTransform.from_exp_coords(-place) * sighting
-    standing = stand(arm, HOME, level, CameraPose(told, np.zeros((6, 6))))
+    standing = localize(arm, HOME, level, CameraPose(told, np.zeros((6, 6))))
     prior = standing.prior(angles, level, np.arange(12))
     moved = prior.at(np.append(place, seat))
     true = robot * camera_in_level(arm, angles, level) * head

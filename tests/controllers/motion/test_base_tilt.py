@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.motion.base_lean import BaseLean
+from controllers.motion.base_tilt import BaseTilt
 from controllers.sensing.surrogate_tilt import TiltAxis, drawn_springs
 from experiments.ch5.insertion_scene import SLAVE, transform
 from models.compose import ARM_JOINTS
@@ -44,8 +44,8 @@ def hanging():
     return seen
 
 
-def known() -> BaseLean:
-    return BaseLean(*drawn_springs(describe_rover()), card_arm().mount)
+def known() -> BaseTilt:
+    return BaseTilt(*drawn_springs(describe_rover()), card_arm().mount)
 
 
 def leans(hanging):
@@ -81,7 +81,7 @@ def test_what_stands_still_moves_in_the_robot_as_the_lean_says(hanging):
 def test_the_line_about_which_it_leans_stays():
     pitch = TiltAxis(0.1, 2.0, 300.0, (0.14, 0.18))
     roll = TiltAxis(0.1, 2.0, 250.0, (0.03, 0.17))
-    base = BaseLean(pitch, roll, [0.01, 0.2, 0.1])
+    base = BaseTilt(pitch, roll, [0.01, 0.2, 0.1])
     line = np.array([[-0.3, 0.06, -0.08], [0.5, 0.06, -0.08]])
     np.testing.assert_allclose(base.motion([0.02, 0.0]).apply(line), line, atol=1e-15)
     line = np.array([[0.04, -0.5, -0.07], [0.04, 0.8, -0.07]])
@@ -90,10 +90,10 @@ def test_the_line_about_which_it_leans_stays():
 
 def test_a_push_at_the_line_leans_nothing_and_one_above_it_by_its_lever():
     pitch = TiltAxis(0.1, 2.0, 300.0, (0.0, 0.2))
-    base = BaseLean(pitch, pitch, np.zeros(3))
+    base = BaseTilt(pitch, pitch, np.zeros(3))
     # The arm is pushed forward by the rover, so the rover is pushed back, and nods up.
     np.testing.assert_allclose(base.tilt([0.0, 3.0, 0.0, 0.0, 0.0, 0.0]), [0.2 * 3.0 / 300.0, 0.0])
-    base = BaseLean(TiltAxis(0.1, 2.0, 300.0, (0.0, 0.0)), pitch, np.zeros(3))
+    base = BaseTilt(TiltAxis(0.1, 2.0, 300.0, (0.0, 0.0)), pitch, np.zeros(3))
     np.testing.assert_allclose(base.tilt([0.0, 3.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(2))
 
 

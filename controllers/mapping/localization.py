@@ -1,9 +1,9 @@
-"""Where a robot stands, from a target that it has seen, and where that puts its camera.
+"""Localization of a robot by a target that it has seen, and the camera pose that follows.
 
 The world is level: its origin is the target's, z is up, and x lies in the vertical plane of the
-target's x. The robot that finds the target first says how it leans; from then on all robots that
-see it share one frame (Thesis section 3.2.2). While the arm moves the rover leans on its springs;
-the inclinometer tells how far, and what it leaves open goes into the camera's covariance.
+target's x. The robot that finds the target first defines this frame by its own tilt; from then on
+all robots that see the target share it (Thesis section 3.2.2). While the arm moves the rover tilts
+on its springs; the inclinometer measures how far, and its error enters the camera's covariance.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ IndexArray = NDArray[np.intp]
 
 
 SHARED = 12
-"""Parameters of what a robot's looks err by alike: its place, and how its head sits."""
+"""Number of error parameters that all views share: the robot's pose, its head's mounting."""
 
 
 @dataclasses.dataclass(frozen=True)
-class StandingConfig:
-    """How well the arm and the inclinometer tell where the camera is.
+class LocalizationConfig:
+    """Standard deviations behind the camera pose that arm and inclinometer give.
 
     Attributes:
-        tilt: Deviation of the base's lean, of each axis [rad]: the inclinometer's noise.
-        yaw: Deviation of its turn on the springs [rad].
-        place: Deviation of its place on the springs, of each axis [m].
-        mount_turn: Deviation of the head's turn from how it should sit, about each axis [rad].
-        mount_place: The same of its place [m].
+        tilt: Of the base's measured tilt about each axis [rad]: the inclinometer's noise.
+        yaw: Of the base's yaw on its springs [rad].
+        place: Of the base's position on its springs along each axis [m].
+        mount_turn: Of the head's mounting about each axis [rad].
+        mount_place: Of the head's mounting along each axis [m].
     """
 
     tilt: float = 0.001
@@ -45,20 +45,20 @@ class StandingConfig:
     mount_place: float = 0.001
 
     def base_covariance(self) -> FloatArray:
-        """Return (6, 6) of xi = (rotation vector, translation), in the robot frame."""
+        """Return the covariance (6, 6) of xi = (rotation, translation) of the base, robot frame."""
         return np.diag(np.square([self.tilt, self.tilt, self.yaw] + 3 * [self.place]))
 
     def mount_covariance(self) -> FloatArray:
-        """Return (6, 6) of xi, in the camera frame."""
+        """Return the covariance (6, 6) of xi of the head's mounting, camera frame."""
         return np.diag(np.square(3 * [self.mount_turn] + 3 * [self.mount_place]))
 
 
 @dataclasses.dataclass(frozen=True)
 class CameraPose:
-    """An uncertain camera.
+    """Pose of the left camera with its covariance.
 
     Attributes:
-        transform_camera_to_world: Of the left camera.
+        transform_camera_to_world: From the left camera to the world.
         covariance: (6, 6) of xi in ``true = from_exp_coords(xi) * estimate``, in the world.
     """
 
@@ -67,29 +67,30 @@ class CameraPose:
 
 
 @dataclasses.dataclass(frozen=True)
-class Standing:
-    """A robot that knows its place.
+class RobotLocalization:
+    """Localization estimate of a robot.
 
     Attributes:
-        arm: Its kinematics.
+        arm: Chain of the arm, with the left camera as its tool.
         transform_level_to_world: From the robot frame, brought level, to the world.
-        covariance: (6, 6) of it, in the world, but for how the head sits.
-        transform_sighting_to_world: From the camera to the world when the target was seen. How the
-            head sits was the same then, so there it does no harm.
-        config: How well the rest is known.
+        covariance: (6, 6) covariance of xi of that transform, in the world, without the error of
+            the head's mounting.
+        transform_sighting_to_world: From the camera to the world when the target was seen. The
+            head's mounting erred the same then, so that its error cancels there.
+        config: Standard deviations of arm and inclinometer.
     """
 
     arm: SerialChain
     transform_level_to_world: RigidTransform
     covariance: FloatArray
     transform_sighting_to_world: RigidTransform
-    config: StandingConfig = StandingConfig()
+    config: LocalizationConfig = LocalizationConfig()
 
     def camera(self, angles: FloatArray, tilt: FloatArray) -> CameraPose:
-        """Return where the camera is.
+        """Return the camera's pose.
 
         Args:
-            angles: (joints,) of the arm [rad].
+            angles: (joints,) joint angles of the arm [rad].
             tilt: (2,) pitch and roll of the robot [rad].
         """
         prior = self.prior(angles, tilt, np.arange(SHARED))
@@ -97,22 +98,22 @@ class Standing:
         return CameraPose(prior.transform_camera_to_world, shared + prior.covariance)
 
     def shared_covariance(self) -> FloatArray:
-        """Return (12, 12) of what all looks err by alike.
+        """Return the covariance (12, 12) of the errors that all views share.
 
-        These are xi of the robot's place, in the world, and xi of the head's seat, in the camera
+        These are xi of the robot's pose, in the world, and xi of the head's mounting, in the camera
         frame.
         """
-        spread = np.zeros((SHARED, SHARED))
-        spread[:6, :6], spread[6:, 6:] = self.covariance, self.config.mount_covariance()
-        return spread
+        shared = np.zeros((SHARED, SHARED))
+        shared[:6, :6], shared[6:, 6:] = self.covariance, self.config.mount_covariance()
+        return shared
 
     def prior(self, angles: FloatArray, tilt: FloatArray, offsets: IndexArray) -> PosePrior:
-        """Return where the camera is, with its error's shared part kept apart.
+        """Return the camera's pose with the shared part of its error kept apart.
 
         Args:
-            angles: (joints,) of the arm [rad].
+            angles: (joints,) joint angles of the arm [rad].
             tilt: (2,) pitch and roll of the robot [rad].
-            offsets: (12,) numbers of the offsets whose covariance is `shared_covariance`.
+            offsets: (12,) indices of the offsets whose covariance is `shared_covariance`.
         """
         pose = self.transform_level_to_world * camera_in_level(self.arm, angles, tilt)
         mount = adjoint(pose) - adjoint(self.transform_sighting_to_world)
@@ -120,21 +121,22 @@ class Standing:
         return PosePrior(pose, own, offsets, np.hstack([np.eye(6), mount]))
 
 
-def lean(tilt: FloatArray) -> RigidTransform:
-    """Return the transform from a leaning robot frame to the level one; (2,) pitch, roll [rad]."""
+def tilt_to_level(tilt: FloatArray) -> RigidTransform:
+    """Return the transform from a frame tilted by pitch and roll (2,) [rad] to a level one."""
     return RigidTransform.from_rotation(Rotation.from_euler("XY", tilt))
 
 
 def camera_in_level(arm: SerialChain, angles: FloatArray, tilt: FloatArray) -> RigidTransform:
     """Return the transform from the left camera to the level robot frame."""
-    return lean(tilt) * arm.tool_in_robot(angles)
+    return tilt_to_level(tilt) * arm.tool_in_robot(angles)
 
 
 def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
     """Return the transform from a target to the world that it defines.
 
     Args:
-        transform_target_to_level: As the first robot that saw it found it.
+        transform_target_to_level: From the target to the level frame of the first robot that saw
+            it.
 
     Raises:
         ValueError: If the target's x axis is upright, so that it names no direction.
@@ -147,24 +149,24 @@ def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
     return RigidTransform.from_rotation(turn * transform_target_to_level.rotation)
 
 
-def stand(
+def localize(
     arm: SerialChain,
     angles: FloatArray,
     tilt: FloatArray,
     camera: CameraPose,
-    config: StandingConfig | None = None,
-) -> Standing:
-    """Return where a robot stands whose camera is known.
+    config: LocalizationConfig | None = None,
+) -> RobotLocalization:
+    """Return the localization of a robot whose camera pose is known.
 
     Args:
-        arm: Its kinematics.
-        angles: (joints,) of the arm [rad].
+        arm: Chain of the arm, with the left camera as its tool.
+        angles: (joints,) joint angles of the arm [rad].
         tilt: (2,) pitch and roll of the robot [rad].
-        camera: Where its camera is.
-        config: How well the arm and the inclinometer tell.
+        camera: Pose of the left camera.
+        config: Standard deviations of arm and inclinometer; None for the default.
     """
-    how = config or StandingConfig()
+    how = config or LocalizationConfig()
     pose = camera.transform_camera_to_world
     level = pose * camera_in_level(arm, angles, tilt).inv()
-    spread = camera.covariance + transport_covariance(level, how.base_covariance())
-    return Standing(arm, level, spread, pose, how)
+    covariance = camera.covariance + transport_covariance(level, how.base_covariance())
+    return RobotLocalization(arm, level, covariance, pose, how)
