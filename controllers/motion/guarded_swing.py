@@ -25,7 +25,7 @@ HELD, PATIENCE = 1.0, 10.0
 
 
 @dataclasses.dataclass(frozen=True)
-class SwingConfig:
+class GuardedSwingConfig:
     """One swing and how it is guarded.
 
     Attributes:
@@ -62,7 +62,7 @@ class GuardedSwing:
         config: The swing.
     """
 
-    def __init__(self, config: SwingConfig) -> None:
+    def __init__(self, config: GuardedSwingConfig) -> None:
         self._config, self._asked = config, config.sweep
         self.reset()
 

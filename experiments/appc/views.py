@@ -20,7 +20,7 @@ from scipy.stats import rankdata
 
 from controllers.mapping.looking import MapperConfig
 from experiments.appc.pictures import Measured, measure_whole, resampled
-from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
 from experiments.ch3.stereo.trial import BOX, VOXEL, shared_errors
 from experiments.ch3.stereo.truth import TRUTH_CELL, mapped_share
 from perception.compression.image_codec import image_information
@@ -80,7 +80,7 @@ class ViewTrial:
 
 
 @dataclasses.dataclass(frozen=True)
-class Taken:
+class TakenView:
     """A view that was taken.
 
     Attributes:
@@ -117,7 +117,7 @@ class ViewComparison:
 
 def compare_views(trial: ViewTrial) -> ViewComparison:
     """Rate views of a scene and map with each; a job of the sweep."""
-    scene = StereoScene(SceneConfig(seed=trial.seed))
+    scene = StereoScene(StereoSceneConfig(seed=trial.seed))
     how = MapperConfig()
     rng = np.random.default_rng((trial.seed, 7))
     taken, images, truth = _take(scene, trial.views, how, rng)
@@ -145,7 +145,7 @@ def compare_views(trial: ViewTrial) -> ViewComparison:
 
 def _take(
     scene: StereoScene, count: int, how: MapperConfig, rng: np.random.Generator
-) -> tuple[list[Taken], list[ByteArray], FloatArray]:
+) -> tuple[list[TakenView], list[ByteArray], FloatArray]:
     """Take views; return them, the left images, and (N, 3) the true surface that is in any [m]."""
     geometry = scene.geometry
     matcher = StereoMatcher(geometry, how.stereo)
@@ -160,7 +160,7 @@ def _take(
         camera = view.transform_camera_to_world
         images.append(view.pair[0])
         picture = resampled(view.pair[0], PICTURE)
-        taken.append(Taken(camera, picture, matcher.match(view.pair)))
+        taken.append(TakenView(camera, picture, matcher.match(view.pair)))
         depths, _ = scene.true_hits(RIG, pixels)
         kept = (depths >= how.reach[0]) & (depths <= how.reach[1])
         disparities = geometry.fx * geometry.baseline / depths[kept]
@@ -179,7 +179,7 @@ def draw_view(rng: np.random.Generator) -> RigidTransform:
     return look_at(eye, [*(eye[:2] + seen_at), 0.05])
 
 
-def _fuse(voxels: VoxelMap, view: Taken, geometry: StereoGeometry, how: MapperConfig) -> None:
+def _fuse(voxels: VoxelMap, view: TakenView, geometry: StereoGeometry, how: MapperConfig) -> None:
     near, far = how.reach
     stride = how.stereo.stride
     g = geometry
@@ -197,7 +197,7 @@ def _fuse(voxels: VoxelMap, view: Taken, geometry: StereoGeometry, how: MapperCo
 
 def _gains(
     voxels: VoxelMap,
-    views: Sequence[Taken],
+    views: Sequence[TakenView],
     geometry: StereoGeometry,
     truth: FloatArray,
     how: MapperConfig,
@@ -213,7 +213,7 @@ def _gains(
 
 
 def _ratings(
-    voxels: VoxelMap, views: Sequence[Taken], geometry: StereoGeometry, how: MapperConfig
+    voxels: VoxelMap, views: Sequence[TakenView], geometry: StereoGeometry, how: MapperConfig
 ) -> FloatArray:
     """Return (M, N) what each measure says of each view."""
     grid = planning_grid(voxels)

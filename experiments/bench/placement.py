@@ -24,7 +24,7 @@ from controllers.placement.spatial.search import (
     best_view_of_all,
 )
 from controllers.placement.task import Occluder, PlacementError, Target, View
-from experiments.ch3.stereo.scene import SceneConfig, StereoScene
+from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
 from experiments.ch4.spatial.placement_scene import (
     BOX,
     add_view,
@@ -67,7 +67,7 @@ def bench_placement(options: Options, output: Output) -> None:
     """
     seed = options.job_seeds(1, 1)[0]
     rng = np.random.default_rng(seed)
-    scene = StereoScene(SceneConfig(seed=seed, texture_pixels=64))
+    scene = StereoScene(StereoSceneConfig(seed=seed, texture_pixels=64))
     voxels = map_scene(scene, QUICK_VIEWS if options.quick else VIEWS, rng)
     targets = panel_targets(scene)[: 1 if options.quick else None]
     seen = [target for target in targets if _sees(voxels, target)]

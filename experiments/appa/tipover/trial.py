@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.motion.guarded_swing import HELD, GuardedSwing, SwingConfig
+from controllers.motion.guarded_swing import HELD, GuardedSwing, GuardedSwingConfig
 from controllers.motion.tip_over import Sweep
 from experiments.appa.control.trial import PERIOD, ROBOT, arm_config
 from experiments.appa.tipover.scene import TipScene
@@ -90,7 +90,7 @@ def run_tip(trial: TipTrial) -> TipRun:
     # A load near the base's own weight makes the base's feed-forward a loop of gain above one.
     config = arm_config(scene.footing.chain, "pd_gravity", 0.0)
     asked = Sweep(folded, np.array(trial.target), trial.duration)
-    controller = GuardedSwing(SwingConfig(config, scene.footing, asked, trial.guard, WAIT))
+    controller = GuardedSwing(GuardedSwingConfig(config, scene.footing, asked, trial.guard, WAIT))
     controller.plan(robot.observe())
     robot.activate()
     points, pressures, gone = [], [], []

@@ -121,14 +121,14 @@ def run_batch(batch: Batch) -> list[FaultTrial]:
         ExperimentError: If a robot cannot be brought to drive without a fault.
     """
     rng = np.random.default_rng(batch.seed)
-    bench = Bench(batch.seed % 2**31)
+    bench = BoardBench(batch.seed % 2**31)
     try:
-        return [_Trial(bench, kind, rng).run() for kind in batch.kinds]
+        return [_FaultInjection(bench, kind, rng).run() for kind in batch.kinds]
     finally:
         bench.close()
 
 
-class Bench:
+class BoardBench:
     """An emulated rover whose boards are switched off and on between trials.
 
     Attributes:
@@ -215,10 +215,10 @@ class _Motion:
         return Command(self._wheels, goal, WheelMode.SPEED, ArmMode.POSITION)
 
 
-class _Trial:
+class _FaultInjection:
     """One fault."""
 
-    def __init__(self, bench: Bench, kind: str, rng: np.random.Generator) -> None:
+    def __init__(self, bench: BoardBench, kind: str, rng: np.random.Generator) -> None:
         self._bench, self._kind, self._rng = bench, kind, rng
         wraps = kind == WRAP
         self._address = int(rng.choice(WHEEL_BOARDS if wraps else ADDRESSES))

@@ -136,7 +136,7 @@ def make_links(
     return HandshakeLink(first, deadlines), HandshakeLink(second, deadlines)
 
 
-class _Trial:
+class _LinkTrial:
     """Both hosts, their link and the virtual time."""
 
     def __init__(self, config: TrialConfig) -> None:
@@ -270,7 +270,7 @@ class PooledTrials(RadioCounts):
 
 def run_trial(config: TrialConfig) -> RadioTrial:
     """Send all messages, and score what arrived; a job of the sweep."""
-    trial = _Trial(config)
+    trial = _LinkTrial(config)
     trial.run()
     score = trial.score
     fates = score.fates()

@@ -32,7 +32,7 @@ _COLOURS = ([0.75, 0.45, 0.2, 1.0], [0.25, 0.45, 0.7, 1.0], [0.35, 0.6, 0.35, 1.
 
 
 @dataclasses.dataclass(frozen=True)
-class Setting:
+class PlacementSetting:
     """What stands before the rover.
 
     Attributes:
@@ -44,7 +44,7 @@ class Setting:
     blocks: tuple[Block, ...]
 
 
-def draw_setting(rng: np.random.Generator, count: int = 2) -> Setting:
+def draw_setting(rng: np.random.Generator, count: int = 2) -> PlacementSetting:
     """Draw a target, and blocks that stand about the line to it from the arm at home.
 
     Args:
@@ -60,7 +60,7 @@ def draw_setting(rng: np.random.Generator, count: int = 2) -> Setting:
         x = target[0] + rng.uniform(-0.07, 0.07)
         centre = (float(x), float(y), high)
         blocks.append(Block(f"block{index}", centre, (wide, deep, high)))
-    return Setting(target, tuple(blocks))
+    return PlacementSetting(target, tuple(blocks))
 
 
 class RoverView:
@@ -73,7 +73,7 @@ class RoverView:
         intrinsics: Of the left camera.
     """
 
-    def __init__(self, setting: Setting, stages: int) -> None:
+    def __init__(self, setting: PlacementSetting, stages: int) -> None:
         """Build the scene and let the rover settle."""
         scene = build_rover(BraidConfig(stages), FLAT, RobotPlacement())
         _add_setting(scene, setting)
@@ -135,7 +135,7 @@ class RoverView:
         )
 
 
-def _add_setting(scene: mujoco.MjSpec, setting: Setting) -> None:
+def _add_setting(scene: mujoco.MjSpec, setting: PlacementSetting) -> None:
     board = setting.target - FACING * 0.006
     scene.worldbody.add_geom(
         name="board", type=mujoco.mjtGeom.mjGEOM_BOX, pos=board, size=[0.06, 0.005, 0.06],

@@ -27,8 +27,8 @@ from experiments.appe.mechanism.bench import GEOMETRY
 from experiments.appe.placement.scene import (
     FACING,
     TARGET_RADIUS,
+    PlacementSetting,
     RoverView,
-    Setting,
     draw_setting,
 )
 from experiments.ch4.spatial.blocks import (
@@ -87,7 +87,7 @@ class Plan:
     tries: int
 
 
-class Planner:
+class BraidPlanner:
     """Looks for placements that BRAID can take, from blocks that are believed to be so.
 
     Attributes:
@@ -189,7 +189,7 @@ def look_at(place: FloatArray, aim: FloatArray, roll: float) -> RigidTransform:
     return RigidTransform.from_components(place, level * Rotation.from_euler("z", roll))
 
 
-def hidden_setting(rng: np.random.Generator, stages: int) -> tuple[Setting, RoverView]:
+def hidden_setting(rng: np.random.Generator, stages: int) -> tuple[PlacementSetting, RoverView]:
     """Draw settings until the arm at home does not see all of the target."""
     while True:
         setting = draw_setting(rng)
@@ -203,7 +203,7 @@ def prepare(trial: PlacementTrial) -> tuple[RoverView, Plan | None, int]:
     rng = np.random.default_rng(trial.seed)
     setting, scene = hidden_setting(rng, trial.stages)
     try:
-        planner = Planner(scene, setting.target, believed_blocks(setting.blocks, rng))
+        planner = BraidPlanner(scene, setting.target, believed_blocks(setting.blocks, rng))
     except PlacementError:
         return scene, None, 0
     return scene, planner.plan(), planner.seeing

@@ -28,7 +28,7 @@ from experiments.ch2.simulation.results import (
     shown_group,
     tabulate,
 )
-from experiments.ch2.simulation.trial import PlantIdentification, Trial, run_trial
+from experiments.ch2.simulation.trial import PlantIdentification, PlantTrial, run_trial
 from experiments.ch2.simulation.truths import (
     TABLE_TRUTH,
     Truth,
@@ -111,38 +111,38 @@ class Options(contract.Options):
 @functools.lru_cache(maxsize=1)
 def warm_up() -> None:
     """Load the compiled code, so that no trial's first step is timed with it."""
-    run_trial(Trial(TABLE_TRUTH, "information", "relative", 0, WARM_UP))
+    run_trial(PlantTrial(TABLE_TRUTH, "information", "relative", 0, WARM_UP))
 
 
-def identify(trial: Trial) -> PlantIdentification:
+def identify(trial: PlantTrial) -> PlantIdentification:
     """Run one trial and keep what the tables and figures need."""
     warm_up()
     result = run_trial(trial)
     return dataclasses.replace(result, arm_angles=result.arm_angles[:, ::SHOWN_RATE])
 
 
-def trials(options: Options) -> list[Trial]:
+def trials(options: Options) -> list[PlantTrial]:
     """Return all trials; those of one truth and seed share their noise over the excitations."""
     seeds = options.job_seeds(FULL_SEEDS, QUICK_SEEDS)
     if options.random_truth is not None and options.seeds is None:
         seeds = seeds[:1]
     cases: Sequence[tuple[Truth, int]] = list(itertools.product(options.truths(), seeds))
     return [
-        Trial(truth, excitation, noise, seed)
+        PlantTrial(truth, excitation, noise, seed)
         for (truth, seed), noise, excitation in itertools.product(
             cases, options.chosen_noises(), options.chosen_excitations()
         )
     ]
 
 
-def timed(jobs: Sequence[Trial], group: tuple[str, str]) -> list[PlantIdentification]:
+def timed(jobs: Sequence[PlantTrial], group: tuple[str, str]) -> list[PlantIdentification]:
     """Repeat the first trials of a group alone: in a sweep they share the machine."""
     chosen = [trial for trial in jobs if (trial.noise, trial.excitation) == group]
     warm_up()
     return [run_trial(trial) for trial in chosen[:TIMED]]
 
 
-def grouped(jobs: Sequence[Trial], finished: Sequence[PlantIdentification]) -> Results:
+def grouped(jobs: Sequence[PlantTrial], finished: Sequence[PlantIdentification]) -> Results:
     """Return the results by noise and excitation, each list in the order of truths and seeds."""
     groups: Results = {}
     for trial, result in zip(jobs, finished, strict=True):

@@ -24,7 +24,7 @@ TIME_STEP = 0.005
 
 
 @dataclasses.dataclass(frozen=True)
-class Trial:
+class PlantTrial:
     """What to run.
 
     Attributes:
@@ -93,7 +93,7 @@ class PlantIdentification:
     excitation_history: FloatArray
 
 
-def run_trial(trial: Trial) -> PlantIdentification:
+def run_trial(trial: PlantTrial) -> PlantIdentification:
     """Identify with all three estimators, and compare with the truth."""
     truth = np.array(trial.truth)
     values: dict[str, float] = dict(zip(NAMES, trial.truth))

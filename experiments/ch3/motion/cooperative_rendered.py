@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.motion.scores import joint_nees, rms, single_nees
-from experiments.ch3.stereo.scene import SceneConfig, StereoScene, StereoView
+from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig, StereoView
 from experiments.ch3.stereo.trial import target_cad
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
@@ -57,7 +57,7 @@ alone, and the points and the target together."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Rendered:
+class RenderedErrors:
     """Errors over the rendered scenes.
 
     Attributes:
@@ -83,7 +83,7 @@ class RenderedScene:
     """
 
     seed: int
-    scene: SceneConfig = SceneConfig()
+    scene: StereoSceneConfig = StereoSceneConfig()
 
 
 @dataclasses.dataclass
@@ -129,7 +129,7 @@ class _Shared:
     sought: int
 
 
-def measure_rendered(options: contract.Options, output: Output) -> Rendered:
+def measure_rendered(options: contract.Options, output: Output) -> RenderedErrors:
     """Triangulate rendered scenes over seeds.
 
     Args:
@@ -162,7 +162,7 @@ def measure_rendered(options: contract.Options, output: Output) -> Rendered:
                 f"cooperative_marker_error_px/{axis}", float(np.sqrt(np.mean(values**2)))
             )
     shown = results[0]
-    return Rendered(
+    return RenderedErrors(
         {case: np.array([r.errors[case] for r in results]) for case in CASES},
         {case: np.array([r.nees[case] for r in results]) for case in CASES[1:]},
         shown.images,

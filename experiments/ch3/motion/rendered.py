@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from experiments.ch3.motion.figures import tracking_figure
 from experiments.ch3.motion.motion import PERSISTENT, RANGES, ArmMotion
 from experiments.ch3.motion.scores import Followed, millimetres, normalised_error
-from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
@@ -76,7 +76,7 @@ class RenderedTrial:
     seed: int
     range: str
     steps: int = STEPS
-    scene: SceneConfig = SceneConfig()
+    scene: StereoSceneConfig = StereoSceneConfig()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
@@ -64,13 +64,13 @@ def measure_noise(options: Options, output: Output) -> None:
             ``disparity_outlier_fraction/...`` and the figure ``depth_sigma``.
     """
     ranges = RANGES[::2] if options.quick else 2 * RANGES
-    configs = [NoiseTrial(seed, ranges) for seed in options.job_seeds(8, 2)]
+    configs = [StereoNoiseTrial(seed, ranges) for seed in options.job_seeds(8, 2)]
     scenes = sweep(measure_scene, configs, options, output, label="stereo scenes")
     report(scenes, output)
 
 
 @dataclasses.dataclass(frozen=True)
-class NoiseTrial:
+class StereoNoiseTrial:
     """One scene to measure.
 
     Attributes:
@@ -105,9 +105,9 @@ class SceneNoise:
     bare: int
 
 
-def measure_scene(trial: NoiseTrial) -> SceneNoise:
+def measure_scene(trial: StereoNoiseTrial) -> SceneNoise:
     """Score the stereo of one scene; a job of the sweep."""
-    scene = StereoScene(SceneConfig(trial.seed))
+    scene = StereoScene(StereoSceneConfig(trial.seed))
     matcher = StereoMatcher(scene.geometry)
     rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 3)))
     names = [RIG] * len(trial.ranges) + list(scene.robot_names)

@@ -42,7 +42,7 @@ _SEEN = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)  # Groups of geoms that cam
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneConfig:
+class StereoSceneConfig:
     """How much stands in a scene.
 
     Attributes:
@@ -110,7 +110,7 @@ class StereoScene:
         geometry: Of every stereo pair.
     """
 
-    def __init__(self, config: SceneConfig) -> None:
+    def __init__(self, config: StereoSceneConfig) -> None:
         """Draw, compile and let the rovers come to rest.
 
         Args:

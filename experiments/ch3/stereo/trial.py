@@ -16,7 +16,7 @@ from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_mapper import StereoMapper
 from experiments.ch3.stereo.figures import panorama
-from experiments.ch3.stereo.scene import SceneConfig, StereoScene
+from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
 from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
 from models import datasheets
 from perception.registration.target import TargetCad
@@ -171,7 +171,7 @@ def map_scene(
         on_look: Called after each look with the mapper, the look and the share of the true surface
             that is mapped by now, for recording.
     """
-    scene = StereoScene(SceneConfig(seed=trial.seed))
+    scene = StereoScene(StereoSceneConfig(seed=trial.seed))
     how = MapperConfig(method=trial.method, scans=trial.scans)
     truth = true_surface(scene, how.reach, np.random.default_rng((trial.seed, 3)))
     mount, plan = (np.random.default_rng((trial.seed, k)) for k in (4, 5))

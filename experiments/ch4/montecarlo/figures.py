@@ -17,7 +17,7 @@ from experiments.ch4.montecarlo.trial import (
     PLACEMENTS,
     TARGETS,
     TRACK,
-    World,
+    ObstacleWorld,
     draw_chance,
     guide,
     worlds,
@@ -98,7 +98,7 @@ def way_figure(seed: int) -> Figure:
     return figure
 
 
-def _draw_world(axes: Any, world: World) -> None:
+def _draw_world(axes: Any, world: ObstacleWorld) -> None:
     half, width = 0.5 * SCENARIO.side, SCENARIO.width
     extent = (-half, half, -half, half)
     axes.imshow(-world.occupied, cmap="gray", vmin=-8, vmax=0, extent=extent, origin="lower")

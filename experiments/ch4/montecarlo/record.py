@@ -15,7 +15,7 @@ from experiments.ch4.montecarlo.trial import (
     PERIODS,
     PLACEMENTS,
     TRACK,
-    World,
+    ObstacleWorld,
     draw_chance,
     guide,
     worlds,
@@ -51,7 +51,7 @@ def record_test(seed: int, path: Path) -> None:
     stream.disconnect()
 
 
-def _log_world(stream: rr.RecordingStream, placement: str, world: World) -> None:
+def _log_world(stream: rr.RecordingStream, placement: str, world: ObstacleWorld) -> None:
     """Log what stands still; pictures have y downwards, so it is turned about."""
     closed = [np.vstack([corners, corners[:1]]) * (1, -1) for corners in world.corners]
     stream.log(f"{placement}/obstacles", rr.LineStrips2D(closed, colors=GREY), static=True)

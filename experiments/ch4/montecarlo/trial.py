@@ -74,7 +74,7 @@ class Chance(NamedTuple):
     constants: FloatArray
 
 
-class World(NamedTuple):
+class ObstacleWorld(NamedTuple):
     """One test's obstacles and map.
 
     Attributes:
@@ -100,7 +100,7 @@ def draw_chance(seed: int) -> Chance:
 
 def worlds(
     chance: Chance, scenario: Scenario = SCENARIO, densities: Sequence[float] = DENSITIES
-) -> tuple[list[World], FloatArray]:
+) -> tuple[list[ObstacleWorld], FloatArray]:
     """Return a test's worlds and what part of the work space their obstacles cover.
 
     Args:
@@ -116,7 +116,7 @@ def worlds(
     for density, count in zip(densities, counts):
         if count < 0:
             raise ValueError(f"density {density} %: not reached by {CANDIDATES} obstacles")
-    made = [World(corners[: counts[i]], occupied[i]) for i in range(len(counts))]
+    made = [ObstacleWorld(corners[: counts[i]], occupied[i]) for i in range(len(counts))]
     return made, parts
 
 
@@ -194,7 +194,7 @@ def run_test(seed: int, scenario: Scenario = SCENARIO) -> GuidedTests:
 @_njit
 def guide(
     scenario: Scenario,
-    world: World,
+    world: ObstacleWorld,
     chance: Chance,
     placement: int,
     secondary: bool,
@@ -280,7 +280,7 @@ def expanded(scenario: Scenario, corners: FloatArray, target: int, gap: float) -
 @_njit
 def _place(
     scenario: Scenario,
-    world: World,
+    world: ObstacleWorld,
     gap: float,
     near: float,
     far: float,
@@ -316,7 +316,7 @@ def _place(
 @_njit
 def _draw(
     scenario: Scenario,
-    world: World,
+    world: ObstacleWorld,
     places: FloatArray,
     gap: float,
     near: float,

@@ -18,7 +18,7 @@ from PIL import Image
 from controllers.placement.moving import cell_centres
 from controllers.placement.planar.search import PlanarTask, best_view, rating_field
 from controllers.placement.task import Target, View
-from experiments.ch4.planar.motion import Moment, Site
+from experiments.ch4.planar.motion import MappedSite, Moment
 from experiments.ch4.planar.scenes import SIDE
 
 Floats = NDArray[np.float64]
@@ -105,7 +105,7 @@ def draw_instances(tasks: Sequence[PlanarTask]) -> Figure:
     return figure
 
 
-def draw_site(site: Site, first: Moment) -> Figure:
+def draw_site(site: MappedSite, first: Moment) -> Figure:
     """Draw the world and its map after few scans (figure 4-10)."""
     figure = Figure(figsize=(10, 5))
     for place, (title, values) in enumerate(
@@ -122,7 +122,7 @@ def draw_site(site: Site, first: Moment) -> Figure:
     return figure
 
 
-def draw_steps(site: Site, moments: Sequence[Moment]) -> Figure:
+def draw_steps(site: MappedSite, moments: Sequence[Moment]) -> Figure:
     """Draw the first step, the last of the primary target, and the last of all (figure 4-11)."""
     primary = [m.step for m in moments if m.view is not None and m.view.target == "primary"]
     steps = [0, primary[-1] if primary else len(moments) // 2, len(moments) - 1]
@@ -135,7 +135,7 @@ def draw_steps(site: Site, moments: Sequence[Moment]) -> Figure:
     return figure
 
 
-def write_film(site: Site, moments: Sequence[Moment], path: Path) -> None:
+def write_film(site: MappedSite, moments: Sequence[Moment], path: Path) -> None:
     """Write the approach as a moving picture."""
     frames: list[Image.Image] = []
     for step in range(len(moments)):
@@ -151,7 +151,7 @@ def write_film(site: Site, moments: Sequence[Moment], path: Path) -> None:
     images[0].save(path, save_all=True, append_images=images[1:], duration=times, loop=0)
 
 
-def _draw_moment(axes: Axes, site: Site, moments: Sequence[Moment], step: int) -> None:
+def _draw_moment(axes: Axes, site: MappedSite, moments: Sequence[Moment], step: int) -> None:
     """Draw the believed map, the panel as it is and as believed, and the camera with its trail."""
     moment = moments[step]
     axes.imshow(

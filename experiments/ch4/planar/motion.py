@@ -95,7 +95,7 @@ class Moment:
 
 
 @dataclasses.dataclass(frozen=True)
-class Site:
+class MappedSite:
     """A mapped site.
 
     Attributes:
@@ -109,7 +109,7 @@ class Site:
     mapped: KnownSpace
 
 
-def map_site(seed: int) -> Site:
+def map_site(seed: int) -> MappedSite:
     """Draw a site and map it by few scans of two robots, so that much stays uncertain.
 
     Each also looks once at a target, as the algorithm begins by identifying them (4.2.2).
@@ -125,7 +125,7 @@ def map_site(seed: int) -> Site:
         row, column = world.grid.cell_at(place)
         look = scan(world.occupied, world.grid, (int(row), int(column)), math.pi, trial.sensor)
         mapped.insert(look.passed, look.hit)
-    return Site(world, solid, KnownSpace(mapped.probability(), world.grid.cell))
+    return MappedSite(world, solid, KnownSpace(mapped.probability(), world.grid.cell))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,7 +168,7 @@ class Approaches:
 
 def approach(
     trial: MotionTrial,
-    site: Site,
+    site: MappedSite,
     observe: Callable[[Moment], None] | None = None,
     steps: int = STEPS,
 ) -> Approach:
@@ -257,7 +257,7 @@ def _measure(
     true: PlanarPose,
     prior: PlanarPose,
     camera: Floats,
-    site: Site,
+    site: MappedSite,
     generator: np.random.Generator,
 ) -> PlanarPose:
     """Fit the CAD to what the camera sees of the panel; nothing seen leaves the prior."""
@@ -270,7 +270,7 @@ def _measure(
     return fit_outline(PANEL, points + noise, deviation, prior)
 
 
-def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: Site) -> Floats:
+def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: MappedSite) -> Floats:
     """Return points on the panel's sides that face the camera, in its field of view and in sight.
 
     For this the camera turns for a moment from the target to where it believes the panel to be.
@@ -295,7 +295,7 @@ def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: Site)
     return np.array(points).reshape(-1, 2)
 
 
-def _truly_seen(view: View, panel: Floats, site: Site) -> bool:
+def _truly_seen(view: View, panel: Floats, site: MappedSite) -> bool:
     """Tell whether the whole of the watched target is seen past the true panel and obstacles."""
     goal = next(target for target in work_targets() if target.name == view.target)
     starts = np.array([0, len(panel)])

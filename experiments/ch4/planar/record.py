@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from controllers.placement.planar.search import rating_field
-from experiments.ch4.planar.motion import STEP, Moment, Site
+from experiments.ch4.planar.motion import STEP, MappedSite, Moment
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ COLOURS = {"primary": (220, 40, 40), "secondary": (0, 120, 220)}
 GREEN, ORANGE, GREY = (60, 160, 60), (240, 150, 0), (150, 150, 150)
 
 
-def record_approach(site: Site, moments: Sequence[Moment], path: Path) -> None:
+def record_approach(site: MappedSite, moments: Sequence[Moment], path: Path) -> None:
     """Write the approach: believed map, hulls, ratings of places, targets, panel, chosen view.
 
     Pictures have the world's far side on top; a pixel is a cell.
@@ -60,7 +60,7 @@ def blueprint() -> rrb.Blueprint:
     )
 
 
-def _log(stream: rr.RecordingStream, site: Site, moment: Moment) -> None:
+def _log(stream: rr.RecordingStream, site: MappedSite, moment: Moment) -> None:
     task, cell = moment.task, site.world.grid.cell
     rows = site.world.grid.rows
 

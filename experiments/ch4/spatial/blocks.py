@@ -105,7 +105,7 @@ def occupancy_of(
     return occupancy
 
 
-class Rendered:
+class RenderedBlocks:
     """The true scene, as pictures and as counts of the hole's pixels."""
 
     def __init__(self, arrangement: Arrangement) -> None:
@@ -180,7 +180,7 @@ def run_blocks(trial: BlocksTrial) -> BlocksView | None:
         view = best_view(SpatialTask([field], LENS, occupancy))
     except PlacementError:
         return None
-    rendered = Rendered(arrangement)
+    rendered = RenderedBlocks(arrangement)
     places = [view.position, *random_places(field, occupancy, rng, RANDOM_VIEWS)]
     scores = np.array([rendered.seen(place, target.position) for place in places])
     return BlocksView(

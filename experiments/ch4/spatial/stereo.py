@@ -27,7 +27,7 @@ from experiments.ch4.spatial import figures
 from experiments.ch4.spatial.blocks import (
     BlocksTrial,
     BlocksView,
-    Rendered,
+    RenderedBlocks,
     believed_blocks,
     hole_of,
     margins_of,
@@ -129,7 +129,7 @@ def _figure_scene(options: Options, output: Output) -> None:
     output.measure("uncertain_theta_deg", np.rad2deg(azimuth))
     output.measure("uncertain_phi_deg", np.rad2deg(elevation))
     output.measure("uncertain_free_cap_deg", np.rad2deg(view.free_cap))
-    rendered = Rendered(FIGURE_4_12)
+    rendered = RenderedBlocks(FIGURE_4_12)
     cloud = rating_cloud(field, occupancy)
     output.figure("figure_4-12", figures.scene(field, view, cloud, FIGURE_4_12))
     output.figure("figure_4-4_sphere", figures.sphere(field, view, LENS))

@@ -14,7 +14,7 @@ from controllers.placement.reach.reach import ReachConfig, RoverState, plan_reac
 from controllers.placement.task import PlacementError
 from experiments.__main__ import main
 from experiments.bench.placement import BASE, DECK, FOLDED, TALL, leveled
-from experiments.ch3.stereo.scene import SceneConfig, StereoScene
+from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
 from experiments.ch4.spatial.placement_scene import head_lens, map_scene, panel_targets
 from models.clutter import PanelConfig
 from models.compose import FieldConfig, RobotPlacement
@@ -27,7 +27,7 @@ from twin.robot import ArmMode, Command
 
 
 def test_map_of_the_scene_has_its_surfaces_and_no_rovers():
-    scene = StereoScene(SceneConfig(seed=0, texture_pixels=64))
+    scene = StereoScene(StereoSceneConfig(seed=0, texture_pixels=64))
     voxels = map_scene(scene, 2, np.random.default_rng(0), resolution=0.02)
     cells, _ = voxels.occupied_cells()
     centres = voxels.grid.centres(cells)
@@ -40,7 +40,7 @@ def test_map_of_the_scene_has_its_surfaces_and_no_rovers():
 
 
 def test_outline_of_a_driving_rover_holds_its_shapes():
-    scene = StereoScene(SceneConfig(seed=0, rocks=0, blocks=0, texture_pixels=64))
+    scene = StereoScene(StereoSceneConfig(seed=0, rocks=0, blocks=0, texture_pixels=64))
     model, data = scene.model, scene.data
     for name, angle in zip(JOINTS, ReachConfig().carry, strict=True):
         data.joint(f"rover1/{name}_joint").qpos = angle
@@ -67,7 +67,7 @@ def test_outline_of_a_driving_rover_holds_its_shapes():
 
 
 def test_targets_are_the_panel_s_markers():
-    scene = StereoScene(SceneConfig(seed=0, texture_pixels=64))
+    scene = StereoScene(StereoSceneConfig(seed=0, texture_pixels=64))
     for target in panel_targets(scene):
         assert np.linalg.norm(target.outline, axis=1).min() > 0.018
         np.testing.assert_allclose(target.outline @ target.normal, 0.0, atol=1e-12)

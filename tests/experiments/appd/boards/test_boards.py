@@ -20,7 +20,7 @@ from experiments.appd.boards.trial import (
     STOPPING,
     WRAP,
     Batch,
-    Bench,
+    BoardBench,
     deal,
     run_batch,
 )
@@ -65,13 +65,13 @@ def test_speeds_that_do_not_wrap_are_found_out(monkeypatch):
 
 
 def test_same_seed_gives_the_same_faults():
-    class Still(Bench):
+    class Still(BoardBench):
         def __init__(self):
             pass
 
     def drawn():
         rng = np.random.default_rng(SEED)
-        trials = [appd_boards_trial._Trial(Still(), kind, rng) for kind in KINDS]
+        trials = [appd_boards_trial._FaultInjection(Still(), kind, rng) for kind in KINDS]
         return [(t._address, t._lead, t._duration, t._gives_up) for t in trials]
 
     assert drawn() == drawn()

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from experiments.appe.placement.placement import Options
-from experiments.appe.placement.scene import Setting, draw_setting
+from experiments.appe.placement.scene import PlacementSetting, draw_setting
 from experiments.appe.placement.trial import (
+    BraidPlanner,
     PlacementTrial,
-    Planner,
     RoverView,
     look_at,
     run_placement,
@@ -20,7 +20,7 @@ from experiments.harness.contract import OptionError
 
 @pytest.fixture(scope="module")
 def scene() -> RoverView:
-    return RoverView(Setting(np.array([0.0, 0.5, 0.33]), ()), 3)
+    return RoverView(PlacementSetting(np.array([0.0, 0.5, 0.33]), ()), 3)
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.5])
@@ -35,7 +35,7 @@ def test_camera_looks_at_its_aim_with_its_top_up_but_for_the_roll(roll):
 
 
 def test_kinematics_and_physics_agree_on_the_camera_but_for_sag_and_the_rovers_springs(scene):
-    planner = Planner(scene, np.array([0.0, 0.5, 0.33]), ())
+    planner = BraidPlanner(scene, np.array([0.0, 0.5, 0.33]), ())
     for word in ([0, 0, 0], [1, 0, 6], [5, 5, 2]):
         scene.bench.put(np.array(word))
         mujoco.mj_forward(scene.bench.model, scene.bench.data)

@@ -10,7 +10,7 @@ from controllers.identification.parameters import COUNT, NAMES, check_physical
 from experiments.__main__ import main
 from experiments.ch2.simulation.results import errors
 from experiments.ch2.simulation.simulation import Options, grouped, identify, trials
-from experiments.ch2.simulation.trial import Trial, run_trial
+from experiments.ch2.simulation.trial import PlantTrial, run_trial
 from experiments.ch2.simulation.truths import (
     TABLE_TRUTH,
     average_error,
@@ -163,7 +163,7 @@ def test_direction_reads_as_a_sum():
 
 
 def test_trial_is_reproducible_from_its_seed():
-    trial = Trial(TABLE_TRUTH, "information", "relative", seed=3, duration=0.8)
+    trial = PlantTrial(TABLE_TRUTH, "information", "relative", seed=3, duration=0.8)
     one, two = run_trial(trial), run_trial(trial)
     other = run_trial(dataclasses.replace(trial, seed=4))
     for key in ("sigma", "excitation_history", "arm_angles"):
@@ -196,5 +196,5 @@ def test_information_beats_constant_by_far_under_fixed_noise():
 @pytest.mark.slow
 def test_scheme_holds_on_a_hidden_random_truth():
     truth = random_truth(np.random.default_rng(20021))
-    result = identify(Trial(truth, "information", "fixed", seed=1))
+    result = identify(PlantTrial(truth, "information", "fixed", seed=1))
     assert result.errors["ours"] <= 2.0 and abs(result.chi_square - 1) <= 0.01

@@ -13,15 +13,15 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.stereo.noise import (
-    NoiseTrial,
     SceneNoise,
+    StereoNoiseTrial,
     binned_sigma,
     log_slope,
     measure_scene,
     report,
     robust_sigma,
 )
-from experiments.ch3.stereo.scene import RIG, SceneConfig, StereoScene, draw_layout, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, draw_layout, look_at
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from models.datasheets import CAMERA
@@ -35,7 +35,7 @@ EYE = look_at([-0.45, -0.35, 0.35], [0.0, 0.35, 0.1])
 
 @pytest.fixture(scope="module")
 def scene() -> StereoScene:
-    return StereoScene(SceneConfig(3, texture_pixels=1024))
+    return StereoScene(StereoSceneConfig(3, texture_pixels=1024))
 
 
 def test_geometry_is_that_of_the_datasheet(scene):
@@ -205,7 +205,7 @@ def test_log_slope_of_binned_sigma_is_the_exponent():
 
 @pytest.mark.slow
 def test_ours_is_at_least_twice_as_accurate_as_block_matching_on_a_rendered_scene():
-    found = measure_scene(NoiseTrial(11, (0.5, 1.0)))
+    found = measure_scene(StereoNoiseTrial(11, (0.5, 1.0)))
     both = np.isfinite(found.errors["bm"])
     ours, theirs = (robust_sigma(found.errors[m][both]) for m in ("refined", "bm"))
     assert ours < 0.5 * theirs

@@ -30,8 +30,8 @@ from experiments.ch4.montecarlo.trial import (
     RINGS,
     TRACK,
     GuidedTests,
+    ObstacleWorld,
     TestsJob,
-    World,
     draw_chance,
     guide,
     run_tests,
@@ -95,7 +95,7 @@ def test_success_is_within_the_clearance_and_seen():
 @pytest.mark.slow
 def test_an_object_that_is_never_seen_drifts_all_the_way():
     chance = draw_chance(1)
-    blocked = World(np.zeros((0, 6, 2)), np.ones((240, 240)))
+    blocked = ObstacleWorld(np.zeros((0, 6, 2)), np.ones((240, 240)))
     track = np.empty((PERIODS, len(TRACK)))
     expected = SCENARIO.prior * chance.constants[0]
     expected += SCENARIO.drift * SCENARIO.start * chance.slopes[0]
@@ -109,7 +109,7 @@ def test_an_object_that_is_never_seen_drifts_all_the_way():
 @pytest.mark.slow
 def test_arrival_error_has_the_spread_that_the_sightings_predict():
     # In the open all periods are seen; what is left is the last weighted error and a short drift.
-    world = World(np.zeros((0, 6, 2)), np.zeros((240, 240)))
+    world = ObstacleWorld(np.zeros((0, 6, 2)), np.zeros((240, 240)))
     track = np.empty((PERIODS, len(TRACK)))
     ratios = []
     for seed in range(150):

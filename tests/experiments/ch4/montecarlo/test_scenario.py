@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO
 from experiments.ch4.montecarlo.sight import sighting_variance
-from experiments.ch4.montecarlo.trial import World, draw_chance, worlds
+from experiments.ch4.montecarlo.trial import ObstacleWorld, draw_chance, worlds
 from perception.stereo.geometry import StereoGeometry
 
 HALF = 0.5 * SCENARIO.side
@@ -122,7 +122,7 @@ def test_a_marker_is_seen_only_in_focus_in_view_and_from_the_front():
 
 
 def test_hidden_is_what_meets_the_triangle_of_camera_and_marker(drawn):
-    world: World = drawn[0][1]
+    world: ObstacleWorld = drawn[0][1]
     generator = np.random.default_rng(3)
     free = centres()[(world.occupied == 0.0).ravel()]
     places = free[(free[:, 1] > 0.35) & (np.linalg.norm(free, axis=1) < 1.0)]

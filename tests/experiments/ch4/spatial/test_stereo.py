@@ -9,7 +9,7 @@ from controllers.placement.spatial.sight import sees_all
 from experiments.ch4.spatial import stereo as ch4_stereo
 from experiments.ch4.spatial.blocks import (
     BlocksTrial,
-    Rendered,
+    RenderedBlocks,
     believed_blocks,
     hole_of,
     occluders_of,
@@ -43,7 +43,7 @@ def test_both_searches_agree_and_hulls_see_no_more_than_there_is():
 def test_rendered_hole_is_whole_just_where_exact_sight_says_so():
     rng = np.random.default_rng(1)
     arrangement = draw_arrangement(rng, 8)
-    target, rendered = hole_of(arrangement), Rendered(arrangement)
+    target, rendered = hole_of(arrangement), RenderedBlocks(arrangement)
     way = rng.normal(size=(24, 3))
     way[:, 2] = 0.2 + np.abs(way[:, 2])
     places = way / np.linalg.norm(way, axis=1, keepdims=True) * rng.uniform(0.15, 0.3, (24, 1))
