@@ -229,6 +229,7 @@ def test_free_bodies_and_mocap_bodies_are_drawn_where_they_were():
         np.testing.assert_array_equal(before[0].value, before[1])
         assert np.any(before[1] != after[1])
         before = after
+    np.testing.assert_array_equal(before[0].value, before[1])
 
 
 def test_nothing_is_drawn_that_nobody_reads(drawn, tmp_path):

