@@ -124,19 +124,11 @@ def choose_station(
         The station and the path (N, 2) to it [m], ground frame; None if there is no station.
     """
     ground = MappedGround(voxels.surface(), transform_map_to_ground)
-    paths = ground.paths_from(START)
-
-    def blocked(station: CameraStation) -> bool:
-        place = station.place[:2]
-        return not ground.is_free(place) or paths.path_to(place) is None
-
-    slot = drawing.transform_slot_to_ground.translation
-    occluders = ground.occluders(slot, np.array([1.0, 0.0, 0.0]))
     try:
-        station = best_camera_station(robot, drawing, occluders=occluders, blocked=blocked)
+        station = best_camera_station(robot, drawing, ground=ground, start=START)
     except PlacementError:
         return None
-    path = paths.path_to(station.place[:2])
+    path = ground.paths_from(START).path_to(station.place[:2])
     return None if path is None else (station, path)
 
 

@@ -55,19 +55,12 @@ def choose_stand(knowledge: Knowledge, width: float) -> CameraStation:
     Raises:
         PlacementError: If there is no place.
     """
-    ground = mapped_ground(knowledge)
     master = (knowledge.slot_in_level * SLOT_IN_SITE.inv()).inv().translation
-    paths = ground.paths_from(master[:2])
-
-    def blocked(station: CameraStation) -> bool:
-        place = station.place[:2]
-        return not ground.is_free(place) or paths.path_to(place) is None
-
     return best_camera_station(
         describe_rover(MASTER),
         insertion_drawing(width),
-        occluders=ground.occluders(SLOT_IN_SITE.translation, np.array([1.0, 0.0, 0.0])),
-        blocked=blocked,
+        ground=mapped_ground(knowledge),
+        start=master[:2],
     )
 
 
