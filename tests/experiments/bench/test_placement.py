@@ -49,7 +49,7 @@ def test_replans_stay_within_a_vision_period_s_order(tmp_path):
 def test_ground_below_a_target_faces_as_it_does():
     target = panel_targets(StereoScene(SceneConfig(seed=0, texture_pixels=64)))[0]
     ground = ground_below(target)
-    x, y, z = ground.inv().apply(target.position)
+    x, y, z = ground.inv().apply(np.array(target.position))
     assert (x, y) == pytest.approx((0.0, 0.0)) and z == pytest.approx(target.position[2])
-    ahead = ground.inv().rotation.apply(target.normal)
+    ahead = ground.inv().rotation.apply(np.array(target.normal))
     assert ahead[1] == pytest.approx(0.0, abs=1e-12) and ahead[0] > 0.0
