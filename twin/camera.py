@@ -296,6 +296,9 @@ class StereoHead:
         prefix: What the robot's names begin with.
         config: How its cameras see.
         seed: Seed of the image noise, this head's own; each eye and frame has a child of it.
+
+    Attributes:
+        latest: Positions, number and time [s] of the newest pair, for `draw`.
     """
 
     def __init__(
@@ -309,6 +312,7 @@ class StereoHead:
         self._model, self._seed = model, seed
         self._period = 1.0 / config.rate
         self._next = StereoState(0.0, 0)
+        self.latest = np.empty(0), 0, 0.0
         self._closed = False
 
     def poll(self, data: mujoco.MjData, time: float) -> ImageChannel | None:
@@ -319,9 +323,10 @@ class StereoHead:
         self._next = StereoState(max(due + self._period, time), frame + 1)
         positions = np.empty(mujoco.mj_stateSize(self._model, _POSITIONS))
         mujoco.mj_getState(self._model, data, positions, _POSITIONS)
-        return ImageChannel.deferred(lambda: self._draw(positions, frame, time), time)
+        self.latest = positions, frame, time
+        return ImageChannel.deferred(lambda: self.draw(positions, frame, time), time)
 
-    def _draw(self, positions: FloatArray, frame: int, time: float) -> ImageArray:
+    def draw(self, positions: FloatArray, frame: int, time: float) -> ImageArray:
         """Return the pair that was taken at these positions.
 
         Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Protocol
@@ -88,30 +89,34 @@ class TickClock:
 class WallClock:
     """Wall time with absolute deadlines, so that lateness does not add up.
 
+    Args:
+        period: Between ticks [s].
+        slow_down: How many times as long as on the wall the robots' time takes; above 1 for
+            emulated boards that run as slowly.
+        now: Source of wall time [s], monotonic.
+        sleep: Waits for so many seconds of wall time.
+
     Attributes:
         misses: Deadlines that had passed before they were waited for.
+
+    Raises:
+        ValueError: If the period is not positive, or the robots' time is to be faster.
     """
 
     def __init__(
         self,
         period: float,
+        slow_down: float = 1.0,
         now: Callable[[], float] = time.perf_counter,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Begin now.
-
-        Args:
-            period: Between ticks [s].
-            now: Source of time [s], monotonic.
-            sleep: Waits for so many seconds.
-
-        Raises:
-            ValueError: If the period is not positive.
-        """
         if not period > 0.0:
             raise ValueError(f"clock period must be positive, got {period}")
+        if not 1.0 <= slow_down < math.inf:
+            raise ValueError(f"clock slow_down must be at least 1, got {slow_down}")
         self.period = period
         self.misses = 0
+        self._slow_down = slow_down
         self._now = now
         self._sleep = sleep
         self._start = now()
@@ -119,8 +124,8 @@ class WallClock:
 
     @property
     def time(self) -> float:
-        """Time since the clock was made [s]."""
-        return self._now() - self._start
+        """Time of the robots since the clock was made [s]."""
+        return (self._now() - self._start) / self._slow_down
 
     def tick(self) -> None:
         """Wait for the next deadline; deadlines that have passed are counted and skipped.
@@ -134,4 +139,4 @@ class WallClock:
             self.misses += late
             self._ticks += late
             remaining += late * self.period
-        self._sleep(remaining)
+        self._sleep(remaining * self._slow_down)

@@ -24,6 +24,9 @@ from twin.hardware.connect_boards import (
 from twin.hardware.emulator.modem import ModemConfig, virtual_links
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
+from twin.hardware.radio.channel import SerialChannel
+from twin.hardware.radio.framed_radio import FramedConfig, FramedLink
+from twin.hardware.serial_link import SerialLink
 from twin.link import Link
 from twin.robot import Robot
 from twin.sensors import DATASHEET, SensorSuite
@@ -35,8 +38,10 @@ TARGETS: Mapping[str, str] = {
     "quantised": "simulated rovers that count as their boards do, without wires",
     "emulated": "boards emulated in another process, over their real protocols",
     "serial:PORT[,analogue=PORT][,wrench=HOST][,stereo=LEFT:RIGHT][,robot=NAME]"
-    "[,calibration=FILE][,most_days=N][,home=YAW:SHOULDER:ELBOW:WRIST]": (
-        "real boards; home: the arm's angles in its jig [rad]"
+    "[,calibration=FILE][,most_days=N][,home=YAW:SHOULDER:ELBOW:WRIST][,radio=PORT]"
+    "[,slow_down=N][,serial:PORT...]": (
+        "real boards; home: the arm's angles in its jig [rad]; slow_down: of emulated boards; each "
+        "further robot begins with serial:"
     ),
 }
 """What `connect` offers."""
@@ -118,7 +123,7 @@ def connect(
     """
     word, colon, wiring = target.partition(":")
     if word == "serial" and colon:
-        return _connect_wires(Wiring.parse(wiring))
+        return _connect_wires(Wiring.parse_all(wiring))
     scene = SceneConfig(tuple(robots), field, seed, settling, stereo=stereo)
     if target != "sim" and any(robot.model for robot in scene.robots):
         raise ValueError(
@@ -171,12 +176,22 @@ def _connect_emulated(config: SceneConfig, line_faults: float) -> Connection:
     return Connection(robots, TickClock(emulator), None, emulator, resources=resources)
 
 
-def _connect_wires(wiring: Wiring) -> Connection:
-    clock = WallClock(SERVO_PERIOD)
+def _connect_wires(wirings: Sequence[Wiring]) -> Connection:
+    slow_down = wirings[0].slow_down
+    clock = WallClock(SERVO_PERIOD, slow_down)
+    robots: dict[str, Robot] = {}
+    links: dict[str, Link] = {}
     with contextlib.ExitStack() as opening:
-        robot = wired_robot(wiring, lambda: clock.time)
-        opening.callback(robot.close)
-        opening.enter_context(watched(robot))
+        for wiring in wirings:
+            robot = robots[wiring.robot] = wired_robot(wiring, lambda: clock.time)
+            opening.callback(robot.close)
+            opening.enter_context(watched(robot))
+            if wiring.radio:
+                port = SerialLink(wiring.radio, FramedConfig.baud)
+                opening.callback(port.close)
+                # A session number of before must not be drawn again.
+                rng = np.random.default_rng()
+                links[wiring.robot] = FramedLink(SerialChannel(port, lambda: clock.time), rng)
         opening.enter_context(without_pauses())
         resources = opening.pop_all()
-    return Connection({robot.name: robot}, clock, None, resources=resources)
+    return Connection(robots, clock, None, links=links, resources=resources)

@@ -90,9 +90,9 @@ class Simulation:
             for robot, rng in zip(drawn, map(np.random.default_rng, seeds))
         }
         self._robots = tuple(self.robots.values())
-        self._heads: dict[str, StereoHead] = {}
+        self.heads: dict[str, StereoHead] = {}
         if stereo is not None:
-            self._heads = {
+            self.heads = {
                 name: StereoHead(model, f"{name}/", stereo, source)
                 for name, source in zip(self.robots, seeds[len(drawn) :])
                 if has_stereo(model, f"{name}/")
@@ -141,12 +141,12 @@ class Simulation:
         self._time = time
         for robot in self._robots:
             robot.sense(time)
-        if self._heads:
+        if self.heads:
             self._look()
 
     def _look(self) -> None:
         """Give robots the stereo pairs that are due."""
-        for name, head in self._heads.items():
+        for name, head in self.heads.items():
             pair = head.poll(self.data, self._time)
             if pair is not None:
                 self.robots[name].see(pair)
@@ -161,7 +161,7 @@ class Simulation:
         physics = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, physics, _STATE)
         robots = {name: robot.save() for name, robot in self.robots.items()}
-        heads = {name: head.save() for name, head in self._heads.items()}
+        heads = {name: head.save() for name, head in self.heads.items()}
         return SavedRun(physics, self.data.sensordata.copy(), robots, heads)
 
     def restore(self, saved: SavedRun) -> None:
@@ -181,9 +181,9 @@ class Simulation:
         for name, state in saved.robots.items():
             self.robots[name].restore(state)
         for name, state in saved.heads.items():
-            self._heads[name].restore(state)
+            self.heads[name].restore(state)
 
     def close(self) -> None:
         """Take the robots down; they are UNCONFIGURED afterwards."""
-        for part in (*self._robots, *self._heads.values()):
+        for part in (*self._robots, *self.heads.values()):
             part.close()

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.watching import WatchPlan, target_field
 from controllers.kinematics.arm_inverse import arm_solutions
 from controllers.kinematics.serial_chain import SerialChain
+from controllers.placement.mapped_ground import MappedGround
 from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
 from controllers.placement.task import Lens, Occluder, PlacementError, View
 from twin.description import RobotDescription, StereoHeadDescription
@@ -77,17 +77,19 @@ def best_camera_station(
     robot: RobotDescription,
     drawing: InsertionDrawing,
     level: int = 4,
-    occluders: Sequence[Occluder] = (),
-    blocked: Callable[[CameraStation], bool] | None = None,
+    ground: MappedGround | None = None,
+    start: ArrayLike = (0.0, 0.0),
 ) -> CameraStation:
     """Return where a rover sees card and slot best (Thesis section 4.2.3).
+
+    With a map of the ground, only places that the rover can drive to are considered.
 
     Args:
         robot: The rover that looks.
         drawing: Card and slot.
         level: Level of the search.
-        occluders: What may hide them besides what holds card and slot, ground frame.
-        blocked: Says where a rover cannot stand.
+        ground: Mapped ground; None if nothing else stands there.
+        start: (2,) where the rover is [m], ground frame; used with ``ground``.
 
     Raises:
         PlacementError: If there is no place.
@@ -101,6 +103,11 @@ def best_camera_station(
         1.15 * half[2] * 2.0 * camera.fy / camera.height,
     )
     lens = dataclasses.replace(plan.lens, near=max(NEAREST, least))
+    occluders: list[Occluder] = []
+    if ground is not None:
+        slot = drawing.transform_slot_to_ground
+        occluders = ground.occluders(slot.translation, slot.rotation.apply([0.0, 0.0, 1.0]))
+    paths = None if ground is None else ground.paths_from(start)
     field = target_field(plan, parts, others=occluders)
     kept: list[CameraStation] = []
 
@@ -108,7 +115,10 @@ def best_camera_station(
         station = base_placement(view.position, field.target.position, arm, robot.centre_height)
         if station is None or not is_clear(station):
             return False
-        if blocked is not None and blocked(station):
+        place = station.place[:2]
+        if ground is not None and not ground.is_free(place):
+            return False
+        if paths is not None and paths.path_to(place) is None:
             return False
         kept.append(station)
         return True

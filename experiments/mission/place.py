@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
 
@@ -16,19 +15,12 @@ from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.shared_map import SharedMap
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.drive_to_pose import DriveToPose
-from controllers.placement.spatial.occluders import occluders_of_voxels
-from controllers.placement.task import Occluder
+from controllers.placement.mapped_ground import MappedGround
 from experiments.ch3.stereo.mapping_scene import head_geometry
 from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.knowledge import SLOT_IN_SITE, Knowledge, tilt_of
 from experiments.mission.scene import MASTER, SLAVE
-from experiments.mission.stages import (
-    HOME,
-    VOXEL,
-    Observations,
-    reference_arm,
-    take_standing,
-)
+from experiments.mission.stages import HOME, Observations, reference_arm, take_standing
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import possible_markers
 from twin.describe import describe_rover
@@ -38,73 +30,37 @@ FloatArray = NDArray[np.float64]
 
 _NEAR_STAND = (0.06, 0.12)  # From the stand [m] and its heading [rad] where it will do.
 _MOST_GOES = 4  # Until it stands there, or stays where it is.
-_OUTLINE = 0.30  # Radius about the middle of a rover that holds it, wheels and all [m].
-_LOW = 0.08  # Above the ground [m]: a rover drives over what is lower.
-_HIGH = 0.45  # What is higher does not touch the chassis [m].
-_BEFORE = 0.05  # Out of the faces' plane [m]: nearer is card and slot.
-_AROUND_TARGET = 0.9  # From the slot, within which mapped things may hide it [m].
-_TOUCHES = 3  # Occupied voxels in a rover's outline that are no noise.
 
 
-class MappedSite:
-    """What the map says of the ground before the slot.
+def mapped_ground(knowledge: Knowledge) -> MappedGround:
+    """Return what the map says of the level ground below the slot.
 
-    Attributes:
-        points: (N, 3) middles of occupied voxels above the ground [m], level ground below the slot.
+    Args:
+        knowledge: Belief with a map; without one nothing is known to stand anywhere.
     """
-
-    def __init__(self, knowledge: Knowledge) -> None:
-        """Bring the map to where stands are given.
-
-        Args:
-            knowledge: With a map; without one nothing is known to stand anywhere.
-        """
-        self.points = np.zeros((0, 3))
-        if knowledge.shared is None or knowledge.standing is None:
-            return
-        site = knowledge.slot_in_level * SLOT_IN_SITE.inv()
-        to_site = (knowledge.standing.transform_level_to_world * site).inv()
-        surface = knowledge.shared.voxels.surface()
-        if len(surface.means):
-            places = to_site.apply(surface.means)
-            # What the map is not sure of by a voxel does not count as standing out of the ground.
-            sigma = np.sqrt(np.einsum("nii->n", surface.covariances))
-            self.points = places[places[:, 2] - sigma > _LOW]
-
-    def blocks(self, stand: CameraStation) -> bool:
-        """Say whether something stands where a rover would.
-
-        Args:
-            stand: Its place.
-        """
-        low = self.points[self.points[:, 2] < _HIGH]
-        off = np.hypot(low[:, 0] - stand.place[0], low[:, 1] - stand.place[1])
-        return int(np.sum(off < _OUTLINE)) >= _TOUCHES
-
-    def occluders(self) -> list[Occluder]:
-        """Return what stands before card and slot, as convex pieces."""
-        away = self.points - SLOT_IN_SITE.translation
-        near = (np.linalg.norm(away, axis=1) < _AROUND_TARGET) & (away[:, 0] > _BEFORE)
-        cells = np.unique(np.floor(self.points[near] / VOXEL), axis=0)
-        return occluders_of_voxels((cells + 0.5) * VOXEL, VOXEL, name="mapped")
+    if knowledge.shared is None or knowledge.standing is None:
+        return MappedGround(None, RigidTransform.identity())
+    to_level = knowledge.slot_in_level * SLOT_IN_SITE.inv()
+    to_map = knowledge.standing.transform_level_to_world * to_level
+    return MappedGround(knowledge.shared.voxels.surface(), to_map.inv())
 
 
 def choose_stand(knowledge: Knowledge, width: float) -> CameraStation:
-    """Return where the master sees card and slot best of all places that the map leaves free.
+    """Return where the master sees card and slot best of all places that it can drive to.
 
     Args:
-        knowledge: With the map.
-        width: Of the slot [m].
+        knowledge: Belief with the map.
+        width: Width of the slot [m].
 
     Raises:
         PlacementError: If there is no place.
     """
-    site = MappedSite(knowledge)
+    master = (knowledge.slot_in_level * SLOT_IN_SITE.inv()).inv().translation
     return best_camera_station(
         describe_rover(MASTER),
         insertion_drawing(width),
-        occluders=site.occluders(),
-        blocked=site.blocks,
+        ground=mapped_ground(knowledge),
+        start=master[:2],
     )
 
 
@@ -154,13 +110,9 @@ class GoToStand:
 
     def _free(self, pose: FloatArray) -> bool:
         """Say whether the map has nothing at a pose (3,) given as `_way` is."""
-        c, s = math.cos(pose[2]), math.sin(pose[2])
         site = SLOT_IN_SITE * self._knowledge.slot_in_level.inv()
         x, y, _ = site.apply([pose[0], pose[1], 0.0])
-        ahead = site.rotation.apply([-s, c, 0.0])
-        place = (float(x), float(y), math.atan2(-ahead[0], ahead[1]))
-        blocked = MappedSite(self._knowledge).blocks(dataclasses.replace(self.stand, place=place))
-        return not blocked
+        return mapped_ground(self._knowledge).is_free([x, y])
 
     def _missed(self) -> bool:
         """Say whether it stands too far from where it shall."""

@@ -3,6 +3,7 @@ import pytest
 
 from models.compose import RobotPlacement
 from twin.connect import connect
+from twin.hardware.connect_boards import Wiring
 from twin.hardware.serial_link import LinkError
 from twin.loop import run
 from twin.robot import Command, Lifecycle, WheelMode
@@ -58,3 +59,21 @@ def test_settled_rover_stands_still_at_time_zero():
     with connect("sim") as link:
         assert link.clock.time == 0.0
         assert np.abs(link.simulation.data.qvel).max() < 1e-2
+
+
+def test_two_robots_are_named_behind_serial_each_with_its_ports():
+    first, second = Wiring.parse_all(
+        "/dev/a,radio=/dev/r,slow_down=4,robot=one,serial:/dev/b,robot=two,radio=/dev/s,slow_down=4"
+    )
+    assert (first.bus, first.robot, first.radio) == ("/dev/a", "one", "/dev/r")
+    assert (second.bus, second.robot, second.radio) == ("/dev/b", "two", "/dev/s")
+    # Boards whose time is slow may take as long to answer.
+    assert first.slow_down == second.slow_down == 4.0 and first.patient
+    for words, match in (
+        ("/dev/a,serial:/dev/b", "two robots have robot=rover1"),
+        ("/dev/a,serial:/dev/a,robot=two", "two robots have bus=/dev/a"),
+        ("/dev/a,slow_down=2,serial:/dev/b,robot=two", "the same for all"),
+        ("/dev/a,slow_down=0.5", "no factor of 1 or more"),
+    ):
+        with pytest.raises(ValueError, match=match):
+            Wiring.parse_all(words)

@@ -125,9 +125,19 @@ class FakeTime:
         self.now += seconds
 
 
+def test_slowed_clock_passes_a_period_in_as_many_of_the_walls():
+    fake = FakeTime()
+    clock = WallClock(0.01, 8.0, lambda: fake.now, fake.sleep)
+    start = fake.now
+    for _ in range(5):
+        clock.tick()
+    assert clock.misses == 0 and clock.time == pytest.approx(0.05)
+    assert fake.now - start == pytest.approx(8 * 0.05)
+
+
 def test_wall_clock_keeps_absolute_deadlines():
     fake = FakeTime()
-    clock = WallClock(0.01, lambda: fake.now, fake.sleep)
+    clock = WallClock(0.01, 1.0, lambda: fake.now, fake.sleep)
     for work in (0.004, 0.009, 0.001):
         fake.now += work
         clock.tick()
@@ -137,7 +147,7 @@ def test_wall_clock_keeps_absolute_deadlines():
 
 def test_wall_clock_counts_and_skips_missed_deadlines():
     fake = FakeTime()
-    clock = WallClock(0.01, lambda: fake.now, fake.sleep)
+    clock = WallClock(0.01, 1.0, lambda: fake.now, fake.sleep)
     clock.tick()
     fake.now += 0.035
     clock.tick()
@@ -149,7 +159,7 @@ def test_wall_clock_counts_and_skips_missed_deadlines():
 
 def test_wall_clock_misses_nothing_while_robots_are_set_up():
     fake = FakeTime()
-    clock = WallClock(0.01, lambda: fake.now, fake.sleep)
+    clock = WallClock(0.01, 1.0, lambda: fake.now, fake.sleep)
     fake.now += 2.503
     clock.tick()
     assert clock.time == pytest.approx(2.51) and clock.misses == 0

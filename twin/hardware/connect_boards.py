@@ -52,6 +52,9 @@ class Wiring:
         calibration: Its file; the repository's own unless given.
         most_days: Largest age of the calibration [days].
         home: Joint angles (4,) in which the arm stands in its jig [rad]; empty if it is not.
+        radio: Serial port of the radio modem; empty for none.
+        slow_down: How many times as long as on the wall the boards' time takes: above 1 for
+            emulated ones that say so.
         emulated: Whether they are emulated, so that an old calibration is as good as a new one.
         patient: Whether their time stands still while they are asked. Then a call may take long,
             and a busy machine changes nothing.
@@ -65,6 +68,8 @@ class Wiring:
     calibration: Path | None = None
     most_days: int = MOST_DAYS
     home: tuple[float, ...] = ()
+    radio: str = ""
+    slow_down: float = 1.0
     emulated: bool = False
     patient: bool = False
 
@@ -83,6 +88,7 @@ class Wiring:
         bus, *others = words.split(",")
         options: dict[str, str] = {}
         names = ("analogue", "wrench", "stereo", "robot", "calibration", "most_days", "home")
+        names += ("radio", "slow_down")
         for word in others:
             name, equals, value = word.partition("=")
             if not equals or name not in names:
@@ -98,6 +104,12 @@ class Wiring:
             raise ValueError(
                 f"serial: wrench={options['wrench']} has no port number behind its colon"
             )
+        try:
+            slow_down = float(options.get("slow_down", "1"))
+        except ValueError:
+            slow_down = math.nan
+        if not 1.0 <= slow_down < math.inf:
+            raise ValueError(f"serial: slow_down={options['slow_down']} is no factor of 1 or more")
         days, path = options.get("most_days", str(MOST_DAYS)), options.get("calibration")
         if not days.isdecimal():
             raise ValueError(f"serial: most_days={days} is no whole number of days")
@@ -110,7 +122,30 @@ class Wiring:
             calibration=Path(path) if path else None,
             most_days=int(days),
             home=_joint_angles(options.get("home", "")),
+            radio=options.get("radio", ""),
+            slow_down=slow_down,
+            patient=slow_down > 1.0,
         )
+
+    @classmethod
+    def parse_all(cls, words: str) -> tuple[Wiring, ...]:
+        """Return the wirings of several robots.
+
+        Args:
+            words: As `parse` takes them, each robot's but the first behind ``,serial:``.
+
+        Raises:
+            ValueError: As `parse`; or if two robots have one name or port, or unlike `slow_down`.
+        """
+        found = tuple(cls.parse(part) for part in words.split(",serial:"))
+        for what in ("robot", "bus", "analogue", "wrench", "stereo", "radio"):
+            values = [getattr(wiring, what) for wiring in found if getattr(wiring, what)]
+            twice = {value for value in values if values.count(value) > 1}
+            if twice:
+                raise ValueError(f"serial: two robots have {what}={twice.pop()}")
+        if len({wiring.slow_down for wiring in found}) > 1:
+            raise ValueError("serial: slow_down must be the same for all robots")
+        return found
 
     def load_calibration(self) -> Calibration:
         """Read the robot's calibration.
@@ -165,7 +200,8 @@ def _camera(wiring: Wiring) -> StereoCapture:
     if len(named) > 2:
         raise ValueError(f"serial: stereo={words} names {len(named)} captures, needs one or two")
     source = named[0] if len(named) == 1 else (named[0], named[1])
-    return StereoCapture(source, scene_time=wiring.patient)
+    scene_time = wiring.patient and wiring.slow_down == 1.0
+    return StereoCapture(source, scene_time=scene_time, slow_down=wiring.slow_down)
 
 
 def _analogue_board(wiring: Wiring) -> AnalogueBoard:

@@ -74,8 +74,8 @@ from experiments.ch4.montecarlo.trial import (
     FIXED,
     PLACEMENTS,
     TARGETS,
+    GuidanceJob,
     GuidedTests,
-    TestsJob,
     run_tests,
 )
 from experiments.harness import contract
@@ -126,7 +126,7 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(TESTS, QUICK_TESTS)
     cases = {"": {}, **VARIANTS}
     chunks = [seeds[i : i + CHUNK] for i in range(0, len(seeds), CHUNK)]
-    jobs = [TestsJob(tuple(chunk), case) for case in cases.values() for chunk in chunks]
+    jobs = [GuidanceJob(tuple(chunk), case) for case in cases.values() for chunk in chunks]
     results = sweep(run_tests, jobs, options, output, label=f"{CHUNK} tests a cell")
     tests = [result for result, _ in results]
     joined = [concatenated(tests[i : i + len(chunks)]) for i in range(0, len(tests), len(chunks))]

@@ -121,7 +121,7 @@ def worlds(
 
 
 @dataclasses.dataclass(frozen=True)
-class TestsJob:
+class GuidanceJob:
     """Some tests of one case.
 
     Attributes:
@@ -156,7 +156,7 @@ class GuidedTests:
     free: FloatArray
 
 
-def run_tests(job: TestsJob) -> tuple[GuidedTests, float]:
+def run_tests(job: GuidanceJob) -> tuple[GuidedTests, float]:
     """Run tests; a job of the sweep.
 
     Returns:

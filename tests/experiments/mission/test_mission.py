@@ -24,7 +24,7 @@ from experiments.harness.output import Output
 from experiments.mission import mission
 from experiments.mission.knowledge import SLOT_IN_SITE, Knowledge, tilt_of
 from experiments.mission.mission import Options
-from experiments.mission.place import GoToStand, MappedSite, choose_stand
+from experiments.mission.place import GoToStand, choose_stand, mapped_ground
 from experiments.mission.results import after_stage, stage_seconds, stages_of
 from experiments.mission.scene import (
     DROP_PLACE,
@@ -311,8 +311,7 @@ def test_the_master_does_not_stand_where_the_map_has_something(site: Site) -> No
     free = best_station(WIDTH)
     x, y, _ = free.place
     stake = np.array([[x + 0.1, y, z] for z in (0.15, 0.2, 0.25, 0.3)])
-    mapped = MappedSite(_with_map(site, stake))
-    assert mapped.blocks(free)
+    assert not mapped_ground(_with_map(site, stake)).is_free(free.place[:2])
     other = choose_stand(_with_map(site, stake), WIDTH)
     assert math.dist(other.place[:2], (x + 0.1, y)) > 0.29
 
@@ -332,7 +331,7 @@ def test_stones_that_a_rover_drives_over_do_not_block(site: Site) -> None:
     free = best_station(WIDTH)
     x, y, _ = free.place
     stones = np.array([[x + d, y, 0.04] for d in (-0.1, 0.0, 0.1, 0.2)])
-    assert not MappedSite(_with_map(site, stones)).blocks(free)
+    assert mapped_ground(_with_map(site, stones)).is_free(free.place[:2])
     assert choose_stand(_with_map(site, stones), WIDTH).place == free.place
 
 
@@ -349,8 +348,6 @@ def test_what_the_map_has_before_the_slot_moves_the_camera(site: Site) -> None:
             np.meshgrid([0.0], np.arange(-3, 4), np.arange(8, 12), indexing="ij"), axis=-1
         ).reshape(-1, 3)
     )
-    mapped = MappedSite(_with_map(site, board))
-    assert len(mapped.occluders()) > 0
     assert choose_stand(_with_map(site, board), WIDTH).place != free.place
 
 

@@ -65,6 +65,7 @@ class StereoCapture:
         max_skew: float = 0.02,
         rate: float | None = None,
         scene_time: bool = False,
+        slow_down: float = 1.0,
     ) -> None:
         """Open the captures and see that a pair can be made of them.
 
@@ -76,6 +77,8 @@ class StereoCapture:
             max_skew: Most time between the images of two devices [s].
             rate: Pairs a second of files [Hz]; by default their own.
             scene_time: Whether the caller's clock is that of an emulator's scene.
+            slow_down: How many times slower than the wall's the caller's clock is, with pairs of an
+                emulator.
 
         Raises:
             LinkError: If a capture cannot be opened, gives no image, or the sizes do not fit.
@@ -90,7 +93,9 @@ class StereoCapture:
         self._max_age = max_age
         self.statistics = CameraStatistics()
         if Path(str(source)).suffix == frames.SUFFIX:
-            self._feed: _Feed = _SceneFeed(Path(str(source)), scene_time, self.statistics)
+            self._feed: _Feed = _SceneFeed(
+                Path(str(source)), scene_time, slow_down, self.statistics
+            )
             return
         eyes = _Eyes(sources)
         try:
@@ -233,9 +238,11 @@ class _FileFeed:
 class _SceneFeed:
     """Pairs of an emulator's own scene."""
 
-    def __init__(self, path: Path, scene_time: bool, statistics: CameraStatistics) -> None:
+    def __init__(
+        self, path: Path, scene_time: bool, slow_down: float, statistics: CameraStatistics
+    ) -> None:
         self._reader = frames.FrameReader(path)
-        self._scene_time, self._statistics = scene_time, statistics
+        self._scene_time, self._slow_down, self._statistics = scene_time, slow_down, statistics
 
     def newest(self, now: float) -> Channel | None:
         """Return the newest pair, its time as the scene says or carried over to `now` [s]."""
@@ -243,7 +250,7 @@ class _SceneFeed:
         if found is None:
             return None
         self._statistics.skipped += found.skipped
-        carried = now - (time.monotonic() - found.moment)
+        carried = now - (time.monotonic() - found.moment) / self._slow_down
         stamp = found.stamp if self._scene_time else carried
         return ImageChannel.deferred(functools.partial(self._reader.fetch, found.number), stamp)
 

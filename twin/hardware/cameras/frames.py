@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Callable
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -79,14 +80,16 @@ class FrameWriter:
         header = self._header
         header["version"], header["height"], header["width"] = _VERSION, height, width
         header["magic"] = _MAGIC
-        self._kept: OrderedDict[int, Callable[[], ImageArray]] = OrderedDict()
+        self._kept: OrderedDict[int, Callable[[], ImageArray | Future[ImageArray]]] = OrderedDict()
+        self._drawing: tuple[int, Future[ImageArray]] | None = None
 
-    def announce(self, stamp: float, draw: Callable[[], ImageArray]) -> None:
+    def announce(self, stamp: float, draw: Callable[[], ImageArray | Future[ImageArray]]) -> None:
         """Say that there is a new pair.
 
         Args:
             stamp: When it was taken, in the scene's time [s].
-            draw: Returns its images (2, height, width); asked when the host wants them.
+            draw: Returns its images (2, height, width), at once or in future; asked when the host
+                wants them.
         """
         header = self._header
         header["begun"] += 1
@@ -103,11 +106,20 @@ class FrameWriter:
         wanted = int(header["wanted"])
         if wanted in (int(header["drawn"]), int(header["lost"])):
             return
-        draw = self._kept.get(wanted)
-        if draw is None:
-            header["lost"] = wanted
-            return
-        self._images[:] = draw()
+        if self._drawing is not None and self._drawing[0] == wanted:
+            images = self._drawing[1]
+        else:
+            draw = self._kept.get(wanted)
+            if draw is None:
+                header["lost"] = wanted
+                return
+            images = draw()
+        if isinstance(images, Future):
+            self._drawing = wanted, images
+            if not images.done():
+                return
+            images = images.result()
+        self._images[:] = images
         header["drawn"] = wanted
 
     def unplug(self, gone: bool = True) -> None:

@@ -7,7 +7,9 @@ repeat. Every line is answered by one line.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
 import json
 import os
 import selectors
@@ -23,7 +25,9 @@ import tyro
 
 from models.compose import RobotPlacement
 from twin.camera import StereoConfig, camera_pose
+from twin.hardware.emulator.drawing import DrawingProcess
 from twin.hardware.emulator.faults import CameraFault, LineFaultConfig, RobotFault, ScheduledFault
+from twin.hardware.emulator.modem import ModemConfig, PtyModems
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 
@@ -34,18 +38,21 @@ class Options:
 
     Attributes:
         robots: Names of the rovers; each needs a file in calibration/.
-        realtime: Let the physics run on the wall clock at 100 Hz.
+        realtime: Let the physics run on the wall clock at 100 Hz, and two robots' radio with them.
+        slow_down: With --realtime, how many times slower than the wall's the robots' time is; the
+            host says the same, as slow_down=N behind serial:PORT.
         seed: Of all noise and damage.
         line_faults: Share of the exchanges with the motor boards that are damaged, 0 to 1.
         faults: File with scheduled faults: a JSON list of {"robot", "time" [s], "kind",
             "duration" [s], "address"}.
         scene: JSON of a `SceneConfig`, for programs; overrides robots and seed.
         frames: Folder for the rovers' stereo pairs, which `serial:` reads as
-            stereo=FOLDER/ROBOT.frames. Not with --realtime: rendering would hold up the boards.
+            stereo=FOLDER/ROBOT.frames. With --realtime they are drawn by a process of their own.
     """
 
     robots: tuple[str, ...] = ("rover1",)
     realtime: bool = False
+    slow_down: float = 1.0
     seed: int = 0
     line_faults: float = 0.0
     faults: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -75,6 +82,7 @@ class Emulator:
             ValueError: If a fault is of a robot or board that is not there, or of no known kind.
             CalibrationError: If a robot's calibration cannot be used.
         """
+        self._drawing: DrawingProcess | None = None
         self.scene = EmulatedScene(scene)
         names = list(self.scene.rovers)
         for entry in faults:
@@ -91,6 +99,13 @@ class Emulator:
             self._selector.register(rig.bus, selectors.EVENT_READ, rig.serve_bus)
             self._selector.register(rig.analogue, selectors.EVENT_READ, rig.serve_analogue)
             self._selector.register(rig.wrench, selectors.EVENT_READ, rig.serve_wrench)
+
+    def draw_apart(self) -> None:
+        """Have stereo pairs drawn by a process of their own from now on."""
+        heads = self.scene.simulation.heads
+        self._drawing = DrawingProcess(heads)
+        for name in heads:
+            self.rigs[name].draw_apart = functools.partial(self._drawing.newest, name)
 
     def listen(self) -> None:
         """Take control lines from the standard input."""
@@ -176,6 +191,8 @@ class Emulator:
 
     def close(self) -> None:
         """Take ports and scene down."""
+        if self._drawing is not None:
+            self._drawing.close()
         self._selector.close()
         for rig in self.rigs.values():
             rig.close()
@@ -210,13 +227,19 @@ def _scene(options: Options) -> SceneConfig:
     return SceneConfig.from_json(options.scene)
 
 
+def _modems(options: Options) -> PtyModems:
+    """Return the radio's modems, as slow as the robots."""
+    usual = ModemConfig()
+    config = ModemConfig(
+        max(1, round(usual.baud / options.slow_down)), usual.delay * options.slow_down
+    )
+    return PtyModems(config, np.random.default_rng([options.seed, 6]))
+
+
 def main() -> int:
     """Serve until the control line is closed or the process is interrupted."""
     options = tyro.cli(Options, description=__doc__)
     faults: list[dict[str, Any]] = []
-    if options.realtime and options.frames:
-        print("--frames: not with --realtime", file=sys.stderr)
-        return 2
     try:
         if options.faults:
             faults = json.loads(options.faults.read_text())
@@ -224,22 +247,31 @@ def main() -> int:
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
+    if options.realtime and options.frames:
+        emulator.draw_apart()
     ports = {name: rig.ports for name, rig in emulator.rigs.items()}
+    modems = contextlib.ExitStack()
+    if options.realtime and len(ports) == 2:  # noqa: PLR2004
+        radio = modems.enter_context(_modems(options))
+        for name, port in zip(ports, radio.ports):
+            ports[name] = {**ports[name], "radio": port}
     period = emulator.scene.period
     print(json.dumps({"ports": ports, "period": period, "time": emulator.scene.time}), flush=True)
     emulator.listen()
-    due, serving = time.monotonic() + period, True
+    wall = period * options.slow_down
+    due, serving = time.monotonic() + wall, True
     try:
         while serving:
             wait = max(0.0, due - time.monotonic()) if options.realtime else 0.002
             serving = emulator.serve(wait)
             if options.realtime and time.monotonic() >= due:
                 emulator.tick()
-                due += period
+                due += wall
     except KeyboardInterrupt:
         pass
     finally:
         emulator.close()
+        modems.close()
     return 0
 
 

@@ -28,6 +28,7 @@ class EmulatorProcess:
         scene: SceneConfig,
         line_faults: float = 0.0,
         realtime: bool = False,
+        slow_down: float = 1.0,
     ) -> None:
         """Start the process and wait until its boards have power.
 
@@ -35,16 +36,14 @@ class EmulatorProcess:
             scene: What is emulated.
             line_faults: Share of the exchanges with the motor boards that are damaged.
             realtime: Whether time passes by itself.
+            slow_down: How many times slower than on the wall it passes by itself.
 
         Raises:
             LinkError: If it does not start.
-            ValueError: If it is to render in real time, which would hold up the boards.
         """
-        if realtime and scene.stereo is not None:
-            raise ValueError("an emulator that runs in real time renders no stereo pairs")
         command = [sys.executable, "-m", "twin.hardware.emulator", "--scene", scene.to_json()]
         command += ["--line-faults", str(line_faults)]
-        command += ["--realtime"] if realtime else []
+        command += ["--realtime", "--slow-down", str(slow_down)] if realtime else []
         self._frames = contextlib.ExitStack()
         if scene.stereo is not None:
             folder = self._frames.enter_context(tempfile.TemporaryDirectory(prefix="fieldtwin-"))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import cast
 
@@ -23,6 +24,7 @@ from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.emulator.rover import EmulatedRover
 from twin.hardware.roboclaw.codec import Status
+from twin.robot import ImageArray
 
 LOOPBACK = "127.0.0.1"
 _SLACK = 1e-9  # [s]
@@ -80,7 +82,10 @@ class EmulatedRig:
         wrench: UDP socket of the force/torque sensor, bound to loopback only.
         bus_line: What the motor boards' line does to its bytes.
         frames: File of its stereo pairs; None if it has none.
+        draw_apart: Returns what lets another process draw the newest pair; None to draw here.
     """
+
+    draw_apart: Callable[[], Callable[[], Future[ImageArray]]] | None = None
 
     def __init__(
         self,
@@ -151,7 +156,11 @@ class EmulatedRig:
             return
         self._shown = pair.stamp
         if not self._absent & set(CameraFault):
-            self.frames.announce(pair.stamp, lambda: np.asarray(pair.value, dtype=np.uint8))
+            draw = self.draw_apart
+            if draw is None:
+                self.frames.announce(pair.stamp, lambda: np.asarray(pair.value, dtype=np.uint8))
+            else:
+                self.frames.announce(pair.stamp, draw())
 
     def _open_frames(self, folder: Path | None) -> FrameWriter | None:
         if folder is None or not self._rover.stereo().usable:

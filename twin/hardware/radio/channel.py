@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Protocol
 
 from twin.hardware.serial_link import SerialLink
@@ -27,15 +28,16 @@ class ByteChannel(Protocol):
 
 
 class SerialChannel:
-    """A real modem, or an emulated one, on a serial port."""
+    """A real modem, or an emulated one, on a serial port.
 
-    def __init__(self, link: SerialLink) -> None:
-        """Speak over `link`, which the caller closes."""
+    Args:
+        link: Port of the modem, which the caller closes.
+        clock: Returns the time that the link keeps [s].
+    """
+
+    def __init__(self, link: SerialLink, clock: Callable[[], float] = time.monotonic) -> None:
         self._link = link
-
-    def now(self) -> float:
-        """Time of `time.monotonic` [s]."""
-        return time.monotonic()
+        self.now = clock
 
     def write(self, data: bytes) -> None:
         """Send bytes.
@@ -51,4 +53,4 @@ class SerialChannel:
         Raises:
             LinkError: If the port is gone.
         """
-        return self._link.read(4096, self.now())
+        return self._link.read(4096, time.monotonic())

@@ -29,9 +29,9 @@ from experiments.ch4.montecarlo.trial import (
     RANDOM,
     RINGS,
     TRACK,
+    GuidanceJob,
     GuidedTests,
     ObstacleWorld,
-    TestsJob,
     draw_chance,
     guide,
     run_tests,
@@ -173,8 +173,8 @@ def test_random_cameras_move_only_when_they_see_nothing_and_fixed_ones_never():
 
 @pytest.mark.slow
 def test_a_test_is_the_same_beside_whichever_others():
-    together, _ = run_tests(TestsJob((3, 4), {}))
-    alone, _ = run_tests(TestsJob((4,), {}))
+    together, _ = run_tests(GuidanceJob((3, 4), {}))
+    alone, _ = run_tests(GuidanceJob((4,), {}))
     for name, values in vars(alone).items():
         np.testing.assert_array_equal(values[0], getattr(together, name)[1])
 

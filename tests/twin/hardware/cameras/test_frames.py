@@ -16,7 +16,6 @@ from twin.hardware.cameras import frames
 from twin.hardware.cameras.camera import StereoCapture
 from twin.hardware.cameras.frames import FrameReader, FrameWriter
 from twin.hardware.emulator.__main__ import Emulator
-from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import LinkError
 from twin.robot import ArmMode, Command, Lifecycle, RobotError, Validity
@@ -96,11 +95,6 @@ def test_scene_is_the_same_after_its_way_into_another_process():
     assert SceneConfig.from_json(scene.to_json()) == scene
     plain = dataclasses.replace(scene, stereo=None, field=FieldConfig())
     assert SceneConfig.from_json(plain.to_json()) == plain
-
-
-def test_emulator_renders_no_pairs_in_real_time():
-    with pytest.raises(ValueError, match="in real time renders no stereo pairs"):
-        EmulatorProcess(SceneConfig(stereo=StereoConfig()), realtime=True)
 
 
 @contextlib.contextmanager

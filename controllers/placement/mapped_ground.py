@@ -1,0 +1,154 @@
+"""The ground by a map: where a rover can stand, where it can drive, and what hides a target.
+
+What stands out of level ground is taken from the surface of a voxel map. A rover is a disc about
+its middle; it cannot be where several surface points lie within the disc, and unknown ground counts
+as free. Paths go from cell to cell of a grid.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from controllers.mapping.planar_paths import Paths, shortest_paths
+from controllers.placement.spatial.occluders import occluders_of_voxels
+from controllers.placement.task import FloatArray, Occluder
+from perception.voxels.map import Surface
+
+
+@dataclasses.dataclass(frozen=True)
+class GroundConfig:
+    """Size of a rover, and what counts as standing in its way.
+
+    Attributes:
+        radius: Radius of a disc about the rover's middle that holds it [m].
+        climb: Height above the ground up to which a rover drives over things [m].
+        top: Height above the ground from which on things do not touch a rover [m].
+        min_points: Number of surface points within the disc from which on it is not free.
+        cell: Side of a cell of the paths' grid [m].
+        reach: Half the side of that grid about the start [m]; paths stay within.
+        voxel: Side of the voxels that occluders are made of [m].
+        occluder_range: Distance from a target within which mapped things may hide it [m].
+        face: Distance out of a target's plane up to which points are the target's own [m].
+    """
+
+    radius: float = 0.30
+    climb: float = 0.08
+    top: float = 0.45
+    min_points: int = 3
+    cell: float = 0.05
+    reach: float = 4.0
+    voxel: float = 0.01
+    occluder_range: float = 0.9
+    face: float = 0.05
+
+
+class MappedGround:
+    """What a map says of level ground.
+
+    Args:
+        surface: Surface of a voxel map; None where nothing is mapped.
+        transform_map_to_ground: From the map's frame to the ground frame: level, z = 0 on the
+            ground.
+        config: Size of the rover and of what counts.
+
+    Attributes:
+        points: (N, 3) surface points that stand out of the ground [m], ground frame.
+    """
+
+    def __init__(
+        self,
+        surface: Surface | None,
+        transform_map_to_ground: RigidTransform,
+        config: GroundConfig | None = None,
+    ) -> None:
+        self._config = config or GroundConfig()
+        self.points = np.zeros((0, 3))
+        if surface is not None and len(surface.means):
+            places = transform_map_to_ground.apply(surface.means)
+            # What is uncertain by its own height does not count as standing out of the ground.
+            sigma = np.sqrt(np.einsum("nii->n", surface.covariances))
+            self.points = places[places[:, 2] - sigma > self._config.climb]
+
+    @functools.cached_property
+    def _obstacles(self) -> FloatArray:
+        """(M, 2) x and y of the points that touch a rover [m]."""
+        return self.points[self.points[:, 2] < self._config.top, :2]
+
+    def is_free(self, place: ArrayLike) -> bool:
+        """Return whether a rover can stand at a place (2,) [m], ground frame."""
+        x, y = np.asarray(place, dtype=float)
+        off = np.hypot(self._obstacles[:, 0] - x, self._obstacles[:, 1] - y)
+        return int(np.sum(off < self._config.radius)) < self._config.min_points
+
+    def occluders(self, position: FloatArray, normal: FloatArray) -> list[Occluder]:
+        """Return what stands before a target, as convex pieces.
+
+        Args:
+            position: (3,) position of the target [m], ground frame.
+            normal: (3,) unit vector out of its visible side, ground frame.
+        """
+        how, away = self._config, self.points - position
+        near = (np.linalg.norm(away, axis=1) < how.occluder_range) & (away @ normal > how.face)
+        cells = np.unique(np.floor(self.points[near] / how.voxel), axis=0)
+        return occluders_of_voxels((cells + 0.5) * how.voxel, how.voxel, name="mapped")
+
+    def paths_from(self, start: ArrayLike) -> GroundPaths:
+        """Return where a rover can drive to from a place (2,) [m], ground frame.
+
+        What the map has within the rover's own disc there is none: the rover stands there.
+        """
+        how, begin = self._config, np.asarray(start, dtype=float)
+        apart = np.linalg.norm(self._obstacles - begin, axis=1)
+        obstacles = self._obstacles[apart >= how.radius]
+        middle = round(how.reach / how.cell)
+        corner = begin - (middle + 0.5) * how.cell
+        y, x = np.mgrid[: 2 * middle + 1, : 2 * middle + 1]
+        centres = (np.stack([x, y], axis=-1) + 0.5) * how.cell + corner
+        enterable = np.ones(x.shape, dtype=bool)
+        if len(obstacles):
+            touching = cKDTree(obstacles).query_ball_point(centres, how.radius, return_length=True)
+            enterable = np.asarray(touching) < how.min_points
+        return GroundPaths(
+            shortest_paths(enterable, (middle, middle), how.cell), begin, corner, how.cell
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class GroundPaths:
+    """Shortest paths of a rover over the ground from one place.
+
+    Attributes:
+        paths: Shortest paths over the cells of a grid; the start is the middle of its middle cell.
+        start: (2,) place that they begin at [m], ground frame.
+        corner: (2,) lowest corner of the first cell [m], ground frame.
+        cell: Side of a cell [m].
+    """
+
+    paths: Paths
+    start: FloatArray
+    corner: FloatArray
+    cell: float
+
+    def path_to(self, place: ArrayLike) -> FloatArray | None:
+        """Return the points (N, 2) of the shortest path to a place (2,) [m], ground frame.
+
+        Both ends are included. None is returned if no path leads to the place's cell or one beside
+        it, or if the place is outside of the grid.
+        """
+        goal, lengths = np.asarray(place, dtype=float), self.paths.lengths
+        row, column = np.floor((goal - self.corner) / self.cell).astype(int)[::-1]
+        near = np.array([(row + i, column + j) for i in (0, -1, 1) for j in (0, -1, 1)])
+        near = near[np.all((near >= 0) & (near < lengths.shape), axis=1)]
+        if len(near) and not np.isfinite(lengths[*near[0]]):
+            near = near[np.argsort(lengths[*near.T])]
+        if not len(near) or not np.isfinite(lengths[*near[0]]):
+            return None
+        cells = self.paths.to((int(near[0, 0]), int(near[0, 1])))
+        between = (cells[1:-1, ::-1] + 0.5) * self.cell + self.corner
+        return np.vstack([self.start, between, goal])

@@ -1,0 +1,50 @@
+"""Stereo pairs drawn by a process of their own, so that emulated boards answer meanwhile."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor
+
+from twin.camera import StereoHead
+from twin.robot import FloatArray, ImageArray
+
+_HEADS: dict[str, StereoHead] = {}
+"""In the drawing process: the robots' stereo heads."""
+
+
+class DrawingProcess:
+    """A process that draws the stereo pairs of a scene.
+
+    Args:
+        heads: The scene's stereo heads, by robot name.
+    """
+
+    def __init__(self, heads: Mapping[str, StereoHead]) -> None:
+        self._heads = heads
+        spawn = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(1, spawn, _take_heads, (dict(heads),))
+        for name in heads:
+            # The first picture takes a second; nobody has time for it later.
+            self.newest(name)().result()
+
+    def newest(self, robot: str) -> Callable[[], Future[ImageArray]]:
+        """Return what has a robot's newest pair drawn, now or later.
+
+        Args:
+            robot: Name of the robot.
+        """
+        latest = self._heads[robot].latest
+        return lambda: self._pool.submit(_draw, robot, *latest)
+
+    def close(self) -> None:
+        """End the process."""
+        self._pool.shutdown(cancel_futures=True)
+
+
+def _take_heads(heads: dict[str, StereoHead]) -> None:
+    _HEADS.update(heads)
+
+
+def _draw(robot: str, positions: FloatArray, frame: int, time: float) -> ImageArray:
+    return _HEADS[robot].draw(positions, frame, time)
