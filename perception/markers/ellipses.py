@@ -52,11 +52,7 @@ class MarkerExpectation:
     misfit: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be expected.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if not 0.0 < self.nearest <= self.farthest < math.inf:
             reach = (self.nearest, self.farthest)
             raise ValueError(f"marker range: got {reach}, needs 0 < nearest <= farthest")

@@ -44,11 +44,7 @@ class BodyCad:
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse what makes no pose.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         points = np.asarray(self.points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
             raise ValueError(f"body markers: got shape {points.shape}, needs (N, 3), N >= 2")

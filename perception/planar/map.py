@@ -38,11 +38,7 @@ class Grid:
     cell: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse sizes that no map could have.
-
-        Raises:
-            ValueError: Naming the size.
-        """
+        """Check the values; an error names the wrong one."""
         for name in ("rows", "columns"):
             count = getattr(self, name)
             if not SIZES[0] <= count <= SIZES[1]:

@@ -34,11 +34,7 @@ class RangeSensor:
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no sensor.
-
-        Raises:
-            ValueError: Naming the number.
-        """
+        """Check the values; an error names the wrong one."""
         if not 0.0 < self.fov <= 2.0 * math.pi:
             raise ValueError(f"fov: expected more than 0 and at most 2 pi rad, got {self.fov}")
         if not (math.isfinite(self.depth) and self.depth > 0.0):

@@ -221,11 +221,7 @@ class FiducialConfig:
     cell: int = 12
 
     def __post_init__(self) -> None:
-        """Refuse what nothing can be chosen by.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         for name in ("count", "shells", "cell"):
             if getattr(self, name) < 1:
                 raise ValueError(f"fiducials: {name} must be at least 1: {getattr(self, name)}")

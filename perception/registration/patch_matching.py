@@ -55,11 +55,7 @@ class TrackerConfig:
     most_sigma: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be searched with.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if self.patch < 5 or self.patch % 2 == 0:
             raise ValueError(f"tracker: patch must be odd, 5 or more: {self.patch}")
         for name in ("search", "disparity_search"):
@@ -292,11 +288,7 @@ class AcrossConfig:
     most_sigma: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be searched with.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if self.patch < 5 or self.patch % 2 == 0:
             raise ValueError(f"matching across: patch must be odd, 5 or more: {self.patch}")
         if not 0.0 < self.smoothing <= 5.0:

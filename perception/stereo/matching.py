@@ -82,11 +82,7 @@ class StereoMatcherConfig:
     pixel_sigma: float = 0.03
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be matched with.
-
-        Raises:
-            StereoError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if not 0.0 < self.nearest < self.farthest < math.inf:
             depths = (self.nearest, self.farthest)
             raise StereoError(f"stereo nearest and farthest: got {depths}, needs 0 < near < far")

@@ -157,11 +157,7 @@ def _rebuilt(found: dict[str, Any]) -> VoxelMap:
 
 
 def _check_references(bricks: Bricks) -> None:
-    """Refuse numbers that point at nothing, or twice at the same.
-
-    Raises:
-        ValueError: Naming the array.
-    """
+    """Check the values; an error names the wrong one."""
     _check_numbers("index", bricks.index, bricks.free_bricks, len(bricks.values))
     blocks = bricks.block[bricks.index[bricks.index >= 0]]
     _check_numbers("block", blocks, blocks[:0], len(bricks.slots))

@@ -44,11 +44,7 @@ class UpdateModel:
     occupied_above: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse probabilities out of order.
-
-        Raises:
-            ValueError: Naming them.
-        """
+        """Check the values; an error names the wrong one."""
         inner = self.miss < 0.5 < self.hit and self.lowest < self.occupied_above < self.highest
         if not (inner and 0.0 < self.lowest < 0.5 < self.highest < 1.0 and 0.0 < self.miss):
             raise ValueError(f"{self}: expected 0 < lowest, miss < 0.5 < hit, highest < 1")
