@@ -75,7 +75,7 @@ class SeenDiscs:
 
     Attributes:
         ellipses: (2, N, 5) left and right.
-        covariances: (2, N, 5, 5) of them.
+        covariances: (2, N, 5, 5) covariances of the ellipses.
         points: (N, 3) triangulated centres [m], left camera.
     """
 
@@ -89,8 +89,8 @@ class BodyFit:
     """A body's pose.
 
     Attributes:
-        transform_body_to_camera: To the left camera.
-        covariance: (6, 6) of xi, rotation [rad] then translation [m], in
+        transform_body_to_camera: Pose of the body in the left camera's frame.
+        covariance: (6, 6) covariance of xi, rotation [rad] then translation [m], in
             ``true = from_exp_coords(xi) * transform_body_to_camera``.
         misfit: Squared error of the fit over its degrees of freedom; about 1.
         turn_sigma: Standard deviation of the turn about the line through the two markers that are
@@ -118,11 +118,11 @@ def fit_body(
     has two peaks, the covariance grows by what it lacks.
 
     Args:
-        discs: What was seen.
-        geometry: Of the pair.
-        cad: Of the body.
-        radius: Of its markers [m].
-        prior: What is known before.
+        discs: Discs as both cameras saw them.
+        geometry: Geometry of the stereo pair.
+        cad: Markers of the body.
+        radius: Radius of the markers [m].
+        prior: Prior of the pose.
 
     Returns:
         The fit; None if no pose faces the cameras the right way up.

@@ -80,7 +80,7 @@ class PlanarMap:
     """Probability of occupancy of every cell, and which were ever measured.
 
     Attributes:
-        grid: Where the cells lie.
+        grid: Cells of the map.
         log_odds: (rows, columns) log-odds of occupancy; 0 where never measured.
         measured: (rows, columns) whether a cell was ever measured.
     """
@@ -89,7 +89,7 @@ class PlanarMap:
         """Start with nothing known.
 
         Args:
-            grid: Where the cells lie.
+            grid: Cells of the map.
             model: What one measurement says.
         """
         self.grid = grid

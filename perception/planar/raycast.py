@@ -76,11 +76,11 @@ def scan(
 
     Args:
         occupied: (rows, columns) the world.
-        grid: Where the cells lie.
+        grid: Cells of the map.
         cell: Row and column of the sensor.
-        heading: Of the sector's middle, from the x axis [rad].
+        heading: Direction of the sector's middle, from the x axis [rad].
         sensor: Field of view, depth of field and noise.
-        generator: Of the noise of ranges; not needed without noise.
+        generator: Random generator for the noise of ranges; not needed without noise.
 
     Returns:
         What was measured.
@@ -140,7 +140,7 @@ def expected_view(
     Args:
         opaque: (rows, columns) cells that stop a ray.
         cell: Row and column to look from.
-        heading: Of the sector's middle, from the x axis [rad].
+        heading: Direction of the sector's middle, from the x axis [rad].
         fov: Field of view [rad].
         table: A fan of the sensor's depth of field.
     """

@@ -56,7 +56,7 @@ def replace_file(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
     """Write a file that is either complete or not there: an older one stays until then.
 
     Args:
-        path: Where to.
+        path: Path of the file.
         write: Writes the content to the open file that it is given.
     """
     target = Path(path)

@@ -108,7 +108,7 @@ class Surface:
     Attributes:
         means: (M, 3) [m], world.
         covariances: (M, 3, 3) [m^2], world.
-        probabilities: (M,) of occupancy.
+        probabilities: (M,) probabilities of occupancy.
     """
 
     means: FloatArray
@@ -121,9 +121,9 @@ class VoxelMap:
 
     Attributes:
         grid: The box, extended to whole bricks of 8 voxels.
-        config: How scans enter.
+        config: Update model and margins of scans.
         bricks: All arrays; see `perception.voxels.bricks`.
-        scans: How many scans it holds.
+        scans: Number of scans it holds.
     """
 
     def __init__(self, grid: VoxelGrid, config: VoxelMapConfig | None = None) -> None:
@@ -164,7 +164,7 @@ class VoxelMap:
         occupied, those behind stay as they are. The camera may stand outside of the box.
 
         Args:
-            transform_camera_to_world: Where the scan was taken from.
+            transform_camera_to_world: Pose of the camera that took the scan.
             frustum: The camera's pixels. Those finer than a voxel at the far end are taken
                 together. A pixel keeps its nearest points; one without a point frees nothing, so
                 that pixels should not be finer than the cloud.
@@ -386,7 +386,7 @@ class MapWindow:
     """Voxels of a box.
 
     Attributes:
-        grid: Where they are; its box is the window.
+        grid: Cells of the window.
         values: (nx, ny, nz) int8 log-odds in the map's steps, `NEVER` where not measured.
         table: (256,) probability of each value from -128 on; NaN for `NEVER`.
         threshold: Voxels from this value on are occupied.

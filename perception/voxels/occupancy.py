@@ -31,7 +31,7 @@ class UpdateModel:
 
     Attributes:
         hit: Probability of occupancy that a return from the cell tells, above 0.5.
-        miss: The same of a ray that passed through it, below 0.5.
+        miss: Probability of occupancy that a ray through the cell tells, below 0.5.
         lowest: Clamping: a cell's probability never falls below.
         highest: Clamping: nor rises above.
         occupied_above: A measured cell is occupied from this probability on, else free.
