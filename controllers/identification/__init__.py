@@ -1,1 +1,20 @@
-"""A robot identifies its own dynamics by swinging its arm (Thesis chapter 2, appendix B)."""
+"""Identification of a rover's parameters (Thesis chapter 2 and section 6.2).
+
+The compliant base under its moving arm, chapter 2:
+
+- `parameters`: the 22 unknowns, their prior and their ranges.
+- `arm_motion`: limits, excitations and trajectories of the arm.
+- `compliant_base`: forward model with sensitivities (appendix B.1).
+- `linear_estimators`: A x = F, pseudo-inverse and Kalman filter (eqs 2-1, B-4, section 2.3).
+- `output_error`: fit of the forward model to the measured outputs.
+- `information`: bits known of each parameter, observability, identifiability (section 2.6.1).
+- `excitation`: choice of the next excitation by a criterion (eq. 2-13).
+- `identifier`: excitation and estimation in turns, on the simplified plant.
+- `pitch`, `rover_identifier`: the same on the rover, in its pitch alone.
+
+The arm on known ground, section 6.2:
+
+- `arm_sensing`: log of a run, and joint and base motion from it.
+- `payload`: what the gripper holds (section 6.2 c).
+- `friction`: friction under the wheels and onset of slip (section 6.2 b).
+"""

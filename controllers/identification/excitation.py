@@ -16,8 +16,8 @@ from controllers.identification.arm_motion import (
 )
 from controllers.identification.compliant_base import ArmOnMount, BaseState, simulate
 from controllers.identification.information import BITS, mutual_information
+from controllers.identification.linear_estimators import regressor
 from controllers.identification.parameters import COUNT, Ranges
-from controllers.identification.regressor import regressor
 
 FloatArray = NDArray[np.float64]
 

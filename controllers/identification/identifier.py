@@ -27,10 +27,9 @@ from controllers.identification.excitation import (
     Planner,
     random_excitation,
 )
-from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse
+from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse, regressor
 from controllers.identification.output_error import Estimate, OutputError, Window
 from controllers.identification.parameters import COUNT, Prior
-from controllers.identification.regressor import regressor
 
 FloatArray = NDArray[np.float64]
 

@@ -1,4 +1,8 @@
-"""The thesis' two solutions of A x = F: pseudo-inverse and recursive Kalman filter."""
+"""The equations of motion as A x = F (Thesis eq. 2-1, B-4), and the thesis' two solutions.
+
+A x = F is linear in the 22 unknowns x. It is solved by the pseudo-inverse and by a recursive Kalman
+filter.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,123 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.identification.parameters import COUNT, LEVER, Prior, from_coordinates
+from controllers.identification.compliant_base import SIGNALS, ArmOnMount
+from controllers.identification.parameters import (
+    COUNT,
+    INERTIA_ELEMENTS,
+    LEVER,
+    Prior,
+    from_coordinates,
+)
+from perception.geometry.gravity import GRAVITY
+from perception.geometry.se3 import cross_matrix
 
 FloatArray = NDArray[np.float64]
+
+
+class MeasurementError(ValueError):
+    """Measurements no estimate can be made from."""
+
+
+def check_finite(outputs: FloatArray) -> None:
+    """Refuse measurements that are not numbers.
+
+    Args:
+        outputs: (n, 24) measured samples.
+
+    Raises:
+        MeasurementError: Naming the signal and the first sample that is not finite.
+    """
+    bad = ~np.isfinite(outputs)
+    if not bad.any():
+        return
+    sample, channel = (int(index) for index in np.argwhere(bad)[0])
+    name = next(key for key, rows in SIGNALS.items() if rows.start <= channel < rows.stop)
+    raise MeasurementError(
+        f"{name}, component {channel % 3}, sample {sample} is {outputs[sample, channel]}; "
+        "leave such samples out or check the sensor"
+    )
+
+
+def _hinge_matrices(angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return R (n, 3, 3) and E (n, 3, 3) for hinges about x, y, z, outermost first."""
+    (sx, sy, sz), (cx, cy, cz) = np.sin(angles.T), np.cos(angles.T)
+    zero, one = np.zeros_like(sx), np.ones_like(sx)
+    rotation = np.array(
+        [
+            [cy * cz, -cy * sz, sy],
+            [cx * sz + sx * sy * cz, cx * cz - sx * sy * sz, -sx * cy],
+            [sx * sz - cx * sy * cz, sx * cz + cx * sy * sz, cx * cy],
+        ]
+    )
+    rate_matrix = np.array([[cy * cz, sz, zero], [-cy * sz, cz, zero], [sy, zero, one]])
+    return np.moveaxis(rotation, 2, 0), np.moveaxis(rate_matrix, 2, 0)
+
+
+def _rate_bias(angles: FloatArray, rates: FloatArray) -> FloatArray:
+    """Return E_dot phi_dot (n, 3)."""
+    (_, sy, sz), (_, cy, cz) = np.sin(angles.T), np.cos(angles.T)
+    px, py, pz = rates.T
+    x = (-sy * cz * py - cy * sz * pz) * px + cz * pz * py
+    y = (sy * sz * py - cy * cz * pz) * px - sz * pz * py
+    return np.stack([x, y, cy * py * px], axis=1)
+
+
+def _inertia_basis() -> FloatArray:
+    basis = np.zeros((6, 3, 3))
+    for element, (row, column) in zip(basis, INERTIA_ELEMENTS, strict=True):
+        element[row, column] = element[column, row] = 1.0
+    return basis
+
+
+def regressor(outputs: FloatArray, arm: ArmOnMount) -> tuple[FloatArray, FloatArray]:
+    """Return A and F of A x = F for one mode.
+
+    The printed equation fits neither order of the base's joints; this one is exact for slides
+    outermost, in world axes, and hinges inner:
+    -m a - b v - k r = R F - F0 and
+    -E^T (I w' + w x I w) - [E^T (r2 x F) - r2 x F0] - b phi' - k phi = E^T N - N0.
+
+    Args:
+        outputs: (n, 24) measured deviations from rest, rows as `compliant_base.SIGNALS`.
+        arm: The arm in this mode; its weight at rest is known.
+
+    Returns:
+        A (n, 6, 22) and F (n, 6).
+
+    Raises:
+        MeasurementError: If a sample is not finite.
+    """
+    check_finite(outputs)
+    angles, rates = outputs[:, SIGNALS["angles"]], outputs[:, SIGNALS["angle_rates"]]
+    rotation, rate_matrix = _hinge_matrices(angles)
+    omega = np.einsum("nij,nj->ni", rate_matrix, rates)
+    hinge_accelerations = outputs[:, SIGNALS["angle_accelerations"]]
+    alpha = np.einsum("nij,nj->ni", rate_matrix, hinge_accelerations) + _rate_bias(angles, rates)
+    rest_force = np.array([0.0, 0.0, arm.mass * GRAVITY])
+    rest_moment = np.cross(arm.rest_centre(), rest_force)
+    force = outputs[:, SIGNALS["force"]] + rest_force
+    moment = outputs[:, SIGNALS["moment"]] + rest_moment
+
+    matrix = np.zeros((len(outputs), 6, COUNT))
+    matrix[:, :3, 0] = -outputs[:, SIGNALS["acceleration"]]
+    basis = _inertia_basis()
+    momentum_rate = np.einsum("kij,nj->nik", basis, alpha) + np.einsum(
+        "nij,kjl,nl->nik", cross_matrix(omega), basis, omega
+    )
+    matrix[:, 3:, 1:7] = -np.einsum("nji,njk->nik", rate_matrix, momentum_rate)
+    # r2 x F = -[F]x r2
+    turned = np.einsum("nji,njk->nik", rate_matrix, cross_matrix(force))
+    matrix[:, 3:, 7:10] = turned - cross_matrix(rest_force[None])
+    diagonal = np.arange(3)
+    matrix[:, diagonal, 10 + diagonal] = -outputs[:, SIGNALS["velocity"]]
+    matrix[:, 3 + diagonal, 13 + diagonal] = -rates
+    matrix[:, diagonal, 16 + diagonal] = -outputs[:, SIGNALS["displacement"]]
+    matrix[:, 3 + diagonal, 19 + diagonal] = -angles
+    right = np.empty((len(outputs), 6))
+    right[:, :3] = np.einsum("nij,nj->ni", rotation, force) - rest_force
+    right[:, 3:] = np.einsum("nji,nj->ni", rate_matrix, moment) - rest_moment
+    return matrix, right
 
 
 def pseudo_inverse(matrix: FloatArray, right: FloatArray) -> FloatArray:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import Trajectory
 from controllers.identification.compliant_base import CHANNELS, ArmOnMount, BaseState, simulate
+from controllers.identification.linear_estimators import MeasurementError, check_finite
 from controllers.identification.parameters import (
     COUNT,
     DAMPING,
@@ -31,7 +32,6 @@ from controllers.identification.parameters import (
     from_coordinates,
     largest_physical_step,
 )
-from controllers.identification.regressor import MeasurementError, check_finite
 
 FloatArray = NDArray[np.float64]
 

@@ -21,12 +21,13 @@ from scipy.optimize import least_squares
 
 from controllers.identification.arm_sensing import (
     CHANNELS,
+    IdentificationError,
+    ObservationLog,
     SensingConfig,
     filter_alike,
     raised_cosine,
     read_arm,
 )
-from controllers.identification.observation_log import IdentificationError, ObservationLog
 from controllers.kinematics.rigid_body import COUNT, INERTIA_ELEMENTS, NAMES, wrench_regressor
 from controllers.kinematics.serial_chain import SerialChain
 from twin.robot import ArmMode, Command, Observation

@@ -16,8 +16,9 @@ from controllers.insertion.guidance import Guidance, GuidanceLink
 from controllers.insertion.guide import GuideConfig
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.kinematics.serial_chain import SerialChain
+from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
-from controllers.sensing.surrogate_tilt import TiltAxis, TiltModel, TiltModelConfig
+from controllers.sensing.surrogate_tilt import TiltModel, TiltModelConfig
 from controllers.sensing.surrogate_wrench import WrenchModel, WrenchModelConfig
 from twin.description import RobotDescription
 from twin.robot import MISSING, Command, Observation

@@ -1,1 +1,11 @@
-"""The arm and its yielding base in motion (Thesis appendix A)."""
+"""Motion of rovers and their arms (Thesis appendix A and sections 5.2 to 5.3).
+
+- `driving`, `drive_to_pose`: skid steering, dead reckoning, and a drive to a pose.
+- `arm_move`: an arm that goes to a posture, and pairs of images taken there at rest.
+- `base_motion`, `base_tilt`: motion of the base as measured, and its tilt under the arm as known.
+- `suspension`: springs and tyres as one compliance (eq. A-1).
+- `lagrange`: the nine coordinates of rover and arm, and their state space (eqs A-2, A-3).
+- `arm_control`: control of the arm on its yielding base (eq. A-4).
+- `tip_over`, `online_guard`: zero-moment point and guards against tipping (eq. A-5).
+- `planar_grip`, `master_slave`, `cooperation`: two arms on one load (section A.4).
+"""

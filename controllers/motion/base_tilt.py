@@ -6,13 +6,109 @@ robot's frame when the arm reaches out, by what stiffness and levers say (Thesis
 
 from __future__ import annotations
 
+import dataclasses
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.sensing.surrogate_tilt import TiltAxis, tilting_moments
+from twin.description import RobotDescription
 
 FloatArray = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True)
+class TiltAxis:
+    """How a base tilts about an axis: inertia tilt'' + damping tilt' + stiffness tilt = moment.
+
+    Attributes:
+        inertia: About the line that it tilts about [kg m^2].
+        damping: [N m s/rad].
+        stiffness: [N m/rad].
+        lever: (2,) from that line to the arm's base [m]: forward and up for pitch, leftward and up
+            for roll, (ry, rz) of `controllers.identification.pitch`.
+    """
+
+    inertia: float
+    damping: float
+    stiffness: float
+    lever: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        """Refuse a base that does not swing back.
+
+        Raises:
+            ValueError: Naming the number.
+        """
+        for name in ("inertia", "damping", "stiffness"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                value = getattr(self, name)
+                raise ValueError(f"tilt model {name}: got {value}, needs a positive number")
+
+    @classmethod
+    def of(cls, parameters: ArrayLike) -> TiltAxis:
+        """Return the axis that `PitchEstimate.parameters` (5,) describe."""
+        inertia, ry, rz, damping, stiffness = np.asarray(parameters, dtype=float).tolist()
+        return cls(inertia, damping, stiffness, (ry, rz))
+
+
+def roll_axis(pitch: TiltAxis, robot: RobotDescription) -> TiltAxis:
+    """Return how a base rolls by the springs on which it pitches, at half its track (eq. A-1).
+
+    Args:
+        pitch: How it pitches.
+        robot: The rover as drawn.
+    """
+    ratio = (robot.half_track / robot.half_wheelbase) ** 2
+    return TiltAxis(
+        pitch.inertia * ratio,
+        pitch.damping * ratio,
+        pitch.stiffness * ratio,
+        (0.0, pitch.lever[1]),
+    )
+
+
+def drawn_springs(robot: RobotDescription) -> tuple[TiltAxis, TiltAxis]:
+    """Return how a rover pitches and rolls by its drawing (Thesis eq. A-1).
+
+    It turns about the line where its tyres meet the ground: braked wheels roll with the body. The
+    springs leave the wheels on the ground, so that these add nothing by their distance from the
+    middle.
+
+    Args:
+        robot: The rover as drawn, with springs and an arm.
+
+    Raises:
+        ValueError: If it has none, naming it.
+    """
+    if robot.arm is None:
+        raise ValueError(f"robot {robot.name!r} has no arm: nothing tilts it")
+    far = np.array([wheel.centre[1] for wheel in robot.wheels])
+    masses, springs, dampers = np.array(
+        [(wheel.mass, wheel.spring, wheel.damper) for wheel in robot.wheels]
+    ).T
+    body, mount = robot.body, robot.arm.transform_base_to_robot.translation
+    height = body.centre[2] + robot.centre_height
+    inertia = body.inertia[0, 0] + body.mass * height**2 - masses @ far**2
+    lever = (float(mount[1]), float(mount[2]) + robot.centre_height)
+    pitch = TiltAxis(float(inertia), float(dampers @ far**2), float(springs @ far**2), lever)
+    return pitch, roll_axis(pitch, robot)
+
+
+def tilting_moments(pitch: TiltAxis, roll: TiltAxis) -> FloatArray:
+    """Return (2, 6), what the wrench on the arm does to the base about both axes [N m].
+
+    Args:
+        pitch: About x.
+        roll: About y.
+    """
+    return -np.array(
+        [
+            [0.0, -pitch.lever[1], pitch.lever[0], 1.0, 0.0, 0.0],
+            [roll.lever[1], 0.0, roll.lever[0], 0.0, 1.0, 0.0],
+        ]
+    )
 
 
 class BaseTilt:

@@ -1,4 +1,4 @@
-"""Placing a camera again within a vision period, on a 1 cm map of the scene of chapter 3."""
+"""Choosing a camera station anew on a 1 cm map of the scene of chapter 3, and its search."""
 
 from __future__ import annotations
 
@@ -33,8 +33,6 @@ from twin.description import RobotDescription
 
 FloatArray = NDArray[np.float64]
 
-PERIOD = 0.25
-"""Period of the vision system [s]."""
 VIEWS, QUICK_VIEWS = 40, 16
 ROUNDS, QUICK_ROUNDS = 20, 5
 START = np.array([1.3, -1.0])
@@ -48,7 +46,7 @@ def bench_placement(options: Options, output: Output) -> None:
 
     Args:
         options: ``quick`` maps with fewer views.
-        output: Receives ``replan_ratio``, ``replan/*`` and ``search_speedup/map``.
+        output: Receives ``replan/*`` and ``search_speedup/map``.
     """
     seed = options.job_seeds(1, 1)[0]
     rng = np.random.default_rng(seed)
@@ -88,13 +86,7 @@ def _replans(
     output.measure("replan/changes_of_station", changes)
     if lengths:
         output.measure("replan/path_m", distribution(lengths))
-    ratio = distribution([s / PERIOD for s in seconds])
-    output.measure("replan_ratio/view", ratio)
-    text = "placement, a re-plan over a vision period"
-    output.check(text, ratio["median"], "<= 1", ratio["median"] <= 1.0)
-    worst = max(seconds) / PERIOD
-    output.measure("replan_ratio", worst)
-    output.check("placement, slowest re-plan over a vision period", worst, "<= 1", worst <= 1.0)
+    output.measure("replan/station_s", distribution(seconds))
 
 
 def ground_below(target: Target) -> RigidTransform:

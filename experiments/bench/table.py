@@ -90,12 +90,6 @@ ROWS = (
     ),
     Row("placement on a map, speed", "every candidate rated", "search_speedup/map"),
     Row(
-        "re-plan at worst",
-        "vision period, 250 ms",
-        "replan_ratio",
-        check="placement, slowest re-plan over a vision period",
-    ),
-    Row(
         "markers, error of `cv2.HoughCircles`",
         "ours",
         "marker_error_ratio/cv2_over_tht",

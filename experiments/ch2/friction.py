@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from controllers.identification.arm_sensing import IdentificationError
 from controllers.identification.friction import (
     FrictionConfig,
     FrictionEstimate,
@@ -22,7 +23,6 @@ from controllers.identification.friction import (
     JerkConfig,
     KnownBase,
 )
-from controllers.identification.observation_log import IdentificationError
 from controllers.kinematics.serial_chain import SerialChain
 from experiments.ch2.payload import run_recorded, sensing
 from experiments.harness import contract

@@ -15,8 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from controllers.identification.arm_sensing import SensingConfig
-from controllers.identification.observation_log import IdentificationError
+from controllers.identification.arm_sensing import IdentificationError, SensingConfig
 from controllers.identification.payload import PayloadConfig, PayloadEstimate, PayloadIdentifier
 from controllers.kinematics.rigid_body import NAMES, inertial_parameters
 from controllers.kinematics.serial_chain import SerialChain

@@ -12,8 +12,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from controllers.motion.base_tilt import TiltAxis
 from controllers.motion.driving import SkidSteer, identify_turn_share
-from controllers.sensing.surrogate_tilt import TiltAxis
 from models import datasheets
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.robot import ArmMode, Command, WheelMode

@@ -12,8 +12,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.identification.pitch import PitchEstimate, PitchPrior
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
+from controllers.motion.base_tilt import TiltAxis
 from controllers.motion.driving import SkidSteer
-from controllers.sensing.surrogate_tilt import TiltAxis
 from experiments.ch5.insertion_identify import rover_steer
 from experiments.mission.scene import DROP_PLACE, DROP_YAW, MASTER, NOMINAL, SLAVE, Site
 from models import datasheets

@@ -1,1 +1,6 @@
-"""geometry."""
+"""Geometry that every room shares; it lies below all rooms.
+
+- `se3`: rigid motions: exponential, logarithm, adjoint, transport of covariances.
+- `pinhole`: intrinsics of cameras, lens distortion, field of view.
+- `gravity`: the acceleration of free fall.
+"""

@@ -43,7 +43,7 @@ def find_blobs(
 
     Args:
         image: (H, W) uint8.
-        geometry: Of the camera.
+        geometry: Geometry of the camera.
         expected: Sizes and contrast.
 
     Returns:
@@ -88,7 +88,7 @@ def detect_blobs(
 
     Args:
         image: (H, W) uint8, rectified.
-        geometry: Of the camera.
+        geometry: Geometry of the camera.
         expected: Size and range of markers, and the image's noise.
         rng: Not used; detectors share a signature.
 
@@ -319,7 +319,7 @@ def _fit(image: Any, start: Any, pixels: PixelNoise, found: MeasuredEllipses, nu
         pixels: Noise of the pixels.
         found: Ellipses, of which one is written; its misfit is the r.m.s. difference over the
             contrast.
-        number: Which of them.
+        number: Index of the ellipse that is written.
 
     Returns:
         Whether the fit converged within the image.

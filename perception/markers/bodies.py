@@ -61,7 +61,7 @@ class MarkerPairs:
     Attributes:
         left: Markers of the left image, (P,).
         right: Markers of the right image, (P,).
-        indices: (P, 2) which of the left and of the right they are.
+        indices: (P, 2) indices of the markers in the left and the right image.
         points: (P, 3) triangulated centres [m], left camera.
         covariances: (P, 3, 3) [m^2].
     """
@@ -83,11 +83,11 @@ def triangulate(
     """Pair the markers of two images by row, range and size, and triangulate them.
 
     Args:
-        left: Of the left image.
-        right: Of the right image.
-        geometry: Of the pair.
+        left: Markers of the left image.
+        right: Markers of the right image.
+        geometry: Geometry of the stereo pair.
         expected: Ranges and size.
-        limits: When two are one marker.
+        limits: Limits within which two markers are one.
     """
     how = limits or MatchLimits()
     one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
@@ -138,13 +138,13 @@ def find_bodies(
 
     Args:
         pair: (2, H, W) uint8, left and right.
-        geometry: Of the pair.
+        geometry: Geometry of the stereo pair.
         cads: Markers of each body; distances between them tell the bodies apart.
         expected: Size, ranges and number of markers, and the images' noise.
         detector: Name in `DETECTORS`.
         priors: What is known of each body's pose; two markers alone leave the turn about their
             line to the shapes of the ellipses, which is rough.
-        limits: When markers belong together.
+        limits: Limits within which markers belong together.
 
     Returns:
         A fit for each body, None where it is not seen.

@@ -31,7 +31,7 @@ class MarkerExpectation:
     Attributes:
         nearest: Least range [m].
         farthest: Largest range [m].
-        diameter: Of a marker [m].
+        diameter: Diameter of a marker [m].
         count: Most markers in view.
         slant: Largest angle between a marker's normal and the line of sight [rad].
         contrast: Least grey levels between a marker and what is around it.
@@ -52,11 +52,7 @@ class MarkerExpectation:
     misfit: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be expected.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if not 0.0 < self.nearest <= self.farthest < math.inf:
             reach = (self.nearest, self.farthest)
             raise ValueError(f"marker range: got {reach}, needs 0 < nearest <= farthest")
@@ -85,8 +81,8 @@ class Markers:
 
     Attributes:
         ellipses: (N, 5) column, row [px], Suu, Suv, Svv [px^2].
-        covariances: (N, 5, 5) of them.
-        contrasts: (N,) of the ellipse over what is around it [grey levels].
+        covariances: (N, 5, 5) covariances of the ellipses.
+        contrasts: (N,) grey levels of the ellipse over what is around it.
     """
 
     ellipses: FloatArray
@@ -137,8 +133,8 @@ def project_discs(
     Args:
         centres: (..., 3) [m], camera.
         normals: (..., 3) unit vectors, camera.
-        radius: Of the discs [m].
-        geometry: Of the camera.
+        radius: Radius of the discs [m].
+        geometry: Geometry of the camera.
 
     Returns:
         (..., 5) ellipses; NaN where a disc is not wholly ahead.
@@ -268,8 +264,8 @@ def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: 
 
     Args:
         image: (H, W) uint8.
-        column: Of the seed [px].
-        row: Of the seed [px].
+        column: Column of the seed [px].
+        row: Row of the seed [px].
         limits: Sizes of the region and of the window about the seed.
         stamp: (2 half + 1, 2 half + 1) uint8, is filled: 1 region, 2 and 3 layers, 4 background.
 
@@ -350,13 +346,13 @@ def measure_region(
 
     Args:
         image: (H, W) uint8.
-        column: Of the seed [px].
-        row: Of the seed [px].
+        column: Column of the seed [px].
+        row: Row of the seed [px].
         limits: Sizes of the region and of the window about the seed.
         pixels: Noise of the pixels.
         found: Ellipses, of which one is written; its misfit is the logarithm of the region's area
             over that of the ellipse.
-        number: Which of them.
+        number: Index of the ellipse that is written.
 
     Returns:
         Whether there is such a region.

@@ -77,7 +77,7 @@ def drop_specks(image: ImageArray, fewest: int) -> ImageArray:
     """Return (H, W), the black regions that have enough pixels on white.
 
     Args:
-        image: (H, W) of `black_markers`.
+        image: (H, W) image of `black_markers`.
         fewest: Pixels of a region that stays; those that touch at corners hang together.
     """
     kept = image.copy()
@@ -120,7 +120,7 @@ def detect_hough(
 
     Args:
         image: (H, W) uint8, rectified.
-        geometry: Of the camera.
+        geometry: Geometry of the camera.
         expected: Size, range and number of markers, and the image's noise.
         rng: Draws points; if None the same ones each time.
 
@@ -238,7 +238,7 @@ def hough_circles(
 
     Args:
         rims: (H, W), the points.
-        geometry: Of the camera: makes the pixels square.
+        geometry: Geometry of the camera, which makes the pixels square.
         expected: Sizes of the markers.
         rng: Draws the points; if None the same ones each time.
 

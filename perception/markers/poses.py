@@ -44,11 +44,7 @@ class BodyCad:
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
     def __post_init__(self) -> None:
-        """Refuse what makes no pose.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         points = np.asarray(self.points, dtype=float)
         if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
             raise ValueError(f"body markers: got shape {points.shape}, needs (N, 3), N >= 2")
@@ -79,7 +75,7 @@ class SeenDiscs:
 
     Attributes:
         ellipses: (2, N, 5) left and right.
-        covariances: (2, N, 5, 5) of them.
+        covariances: (2, N, 5, 5) covariances of the ellipses.
         points: (N, 3) triangulated centres [m], left camera.
     """
 
@@ -93,8 +89,8 @@ class BodyFit:
     """A body's pose.
 
     Attributes:
-        transform_body_to_camera: To the left camera.
-        covariance: (6, 6) of xi, rotation [rad] then translation [m], in
+        transform_body_to_camera: Pose of the body in the left camera's frame.
+        covariance: (6, 6) covariance of xi, rotation [rad] then translation [m], in
             ``true = from_exp_coords(xi) * transform_body_to_camera``.
         misfit: Squared error of the fit over its degrees of freedom; about 1.
         turn_sigma: Standard deviation of the turn about the line through the two markers that are
@@ -122,11 +118,11 @@ def fit_body(
     has two peaks, the covariance grows by what it lacks.
 
     Args:
-        discs: What was seen.
-        geometry: Of the pair.
-        cad: Of the body.
-        radius: Of its markers [m].
-        prior: What is known before.
+        discs: Discs as both cameras saw them.
+        geometry: Geometry of the stereo pair.
+        cad: Markers of the body.
+        radius: Radius of the markers [m].
+        prior: Prior of the pose.
 
     Returns:
         The fit; None if no pose faces the cameras the right way up.

@@ -58,7 +58,7 @@ class KnownGround(NamedTuple):
     """What is known of the cells of a planar map.
 
     Attributes:
-        probability: (rows, columns) of occupancy.
+        probability: (rows, columns) probability of occupancy.
         measured: (rows, columns) whether a cell was ever measured.
         opaque: (rows, columns) cells known to hide what is behind.
     """
@@ -79,7 +79,7 @@ def new_information(
     """Rate the views from some cells in all headings.
 
     Args:
-        reading: Which reading of 3-12b to 3-14.
+        reading: Reading of eq. 3-12b to 3-14.
         ground: What is known of the cells.
         cells: (n, 2) rows and columns to look from.
         table: A fan of the sensor's depth of field.

@@ -38,11 +38,7 @@ class Grid:
     cell: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse sizes that no map could have.
-
-        Raises:
-            ValueError: Naming the size.
-        """
+        """Check the values; an error names the wrong one."""
         for name in ("rows", "columns"):
             count = getattr(self, name)
             if not SIZES[0] <= count <= SIZES[1]:
@@ -84,7 +80,7 @@ class PlanarMap:
     """Probability of occupancy of every cell, and which were ever measured.
 
     Attributes:
-        grid: Where the cells lie.
+        grid: Cells of the map.
         log_odds: (rows, columns) log-odds of occupancy; 0 where never measured.
         measured: (rows, columns) whether a cell was ever measured.
     """
@@ -93,7 +89,7 @@ class PlanarMap:
         """Start with nothing known.
 
         Args:
-            grid: Where the cells lie.
+            grid: Cells of the map.
             model: What one measurement says.
         """
         self.grid = grid

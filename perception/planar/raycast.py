@@ -34,11 +34,7 @@ class RangeSensor:
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no sensor.
-
-        Raises:
-            ValueError: Naming the number.
-        """
+        """Check the values; an error names the wrong one."""
         if not 0.0 < self.fov <= 2.0 * math.pi:
             raise ValueError(f"fov: expected more than 0 and at most 2 pi rad, got {self.fov}")
         if not (math.isfinite(self.depth) and self.depth > 0.0):
@@ -80,11 +76,11 @@ def scan(
 
     Args:
         occupied: (rows, columns) the world.
-        grid: Where the cells lie.
+        grid: Cells of the map.
         cell: Row and column of the sensor.
-        heading: Of the sector's middle, from the x axis [rad].
+        heading: Direction of the sector's middle, from the x axis [rad].
         sensor: Field of view, depth of field and noise.
-        generator: Of the noise of ranges; not needed without noise.
+        generator: Random generator for the noise of ranges; not needed without noise.
 
     Returns:
         What was measured.
@@ -144,7 +140,7 @@ def expected_view(
     Args:
         opaque: (rows, columns) cells that stop a ray.
         cell: Row and column to look from.
-        heading: Of the sector's middle, from the x axis [rad].
+        heading: Direction of the sector's middle, from the x axis [rad].
         fov: Field of view [rad].
         table: A fan of the sensor's depth of field.
     """

@@ -125,7 +125,7 @@ def kabsch_pose(before: FloatArray, after: FloatArray, weights: FloatArray) -> P
     Args:
         before: (..., N, 3) points [m].
         after: (..., N, 3) points [m].
-        weights: (..., N) of the squared distances.
+        weights: (..., N) weights of the squared distances.
     """
     share = (weights / weights.sum(axis=-1, keepdims=True))[..., None]
     middle, other = np.sum(share * before, axis=-2), np.sum(share * after, axis=-2)
@@ -168,7 +168,7 @@ def pnp(
     Args:
         before: (N, 3) points [m].
         seen: (N, 2) columns and rows after [px].
-        geometry: Of the cameras.
+        geometry: Geometry of the stereo pair.
         noise: (N, 3, 3) covariances of `before` [m^2], and (N, 2) deviations of `seen` [px].
 
     Returns:

@@ -58,9 +58,9 @@ class SharedPoints:
 
     Attributes:
         points: (M, 3) [m], first left camera.
-        covariance: (3M, 3M) of all together [m^2], with the relative pose's error.
+        covariance: (3M, 3M) joint covariance [m^2], with the relative pose's error.
         relative: The pose with its covariance.
-        inliers: (N,) which of the points that were given these are.
+        inliers: (N,) whether each given point is among these.
         chi_square: Squared normalised residuals per degree of freedom, 1 if the noise is as said.
     """
 
@@ -88,9 +88,9 @@ def relative_pose(
 
     Args:
         transform_first_to_common: Pose of the first left camera, for instance in the target.
-        first_covariance: (6, 6) of its xi, in the common frame.
+        first_covariance: (6, 6) covariance of the first pose [rad, m], common frame.
         transform_second_to_common: Pose of the second, measured independently of the first.
-        second_covariance: (6, 6) of its xi, in the common frame.
+        second_covariance: (6, 6) covariance of the second pose [rad, m], common frame.
 
     Raises:
         RegistrationError: If a covariance is none.

@@ -43,8 +43,8 @@ class MapObservation:
     """What a view of the map gave.
 
     Attributes:
-        registration: Where the camera was.
-        added: Numbers of the fiducials that are new.
+        registration: Pose of the camera.
+        added: (K,) numbers of the fiducials that are new.
     """
 
     registration: Registration
@@ -54,22 +54,20 @@ class MapObservation:
 class FiducialMap:
     """Fiducials that stay, by number.
 
+    Args:
+        geometry: Geometry of the stereo pair.
+        sigma: (3,) standard deviations of column, row and disparity [px], where a view does not
+            give others.
+
     Attributes:
-        positions: (M, 3) [m], world.
-        offsets: (K,) most likely values of the offsets that looks share.
+        positions: (M, 3) positions of the fiducials [m], world.
+        offsets: (K,) most likely values of the offsets that views share.
+
+    Raises:
+        RegistrationError: If a deviation is not positive.
     """
 
     def __init__(self, geometry: StereoGeometry, sigma: ArrayLike) -> None:
-        """Start empty.
-
-        Args:
-            geometry: Of the cameras.
-            sigma: (3,) standard deviations of column, row and disparity [px], where a view does
-                not say others.
-
-        Raises:
-            RegistrationError: If a deviation is not positive.
-        """
         self._geometry = geometry
         self._sigma = checked_sigma(sigma, 1)[0]
         self.positions: FloatArray = np.zeros((0, 3))
@@ -98,7 +96,7 @@ class FiducialMap:
         """Add offsets that looks will share, of which zero is expected.
 
         Args:
-            covariance: (K, K) of them.
+            covariance: (K, K) covariance of the offsets.
 
         Returns:
             (K,) their numbers, for `PosePrior`.
@@ -123,7 +121,7 @@ class FiducialMap:
         """Return where a camera is, by what earlier looks say of the offsets, and (6, 6) of it.
 
         Args:
-            prior: Of its pose.
+            prior: Prior of the camera's pose.
 
         Raises:
             RegistrationError: If it names an unknown offset, or its covariance is none.
@@ -150,8 +148,8 @@ class FiducialMap:
         the pose is the expected one, whose error its new fiducials share.
 
         Args:
-            prior: What is known of the pose.
-            numbers: (N,) of the fiducials seen, each once.
+            prior: Prior of the camera's pose.
+            numbers: (N,) numbers of the fiducials seen, each once.
             image_points: (N, 3) where they appear: columns, rows, disparities [px].
             sigma: (3,) or (N, 3) deviations of the image points [px].
             new: (K, 3) image points of new fiducials in the same view.
@@ -198,8 +196,8 @@ class FiducialMap:
 
         Args:
             image_points: (N, 3) columns, rows, disparities [px].
-            transform_camera_to_world: Of the left camera.
-            covariance: (6, 6) of it; known exactly by default, which fixes the world there.
+            transform_camera_to_world: Pose of the left camera.
+            covariance: (6, 6) covariance of the pose [rad, m]; zero by default: it fixes the world.
             sigma: (3,) or (N, 3) deviations of the image points [px].
 
         Returns:
@@ -232,7 +230,7 @@ class FiducialMap:
         it was.
 
         Args:
-            numbers: (N,) of the fiducials seen, each once.
+            numbers: (N,) numbers of the fiducials seen, each once.
             image_points: (N, 3) where they appear: columns, rows, disparities [px].
             sigma: (3,) or (N, 3) deviations of the image points [px].
             new: (K, 3) image points of new fiducials in the same view.
@@ -371,10 +369,10 @@ class PosePrior:
     offsets o, and e new in each look.
 
     Attributes:
-        transform_camera_to_world: Of the left camera, were all offsets zero.
-        covariance: (6, 6) of e, in the world.
-        offsets: (K,) numbers of the shared offsets that move it, as the map gave them.
-        by_offsets: (6, K) how they do.
+        transform_camera_to_world: Pose of the left camera, if all offsets were zero.
+        covariance: (6, 6) covariance of e [rad, m], world.
+        offsets: (K,) numbers of the shared offsets that move the pose, as the map gave them.
+        by_offsets: (6, K) derivatives of the pose by the offsets.
     """
 
     transform_camera_to_world: RigidTransform
@@ -393,12 +391,12 @@ class PriorFit:
     """A pose, improved by fiducials that it improves.
 
     Attributes:
-        transform_camera_to_world: Most likely.
-        shift: (D,) of the state, pose first, from its mean.
-        covariance: (D, D) of the state, the pose's about the new transform.
-        believed: (N,) which fiducials were believed.
+        transform_camera_to_world: Most likely pose of the left camera.
+        shift: (D,) change of the state, pose first, from its mean.
+        covariance: (D, D) covariance of the state, the pose's about the new transform.
+        believed: (N,) whether each fiducial was accepted.
         chi_square: Squared normalised innovation per degree of freedom, 1 if all is as said; NaN
-            if none was believed.
+            if none was accepted.
     """
 
     transform_camera_to_world: RigidTransform
@@ -428,10 +426,10 @@ def fit(
     Args:
         start: The pose's mean, camera to world.
         state: (D, D) covariance; the first six are xi of the pose.
-        rows: (3N,) of the fiducials in it.
-        places: (N, 3) their means [m].
-        placed: (N, 3) what these were at first [m].
-        sight: How they appear.
+        rows: (3N,) rows of the fiducials in the state.
+        places: (N, 3) means of the fiducials [m].
+        placed: (N, 3) means of the fiducials when they were added [m].
+        sight: Image points of the fiducials.
     """
     count = len(places)
     nothing = PriorFit(start, np.zeros(len(state)), state, np.zeros(count, np.bool_), np.nan)
@@ -489,7 +487,7 @@ def _agreeing(error: FloatArray, spread: FloatArray) -> BoolArray:
 
     Args:
         error: (3N,) innovation [px].
-        spread: (3N, 3N) of it.
+        spread: (3N, 3N) covariance of the innovation [px^2].
     """
     count = len(error) // 3
     chosen = np.zeros(count, np.bool_)

@@ -30,7 +30,7 @@ class Selection:
     """The chosen fiducials, best first; there may be fewer than asked for, or none.
 
     Attributes:
-        indices: (K,) which of the points they are.
+        indices: (K,) indices of the chosen points.
         image_points: (K, 3) columns, rows, disparities [px].
         ratings: (K,) F.E.F. without the penalty.
         certainty: (K,) f, 0 to 1.
@@ -64,7 +64,7 @@ def select_fiducials(
         image: (H, W) left image.
         image_points: (N, 3) columns, rows, disparities [px] of points that a stereo match or a
             map puts there; those with a value that is not finite are passed over.
-        geometry: Of the cameras.
+        geometry: Geometry of the stereo pair.
         certainties: (N,) P(x), 0 to 1, for instance of the map's occupancy; from the points'
             covariance by default.
         taken: (K, 2 or more) columns and rows of fiducials that there are already [px].
@@ -174,15 +174,15 @@ class FiducialConfig:
     """What makes a good fiducial.
 
     Attributes:
-        count: How many are wanted.
-        certainty_weight: Of f, certainty over the radius to which it falls.
-        visual_weight: Of g, visual contrast times window size.
-        depth_weight: Of h, depth contrast times window size.
+        count: Number of fiducials wanted.
+        certainty_weight: Weight of f, certainty over the radius to which it falls.
+        visual_weight: Weight of g, visual contrast times window size.
+        depth_weight: Weight of h, depth contrast times window size.
         largest_window: Edge of the largest window, odd [px].
         full_visual: C * w / w_max at which g is 1.
         full_depth: H * w / w_max at which h is 1.
         shell: Thickness of the spheres' shells in which neighbours' certainty is averaged [m].
-        shells: How many of them.
+        shells: Number of shells.
         spread: Standard deviation of a point at which its certainty is a half [m].
         patch: Edge of the patch that will be tracked, odd [px].
         noise: Standard deviation of the image noise [grey levels]; 46 dB by default.
@@ -221,11 +221,7 @@ class FiducialConfig:
     cell: int = 12
 
     def __post_init__(self) -> None:
-        """Refuse what nothing can be chosen by.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         for name in ("count", "shells", "cell"):
             if getattr(self, name) < 1:
                 raise ValueError(f"fiducials: {name} must be at least 1: {getattr(self, name)}")
@@ -245,7 +241,7 @@ def window_contrast(
     Args:
         centre: (N,) values at the candidates.
         means: (W, N) averages in windows about them; NaN for none.
-        windows: (W,) their sizes, rising [px].
+        windows: (W,) sizes of the windows, rising [px].
 
     Returns:
         (N,) of absolute contrast, and (N,) window sizes.
@@ -283,10 +279,10 @@ def depth_term(
     contrast in the sense of 3-22, over the points that were measured in a window.
 
     Args:
-        image_points: (M, 3) of all measured points [px].
-        depths: (M,) of them [m]; NaN where there is none.
-        shape: Of the image.
-        chosen: (N,) which of them to rate.
+        image_points: (M, 3) columns, rows, disparities of all measured points [px].
+        depths: (M,) depths of all measured points [m]; NaN where there is none.
+        shape: Shape of the image.
+        chosen: (N,) indices of the points to rate.
         config: Windows and scale.
     """
     columns, rows = pixels(image_points)
@@ -394,11 +390,11 @@ def inverse_radius(
 
     Args:
         points: (M, 3) all that is measured [m].
-        certainties: (M,) of them; where a shell holds none it is 0.
+        certainties: (M,) certainties of all measured points; an empty shell has 0.
         centres: (N, 3) candidates [m].
-        own: (N,) their certainties.
+        own: (N,) certainties of the candidates.
         shell: Thickness of a shell [m].
-        shells: How many there are.
+        shells: Number of shells.
 
     Returns:
         (N,) inverse radii in shells, 1 / shells to 1.

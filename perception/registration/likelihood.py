@@ -39,7 +39,7 @@ class PoseSolution:
         pose: The most likely pose.
         coordinates: (N, 3) the most likely coordinates of the fiducials.
         weights: (N, 3), by which the known points' covariance took them there from their means.
-        covariance: (6, 6) of the pose.
+        covariance: (6, 6) covariance of the pose [rad, m].
         cost: Squared normalised residuals, 3N - 6 if the model holds.
     """
 
@@ -54,9 +54,9 @@ def solve(start: Pose, known: KnownPoints, sight: Sighting) -> PoseSolution:
     """Fit the pose and the fiducials by Gauss-Newton with a line search.
 
     Args:
-        start: Where to begin; all fiducials ahead.
-        known: N of them.
-        sight: How they appear.
+        start: Pose to start from, with all points ahead of the camera.
+        known: N points, as known beforehand.
+        sight: Image points of the same points.
 
     Raises:
         RegistrationError: If the fiducials leave the pose undetermined, or no fit is found.
@@ -163,7 +163,7 @@ class RelativePose:
 
     Attributes:
         transform_second_to_first: Takes points of the second to the first.
-        covariance: (6, 6) of xi, in the first; zeros if it is known exactly.
+        covariance: (6, 6) covariance of the transform [rad, m], first camera; zeros if exact.
     """
 
     transform_second_to_first: RigidTransform
@@ -181,7 +181,7 @@ class RelativeFit:
     Attributes:
         relative: The pose with its covariance.
         points: (N, 3) [m], first left camera.
-        covariance: (3N, 3N) of all together [m^2], with the pose's error.
+        covariance: (3N, 3N) joint covariance of the points [m^2], with the pose's error.
         cost: Squared normalised residuals.
     """
 
@@ -196,9 +196,9 @@ class _RelativeStep:
     """What Gauss-Newton makes of one linearisation, and how certain that is.
 
     Attributes:
-        xi: (6,) of the pose.
+        xi: (6,) step of the pose [rad, m].
         coordinates: (N, 3) aimed at.
-        pose_covariance: (6, 6).
+        pose_covariance: (6, 6) covariance of the pose [rad, m].
         own_covariance: (N, 3, 3) of each point's coordinates if the pose were known.
         by_pose: (N, 3, 6) derivatives of the coordinates aimed at by the pose.
     """
@@ -218,7 +218,7 @@ def solve_relative(
     Args:
         start: Pose of the second camera in the first, near the best.
         known: N points as the first camera sees them, each independently.
-        sight: How the second sees them.
+        sight: Image points of the same points in the second camera.
         prior: What is known of the pose from elsewhere.
 
     Raises:

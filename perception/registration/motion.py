@@ -46,8 +46,8 @@ class Motion:
 
     Attributes:
         transform_after_to_before: Takes points of the left camera after the motion to that before.
-        covariance: (6, 6) of xi, in the frame before.
-        inliers: (N,) which fiducials it rests on.
+        covariance: (6, 6) covariance of the transform [rad, m], in the frame before.
+        inliers: (N,) whether each fiducial agrees with the pose and was used.
         chi_square: Squared normalised residuals per degree of freedom, 1 if the noise is as said;
             NaN for solvers that minimise something else.
     """
@@ -63,9 +63,9 @@ class Registration:
     """Where a camera is in the map.
 
     Attributes:
-        transform_camera_to_world: Of the left camera.
-        covariance: (6, 6) of xi, in the world.
-        inliers: (N,) which fiducials it rests on.
+        transform_camera_to_world: Pose of the left camera.
+        covariance: (6, 6) covariance of the pose [rad, m], world.
+        inliers: (N,) whether each fiducial agrees with the pose and was used.
         chi_square: Squared normalised residuals per degree of freedom.
     """
 
@@ -146,11 +146,11 @@ def estimate_motion(
     Args:
         solver: One of `SOLVERS`.
         before: (N, 3) columns, rows, disparities [px] of N fiducials before the motion.
-        after: (N, 3) of the same ones after it.
-        geometry: Of the cameras.
+        after: (N, 3) columns, rows, disparities [px] of the same fiducials after it.
+        geometry: Geometry of the stereo pair.
         sigma: Standard deviations of column, row and disparity [px], (3,) or (N, 3).
         guess: After to before, as the arm's joints say, if they do.
-        reject: Whether wrong matches are sought and left out, for every solver.
+        reject: Whether wrong matches are found and left out, for every solver.
         rng: Draws the minimal sets for that; the same ones each time by default.
 
     Raises:
@@ -201,7 +201,7 @@ def register(
         map_points: (N, 3) [m], world.
         map_covariances: (N, 3, 3) if they are known independently, or (3N, 3N) [m^2].
         image_points: (N, 3) columns, rows, disparities [px] where they are seen.
-        geometry: Of the cameras.
+        geometry: Geometry of the stereo pair.
         sigma: Standard deviations of column, row and disparity [px], (3,) or (N, 3).
         guess: Camera to world, as the arm's joints say, if they do.
         rng: Draws minimal sets when matches are wrong; the same ones each time by default.
@@ -256,7 +256,7 @@ def agreeing(
 
     Args:
         known: N fiducials as known beforehand.
-        sight: How they appear.
+        sight: Image points of the fiducials.
         guess: The pose, roughly, if anything is known of it.
         rng: Draws the minimal sets.
 

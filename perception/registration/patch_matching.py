@@ -34,10 +34,10 @@ class TrackerConfig:
 
     Attributes:
         patch: Edge of the patch, odd [px].
-        search: How far from the prediction it is searched for [px].
-        disparity_search: How far the disparity may be from the prediction [px].
-        least_correlation: Of the matched patches, normalised.
-        least_lead: Of the best correlation over any other in the search.
+        search: Largest distance from the prediction that is searched [px].
+        disparity_search: Largest difference of the disparity from the prediction [px].
+        least_correlation: Least normalised correlation of the matched patches.
+        least_lead: Least lead of the best correlation over any other in the search.
         back: Farthest from its origin that the way back may end [px].
         noise_factor: Deviation of a match over that which the fit's residuals explain.
         floor: Deviation that is always there [px].
@@ -55,11 +55,7 @@ class TrackerConfig:
     most_sigma: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be searched with.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if self.patch < 5 or self.patch % 2 == 0:
             raise ValueError(f"tracker: patch must be odd, 5 or more: {self.patch}")
         for name in ("search", "disparity_search"):
@@ -74,8 +70,8 @@ class Tracks:
     Attributes:
         before: (N, 3) columns, rows, disparities [px], the disparities as refined.
         after: (N, 3) in the next view; NaN where it was not found.
-        found: (N,) which were.
-        correlations: (N,) of the patches before and after; NaN where none was found.
+        found: (N,) whether each was found.
+        correlations: (N,) correlation of the patches before and after; NaN where none was found.
         sigma: (N, 3) standard deviations of columns, rows and disparities in either view [px]
             as `estimate_motion` takes them; NaN where none was found.
     """
@@ -106,9 +102,9 @@ def track(
         before: (2, H, W) left and right image.
         after: (2, H, W) the next pair.
         image_points: (N, 3) columns, rows, disparities before [px].
-        geometry: Of the cameras.
+        geometry: Geometry of the stereo pair.
         guess: After to before, as the arm's joints say.
-        config: How to search.
+        config: Limits of the search.
 
     Raises:
         RegistrationError: If a pair has the wrong shape, or the points have.
@@ -154,7 +150,7 @@ def predict(
 
     Args:
         image_points: (N, 3) columns, rows, disparities before [px].
-        geometry: Of the cameras.
+        geometry: Geometry of the stereo pair.
         guess: After to before.
 
     Returns:
@@ -211,7 +207,7 @@ def _search(
         start: (2,) the patch's centre [px].
         expected: (2,) where it should be [px].
         warp_back: (2, 2) from offsets in the target to offsets in the source.
-        config: How far, and by how much the best must lead.
+        config: Reach of the search, and the lead of the best that it takes.
     """
     half, reach = config.patch // 2, config.search
     template = sample_patch(source, start, warp_back, half)
@@ -273,8 +269,8 @@ class AcrossConfig:
         patch: Edge of the patch, odd [px].
         smoothing: Deviation of the Gaussian that goes over all images first [px]. Without it,
             detail near the limit of the pixels locks the fit to whole ones.
-        search: How far from the prediction it is searched for [px].
-        least_correlation: Of the matched patches, normalised.
+        search: Largest distance from the prediction that is searched [px].
+        least_correlation: Least normalised correlation of the matched patches.
         least_size: Smallest and, inverted, largest area of a patch in the other view over that in
             the first: beyond it one view hardly sees what the other does.
         noise_factor: Deviation of a match over that which the fit's residuals explain.
@@ -292,11 +288,7 @@ class AcrossConfig:
     most_sigma: float = 0.15
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be searched with.
-
-        Raises:
-            ValueError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if self.patch < 5 or self.patch % 2 == 0:
             raise ValueError(f"matching across: patch must be odd, 5 or more: {self.patch}")
         if not 0.0 < self.smoothing <= 5.0:
@@ -314,7 +306,7 @@ class Across:
     Attributes:
         image_points: (N, 3) columns, rows, disparities [px].
         sigma: (N, 3) standard deviations, as of a place that is exact in the first view [px].
-        correlations: (N,) of the patches in the two left images.
+        correlations: (N,) correlation of the patches in the two left images.
     """
 
     image_points: FloatArray
@@ -339,7 +331,7 @@ def surface_normals(
     Args:
         points: (N, 3) [m].
         cloud: (M, 3) [m], same frame.
-        radius: Of what counts as about a point [m].
+        radius: Radius of a point's surroundings [m].
         fewest: Points of a plane.
         flatness: Largest variance across the plane over the least within it; an edge has more.
 
@@ -374,13 +366,13 @@ def match_across(
 
     Args:
         first: (2, H, W) left and right image of the first robot.
-        second: (2, H, W) of the second.
+        second: (2, H, W) pair of the second robot.
         image_points: (N, 3) columns, rows, disparities in the first view [px].
         normals: (N, 3) of the surface there, towards the first left camera; NaN where there is
             none.
-        geometry: Of both robots' cameras.
+        geometry: Geometry of the stereo pair, the same for both robots.
         transform_second_to_first: Roughly: where points appear must be right to `search`.
-        config: How to search.
+        config: Limits of the search.
 
     Raises:
         RegistrationError: If a pair or the points have another shape.

@@ -24,8 +24,8 @@ class KnownPoints:
 
     Attributes:
         coordinates: (N, 3) means: points [m], or columns, rows and disparities [px].
-        covariance: (N, 3, 3) of each, or (3N, 3N) of all together.
-        geometry: Of the cameras that saw the coordinates, whose left one is the frame; None if
+        covariance: (N, 3, 3) covariance of each, or (3N, 3N) joint covariance.
+        geometry: Stereo pair that saw the coordinates, whose left camera is the frame; None if
             they are points.
     """
 
@@ -73,7 +73,7 @@ class Sighting:
     Attributes:
         image_points: (N, 3) columns, rows, disparities [px].
         sigma: (N, 3) standard deviations [px].
-        geometry: Of the cameras.
+        geometry: Geometry of the stereo pair.
     """
 
     image_points: FloatArray
@@ -140,9 +140,9 @@ def linearise(
 
     Args:
         pose: One, or (...) many.
-        coordinates: (..., N, 3) of the fiducials, as in `known`.
+        coordinates: (..., N, 3) coordinates of the fiducials, as in `known`.
         known: Says what the coordinates are.
-        geometry: Of the cameras that look.
+        geometry: Geometry of the stereo pair that sees the points.
     """
     places = known.places(coordinates)
     turned = np.swapaxes(pose.rotation, -1, -2)[..., None, :, :]
@@ -162,7 +162,7 @@ def squared_distances(pose: Pose, known: KnownPoints, sight: Sighting) -> FloatA
     Args:
         pose: One, or (...) many.
         known: N fiducials; each is judged alone.
-        sight: How they appear. Infinite where they ought to be behind the camera.
+        sight: Image points of the fiducials.
     """
     look = linearise(pose, known.coordinates, known, sight.geometry)
     residual, noise = _whitened(look, known.blocks(), sight)
@@ -177,7 +177,7 @@ def descend(pose: Pose, known: KnownPoints, sight: Sighting, iterations: int = 6
         pose: (H,) poses.
         known: Coordinates (H, N, 3) and covariances (H, N, 3, 3).
         sight: Image points and deviations (H, N, 3).
-        iterations: Of Gauss-Newton.
+        iterations: Number of Gauss-Newton steps.
     """
     for _ in range(iterations):
         look = linearise(pose, known.coordinates, known, sight.geometry)

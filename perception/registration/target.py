@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from perception.stereo.geometry import StereoGeometry
 
 FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.intp]
 ImageArray = NDArray[np.uint8]
 _opencv: Any = cv2  # Its stub leaves contours untyped.
 _FEWEST = 3  # Markers that fix a pose.
@@ -28,7 +29,7 @@ class TargetCad:
 
     Attributes:
         points: (N, 3) centres [m], target frame; no two of their distances alike.
-        radius: Of the bright disc [m].
+        radius: Radius of the bright disc [m].
         dark: Radius of the dark centre over that of the disc.
     """
 
@@ -72,7 +73,7 @@ class SeenTarget:
     """Markers of a target in a view.
 
     Attributes:
-        indices: (M,) which of the CAD's.
+        indices: (M,) indices of the markers in the CAD.
         image_points: (M, 3) column, row, disparity [px].
     """
 
@@ -99,7 +100,7 @@ def find_spots(image: ImageArray, cad: TargetCad, search: MarkerSearch) -> Float
     Args:
         image: (height, width) uint8.
         cad: Proportions of a marker.
-        search: When a spot counts.
+        search: Criteria for the dark centre of a marker.
 
     Raises:
         ValueError: If the image is empty or not grey of 8 bits.
@@ -126,18 +127,16 @@ def find_target(
 
     Args:
         pair: (2, height, width) uint8, left and right.
-        geometry: Of the pair.
-        cad: Its markers.
+        geometry: Geometry of the stereo pair.
+        cad: Markers of the target.
         sigma: (3,) standard deviations of column, row and disparity [px].
-        search: When a spot counts.
+        search: Criteria for the dark centre of a marker.
 
     Raises:
         ValueError: If an image is empty or not grey of 8 bits.
     """
     how = search or MarkerSearch()
-    left, right = (find_spots(image, cad, how) for image in pair)
-    one, two = _paired(left, right, geometry, cad, how)
-    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
+    _, _, seen = _spots_of_pair(pair, geometry, cad, how)
     points = geometry.points(seen)
     return _matched(seen, points, geometry, cad, np.asarray(sigma, dtype=float), how)
 
@@ -152,17 +151,15 @@ def possible_markers(
 
     Args:
         pair: (2, height, width) uint8, left and right.
-        geometry: Of the pair.
-        cad: Its markers.
-        search: When a spot counts.
+        geometry: Geometry of the stereo pair.
+        cad: Markers of the target.
+        search: Criteria for the dark centre of a marker.
 
     Raises:
         ValueError: If an image is empty or not grey of 8 bits.
     """
     how = search or MarkerSearch()
-    left, right = (find_spots(image, cad, how) for image in pair)
-    one, two = _paired(left, right, geometry, cad, how)
-    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
+    (left, right), (one, two), seen = _spots_of_pair(pair, geometry, cad, how)
     alone: list[FloatArray] = []
     for spots, taken, eye in ((left, one, 0.0), (right, two, geometry.baseline)):
         single = np.delete(spots, taken, axis=0)
@@ -173,13 +170,23 @@ def possible_markers(
     return PossibleMarkers(geometry.points(seen), np.concatenate(alone))
 
 
+def _spots_of_pair(
+    pair: ImageArray, geometry: StereoGeometry, cad: TargetCad, search: MarkerSearch
+) -> tuple[tuple[FloatArray, FloatArray], tuple[IndexArray, IndexArray], FloatArray]:
+    """Return the spots of both images, which may be paired, and the image points of these."""
+    left, right = (find_spots(image, cad, search) for image in pair)
+    one, two = _paired(left, right, geometry, cad, search)
+    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
+    return (left, right), (one, two), seen
+
+
 def _paired(
     left: FloatArray,
     right: FloatArray,
     geometry: StereoGeometry,
     cad: TargetCad,
     search: MarkerSearch,
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+) -> tuple[IndexArray, IndexArray]:
     """Return (P,) which spots of the left and of the right image may be one marker."""
     one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
     seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])

@@ -49,12 +49,12 @@ class StereoMatcherConfig:
             it, detail near the limit of the pixels locks the fit to whole pixels on surfaces that
             face the cameras.
         texture: Least sum of horizontal gradients in a block (StereoBM).
-        uniqueness: By how much the best match must beat all others [%].
+        uniqueness: Least margin of the best match over all others [%].
         speckle: Fewest connected pixels of like disparity.
         least_contrast: Least r.m.s. of the middle of a window about its mean [grey levels]; bare
             sky beside something textured stays below it.
         most_residual: Most r.m.s. difference of the matched windows over that contrast.
-        neighbours: Of the eight points about half a window away, so many must be matched.
+        neighbours: Least number of matched points among the eight about half a window away.
         noise_factor: Deviation of the disparity over that which the fit's residual explains as if
             the pixels' noise were independent, which the smoothing undoes.
         edge_factor: Deviation over the amount by which the plane misses a neighbour.
@@ -82,11 +82,7 @@ class StereoMatcherConfig:
     pixel_sigma: float = 0.03
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be matched with.
-
-        Raises:
-            StereoError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         if not 0.0 < self.nearest < self.farthest < math.inf:
             depths = (self.nearest, self.farthest)
             raise StereoError(f"stereo nearest and farthest: got {depths}, needs 0 < near < far")
@@ -130,19 +126,18 @@ class StereoPoints:
 
 
 class StereoMatcher:
-    """Matches pairs of one stereo head."""
+    """Matches pairs of one stereo head.
+
+    Args:
+        geometry: Geometry of the rectified pair.
+        config: Configuration of the matching; the default if not given.
+
+    Raises:
+        StereoError: If the images are smaller than a window, or nothing that the cameras see twice
+            can be as near as `StereoMatcherConfig.nearest`.
+    """
 
     def __init__(self, geometry: StereoGeometry, config: StereoMatcherConfig | None = None) -> None:
-        """Prepare.
-
-        Args:
-            geometry: Of the rectified pair.
-            config: How to match; the default if not given.
-
-        Raises:
-            StereoError: If the images are smaller than a window, or nothing that the cameras see
-                twice can be as near as `StereoMatcherConfig.nearest`.
-        """
         self.geometry = geometry
         self.config = config or StereoMatcherConfig()
         c = self.config
@@ -241,7 +236,7 @@ def check_pair(pair: NDArray[Any], geometry: StereoGeometry) -> tuple[ImageArray
 
     Args:
         pair: (2, H, W) uint8.
-        geometry: Of the cameras.
+        geometry: Geometry of the stereo pair.
 
     Raises:
         StereoError: If it has another shape or type, or is not a pair of arrays of one size.

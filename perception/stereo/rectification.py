@@ -40,7 +40,6 @@ class Rectification:
         right: DistortedPinhole,
         transform_left_to_right: RigidTransform,
     ) -> None:
-        """Compute the maps."""
         size = left.width, left.height
         lenses = [(camera.matrix, np.array(camera.distortion)) for camera in (left, right)]
         rotation = transform_left_to_right.rotation.as_matrix()

@@ -34,7 +34,7 @@ class Refinement:
         sigmas: (N,) standard deviation of the disparity that image noise explains [px].
         residuals: (N,) r.m.s. difference of the two windows [grey levels].
         contrasts: (N,) r.m.s. of the left window about its mean [grey levels].
-        inner_contrasts: (N,) the same in the middle of the window, half as wide [grey levels].
+        inner_contrasts: (N,) r.m.s. of the middle half of the window about its mean [grey levels].
     """
 
     disparities: FloatArray

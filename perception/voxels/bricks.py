@@ -77,8 +77,8 @@ def empty_bricks(shape: tuple[int, int, int]) -> Bricks:
     )
 
 
-def with_room(store: Bricks, bricks: int, blocks: int, records: int) -> Bricks:
-    """Return the same map with room for so many in all."""
+def with_capacity(store: Bricks, bricks: int, blocks: int, records: int) -> Bricks:
+    """Return the same map with capacity for so many in all."""
 
     def longer(array: np.ndarray, length: int) -> np.ndarray:
         if length <= len(array):
@@ -105,7 +105,7 @@ def whole(value: float) -> int:
 
 
 @numba.njit(**KERNEL, inline="always")
-def room_left(store: Bricks, bricks: int, blocks: int, records: int) -> bool:
+def has_capacity(store: Bricks, bricks: int, blocks: int, records: int) -> bool:
     """Return whether so many can still be taken."""
     used = store.used
     return (

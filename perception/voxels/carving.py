@@ -1,4 +1,4 @@
-"""Free space of a sparse map: voxels ask the depth image, not rays the voxels."""
+"""Free space of a sparse map: each voxel looks up the depth image; no rays are followed."""
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -23,16 +23,16 @@ from perception.voxels.bricks import (
     SIDE,
     Bricks,
     dense_brick,
+    has_capacity,
     release_record,
-    room_left,
     whole,
 )
-from perception.voxels.fusion import WEAK
+from perception.voxels.fusion import BARELY_MEASURED
 from perception.voxels.scan import TILE, Camera, Scan
 
 NOTHING, MIXED, FREE = range(3)
 HALF = SIDE // 2
-BLOCK = 4
+BRICKS_PER_BLOCK = 4
 """Bricks along a block that is looked at first."""
 
 
@@ -60,14 +60,14 @@ class Samples(NamedTuple):
     """Where the image is asked for a part of 4 x 4 x 4 voxels of a brick.
 
     Attributes:
-        x: (n,) from the part's corner, camera axes [m].
-        y: Likewise.
-        z: Likewise.
+        x: (n,) position from the part's corner along the camera's x axis [m].
+        y: (n,) position from the part's corner along the camera's y axis [m].
+        z: (n,) position from the part's corner along the camera's z axis [m].
         cell: (n,) number of the voxel, from the part's first.
-        pixel: (n,) of the image, row by row; for the part at hand.
-        depth: (n,) likewise [m]; infinite outside of the image.
-        told: (n,) FREE, just before a surface (MIXED) or NOTHING; likewise.
-        kept: (n,) whether the voxel was hit in this scan; likewise.
+        pixel: (n,) pixel of the image, row by row; for the part at hand.
+        depth: (n,) depth [m]; infinite outside of the image; for the part at hand.
+        verdict: (n,) FREE, just before a surface (MIXED) or NOTHING; for the part at hand.
+        kept: (n,) whether the voxel was hit in this scan; for the part at hand.
     """
 
     x: NDArray[np.float32]
@@ -76,7 +76,7 @@ class Samples(NamedTuple):
     cell: NDArray[np.int32]
     pixel: NDArray[np.int32]
     depth: NDArray[np.float32]
-    told: NDArray[np.int32]
+    verdict: NDArray[np.int32]
     kept: NDArray[np.bool_]
 
 
@@ -91,7 +91,7 @@ def samples_of(camera: Camera, resolution: float, coarse: bool) -> Samples:
         cell=cell,
         pixel=np.empty_like(cell),
         depth=np.empty_like(x),
-        told=np.empty_like(cell),
+        verdict=np.empty_like(cell),
         kept=np.empty(cell.shape, dtype=np.bool_),
     )
 
@@ -108,9 +108,9 @@ PART, COARSE_PART = _part(1), _part(2)
 @numba.njit(**KERNEL)
 def bricks_in(window: NDArray[np.int64]) -> int:
     """Return how many bricks `carve_scan` numbers for a window, those beside it included."""
-    count = BLOCK**3
+    count = BRICKS_PER_BLOCK**3
     for axis in range(3):
-        count *= max(window[3 + axis] // BLOCK - window[axis] // BLOCK + 1, 0)
+        count *= max(window[3 + axis] // BRICKS_PER_BLOCK - window[axis] // BRICKS_PER_BLOCK + 1, 0)
     return count
 
 
@@ -127,42 +127,57 @@ def carve_scan(
     """Lower the voxels that lie before what the scan saw.
 
     Args:
-        store: The map.
+        store: Storage of the map, changed.
         scan: The images of the scan.
-        camera: Where it was taken from.
+        camera: Camera that took the scan.
         samples: What `samples_of` returns.
         window: (6,) first and last brick on each axis that may be in view, inside of the map.
         settings: How free space enters the map.
         first: Brick to begin with; they are numbered cube by cube.
 
     Returns:
-        The brick before which room is needed, or `bricks_in` of the window.
+        The brick before which capacity is needed, or `bricks_in` of the window.
     """
     miss, lowest, coarse = settings.miss, settings.lowest, settings.coarse
-    x0, y0, z0 = window[0] // BLOCK, window[1] // BLOCK, window[2] // BLOCK
-    ly, lz = window[4] // BLOCK - y0 + 1, window[5] // BLOCK - z0 + 1
+    edge = BRICKS_PER_BLOCK
+    x0, y0, z0 = (
+        window[0] // edge,
+        window[1] // edge,
+        window[2] // edge,
+    )
+    ly, lz = window[4] // edge - y0 + 1, window[5] // edge - z0 + 1
     count = bricks_in(window)
     verdict_of_block, judged = MIXED, -1
     x1, y1, z1 = x0, y0, z0
     number = first - 1
     while number + 1 < count:
         number += 1
-        block_number, inner = number // BLOCK**3, number % BLOCK**3
+        block_number, inner = number // edge**3, number % edge**3
         if block_number != judged:
-            # Most of a fine map's bricks are told by a look at a few dozen of them at once.
+            # Most of a fine map's bricks are decided by a look at a few dozen of them at once.
             judged = block_number
             x1, y1 = (
-                (x0 + block_number // (ly * lz)) * BLOCK,
-                (y0 + block_number // lz % ly) * BLOCK,
+                (x0 + block_number // (ly * lz)) * edge,
+                (y0 + block_number // lz % ly) * edge,
             )
-            z1 = (z0 + block_number % lz) * BLOCK
+            z1 = (z0 + block_number % lz) * edge
             verdict_of_block, _, _ = _judge(
-                scan, camera, settings.resolution, x1 * SIDE, y1 * SIDE, z1 * SIDE, BLOCK * SIDE
+                scan,
+                camera,
+                settings.resolution,
+                x1 * SIDE,
+                y1 * SIDE,
+                z1 * SIDE,
+                edge * SIDE,
             )
         if verdict_of_block == NOTHING:
-            number += BLOCK**3 - 1 - inner
+            number += edge**3 - 1 - inner
             continue
-        x, y, z = x1 + inner // BLOCK**2, y1 + inner // BLOCK % BLOCK, z1 + inner % BLOCK
+        x, y, z = (
+            x1 + inner // edge**2,
+            y1 + inner // edge % edge,
+            z1 + inner % edge,
+        )
         if not (x <= window[3] and y <= window[4] and z <= window[5]):
             continue
         index = store.index[x, y, z]
@@ -182,7 +197,7 @@ def carve_scan(
         elif verdict == FREE and store.block[index] < 0:
             _lower_all(store, x, y, z, miss, lowest)
         else:
-            if index < 0 and not room_left(store, 1, 0, 0):
+            if index < 0 and not has_capacity(store, 1, 0, 0):
                 if not settings.drop_when_full:
                     return number
                 store.used[DROPPED] += 1
@@ -197,11 +212,11 @@ def _judge(scan: Scan, camera: Camera, resolution: float, x: int, y: int, z: int
 
     Args:
         scan: The images.
-        camera: Where they were taken from.
+        camera: Camera that took the scan.
         resolution: Side of a voxel [m].
-        x: First voxel of the cube.
-        y: Likewise.
-        z: Likewise.
+        x: First voxel of the cube on the x axis.
+        y: First voxel of the cube on the y axis.
+        z: First voxel of the cube on the z axis.
         side: Voxels along the cube.
 
     Returns:
@@ -292,14 +307,14 @@ def _carve_brick(
         )
         if verdict == NOTHING:
             continue
-        told = True
+        some = True
         if verdict == FREE:
             for n in range(samples.cell.size):
-                samples.told[n] = FREE
+                samples.verdict[n] = FREE
         else:
             _project(camera, samples, settings.resolution, corner)
-            told = _ask(scan, samples)
-        if told:
+            some = _ask(scan, samples)
+        if some:
             _settle(store, samples, settings, brick, (i << 6) | (j << 3) | k)
 
 
@@ -339,9 +354,9 @@ def _ask(scan: Scan, samples: Samples) -> bool:
     for n in range(samples.cell.size):
         pixel, depth = np.uint32(samples.pixel[n]), samples.depth[n]
         # A limit is no deeper than what it stands before: NOTHING, MIXED or FREE.
-        told = np.int32(depth < depths[pixel]) + np.int32(depth < limits[pixel])
-        samples.told[n] = told
-        some |= told
+        verdict = np.int32(depth < depths[pixel]) + np.int32(depth < limits[pixel])
+        samples.verdict[n] = verdict
+        some |= verdict
     return some != 0
 
 
@@ -353,7 +368,7 @@ def _settle(
     brick: tuple[int, int, int],
     first: int,
 ) -> None:
-    """Lower voxels told to be free; of those just before a surface say that they were measured."""
+    """Lower free voxels, and mark those just before a surface as measured."""
     miss, lowest, now, coarse = settings.miss, settings.lowest, settings.scan, settings.coarse
     number = dense_brick(store, brick[0], brick[1], brick[2])
     block = store.block[number]
@@ -365,7 +380,7 @@ def _settle(
             for n in range(samples.cell.size):
                 cell = samples.cell[n] + beside
                 record = store.slots[block, cell]
-                if record >= 0 and samples.told[n] == FREE:
+                if record >= 0 and samples.verdict[n] == FREE:
                     # What a scan hits it does not lower.
                     samples.kept[n] = store.records[record, SCAN] == now
                     if not samples.kept[n] and store.values[number, cell] + miss < 0:
@@ -374,7 +389,7 @@ def _settle(
             cell = samples.cell[n] + beside
             value = int(store.values[number, cell])
             lowered = max((0 if value == NEVER else value) + miss, lowest)
-            weak = WEAK if value == NEVER else value
-            told = samples.told[n]
-            new = lowered if told == FREE else (weak if told == MIXED else value)
+            weak = BARELY_MEASURED if value == NEVER else value
+            verdict = samples.verdict[n]
+            new = lowered if verdict == FREE else (weak if verdict == MIXED else value)
             store.values[number, cell] = value if samples.kept[n] else new

@@ -236,7 +236,7 @@ def apply_marks(
 
     Args:
         log_odds: (nx, ny, nz), changed.
-        marks: (mx, my, mz) of the scan.
+        marks: (mx, my, mz) marks of the scan.
         offset: (3,) cell of the grid at marks[0, 0, 0]; may lie outside.
         miss: What a passed cell receives.
         hit: What a hit cell receives.

@@ -56,7 +56,7 @@ def replace_file(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
     """Write a file that is either complete or not there: an older one stays until then.
 
     Args:
-        path: Where to.
+        path: Path of the file.
         write: Writes the content to the open file that it is given.
     """
     target = Path(path)
@@ -157,11 +157,7 @@ def _rebuilt(found: dict[str, Any]) -> VoxelMap:
 
 
 def _check_references(bricks: Bricks) -> None:
-    """Refuse numbers that point at nothing, or twice at the same.
-
-    Raises:
-        ValueError: Naming the array.
-    """
+    """Check the values; an error names the wrong one."""
     _check_numbers("index", bricks.index, bricks.free_bricks, len(bricks.values))
     blocks = bricks.block[bricks.index[bricks.index >= 0]]
     _check_numbers("block", blocks, blocks[:0], len(bricks.slots))

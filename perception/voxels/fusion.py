@@ -28,26 +28,26 @@ from perception.voxels.bricks import (
     SCAN,
     Bricks,
     dense_brick,
+    has_capacity,
     new_record,
     record_at,
     release_record,
-    room_left,
     slot_block,
     whole,
 )
-from perception.voxels.scan import FLAT, GONE, TILE, Camera, Scan
+from perception.voxels.scan import FLAT, NO_POINT, TILE, Camera, Scan
 
 FloatArray = NDArray[np.float64]
 
-WEAK = -1
+BARELY_MEASURED = -1
 """Log-odds of a voxel just before a surface: measured, hardly decided."""
 GATE = 9.0
 """Squared deviations within which two estimates are of one surface."""
-REACH, MOST_STEPS = 3.0, 24
+REACH_SIGMAS, MAX_STEPS = 3.0, 24
 """Deviations that a group looks along its ray, and voxels at most to each side."""
-TOUCH = 0.25
+MAX_HIT_SIGMA_VOXELS = 0.25
 """Deviation, in voxels, up to which a voxel is taken as occupied for the points that it holds."""
-FLOOR = 0.02
+MIN_SIGMA_VOXELS = 0.02
 """Deviation that a voxel's surface keeps, in voxels: it is no point."""
 
 
@@ -120,15 +120,15 @@ def fuse_scan(
     """Add the points of a scan tile by tile.
 
     Args:
-        store: The map.
+        store: Storage of the map, changed.
         scan: The images of the scan; points taken are crossed out.
-        camera: Where it was taken from.
+        camera: Camera that took the scan.
         settings: How points enter the map.
         work: Buffers.
         first: Tile to begin with.
 
     Returns:
-        The tile before which room is needed, or the number of tiles.
+        The tile before which capacity is needed, or the number of tiles.
     """
     resolution = settings.resolution
     downs, acrosses = scan.high.shape
@@ -139,7 +139,7 @@ def fuse_scan(
         high = scan.high[down, across]
         if high == 0.0:
             continue
-        if not room_left(store, most, most, most) and not settings.drop_when_full:
+        if not has_capacity(store, most, most, most) and not settings.drop_when_full:
             return tile
         # Groups of about half a voxel's width (0.35 to 0.7), so that a slanted surface has no gaps.
         side = 1
@@ -186,15 +186,15 @@ def _gather(
     if not flat:
         for v in range(corner[0], corner[1]):
             for u in range(corner[2], corner[3]):
-                if kind[v, u] != GONE:
+                if kind[v, u] != NO_POINT:
                     nearest = min(nearest, depth[v, u])
         nearest += np.float32(thickness)
     x, y, z, count = 0.0, 0.0, 0.0, 0
     xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for v in range(corner[0], corner[1]):
         for u in range(corner[2], corner[3]):
-            if kind[v, u] == FLAT if flat else kind[v, u] != GONE and depth[v, u] <= nearest:
-                kind[v, u] = GONE
+            if kind[v, u] == FLAT if flat else kind[v, u] != NO_POINT and depth[v, u] <= nearest:
+                kind[v, u] = NO_POINT
                 count += scan.count[v, u]
                 x += place[v, u, 0]
                 y += place[v, u, 1]
@@ -234,14 +234,14 @@ def _fuse_group(
     sigma = math.sqrt(_variance_along(covariance, rx, ry, rz) / _effective(count, correlated))
     sure = normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0
     ax, ay, az = (normal[0], normal[1], normal[2]) if sure else (rx, ry, rz)
-    reach = REACH * sigma
-    steps = min(int(reach / resolution) + 1, MOST_STEPS)
+    reach = REACH_SIGMAS * sigma
+    steps = min(int(reach / resolution) + 1, MAX_STEPS)
     stride = reach / steps
     own, own_covariance = mean, covariance
     carried, before, merged = NEVER, 0, False
     fused_mean, fused = work.fused_mean, work.fused
     other_mean, other = work.other_mean, work.other
-    floor = (FLOOR * resolution) ** 2
+    floor = (MIN_SIGMA_VOXELS * resolution) ** 2
     spread = resolution * resolution / 12.0
     gate_group = _variance_along(covariance, ax, ay, az) / _effective(count, correlated)
     gate_group += floor + (0.0 if sure else spread)
@@ -276,7 +276,7 @@ def _fuse_group(
         brick = store.index[x >> 3, y >> 3, z >> 3]
         cell = ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)
         carried = max(carried, int(store.values[brick, cell]))
-        store.values[brick, cell] = WEAK
+        store.values[brick, cell] = BARELY_MEASURED
         release_record(store, store.block[brick], cell)
         if merged:
             merge_gaussians(fused_mean, fused, other_mean, other)
@@ -312,17 +312,17 @@ def touch_scan(store: Bricks, scan: Scan, settings: FusionSettings, first: int) 
     is large are left out. To be called after `fuse_scan`, with the same arguments.
 
     Returns:
-        The row of the image before which room is needed, or the number of rows.
+        The row of the image before which capacity is needed, or the number of rows.
     """
     resolution, hit = settings.resolution, settings.hit
     nx, ny, nz = settings.shape
     height, width = scan.depth.shape
     lx, ly, lz = -1, -1, -1
     for v in range(first, height):
-        if not settings.drop_when_full and not room_left(store, width, 0, 0):
+        if not settings.drop_when_full and not has_capacity(store, width, 0, 0):
             return v
         for u in range(width):
-            if scan.count[v, u] == 0 or scan.sigma[v, u] > TOUCH * resolution:
+            if scan.count[v, u] == 0 or scan.sigma[v, u] > MAX_HIT_SIGMA_VOXELS * resolution:
                 continue
             scale = 1.0 / (resolution * scan.count[v, u])
             x, y = whole(scan.place[v, u, 0] * scale), whole(scan.place[v, u, 1] * scale)
@@ -335,13 +335,13 @@ def touch_scan(store: Bricks, scan: Scan, settings: FusionSettings, first: int) 
             brick = store.index[x >> 3, y >> 3, z >> 3]
             if brick < NOWHERE:
                 continue
-            if brick < 0 and not room_left(store, 1, 0, 0):
+            if brick < 0 and not has_capacity(store, 1, 0, 0):
                 store.used[DROPPED] += 1
                 continue
             brick = dense_brick(store, x >> 3, y >> 3, z >> 3)
             cell = ((x & 7) << 6) | ((y & 7) << 3) | (z & 7)
             value = store.values[brick, cell]
-            if value == NEVER or WEAK <= value < hit:
+            if value == NEVER or BARELY_MEASURED <= value < hit:
                 store.values[brick, cell] = hit
     return height
 
@@ -362,7 +362,7 @@ def _put_down(
     x, y, z = whole(mean[0] * scale), whole(mean[1] * scale), whole(mean[2] * scale)
     if not (0 <= x < nx and 0 <= y < ny and 0 <= z < nz):
         return
-    if not room_left(store, 1, 1, 1):
+    if not has_capacity(store, 1, 1, 1):
         store.used[DROPPED] += 1
         return
     brick = dense_brick(store, x >> 3, y >> 3, z >> 3)

@@ -32,11 +32,7 @@ class VoxelGrid:
     upper: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Refuse what is no box.
-
-        Raises:
-            MapError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         numbers = np.array([self.resolution, *self.lower, *self.upper])
         if numbers.shape != (7,) or not np.isfinite(numbers).all() or self.resolution <= 0.0:
             raise MapError(f"{self}: expected a positive resolution and finite corners")

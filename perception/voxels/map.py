@@ -35,11 +35,11 @@ from perception.voxels.bricks import (
     empty_bricks,
     pack_states,
     read_cells,
-    with_room,
+    with_capacity,
 )
 from perception.voxels.carving import CarvingSettings, bricks_in, carve_scan, samples_of
 from perception.voxels.fusion import (
-    FLOOR,
+    MIN_SIGMA_VOXELS,
     FusionSettings,
     allocate_estimates,
     fuse_scan,
@@ -51,9 +51,9 @@ from perception.voxels.scan import (
     TILE,
     Camera,
     Scan,
+    allocate_scan,
     binned,
     camera_of,
-    empty_scan,
     fill_scan,
     window_of,
 )
@@ -93,11 +93,7 @@ class VoxelMapConfig:
     memory_limit: int = 2**30
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sense.
-
-        Raises:
-            MapError: Naming it.
-        """
+        """Check the values; an error names the wrong one."""
         margins = (self.margin_deviations, self.margin_voxels)
         if not (np.isfinite(margins).all() and min(margins) >= 0.0):
             raise MapError(f"{self}: expected finite margins of at least zero")
@@ -112,7 +108,7 @@ class Surface:
     Attributes:
         means: (M, 3) [m], world.
         covariances: (M, 3, 3) [m^2], world.
-        probabilities: (M,) of occupancy.
+        probabilities: (M,) probabilities of occupancy.
     """
 
     means: FloatArray
@@ -125,9 +121,9 @@ class VoxelMap:
 
     Attributes:
         grid: The box, extended to whole bricks of 8 voxels.
-        config: How scans enter.
+        config: Update model and margins of scans.
         bricks: All arrays; see `perception.voxels.bricks`.
-        scans: How many scans it holds.
+        scans: Number of scans it holds.
     """
 
     def __init__(self, grid: VoxelGrid, config: VoxelMapConfig | None = None) -> None:
@@ -168,7 +164,7 @@ class VoxelMap:
         occupied, those behind stay as they are. The camera may stand outside of the box.
 
         Args:
-            transform_camera_to_world: Where the scan was taken from.
+            transform_camera_to_world: Pose of the camera that took the scan.
             frustum: The camera's pixels. Those finer than a voxel at the far end are taken
                 together. A pixel keeps its nearest points; one without a point frees nothing, so
                 that pixels should not be finer than the cloud.
@@ -194,7 +190,7 @@ class VoxelMap:
         margins = (self.config.margin_deviations, self.config.margin_voxels)
         size = (pixels.height, pixels.width)
         if self._scan is None or self._scan.depth.shape != size:
-            self._scan = empty_scan(pixels)
+            self._scan = allocate_scan(pixels)
         scan = self._scan
         bad = fill_scan(scan, camera, where, spread, resolution, margins)
         if bad >= 0:
@@ -210,7 +206,7 @@ class VoxelMap:
         self._carve(scan, camera, self._fuse(scan, camera))
         if self.bricks.used[DROPPED]:
             raise MapFull(
-                f"map: {self.bricks.used[DROPPED]} changes of this scan had no room in "
+                f"map: {self.bricks.used[DROPPED]} changes of this scan do not fit in "
                 f"{self.config.memory_limit / 1e6:.0f} MB; use larger voxels, a smaller box, "
                 "coarse or a larger memory_limit"
             )
@@ -255,7 +251,7 @@ class VoxelMap:
         return max(hit, 1), min(miss, -2), low, high
 
     def _grow(self, need: int) -> bool:
-        """Make room for so many more; return whether there was memory."""
+        """Add capacity for so many more; return whether there was memory."""
         used, store = self.bricks.used, self.bricks
         taken = (
             (used[BRICKS] - used[FREE_BRICKS], len(store.values)),
@@ -268,7 +264,7 @@ class VoxelMap:
             ]
             total = sum(n * each for n, each in zip(sizes, (CELLS + 8, 4 * CELLS, 52), strict=True))
             if total + store.index.nbytes <= self.config.memory_limit:
-                self.bricks = with_room(store, *sizes)
+                self.bricks = with_capacity(store, *sizes)
                 return True
         return False
 
@@ -307,7 +303,9 @@ class VoxelMap:
         means, packed = np.empty((size, 3)), np.empty((size, 6))
         values = np.empty(size, dtype=np.int8)
         count = collect_surface(self.bricks, self.threshold(), means, packed, values)
-        packed = packed[:count] + (FLOOR * self.grid.resolution) ** 2 * np.array([1, 0, 0, 1, 0, 1])
+        packed = packed[:count] + (MIN_SIGMA_VOXELS * self.grid.resolution) ** 2 * np.array(
+            [1, 0, 0, 1, 0, 1]
+        )
         covariances = packed[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         return Surface(
             means[:count] + self.grid.corner, covariances, self._probability(values[:count])
@@ -388,7 +386,7 @@ class MapWindow:
     """Voxels of a box.
 
     Attributes:
-        grid: Where they are; its box is the window.
+        grid: Cells of the window.
         values: (nx, ny, nz) int8 log-odds in the map's steps, `NEVER` where not measured.
         table: (256,) probability of each value from -128 on; NaN for `NEVER`.
         threshold: Voxels from this value on are occupied.

@@ -31,7 +31,7 @@ class UpdateModel:
 
     Attributes:
         hit: Probability of occupancy that a return from the cell tells, above 0.5.
-        miss: The same of a ray that passed through it, below 0.5.
+        miss: Probability of occupancy that a ray through the cell tells, below 0.5.
         lowest: Clamping: a cell's probability never falls below.
         highest: Clamping: nor rises above.
         occupied_above: A measured cell is occupied from this probability on, else free.
@@ -44,11 +44,7 @@ class UpdateModel:
     occupied_above: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse probabilities out of order.
-
-        Raises:
-            ValueError: Naming them.
-        """
+        """Check the values; an error names the wrong one."""
         inner = self.miss < 0.5 < self.hit and self.lowest < self.occupied_above < self.highest
         if not (inner and 0.0 < self.lowest < 0.5 < self.highest < 1.0 and 0.0 < self.miss):
             raise ValueError(f"{self}: expected 0 < lowest, miss < 0.5 < hit, highest < 1")

@@ -22,18 +22,18 @@ FloatArray = NDArray[np.float64]
 TILE = 8
 """Pixels along a tile; each has one surface normal."""
 LEAST_COSINE = 0.15
-"""Of the angle between view and normal; more grazing ones are taken as this."""
+"""Least cosine of the angle between view and normal; smaller ones are taken as this."""
 UNSURE_COSINE = 0.4
-"""Taken where there is no normal."""
+"""Cosine taken where there is no normal."""
 
 
 class Camera(NamedTuple):
-    """Where a view is taken from, and its pixels.
+    """A `Frustum` with its pose, for kernels.
 
     Attributes:
-        turn: (3, 3) world to camera.
-        origin: (3,) [m], from the grid's corner.
-        corner: (3,) of the grid [m], world.
+        turn: (3, 3) rotation from the world to the camera frame.
+        origin: (3,) position from the grid's corner [m], world axes.
+        corner: (3,) corner of the grid [m], world.
         width: Columns [px].
         height: Rows [px].
         fx: Focal length in columns [px].
@@ -65,7 +65,7 @@ class Scan(NamedTuple):
         count: (height, width) how many those are.
         limit: (height, width) depth up to which space is free [m], zero where there is no point.
         sigma: (height, width) deviation of one point's depth [m].
-        kind: (height, width) GONE, or whether the points lie on their tile's plane: ROUGH or FLAT.
+        kind: (height, width) NO_POINT; FLAT if the points lie on their tile's plane, else ROUGH.
         place: (height, width, 3) sum of the points [m], from the grid's corner.
         spread: (height, width, 6) sum of their covariances [m^2]: xx, xy, xz, yy, yz, zz.
         normal: (tiles down, tiles across, 3) world, towards the camera.
@@ -87,11 +87,11 @@ class Scan(NamedTuple):
     inverse: NDArray[np.float32]
 
 
-GONE, ROUGH, FLAT = range(3)
+NO_POINT, ROUGH, FLAT = range(3)
 
 
-def empty_scan(frustum: Frustum) -> Scan:
-    """Return room for a scan."""
+def allocate_scan(frustum: Frustum) -> Scan:
+    """Allocate the images of a scan."""
     size = (frustum.height, frustum.width)
     tiles = (-(-frustum.height // TILE), -(-frustum.width // TILE))
     return Scan(
@@ -153,8 +153,8 @@ def fill_scan(
     """Arrange a cloud in the camera's pixels.
 
     Args:
-        scan: Room for it.
-        camera: Where it was taken from.
+        scan: Images of the scan, overwritten.
+        camera: Camera that took the scan.
         points: (N, 3) [m], world. Those outside of the view are left out.
         covariances: (N, 3, 3) [m^2], world.
         resolution: Side of a voxel [m].
@@ -281,7 +281,7 @@ def _clear_tile(scan: Scan, down: int, across: int) -> None:
     for v in range(down * TILE, min(down * TILE + TILE, scan.limit.shape[0])):
         for u in range(across * TILE, min(across * TILE + TILE, scan.limit.shape[1])):
             scan.limit[v, u] = 0.0
-            scan.kind[v, u] = GONE
+            scan.kind[v, u] = NO_POINT
 
 
 @numba.njit(**KERNEL)
@@ -318,7 +318,7 @@ def _describe(
                 for u in range(across * TILE, min(across * TILE + TILE, width)):
                     z = float(scan.depth[v, u])
                     if z == 0.0:
-                        scan.kind[v, u] = GONE
+                        scan.kind[v, u] = NO_POINT
                         scan.limit[v, u] = 0.0
                         lowest = np.float32(0.0)
                         continue

@@ -119,7 +119,7 @@ class Ray(NamedTuple):
         widths: Depth from voxel to voxel on each axis [ticks].
         ahead: Whether it goes up on each axis.
         ends: Depth where it starts and ends [m].
-        attenuation: By unmeasured space, along the depth [1/m].
+        attenuation: Attenuation by unmeasured space, along the depth [1/m].
     """
 
     brick: tuple[int, int, int]
@@ -142,8 +142,8 @@ def _count_rays(
     """Follow a ray for each pixel.
 
     Args:
-        kinds: Of `VoxelMap.outline`.
-        states: Likewise, flat.
+        kinds: (bx, by, bz) kinds of the bricks, from `VoxelMap.outline`.
+        states: Packed states of the mixed bricks, from `VoxelMap.outline`, flat.
         camera: Where the rays start, and one pixel for each.
         scale: Side of a voxel and attenuation.
         depths: (rows, columns) written where a ray is stopped.
@@ -201,8 +201,8 @@ def _follow(
     of three it is cannot be foretold, and a wrong guess costs more than all the arithmetic.
 
     Args:
-        kinds: Of `VoxelMap.outline`.
-        states: Likewise, flat.
+        kinds: (bx, by, bz) kinds of the bricks, from `VoxelMap.outline`.
+        states: Packed states of the mixed bricks, from `VoxelMap.outline`, flat.
         ray: The ray.
         sums: (3,) added to, as in `_count_rays`.
 
@@ -355,7 +355,7 @@ class ExpectedOccupancy:
     Attributes:
         neighbours: Weight of the six neighbours' mean against the rate of the layer; 0.9 lets
             what is known reach about three cells far.
-        sweeps: Of the relaxation.
+        sweeps: Number of sweeps of the relaxation.
         count: Cells of each layer that count as measured beforehand, so that an unseen layer has a
             rate as well.
         rate: Share of them that is occupied.
@@ -417,11 +417,11 @@ def claimed_by_view(
     """Return (nx, ny, nz), which unknown cells a view is expected to see: others need not look.
 
     Args:
-        grid: As for `view_information`.
-        occupancy: As for `view_information`.
+        grid: Coarse picture of the map.
+        occupancy: (nx, ny, nz) probabilities from `expected_occupancy`.
         camera: One transform from camera to world.
-        rays: As for `view_information`.
-        reach: As for `view_information`.
+        rays: (R, 3) unit vectors, camera frame.
+        reach: Nearest and farthest measurable distance along a ray [m].
 
     Raises:
         ValueError: As `view_information`.

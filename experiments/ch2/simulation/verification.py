@@ -24,15 +24,14 @@ from controllers.identification.excitation import (
     parameter_scale,
     random_excitation,
 )
-from controllers.identification.identifiability import Identifiability, identifiability
-from controllers.identification.linear_estimators import pseudo_inverse
+from controllers.identification.information import Identifiability, identifiability
+from controllers.identification.linear_estimators import pseudo_inverse, regressor
 from controllers.identification.output_error import (
     Estimate,
     OutputError,
     Window,
 )
 from controllers.identification.parameters import COUNT, NAMES
-from controllers.identification.regressor import regressor
 from experiments.ch2.simulation.plant import NOISE_FRACTION, Plant
 from experiments.ch2.simulation.trial import TIME_STEP, fixed_scale
 from experiments.ch2.simulation.truths import TABLE_TRUTH, Truth

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from controllers.identification.friction import KnownBase
-from controllers.identification.limit_load import friction_in_use, normal_forces
+from controllers.identification.friction import KnownBase, friction_in_use, normal_forces
 from twin.describe import describe_rover
 
 WHEELS = np.array([[-0.14, 0.15], [0.14, 0.15], [-0.14, -0.15], [0.14, -0.15]])

@@ -7,8 +7,8 @@ import pytest
 
 from controllers.identification.arm_motion import CONSTANT, MODES, ArmLimits
 from controllers.identification.identifier import EXCITATIONS, Identifier, IdentifierConfig
+from controllers.identification.linear_estimators import MeasurementError
 from controllers.identification.parameters import average_error_percent
-from controllers.identification.regressor import MeasurementError
 from experiments.ch2.simulation.plant import Plant
 from models.datasheets import TABLE_2_1_TRUTH
 from tests.controllers.identification.recorded import TRUTH, noise_bound, recorded

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from controllers.identification.arm_motion import MODES
-from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse
+from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse, regressor
 from controllers.identification.parameters import COUNT, LEVER, Prior
-from controllers.identification.regressor import regressor
 from tests.controllers.identification.recorded import ARMS, TRUTH, fit, motion, noisy
 
 

@@ -15,7 +15,8 @@ from controllers.identification.arm_motion import (
     swing,
 )
 from controllers.identification.compliant_base import ArmOnMount, BaseState, simulate
-from controllers.identification.identifiability import identifiability
+from controllers.identification.information import identifiability
+from controllers.identification.linear_estimators import MeasurementError
 from controllers.identification.output_error import (
     Estimate,
     OutputError,
@@ -28,7 +29,6 @@ from controllers.identification.parameters import (
     average_error_percent,
     from_coordinates,
 )
-from controllers.identification.regressor import MeasurementError
 from experiments.ch2.simulation.plant import Plant
 from experiments.ch2.simulation.trial import fixed_scale
 from tests.controllers.identification.recorded import (

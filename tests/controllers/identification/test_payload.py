@@ -6,8 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.identification.arm_sensing import SensingConfig, filter_alike, raised_cosine
-from controllers.identification.observation_log import IdentificationError
+from controllers.identification.arm_sensing import (
+    IdentificationError,
+    SensingConfig,
+    filter_alike,
+    raised_cosine,
+)
 from controllers.identification.payload import (
     PayloadConfig,
     PayloadIdentifier,

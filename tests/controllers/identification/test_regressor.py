@@ -9,8 +9,8 @@ from scipy.optimize import fsolve
 
 from controllers.identification.arm_motion import MODES, mode_axes
 from controllers.identification.compliant_base import SIGNALS
+from controllers.identification.linear_estimators import MeasurementError, regressor
 from controllers.identification.parameters import NAMES
-from controllers.identification.regressor import MeasurementError, regressor
 from models.compliant_base.build import compile_plant
 from models.datasheets import TABLE_2_1_TRUTH
 from tests.controllers.identification.newton_euler import GRAVITY, cross, hinge_motion

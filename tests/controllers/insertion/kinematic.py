@@ -16,9 +16,8 @@ from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.team import guide_config
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.base_tilt import BaseTilt
+from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from controllers.motion.driving import SkidSteer
-from controllers.sensing.surrogate_tilt import drawn_springs
 from experiments.ch5.insertion_scene import SLAVE
 from models import datasheets
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT

@@ -11,8 +11,7 @@ import pytest
 
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
-from controllers.motion.base_tilt import BaseTilt
-from controllers.sensing.surrogate_tilt import drawn_springs
+from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from models import datasheets
 from tests.controllers.insertion.kinematic import Slave
 from twin.describe import describe_rover

@@ -6,8 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.motion.base_tilt import BaseTilt
-from controllers.sensing.surrogate_tilt import TiltAxis, drawn_springs
+from controllers.motion.base_tilt import BaseTilt, TiltAxis, drawn_springs
 from experiments.ch5.insertion_scene import SLAVE, transform
 from models.compose import ARM_JOINTS
 from perception.geometry.gravity import GRAVITY

@@ -9,8 +9,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.identification.pitch import PitchFit, PitchSensors
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmController
+from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
-from controllers.sensing.surrogate_tilt import TiltAxis, TiltModel, TiltModelConfig
+from controllers.sensing.surrogate_tilt import TiltModel, TiltModelConfig
 from controllers.sensing.surrogate_wrench import WrenchModel, WrenchModelConfig, motor_efforts
 from experiments.appa.control.plant import MOUNT, sprung_rover
 from experiments.appa.control.trial import ROBOT, arm_config, reference

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
-from controllers.sensing.surrogate_tilt import TiltAxis, TiltModel
+from controllers.sensing.surrogate_tilt import TiltModel
 from tests.controllers.sensing.surrogate_runs import (
     PERIOD,
     PUSH,

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from controllers.insertion.team import surrogate_sensing
-from controllers.sensing.surrogate_tilt import drawn_springs
+from controllers.motion.base_tilt import drawn_springs
 from experiments.ch5.insertion_identify import rover_steer
 from models.card_and_slot.stand import TIP
 from models.compose import FieldConfig, RobotPlacement, make_model, settle

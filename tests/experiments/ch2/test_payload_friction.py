@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from controllers.identification.observation_log import IdentificationError
+from controllers.identification.arm_sensing import IdentificationError
 from controllers.identification.payload import PayloadIdentifier
 from controllers.kinematics.serial_chain import SerialChain
 from experiments.__main__ import main

@@ -19,7 +19,7 @@ LOW = np.array([-0.2, 0.1, 0.0])
 EDGE = 0.05
 RAYS = np.array([[0.0, 0.0, 1.0], [0.2, 0.1, 1.0], [-0.3, 0.2, 1.0], [0.05, -0.3, 1.0]])
 RAYS = RAYS / np.linalg.norm(RAYS, axis=1, keepdims=True)
-REACH = (0.05, 0.7)
+REACH_SIGMAS = (0.05, 0.7)
 
 
 def scene(seed: int) -> PlanningGrid:
@@ -41,7 +41,7 @@ def slow(grid, occupancy, camera, rays):
     seen, value = set(), 0.0
     for ray in rays:
         direction, passes = camera.rotation.apply(ray), 1.0
-        for at in np.arange(REACH[0] + step / 2, REACH[1], step):
+        for at in np.arange(REACH_SIGMAS[0] + step / 2, REACH_SIGMAS[1], step):
             place = (camera.translation + at * direction - LOW) / EDGE
             cell = tuple(np.floor(place).astype(int))
             if min(cell) < 0 or any(c >= n for c, n in zip(cell, grid.states.shape)):
@@ -62,12 +62,12 @@ def test_rating_and_claims_are_those_of_a_slow_walk(seed):
     grid = scene(seed)
     occupancy = expected_occupancy(grid.states)
     views = cameras(seed, 4)
-    found = view_information(grid, occupancy, views, RAYS, REACH)
+    found = view_information(grid, occupancy, views, RAYS, REACH_SIGMAS)
     for camera, value in zip(views, found, strict=True):
         expected, cells = slow(grid, occupancy, camera, RAYS)
         # Where a ray has passed so much that it ends is a matter of steps, too.
         assert value == pytest.approx(expected, rel=3e-2, abs=1e-9)
-        claims = claimed_by_view(grid, occupancy, camera, RAYS, REACH)
+        claims = claimed_by_view(grid, occupancy, camera, RAYS, REACH_SIGMAS)
         # A ray may graze a cell for less than the slow walk's step.
         assert len(cells ^ set(map(tuple, np.argwhere(claims)))) <= 2
 
@@ -75,7 +75,7 @@ def test_rating_and_claims_are_those_of_a_slow_walk(seed):
 def test_nothing_is_expected_where_all_is_known():
     states = np.full((6, 6, 6), State.FREE, np.int8)
     grid = PlanningGrid(LOW, EDGE, states)
-    found = view_information(grid, expected_occupancy(states), cameras(0, 5), RAYS, REACH)
+    found = view_information(grid, expected_occupancy(states), cameras(0, 5), RAYS, REACH_SIGMAS)
     assert not found.any()
 
 
@@ -130,7 +130,7 @@ def test_probabilities_of_another_grid_are_refused(rate):
     grid = scene(0)
     other = expected_occupancy(grid.states[:-1])
     with pytest.raises(ValueError, match=r"expected shape \(12, 10, 8\), got \(11, 10, 8\)"):
-        rate(grid, other, cameras(1, 1)[0], RAYS, REACH)
+        rate(grid, other, cameras(1, 1)[0], RAYS, REACH_SIGMAS)
 
 
 def test_planning_grid_is_the_map_by_its_bricks():
