@@ -45,8 +45,8 @@ class Options(contract.Options):
     """Options of mission.
 
     Attributes:
-        robot: What is driven: sim, quantised (counts as the boards do) or emulated (over the
-            boards' own protocols).
+        robot: What is driven: sim, quantised (counts as the boards do), emulated (over the boards'
+            own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
         without: Knowledge that further missions do without: identification, mapping, placement
             (unless said, each of them in a full run and none in a quick one; "none" for none), one
             at a time and with the same seeds.
@@ -62,8 +62,11 @@ class Options(contract.Options):
             OptionError: Naming it and the known ones.
         """
         super().__post_init__()
-        if self.robot not in ROBOTS:
-            raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}")
+        wired = self.robot.startswith("serial:")
+        if self.robot not in ROBOTS and not wired:
+            raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}, serial:")
+        if wired and len(self.job_seeds(20, 1)) * (1 + len(self.ablations)) > 1:
+            raise OptionError("--robot serial: one mission at a time, with --quick")
         for stage in self.without:
             if stage not in (*STAGES, "none"):
                 known = ", ".join((*STAGES, "none"))
