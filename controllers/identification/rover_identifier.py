@@ -29,6 +29,7 @@ from controllers.identification.pitch import (
     predict_tilt,
 )
 from perception.geometry.gravity import GRAVITY
+from twin.description import ArmDescription
 from twin.robot import ArmMode, Command, Observation, RobotError
 
 FloatArray = NDArray[np.float64]
@@ -59,6 +60,30 @@ class SwingingArm:
     inertia: float
     centre: tuple[float, float]
     shoulder: tuple[float, float]
+
+    @classmethod
+    def of(cls, arm: ArmDescription) -> SwingingArm:
+        """Return what swings about the second joint of an arm as drawn, stretched at angle zero."""
+        _, *swinging = arm.joints
+        place = swinging[0].transform_link_to_parent
+        masses = np.array([joint.body.mass for joint in swinging])
+        offset, centres = np.zeros(3), []
+        for joint in swinging:
+            centres.append(offset + joint.body.centre)
+            if joint is not swinging[-1]:
+                following = swinging[len(centres)].transform_link_to_parent
+                offset = offset + following.translation
+        centre = masses @ np.array(centres) / masses.sum()
+        levers = np.array(centres)[:, 1:] - centre[1:]
+        inertia = sum(joint.body.inertia[0, 0] for joint in swinging)
+        inertia += masses @ np.sum(levers**2, axis=1)
+        mount = arm.joints[0].transform_link_to_parent.translation + place.translation
+        return cls(
+            float(masses.sum()),
+            float(inertia),
+            (float(centre[1]), float(centre[2])),
+            (float(mount[1]), float(mount[2])),
+        )
 
     def wrench(self, trajectory: Trajectory) -> FloatArray:
         """Return force and moment on the arm at the sensor (n + 1, 6), the base at rest."""

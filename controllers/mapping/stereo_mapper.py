@@ -166,21 +166,32 @@ class StereoMapper:
 
         A decision takes tenths of a second, in which the robots stand still.
         """
-        for name, head in self._heads.items():
-            seen = observations[name]
-            known = seen.inclinometer.usable and seen.stereo.usable
-            if not head.done and known and head.move.sees(seen):
-                self._look(name, head, observations)
-        return {name: head.move.command(observations[name]) for name, head in self._heads.items()}
+        arms = _arms(observations)
+        return {name: self.step_robot(name, observations[name], arms) for name in self._heads}
+
+    def step_robot(self, name: str, seen: Observation, arms: Mapping[str, FloatArray]) -> Command:
+        """Return one robot's command.
+
+        Args:
+            name: Name of the robot.
+            seen: Observation of the robot.
+            arms: (joints,) angles of all robots' arms now, as far as they are known [rad].
+        """
+        head = self._heads[name]
+        known = seen.inclinometer.usable and seen.stereo.usable
+        if not head.done and known and head.move.sees(seen):
+            self._look(name, head, seen, arms)
+        return head.move.command(seen)
 
     def _move_to(self, goal: FloatArray) -> ArmMove:
         """Return the way to a view (joints,) [rad]; the wheels get no voltage."""
         c = self._config
         return ArmMove(goal, c.speed, c.rest, c.near, c.patience, WheelMode.DUTY)
 
-    def _look(self, name: str, head: _Head, observations: Mapping[str, Observation]) -> None:
+    def _look(
+        self, name: str, head: _Head, seen: Observation, arms: Mapping[str, FloatArray]
+    ) -> None:
         """Take the pair in, and choose where to look next."""
-        seen = observations[name]
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         tilt = np.asarray(seen.inclinometer.value, dtype=float)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
@@ -208,7 +219,7 @@ class StereoMapper:
             if head.standing is not None:
                 shared = head.standing.shared_covariance()
                 head.offsets = self.localiser.fiducials.share(shared)
-        head.waiting.append(_Waiting(len(self.looks), tilt, _arms(observations)))
+        head.waiting.append(_Waiting(len(self.looks), tilt, dict(arms)))
         self.looks.append(look)
         if head.standing is not None:
             for taken in head.waiting:

@@ -11,8 +11,10 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from controllers.mission.robot_mission import MissionStage
+from controllers.mission.stages.find import FindPanel
+from controllers.mission.stages.map import MapTogether
 from experiments.mission.scene import MASTER, SLAVE
-from experiments.mission.stages import FindPanel, MapTogether, MissionStage
 from experiments.mission.trial import Mission, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
 from twin.camera import renderer
@@ -53,7 +55,7 @@ class _Bars(LoopRecorder):
 
     def record(self, tick: Tick) -> None:
         """Take one tick."""
-        name = self._mission.team.stage.name
+        name = self._mission.team.slave.stage.name
         if name != self._stage:
             if self._bar is not None:
                 self._progress.update(self._bar, completed=1.0, total=1.0)
@@ -93,30 +95,26 @@ class _Notes(LoopRecorder):
 
     def __init__(self, recorder: Recorder, mission: Mission) -> None:
         self._recorder, self._mission = recorder, mission
-        self._told, self._looks = "", 0
+        self._text, self._views = "", 0
         self._stage: MissionStage | None = None
 
     def record(self, tick: Tick) -> None:
         """Take one tick."""
-        team = self._mission.team
-        insertion = team.insertion
-        told = team.stage.name
+        stage, insertion = self._mission.team.master.stage, self._mission.insertion
+        text = stage.name
         if insertion is not None:
-            inserter = insertion.slave.inserter
-            told = f"{told}: {inserter.stage.value} {inserter.reason}".strip()
+            inserter = insertion.inserter
+            text = f"{text}: {inserter.stage.value} {inserter.reason}".strip()
             names = ("across [N]", "ahead [N]", "moment [N m]")
             self._recorder.log_scalars("mission/contact", inserter.contact[[0, 1, 5]], names)
-        if told != self._told:
-            self._told = told
-            self._recorder.log_text("mission/stage", told)
-        if team.stage is not self._stage:
-            self._stage, self._looks = team.stage, 0
-        if (
-            isinstance(team.stage, FindPanel | MapTogether)
-            and len(team.stage.mapper.looks) > self._looks
-        ):
-            self._looks = len(team.stage.mapper.looks)
-            self._map(team.stage)
+        if text != self._text:
+            self._text = text
+            self._recorder.log_text("mission/stage", text)
+        if stage is not self._stage:
+            self._stage, self._views = stage, 0
+        if isinstance(stage, FindPanel | MapTogether) and len(stage.mapper.looks) > self._views:
+            self._views = len(stage.mapper.looks)
+            self._map(stage)
 
     def _map(self, stage: FindPanel | MapTogether) -> None:
         """Show the map where it is by the panel's true place."""

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from controllers.mission.team import OMITTABLE
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction, mcnemar
@@ -30,7 +31,6 @@ from experiments.mission.results import (
     stage_seconds,
     stages_of,
 )
-from experiments.mission.team import STAGES
 from experiments.mission.trial import MissionTrial, run_mission
 
 ROBOTS = ("sim", "quantised", "emulated")
@@ -45,8 +45,8 @@ class Options(contract.Options):
     """Options of mission.
 
     Attributes:
-        robot: What is driven: sim, quantised (counts as the boards do) or emulated (over the
-            boards' own protocols).
+        robot: What is driven: sim, quantised (counts as the boards do), emulated (over the boards'
+            own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
         without: Knowledge that further missions do without: identification, mapping, placement
             (unless said, each of them in a full run and none in a quick one; "none" for none), one
             at a time and with the same seeds.
@@ -62,11 +62,14 @@ class Options(contract.Options):
             OptionError: Naming it and the known ones.
         """
         super().__post_init__()
-        if self.robot not in ROBOTS:
-            raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}")
+        wired = self.robot.startswith("serial:")
+        if self.robot not in ROBOTS and not wired:
+            raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}, serial:")
+        if wired and len(self.job_seeds(20, 1)) * (1 + len(self.ablations)) > 1:
+            raise OptionError("--robot serial: one mission at a time, with --quick")
         for stage in self.without:
-            if stage not in (*STAGES, "none"):
-                known = ", ".join((*STAGES, "none"))
+            if stage not in (*OMITTABLE, "none"):
+                known = ", ".join((*OMITTABLE, "none"))
                 raise OptionError(f"--without {stage}: expected some of {known}")
 
     @property
@@ -74,7 +77,7 @@ class Options(contract.Options):
         """Stages that are left out, one at a time."""
         if "none" in self.without:
             return ()
-        return self.without or (() if self.quick else STAGES)
+        return self.without or (() if self.quick else OMITTABLE)
 
 
 def run(options: Options, output: Output) -> None:

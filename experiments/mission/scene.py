@@ -1,8 +1,8 @@
-"""Scene of ``mission``: two rovers dropped before a slot, on rough ground, beside a known panel.
+"""Scene of ``mission``: two rovers before a slot, on rough ground, beside a known panel.
 
 The panel is the target of chapter 3: whoever sees it knows where it stands. Slot and panel belong
-to one site whose drawing the robots have. They were told where they would be dropped; they land
-some centimetres and degrees beside.
+to one site whose drawing the robots have. They begin some centimetres and degrees beside their
+nominal initial poses.
 """
 
 from __future__ import annotations
@@ -15,18 +15,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from experiments.ch5.insertion_scene import MASTER, SLAVE, transform
+from controllers.mission.site import MissionRoles, SiteDrawing
+from experiments.ch5.insertion_scene import MASTER, SLAVE, insertion_drawing, transform
 from models.clutter import PanelConfig
 from models.compose import FieldConfig, RobotPlacement, make_model
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
+from twin.describe import describe_rover
 
 FloatArray = NDArray[np.float64]
 
-NOMINAL = {MASTER: (0.82, -0.35, math.pi / 2), SLAVE: (0.0, -0.92, 0.0)}
-"""Where the robots should be dropped: x, y [m] and yaw [rad], world."""
-DROP_PLACE, DROP_YAW = 0.06, 0.10
-"""They land evenly within this of it, in x and y [m] and in yaw [rad]."""
+INITIAL_POSES = {MASTER: (0.82, -0.35, math.pi / 2), SLAVE: (0.0, -0.92, 0.0)}
+"""Nominal initial poses of the robots: x, y [m] and yaw [rad], world."""
+INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR = 0.06, 0.10
+"""Greatest error of an initial pose, in x and y [m] and in yaw [rad]; errors are uniform."""
 PANEL = PanelConfig((-0.5, -0.3), yaw=math.pi / 2, tilt=0.3)
 SURVEY_PLACE, SURVEY_TURN = 1e-3, 1e-3
 """Deviations by which the site differs from its drawing, along each axis [m] and about it [rad]."""
@@ -46,11 +48,11 @@ class MissionScene:
 
 
 def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
-    """Draw ground and drops.
+    """Draw ground and initial poses.
 
     Args:
-        width: Between the slot's walls [m].
-        rng: Source of randomness.
+        width: Width between the slot's walls [m].
+        rng: Random generator for ground and initial poses.
     """
     field = FieldConfig(
         size=(4.8, 4.8),
@@ -65,37 +67,20 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
         slot_width=width,
         shadows=False,
     )
-    spread = np.array([DROP_PLACE, DROP_PLACE, DROP_YAW])
+    errors = np.array([INITIAL_PLACE_ERROR, INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR])
     robots = []
-    for name, nominal in NOMINAL.items():
-        x, y, yaw = np.array(nominal) + spread * rng.uniform(-1.0, 1.0, 3)
+    for name, nominal in INITIAL_POSES.items():
+        x, y, yaw = np.array(nominal) + errors * rng.uniform(-1.0, 1.0, 3)
         robots.append(RobotPlacement(name, (x, y), yaw, card=name == SLAVE))
     return MissionScene(field, (robots[0], robots[1]))
 
 
-@dataclasses.dataclass(frozen=True)
-class Site:
-    """What the robots have a drawing of.
-
-    Attributes:
-        target: Markers of the panel.
-        transform_slot_to_panel: As drawn.
-        covariance: (6, 6) of xi in ``true = from_exp_coords(xi) * transform_slot_to_panel``.
-        panel: Roughly, the transform from the panel to the world in which `NOMINAL` is given.
-    """
-
-    target: TargetCad
-    transform_slot_to_panel: RigidTransform
-    covariance: FloatArray
-    panel: RigidTransform
-
-
-def survey(scene: MissionScene, rng: np.random.Generator) -> Site:
+def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
     """Return the drawing, which differs from what was built.
 
     Args:
         scene: As built.
-        rng: Source of the differences.
+        rng: Random generator for the differences.
     """
     model = make_model(dataclasses.replace(scene.field, texture_pixels=16), ())
     data = mujoco.MjData(model)
@@ -108,9 +93,17 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> Site:
     # Errors about the slot's own place, in the panel's axes.
     drawn = centred * error * centred.inv() * true
     marker = PANEL.markers[0]
-    return Site(
+    assert scene.field.slot_width is not None
+    return SiteDrawing(
+        insertion_drawing(scene.field.slot_width),
         TargetCad(PANEL.marker_points, marker.radius, marker.dark),
         drawn,
         transport_covariance(centred, np.diag(deviations**2)),
-        panel,
+        INITIAL_POSES,
+        (INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR),
     )
+
+
+def roles() -> MissionRoles:
+    """Return both robots as drawn: the slave holds the card."""
+    return MissionRoles(describe_rover(MASTER), describe_rover(SLAVE, card=True))

@@ -22,10 +22,10 @@ from models.datasheets import CARD_AND_SLOT
 TURN_SHARE = 0.7
 """As `identify_slip` finds it."""
 STRIKE = 25.0
-"""Largest contact force on any course [N].
+"""Largest contact force of a card in a slot that is too narrow for it [N].
 
-A card that is jammed in a slot that is too narrow may snap out of it and strike the face: 15 N for
-one tick, on one course of six, while the wrench sensor felt 3 N. How often the force stays within
+A jammed card may snap out of the slot and strike its face: with another renderer's kernels one course
+gave 15.2 N for one tick, while the wrench sensor felt 3 N. How often the force stays within
 `MOST_FORCE` is a figure of the experiment.
 """
 
@@ -71,7 +71,7 @@ def quick_run_inserts(out, seed):
     folder = out / "ch5-insertion"
     measured = json.loads((folder / "metrics.json").read_text())["measured"]
     assert measured["success/impossible"]["mean"] == 0.0
-    assert measured["largest_force"] <= STRIKE
+    assert measured["largest_force"] <= ch5_insertion.MOST_FORCE
     assert measured["largest_force/impossible"] <= STRIKE
     assert 0.4 < measured["turn_share"] < 0.9
     assert 0.0 < measured["turn_share_sigma"] < 0.05

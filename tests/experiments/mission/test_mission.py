@@ -3,65 +3,51 @@
 from __future__ import annotations
 
 import json
-import math
-import types
 import typing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.camera_station import CameraStation
-from controllers.mapping.localization import RobotLocalization, level_target, tilt_to_level
-from controllers.mapping.shared_map import SharedMap
-from controllers.motion.drive_to_pose import DriveToPose
-from controllers.motion.driving import SkidSteer
-from experiments.ch3.stereo.mapping_scene import head_geometry
-from experiments.ch5.insertion_scene import best_station
+from controllers.mission.site import SiteDrawing
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from experiments.mission import mission
-from experiments.mission.knowledge import SLOT_IN_SITE, Knowledge, tilt_of
 from experiments.mission.mission import Options
-from experiments.mission.place import GoToStand, choose_stand, mapped_ground
 from experiments.mission.results import after_stage, stage_seconds, stages_of
 from experiments.mission.scene import (
-    DROP_PLACE,
-    DROP_YAW,
+    INITIAL_PLACE_ERROR,
+    INITIAL_POSES,
+    INITIAL_YAW_ERROR,
     MASTER,
-    NOMINAL,
     SLAVE,
-    Site,
     draw_scene,
     survey,
 )
-from experiments.mission.stages import VOXEL, reference_arm, take_standing
 from experiments.mission.trial import MissionTrial, run_mission
-from models.datasheets import CARD_AND_SLOT, ROVER
-from perception.registration.target import TargetCad
-from perception.voxels.grid import VoxelGrid
-from perception.voxels.map import Surface, VoxelMap
-from twin.robot import Observation, RobotError
+from models.datasheets import CARD_AND_SLOT
 
 WIDTH = CARD_AND_SLOT.slot_widths[-1]
 
 
 @pytest.fixture(scope="module")
-def site() -> Site:
+def site() -> SiteDrawing:
     rng = np.random.default_rng(3)
     return survey(draw_scene(WIDTH, rng), rng)
 
 
-def test_rovers_land_within_what_they_were_told() -> None:
+def test_rovers_begin_within_the_stated_error_of_their_nominal_poses() -> None:
     starts = {MASTER: [], SLAVE: []}
     for seed in range(40):
         for robot in draw_scene(WIDTH, np.random.default_rng(seed)).robots:
             starts[robot.name].append([*robot.position, robot.yaw])
     for name, poses in starts.items():
-        off = np.abs(np.array(poses) - NOMINAL[name])
-        assert np.all(off <= [DROP_PLACE, DROP_PLACE, DROP_YAW])
-        assert np.all(off.max(axis=0) > 0.8 * np.array([DROP_PLACE, DROP_PLACE, DROP_YAW]))
+        off = np.abs(np.array(poses) - INITIAL_POSES[name])
+        assert np.all(off <= [INITIAL_PLACE_ERROR, INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR])
+        assert np.all(
+            off.max(axis=0)
+            > 0.8 * np.array([INITIAL_PLACE_ERROR, INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR])
+        )
 
 
 def test_the_drawing_is_off_by_about_what_it_says() -> None:
@@ -85,79 +71,6 @@ class _Zeros(np.random.Generator):
 
     def normal(self, *_: object, size: int = 1, **__: object) -> np.ndarray:
         return np.zeros(size)
-
-
-def test_told_the_slot_is_where_a_rover_at_its_nominal_place_would_have_it(site: Site) -> None:
-    told = Knowledge.as_told(site)
-    x, y, yaw = NOMINAL[SLAVE]
-    assert (x, yaw) == (0.0, 0.0)
-    # Straight ahead of the slave, as high as the slot is above a robot's origin.
-    ahead = [0.0, -y, SLOT_IN_SITE.translation[2] - ROVER.centre_height]
-    np.testing.assert_allclose(told.slot_in_slave[:3, 3], ahead, atol=1e-12)
-    # The master looks along -x: what is at its left is at -y.
-    master_x, master_y, _ = NOMINAL[MASTER]
-    np.testing.assert_allclose(
-        told.slot_in_level.translation[:2], [-master_y * -1.0 * -1.0, master_x], atol=1e-12
-    )
-
-
-def test_a_standing_and_the_drawing_tell_where_the_slot_is(site: Site) -> None:
-    level = RigidTransform.from_components([0.7, -0.4, 0.1], Rotation.from_euler("z", 1.4))
-    to_level = level.inv() * site.panel
-    to_world = level_target(to_level)
-    level_to_world = to_world * to_level.inv()
-    knowledge = Knowledge.as_told(site)
-    knowledge.shared = _map(site.target)
-    knowledge.shared.transform_target_to_world = to_world
-    standing = RobotLocalization(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
-    take_standing(knowledge, standing)
-    expected = to_level * site.transform_slot_to_panel
-    np.testing.assert_allclose(
-        knowledge.slot_in_level.as_matrix(), expected.as_matrix(), atol=1e-12
-    )
-    # All that is left is the drawing's error, seen from the robot.
-    spread = np.sqrt(np.trace(knowledge.slot_covariance[:3, :3]))
-    assert spread == pytest.approx(np.sqrt(np.trace(site.covariance[:3, :3])))
-
-
-def _map(target: TargetCad) -> SharedMap:
-    voxels = VoxelMap(VoxelGrid(VOXEL, (-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)))
-    return SharedMap(voxels, head_geometry(), target, 4, (0.25, 2.0))
-
-
-def test_a_leaning_rover_sees_the_slot_where_its_lean_puts_it(site: Site) -> None:
-    knowledge = Knowledge.as_told(site)
-    tilt = np.array([0.06, -0.03])
-    slot, _ = knowledge.slot_in_master(tilt)
-    back = tilt_to_level(tilt) * slot
-    np.testing.assert_allclose(back.as_matrix(), knowledge.slot_in_level.as_matrix(), atol=1e-12)
-
-
-Ways = list[tuple[np.ndarray, typing.Callable[[np.ndarray], bool]]]
-
-
-@pytest.fixture
-def ways(monkeypatch: pytest.MonkeyPatch) -> Ways:
-    """Return a list of each `DriveToPose`: its goal, and what it asks whether a pose is free."""
-    told: Ways = []
-    begin = DriveToPose.__init__
-
-    def note(self: DriveToPose, steer: SkidSteer, goal: np.ndarray, free: typing.Any) -> None:
-        told.append((np.array(goal), free))
-        begin(self, steer, goal, free=free)
-
-    monkeypatch.setattr(DriveToPose, "__init__", note)
-    return told
-
-
-def test_a_stand_is_gone_to_from_where_the_slot_is_seen(site: Site, ways: Ways) -> None:
-    knowledge = Knowledge.as_told(site)
-    x, y, yaw = NOMINAL[MASTER]
-    GoToStand(knowledge, CameraStation((x, y, yaw), np.zeros(4), 0.5, 0.0))
-    np.testing.assert_allclose(ways[0][0], np.zeros(3), atol=1e-12)
-    GoToStand(knowledge, CameraStation((x - 0.3, y, yaw + 0.2), np.zeros(4), 0.5, 0.0))
-    # It looks along -x: 0.3 m less of x is 0.3 m ahead.
-    np.testing.assert_allclose(ways[1][0], [0.0, 0.3, 0.2], atol=1e-12)
 
 
 @pytest.mark.parametrize("bad", [{"robot": "lego"}, {"without": ("luck",)}])
@@ -291,66 +204,3 @@ def _check_any_course(result: dict[str, typing.Any]) -> None:
         assert len(misses) <= 4
         assert len(misses) == 4 or np.all(misses[-1] < near + seen_within)
         assert (misses[:-1] > near - seen_within).any(axis=1).all()
-
-
-def _with_map(site: Site, points: np.ndarray) -> Knowledge:
-    """Return knowledge whose map holds points of the level ground below the slot [m]."""
-    knowledge = Knowledge.as_told(site)
-    level_to_world = RigidTransform.from_components([0.3, 0.2, 0.1], Rotation.from_euler("z", 0.5))
-    standing = RobotLocalization(reference_arm(), level_to_world, np.zeros((6, 6)), level_to_world)
-    to_world = level_to_world * knowledge.slot_in_level * SLOT_IN_SITE.inv()
-    surface = Surface(
-        to_world.apply(points), np.tile(1e-8 * np.eye(3), (len(points), 1, 1)), np.ones(len(points))
-    )
-    shared = types.SimpleNamespace(voxels=types.SimpleNamespace(surface=lambda: surface))
-    knowledge.shared, knowledge.standing = typing.cast(SharedMap, shared), standing
-    return knowledge
-
-
-def test_the_master_does_not_stand_where_the_map_has_something(site: Site) -> None:
-    free = best_station(WIDTH)
-    x, y, _ = free.place
-    stake = np.array([[x + 0.1, y, z] for z in (0.15, 0.2, 0.25, 0.3)])
-    assert not mapped_ground(_with_map(site, stake)).is_free(free.place[:2])
-    other = choose_stand(_with_map(site, stake), WIDTH)
-    assert math.dist(other.place[:2], (x + 0.1, y)) > 0.29
-
-
-def test_the_master_does_not_back_off_into_what_the_map_has(site: Site, ways: Ways) -> None:
-    x, y, yaw = NOMINAL[MASTER]
-    # It looks along -x: behind it is +x, and +y lies to its right.
-    stake = np.array([[x + 0.4, y + 0.1, z] for z in (0.15, 0.2, 0.25, 0.3)])
-    GoToStand(_with_map(site, stake), CameraStation((x, y, yaw), np.zeros(4), 0.5, 0.0))
-    ((_, free),) = ways
-    assert not free(np.array([0.1, -0.4, 0.0]))
-    assert not free(np.array([0.0, -0.2, 0.3]))
-    assert free(np.array([-0.3, -0.4, 0.0])) and free(np.array([0.1, 0.4, 0.0]))
-
-
-def test_stones_that_a_rover_drives_over_do_not_block(site: Site) -> None:
-    free = best_station(WIDTH)
-    x, y, _ = free.place
-    stones = np.array([[x + d, y, 0.04] for d in (-0.1, 0.0, 0.1, 0.2)])
-    assert mapped_ground(_with_map(site, stones)).is_free(free.place[:2])
-    assert choose_stand(_with_map(site, stones), WIDTH).place == free.place
-
-
-def test_what_the_map_has_before_the_slot_moves_the_camera(site: Site) -> None:
-    free = best_station(WIDTH)
-    middle = np.array([0.0, -0.08, SLOT_IN_SITE.translation[2]])
-    # A board half way to where the camera would be, too high to touch the rover.
-    ahead = np.array([math.cos(free.slant), 0.0, 0.0]) * 0.5 * free.distance
-    board = (
-        middle
-        + ahead
-        + 0.02
-        * np.stack(
-            np.meshgrid([0.0], np.arange(-3, 4), np.arange(8, 12), indexing="ij"), axis=-1
-        ).reshape(-1, 3)
-    )
-    assert choose_stand(_with_map(site, board), WIDTH).place != free.place
-
-
-def test_an_inclinometer_that_is_gone_stops_the_mission_with_its_name() -> None:
-    with pytest.raises(RobotError, match="inclinometer of rover1 is missing"):
-        tilt_of(Observation(0.0), MASTER)

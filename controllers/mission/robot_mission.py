@@ -1,0 +1,94 @@
+"""One robot's part of a mission: stage after stage, each by what the ones before have found out.
+
+A stage ends when both robots have done their parts of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Protocol
+
+import numpy as np
+
+from controllers.mission.belief import MissionBelief
+from controllers.mission.exchange import ArmPosture, Exchange, StagesDone
+from twin.robot import Command, Observation
+
+
+class MissionStage(Protocol):
+    """One robot's part of a stage."""
+
+    name: str
+
+    @property
+    def done(self) -> bool:
+        """Whether the robot has done its part."""
+        ...
+
+    def step(self, seen: Observation) -> Command | None:
+        """Take what was measured and return the next command; None for none."""
+        ...
+
+
+class RobotMission:
+    """One robot's part of a mission; it sees its own observations alone.
+
+    Args:
+        belief: What the robot believes.
+        partner: Name of the other robot.
+        exchange: All that passes between the robots.
+        stages: The robot's stages, each made when the one before has ended.
+
+    Attributes:
+        belief: What the robot believes.
+        stage: The present stage.
+        ended: Names of the stages so far and when they ended [s].
+        over: Whether the last stage has ended.
+    """
+
+    def __init__(
+        self,
+        belief: MissionBelief,
+        partner: str,
+        exchange: Exchange,
+        stages: Iterator[MissionStage],
+    ) -> None:
+        self.belief = belief
+        self.ended: list[tuple[str, float]] = []
+        self.over = False
+        self._partner, self._exchange, self._stages = partner, exchange, stages
+        self.stage = next(stages)
+
+    @property
+    def name(self) -> str:
+        """Name of the robot."""
+        return self.belief.robot.name
+
+    def report(self, seen: Observation) -> None:
+        """Post where the arm is, and whether this stage's part is done.
+
+        Args:
+            seen: Observation of the robot.
+        """
+        channel = seen.arm_angles
+        angles = np.asarray(channel.value, dtype=float) if channel.usable else None
+        self._exchange.post(self.name, ArmPosture(angles))
+        if self.stage.done:
+            self._exchange.post(self.name, StagesDone(len(self.ended) + 1))
+
+    def step(self, seen: Observation) -> Command | None:
+        """Go on with the present stage, or begin the next; to be called after `report` of both.
+
+        Args:
+            seen: Observation of the robot.
+        """
+        other = self._exchange.read(self._partner, StagesDone)
+        done = other is not None and other.count > len(self.ended)
+        if self.stage.done and done and not self.over:
+            self.ended.append((self.stage.name, seen.time))
+            following = next(self._stages, None)
+            if following is None:
+                self.over = True
+            else:
+                self.stage = following
+        return self.stage.step(seen)

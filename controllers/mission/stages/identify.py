@@ -1,0 +1,43 @@
+"""Stage ``identify``, chapter 2: a rover swings its arm and finds how it pitches on its springs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controllers.identification.rover_identifier import (
+    RoverIdentifier,
+    RoverIdentifierConfig,
+    SwingingArm,
+)
+from controllers.mission.belief import MissionBelief
+from twin.robot import Command, Observation
+
+
+class SwingArm:
+    """Swings the arm, and fits everything once more at the end.
+
+    Args:
+        belief: Gets how the robot pitches.
+        rng: Random generator for the planner of the excitation.
+    """
+
+    name = "identify"
+
+    def __init__(self, belief: MissionBelief, rng: np.random.Generator) -> None:
+        assert belief.robot.arm is not None
+        self._belief = belief
+        config = RoverIdentifierConfig(belief.robot.name, SwingingArm.of(belief.robot.arm))
+        self._identifier = RoverIdentifier(config, rng)
+
+    @property
+    def done(self) -> bool:
+        """Whether the arm has swung."""
+        return self._belief.pitch is not None
+
+    def step(self, seen: Observation) -> Command | None:
+        """Swing on."""
+        if not self._identifier.done:
+            return self._identifier.step({self._belief.robot.name: seen})[self._belief.robot.name]
+        if not self.done:
+            self._belief.pitch = self._identifier.finish()
+        return None

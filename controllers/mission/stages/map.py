@@ -1,0 +1,100 @@
+"""Stage ``map``, chapter 3: both rovers map the place, each leaving to the other what it sees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controllers.insertion.camera_station import camera_arm
+from controllers.mapping.localization import RobotLocalization, tilt_to_level
+from controllers.mapping.looking import MapperConfig
+from controllers.mapping.stereo_mapper import StereoMapper
+from controllers.mission.belief import MissionBelief
+from controllers.mission.exchange import ArmPosture, Exchange
+from controllers.mission.stages.find import brief, eyes
+from controllers.motion.arm_move import ArmMove
+from perception.geometry.se3 import composed_covariance
+from twin.description import RobotDescription
+from twin.robot import Command, Observation
+
+
+class MapTogether:
+    """Drives one robot's arm through its views of the common map.
+
+    Args:
+        belief: What the robot believes.
+        exchange: All that passes between the robots, with the common map.
+    """
+
+    name = "map"
+
+    def __init__(self, belief: MissionBelief, exchange: Exchange) -> None:
+        assert exchange.mapper is not None and belief.robot.arm is not None
+        self._robot, self._exchange, self.mapper = belief.robot.name, exchange, exchange.mapper
+        self._rest = ArmMove(belief.robot.arm.home)
+
+    @classmethod
+    def begin(
+        cls,
+        belief: MissionBelief,
+        partner: RobotDescription,
+        exchange: Exchange,
+        scans: int,
+        rng: np.random.Generator,
+    ) -> MapTogether:
+        """Let both robots go on with the map that one has begun.
+
+        Args:
+            belief: What the robot believes that has begun the map.
+            partner: The other robot; it takes part if it has been met.
+            exchange: All that passes between the robots; gets the common map.
+            scans: Number of views of each.
+            rng: Random generator for candidate views.
+        """
+        assert belief.map is not None and belief.localization is not None
+        robots, places = {belief.robot.name: brief(belief.robot)}, {}
+        places[belief.robot.name] = belief.localization
+        if belief.partner.met:
+            robots[partner.name] = brief(partner)
+            places[partner.name] = _partner_place(belief, belief.localization, partner)
+        exchange.mapper = StereoMapper(
+            robots,
+            eyes(belief.robot),
+            belief.site.target,
+            belief.map.voxels,
+            MapperConfig(scans=scans),
+            rng,
+            begun=belief.map,
+            standings=places,
+        )
+        return cls(belief, exchange)
+
+    @property
+    def done(self) -> bool:
+        """Whether no robot has a view left."""
+        return self.mapper.done
+
+    def step(self, seen: Observation) -> Command:
+        """Look on, or keep the arm at home if the robot takes no part."""
+        if self._robot not in self.mapper.standings:
+            return self._rest.command(seen)
+        arms = {
+            name: posture.angles
+            for name in self.mapper.standings
+            if (posture := self._exchange.read(name, ArmPosture)) is not None
+            and posture.angles is not None
+        }
+        return self.mapper.step_robot(self._robot, seen, arms)
+
+
+def _partner_place(
+    belief: MissionBelief, here: RobotLocalization, partner: RobotDescription
+) -> RobotLocalization:
+    """Return where the partner is on the map, by what was seen of its card."""
+    assert partner.arm is not None
+    arm, pose = camera_arm(partner)[0], belief.partner
+    to_world = here.transform_level_to_world * belief.transform_slot_to_level
+    there = to_world * pose.transform_slot_to_robot.inv()
+    covariance = composed_covariance(there, here.covariance, pose.covariance)
+    level = there * tilt_to_level(pose.tilt).inv()
+    sighting = there * arm.tool_in_robot(partner.arm.home)
+    return RobotLocalization(arm, level, covariance, sighting, here.config)

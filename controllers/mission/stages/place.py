@@ -1,0 +1,188 @@
+"""Stage ``place``, chapter 4: the master drives to where it sees card and slot best.
+
+The place is chosen by the map; having come there by dead reckoning, the master finds the panel
+again. That says how far dead reckoning has missed; if it is too far, the master drives on.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from controllers.insertion.camera_station import CameraStation, best_camera_station, camera_arm
+from controllers.mapping.looking import MapperConfig
+from controllers.mapping.searching import TargetSearch, aim
+from controllers.mission.belief import MissionBelief, tilt_of
+from controllers.mission.stages.find import eyes
+from controllers.motion.arm_move import ArmMove
+from controllers.motion.drive_to_pose import DriveToPose
+from controllers.placement.mapped_ground import MappedGround
+from perception.geometry.se3 import transport_covariance
+from perception.registration.target import possible_markers
+from twin.robot import Command, Observation
+
+FloatArray = NDArray[np.float64]
+
+_NEAR_STATION = (0.06, 0.12)  # From the station [m] and its heading [rad] where it will do.
+_MOST_DRIVES = 4  # Until it is there, or stays where it is.
+
+
+def mapped_ground(belief: MissionBelief) -> MappedGround:
+    """Return what the map says of the level ground below the slot.
+
+    Args:
+        belief: Belief with a map; without one nothing is known to stand anywhere.
+    """
+    if belief.map is None or belief.localization is None:
+        return MappedGround(None, RigidTransform.identity())
+    ground = belief.site.insertion.transform_slot_to_ground
+    to_level = belief.transform_slot_to_level * ground.inv()
+    to_map = belief.localization.transform_level_to_world * to_level
+    return MappedGround(belief.map.voxels.surface(), to_map.inv())
+
+
+def choose_station(belief: MissionBelief) -> CameraStation:
+    """Return where the master sees card and slot best of all places that it can drive to.
+
+    Args:
+        belief: What the master believes.
+
+    Raises:
+        PlacementError: If there is no place.
+    """
+    drawing = belief.site.insertion
+    to_level = belief.transform_slot_to_level * drawing.transform_slot_to_ground.inv()
+    start = to_level.inv().translation[:2]
+    return best_camera_station(belief.robot, drawing, ground=mapped_ground(belief), start=start)
+
+
+class PlaceCamera:
+    """Drives the master to a camera station, and finds the panel from there.
+
+    Args:
+        belief: Gets where the slot is from the new place.
+        station: Where to drive, ground frame.
+
+    Attributes:
+        done: Whether it is there, or will get no nearer.
+        found: Whether it has found the panel from there.
+        station: Where it shall be.
+        stops: How often it has driven and stopped by dead reckoning.
+    """
+
+    name = "place"
+
+    def __init__(self, belief: MissionBelief, station: CameraStation) -> None:
+        self.done = False
+        self.found = False
+        self.station, self.stops = station, 0
+        self._belief = belief
+        self._set_off()
+
+    def _set_off(self) -> None:
+        """Drive to the station from where the slot is seen now."""
+        arm = self._belief.robot.arm
+        assert arm is not None
+        self._home = arm.home
+        self._going = DriveToPose(self._belief.steer(), self._path(), free=self._free)
+        self._fold = ArmMove(self._home)
+        self._folded = False
+        self._search: TargetSearch | None = None
+        self._look: ArmMove | None = None
+
+    def _path(self) -> FloatArray:
+        """Return (3,) x to the right, y ahead [m] and turn [rad] to the station from here."""
+        ground = self._belief.site.insertion.transform_slot_to_ground
+        site = self._belief.transform_slot_to_level * ground.inv()
+        x, y, yaw = self.station.place
+        place = site.apply([x, y, 0.0])
+        ahead = site.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
+        return np.array([place[0], place[1], math.atan2(-ahead[0], ahead[1])])
+
+    def _free(self, pose: FloatArray) -> bool:
+        """Say whether the map has nothing at a pose (3,) given as `_path` is."""
+        ground = self._belief.site.insertion.transform_slot_to_ground
+        site = ground * self._belief.transform_slot_to_level.inv()
+        x, y, _ = site.apply([pose[0], pose[1], 0.0])
+        return mapped_ground(self._belief).is_free([x, y])
+
+    def _missed(self) -> bool:
+        """Say whether it is too far from where it shall be."""
+        x, y, turn = self._path()
+        return math.hypot(x, y) > _NEAR_STATION[0] or abs(turn) > _NEAR_STATION[1]
+
+    def step(self, seen: Observation) -> Command:
+        """Fold the arm, drive, look for the panel."""
+        if not self._folded:
+            self._folded = self._fold.is_there(seen)
+            return self._fold.command(seen)
+        if not self._going.done:
+            return self._going.step(seen)
+        if self._look is None:
+            self.stops += 1
+            self._reckon()
+            if self._belief.map is None:
+                self.done = True
+                return self._fold.command(seen)
+            self._begin_search()
+        assert self._look is not None
+        command = self._look.command(seen)
+        if self._look.sees(seen):
+            self._take(seen)
+        return command
+
+    def _reckon(self) -> None:
+        """Bring the slot into the new frame by dead reckoning."""
+        odometry, belief = self._going.odometry, self._belief
+        x, y = odometry.place
+        moved = RigidTransform.from_matrix(_planar_pose(x, y, odometry.yaw))
+        belief.transform_slot_to_level = moved.inv() * belief.transform_slot_to_level
+        far, turned = odometry.way, odometry.turned
+        added = np.diag(
+            np.square(
+                [0.02, 0.02, 0.03 + 0.05 * turned, 0.02 + 0.05 * far, 0.02 + 0.05 * far, 0.01]
+            )
+        )
+        belief.slot_covariance = transport_covariance(moved.inv(), belief.slot_covariance) + added
+
+    def _begin_search(self) -> None:
+        """Look first where the panel should be."""
+        belief, config = self._belief, MapperConfig()
+        arm, survey = camera_arm(belief.robot)[0], np.array(config.views.survey)
+        extent = belief.site.target.extent
+        self._search = TargetSearch(arm, self._home, survey, extent, config.search)
+        panel = belief.transform_slot_to_level * belief.site.transform_slot_to_panel.inv()
+        self._look = ArmMove(aim(arm, panel.translation, survey))
+
+    def _take(self, seen: Observation) -> None:
+        belief, config = self._belief, MapperConfig()
+        assert belief.map is not None and self._search is not None
+        angles = np.asarray(seen.arm_angles.value, dtype=float)
+        tilt = tilt_of(seen, belief.robot.name)
+        pair = np.asarray(seen.stereo.value, dtype=np.uint8)
+        arm = camera_arm(belief.robot)[0]
+        found = belief.map.locate(arm, angles, tilt, pair, config.marker_sigma, config.standing)
+        if found is not None:
+            belief.localize(found)
+            self.found = True
+            if self._missed() and self.stops < _MOST_DRIVES:
+                self._set_off()
+            else:
+                self.done = True
+            return
+        hints = possible_markers(pair, eyes(belief.robot), belief.site.target)
+        goal = self._search.after(angles, hints, tilt)
+        if goal is None:
+            self.done = True
+        else:
+            self._look = ArmMove(goal)
+
+
+def _planar_pose(x: float, y: float, yaw: float) -> FloatArray:
+    pose = np.eye(4)
+    c, s = math.cos(yaw), math.sin(yaw)
+    pose[:2] = [[c, -s, 0.0, x], [s, c, 0.0, y]]
+    return pose

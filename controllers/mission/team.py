@@ -1,0 +1,150 @@
+"""Both rovers of a mission, each with its own part, joined by an exchange."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from controllers.insertion.card_arm import CardArm
+from controllers.mission.belief import MissionBelief
+from controllers.mission.exchange import Exchange, MapBegun
+from controllers.mission.robot_mission import MissionStage, RobotMission
+from controllers.mission.site import MissionRoles, SiteDrawing
+from controllers.mission.stages.find import FindPanel
+from controllers.mission.stages.identify import SwingArm
+from controllers.mission.stages.insert import GuideInsertion, InsertCard
+from controllers.mission.stages.map import MapTogether
+from controllers.mission.stages.meet import FindCard, TurnInView
+from controllers.mission.stages.place import PlaceCamera, choose_station
+from controllers.mission.stages.rest import Rest
+from twin.link import Link
+from twin.robot import Command, Observation
+
+OMITTABLE = ("identification", "mapping", "placement")
+"""What a mission can be tried without."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MissionConfig:
+    """How a mission goes.
+
+    Attributes:
+        without: One of `OMITTABLE` that is left out; empty for none.
+        scans: Views of the master alone, and of each robot when both have met.
+    """
+
+    without: str = ""
+    scans: tuple[int, int] = (4, 3)
+
+
+class MissionTeam:
+    """Runs both robots' parts; a `twin.robot.Controller`.
+
+    Args:
+        roles: Both robots as drawn.
+        site: The drawing of the site.
+        config: How the mission goes.
+        rng: Random generator for the excitations and for candidate views.
+        links: Each robot's end of the radio, by robot name.
+
+    Attributes:
+        master: The part of the robot that looks.
+        slave: The part of the robot that holds the card.
+    """
+
+    def __init__(
+        self,
+        roles: MissionRoles,
+        site: SiteDrawing,
+        config: MissionConfig,
+        rng: np.random.Generator,
+        links: Mapping[str, Link],
+    ) -> None:
+        exchange = Exchange(links)
+        identify, explore = rng.spawn(2)
+        swings = identify.spawn(2)
+        master = MissionBelief.initial(roles.master, roles.slave, site)
+        slave = MissionBelief.initial(roles.slave, roles.master, site)
+        looking = _master_stages(master, roles, exchange, config, (swings[0], explore))
+        holding = _slave_stages(slave, roles, exchange, config, swings[1])
+        self.master = RobotMission(master, roles.slave.name, exchange, looking)
+        self.slave = RobotMission(slave, roles.master.name, exchange, holding)
+
+    def reset(self) -> None:
+        """Nothing is learnt that a new run could not be made for."""
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Let both report, then let each go on."""
+        parts = (self.master, self.slave)
+        for part in parts:
+            part.report(observations[part.name])
+        commands = {part.name: part.step(observations[part.name]) for part in parts}
+        return {name: command for name, command in commands.items() if command is not None}
+
+    @property
+    def over(self) -> bool:
+        """Whether the last stage has ended."""
+        return self.master.over and self.slave.over
+
+    @property
+    def ended(self) -> list[tuple[str, float]]:
+        """Names of the stages so far and when both robots had ended them [s]."""
+        pairs = zip(self.master.ended, self.slave.ended)
+        return [(name, max(one, two)) for (name, one), (_, two) in pairs]
+
+
+def _master_stages(
+    belief: MissionBelief,
+    roles: MissionRoles,
+    exchange: Exchange,
+    config: MissionConfig,
+    sources: tuple[np.random.Generator, np.random.Generator],
+) -> Iterator[MissionStage]:
+    """Yield the stages of the robot that looks; the sources are for excitation and views."""
+    swing, explore = sources
+    partner, card = roles.slave.name, _card_at_rest(roles, belief.site)
+    if config.without != "identification":
+        yield SwingArm(belief, swing)
+    if config.without != "mapping":
+        yield FindPanel(belief, config.scans[0], explore)
+    if belief.map is not None:
+        exchange.post(belief.robot.name, MapBegun())
+    yield FindCard(belief, partner, exchange, card)
+    belief.hear(exchange, partner)
+    if belief.map is not None:
+        yield MapTogether.begin(belief, roles.slave, exchange, config.scans[1], explore)
+    placed = config.without != "placement"
+    if placed:
+        yield PlaceCamera(belief, choose_station(belief))
+    yield GuideInsertion(belief, partner, exchange, card, placed)
+
+
+def _card_at_rest(roles: MissionRoles, site: SiteDrawing) -> RigidTransform:
+    """Return the transform from the card to the slave that holds it, its arm at home."""
+    assert roles.slave.arm is not None
+    arm = CardArm(roles.slave, site.insertion.tip)
+    return RigidTransform.from_matrix(arm.card_in_robot(roles.slave.arm.home))
+
+
+def _slave_stages(
+    belief: MissionBelief,
+    roles: MissionRoles,
+    exchange: Exchange,
+    config: MissionConfig,
+    rng: np.random.Generator,
+) -> Iterator[MissionStage]:
+    """Yield the stages of the robot that holds the card; the generator is for the excitation."""
+    partner = roles.master.name
+    if config.without != "identification":
+        yield SwingArm(belief, rng)
+    if config.without != "mapping":
+        yield Rest(belief, FindPanel.name)
+    yield TurnInView(belief, exchange, turns=config.without != "identification")
+    if exchange.read(partner, MapBegun) is not None:
+        yield MapTogether(belief, exchange)
+    if config.without != "placement":
+        yield Rest(belief, PlaceCamera.name)
+    yield InsertCard(belief, partner, exchange)
