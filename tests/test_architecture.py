@@ -101,3 +101,92 @@ def test_rule_is_broken_by_what_it_forbids(tmp_path, monkeypatch):
     )
     lines = [int(line.split(":")[1].split()[0]) for line in violations(bad, "controllers")]
     assert lines == [1, 2, 3, 8, 9]
+
+
+def test_nothing_that_steps_on_observations_lives_in_experiments():
+    """What decides what a robot does is a controller."""
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in sorted((ROOT / "experiments").rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(), str(path)))
+        if isinstance(node, ast.FunctionDef)
+        and node.name == "step"
+        and any(argument.arg == "observations" for argument in node.args.args)
+    ]
+    assert found == []
+
+
+def _files(house: str) -> dict[str, Path]:
+    """Dotted names of a folder's modules."""
+    return {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts): path
+        for path in sorted((ROOT / house).rglob("*.py"))
+        if path.name != "__init__.py"
+    }
+
+
+LAYERS = (
+    {"kinematics"},
+    {"identification", "motion", "sensing", "mapping", "placement", "braid"},
+    {"insertion"},
+    {"mission"},
+)
+"""Rooms of the controllers from below."""
+
+
+UPWARD_STILL = {"controllers.motion.master_slave", "controllers.motion.planar_grip"}
+"""Modules that still import from a room above."""
+
+
+def test_no_arrow_runs_up_between_the_rooms_of_the_controllers():
+    rank = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
+    upward = []
+    for name, path in _files("controllers").items():
+        own = rank[name.split(".")[1]]
+        for line, target in imports(path):
+            parts = target.split(".")
+            if parts[0] == "controllers" and rank.get(parts[1], 0) > own:
+                upward.append(f"{name}:{line} imports {target}")
+    assert [arrow for arrow in upward if arrow.split(":")[0] not in UPWARD_STILL] == []
+
+
+STILL_CIRCLING = ("experiments.harness.", "experiments.report.")
+
+
+def test_no_files_import_each_other_in_a_circle():
+    files = {name: path for house in ALLOWED for name, path in _files(house).items()}
+    arrows = {name: {_file_of(target, files) for _, target in imports(path)} - {"", name}
+              for name, path in files.items()}  # fmt: skip
+    pending = dict(arrows)
+    # Take away, again and again, what imports nothing that is left, and what nothing left imports.
+    while free := [
+        name
+        for name in pending
+        if not arrows[name] & pending.keys() or not any(name in arrows[other] for other in pending)
+    ]:
+        for name in free:
+            del pending[name]
+    # Still in a circle: contract and output of the harness, the report and its pages.
+    assert [name for name in sorted(pending) if not name.startswith(STILL_CIRCLING)] == []
+
+
+def _file_of(target: str, files: dict[str, Path]) -> str:
+    """Name of the module that an imported name comes from; empty if it is none of ours."""
+    while target and target not in files:
+        target = target.rpartition(".")[0]
+    return target
+
+
+MOST_MODULES = 16
+CROWDED_STILL = {"twin": 20}
+"""Folders that still hold more, and how many."""
+
+
+def test_a_folder_holds_at_most_sixteen_modules():
+    crowded = {}
+    for house in ALLOWED:
+        for folder in [ROOT / house, *(p for p in (ROOT / house).rglob("*") if p.is_dir())]:
+            count = len([path for path in folder.glob("*.py") if path.name != "__init__.py"])
+            if count > MOST_MODULES:
+                crowded[str(folder.relative_to(ROOT))] = count
+    assert crowded.items() <= CROWDED_STILL.items()

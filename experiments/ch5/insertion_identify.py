@@ -1,8 +1,7 @@
-"""What a rover of ``ch5-insertion`` knows of itself: its slip by a drive, its springs, its arm.
+"""What a rover of ``ch5-insertion`` knows of itself: its slip, by a drive.
 
 The share of a turn that skidding leaves is identified on flat ground, by the heading sensor against
-what rolling wheels would turn. The springs are those that chapter 2 identifies (Table 2-2); in roll
-they follow from the same springs by thesis eq. A-1.
+what rolling wheels would turn.
 """
 
 from __future__ import annotations
@@ -12,7 +11,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.motion.base_tilt import TiltAxis
 from controllers.motion.driving import SkidSteer, identify_turn_share
 from models import datasheets
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
@@ -32,18 +30,6 @@ def rover_steer(turn_share: float = 1.0) -> SkidSteer:
     """Return the rover's wheels with a share of the turn that they keep."""
     rover = datasheets.ROVER
     return SkidSteer(rover.wheel_radius, rover.half_track, turn_share)
-
-
-def rover_springs() -> tuple[TiltAxis, TiltAxis]:
-    """Return how the rover pitches and rolls on its springs."""
-    rover, table = datasheets.ROVER, datasheets.TABLE_2_2_TRUTH
-    forward, up = rover.arm_mount[1], rover.arm_mount[2] + rover.centre_height
-    inertia, damping, stiffness = table["ixx"], table["b_pitch"], table["k_pitch"]
-    pitch = TiltAxis(inertia, damping, stiffness, (forward, up))
-    # Four springs at half the track instead of half the wheelbase (thesis eq. A-1).
-    ratio = (rover.half_track / rover.half_wheelbase) ** 2
-    roll = TiltAxis(inertia * ratio, damping * ratio, stiffness * ratio, (0.0, up))
-    return pitch, roll
 
 
 def identify_slip(seed: int) -> tuple[float, float]:

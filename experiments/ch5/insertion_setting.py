@@ -27,8 +27,9 @@ from controllers.insertion.team import (
     marker_guide_config,
     surrogate_sensing,
 )
+from controllers.motion.base_tilt import drawn_springs
 from experiments.ch5.insertion_faults import Fault, FaultInjector
-from experiments.ch5.insertion_identify import rover_springs, rover_steer
+from experiments.ch5.insertion_identify import rover_steer
 from experiments.ch5.insertion_scene import (
     MASTER,
     SLAVE,
@@ -141,7 +142,8 @@ def prepare(trial: InsertionTrial) -> Setting:
         data=settle(model),
     )
     inserter = _inserter(trial, simulation.data, prior_rng)
-    sensing = surrogate_sensing(describe_rover(SLAVE, card=True), drawing.tip, rover_springs())
+    slave = describe_rover(SLAVE, card=True)
+    sensing = surrogate_sensing(slave, drawing.tip, drawn_springs(slave))
     links: dict[str, Link] = dict(
         virtual_links([MASTER, SLAVE], lambda: simulation.time, radio_rng)
     )
@@ -182,8 +184,9 @@ def _inserter(trial: InsertionTrial, data: mujoco.MjData, rng: np.random.Generat
     slot, covariance = _mapped(slot, rng)
     steer = rover_steer(trial.turn_share)
     drawing = insertion_drawing(trial.width)
-    config = CardInserterConfig(guide_config(drawing, rover_springs()[0]))
-    arm = CardArm(describe_rover(SLAVE, card=True), drawing.tip)
+    rover = describe_rover(SLAVE, card=True)
+    config = CardInserterConfig(guide_config(drawing, drawn_springs(rover)[0]))
+    arm = CardArm(rover, drawing.tip)
     return CardInserter(config, arm, steer, slot.as_matrix(), covariance)
 
 
