@@ -24,8 +24,8 @@ TURN_SHARE = 0.7
 STRIKE = 25.0
 """Largest contact force of a card in a slot that is too narrow for it [N].
 
-A jammed card may snap out of the slot and strike its face: with another renderer's kernels one course
-gave 15.2 N for one tick, while the wrench sensor felt 3 N. How often the force stays within
+A jammed card may snap out of the slot and strike its face: with another renderer's kernels one
+course gave 15.2 N for one tick, while the wrench sensor felt 3 N. How often the force stays within
 `MOST_FORCE` is a figure of the experiment.
 """
 
