@@ -1,1 +1,27 @@
-"""Insertion of a card into a slot by what the hand feels."""
+"""Insertion of a card or a segment into a slot (Thesis sections 5.2, 5.3 and A.4).
+
+What is drawn and what is believed:
+
+- `drawing`: card, slot, their markers, and what stands about them.
+- `printed_frames`: the required motion by three points as printed (eqs 5-1 to 5-4), a reference.
+- `slot_belief`: where the slave believes the slot to be.
+
+Contact, in the plane:
+
+- `contact`, `contact_states`: forces of a card in a slot, and which of six states they show.
+- `guide`: insertion in the direction of least resistance, and straight ahead for comparison.
+
+One card, two rovers: the master looks, the slave acts:
+
+- `camera_station`, `watching`: where the master stands, and where its camera sees best.
+- `guidance`: message with the slot's pose from the card, as the master saw it.
+- `marker_guide`: the master.
+- `card_arm`, `card_inserter`: the slave's arm with the card, and the slave.
+- `team`: master and slave, joined by their messages alone.
+
+One segment in two grips (figure A-8):
+
+- `planar_grip`: the gripper in the plane of its arm, and the wrench that it exerts.
+- `cooperation`: grips that hold positions and forces, and the pair's messages.
+- `master_slave`: the master that plans and guides, the slave that follows.
+"""

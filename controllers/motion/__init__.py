@@ -7,5 +7,6 @@
 - `lagrange`: the nine coordinates of rover and arm, and their state space (eqs A-2, A-3).
 - `arm_control`: control of the arm on its yielding base (eq. A-4).
 - `tip_over`, `online_guard`: zero-moment point and guards against tipping (eq. A-5).
-- `planar_grip`, `master_slave`, `cooperation`: two arms on one load (section A.4).
+- `guarded_swing`: a swing of the arm under one of these guards, or under none.
+- `simple_motions`: motions of all axes that exercise loop, boards and sensors.
 """

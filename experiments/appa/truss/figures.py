@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from controllers.motion.master_slave import Stage
+from controllers.insertion.master_slave import Stage
 from experiments.appa.truss.trial import COLUMNS, SQUEEZE, TrussRun
 
 Floats = NDArray[np.float64]

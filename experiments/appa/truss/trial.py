@@ -8,9 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.insertion.guide import GuideConfig, InsertionGuide, StraightInsertion
-from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.cooperation import (
+from controllers.insertion.cooperation import (
     MASTER_FORCES,
     NO_FORCES,
     SLAVE_FORCES,
@@ -18,8 +16,10 @@ from controllers.motion.cooperation import (
     HybridConfig,
     HybridGrip,
 )
-from controllers.motion.master_slave import Master, PairConfig, Slave, Stage
-from controllers.motion.planar_grip import GripSensor, PlanarArm, Stance
+from controllers.insertion.guide import GuideConfig, InsertionGuide, StraightInsertion
+from controllers.insertion.master_slave import Master, PairConfig, Slave, Stage
+from controllers.insertion.planar_grip import GripSensor, PlanarArm, Stance
+from controllers.kinematics.serial_chain import SerialChain
 from experiments.appa.truss.bench import ROBOTS, TrussBench
 from models import datasheets
 from models.truss import MASTER, SLAVE, TRUSS

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from controllers.insertion.planar_grip import GripSensor, Stance
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.planar_grip import GripSensor, Stance
 from experiments.appa.truss.bench import ROBOTS, TrussBench
 from experiments.appa.truss.trial import TrussTrial, planar_arm, run_truss
 from models.datasheets import ROVER

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.guide import GuideConfig
-from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.cooperation import (
+from controllers.insertion.cooperation import (
     REPORT,
     SET_POINT,
     SLAVE_FORCES,
@@ -18,8 +16,10 @@ from controllers.motion.cooperation import (
     decode,
     encode,
 )
-from controllers.motion.master_slave import Master, PairConfig, Slave, Stage
-from controllers.motion.planar_grip import PlanarArm, Stance
+from controllers.insertion.guide import GuideConfig
+from controllers.insertion.master_slave import Master, PairConfig, Slave, Stage
+from controllers.insertion.planar_grip import PlanarArm, Stance
+from controllers.kinematics.serial_chain import SerialChain
 from experiments.appa.truss.trial import planar_arm
 from models.compose import FieldConfig, RobotPlacement, make_model
 from twin.describe import describe

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controllers.insertion.guide import Phase
-from controllers.motion.cooperation import (
+from controllers.insertion.cooperation import (
     NO_FORCES,
     REPORT,
     SET_POINT,
@@ -15,9 +14,10 @@ from controllers.motion.cooperation import (
     HybridGrip,
     encode,
 )
-from controllers.motion.master_slave import Master, Slave, Stage
-from controllers.motion.planar_grip import Stance
-from tests.controllers.motion.test_cooperation import ARM, BENDS, LEFT, PAIR, RIGHT, seen
+from controllers.insertion.guide import Phase
+from controllers.insertion.master_slave import Master, Slave, Stage
+from controllers.insertion.planar_grip import Stance
+from tests.controllers.insertion.test_cooperation import ARM, BENDS, LEFT, PAIR, RIGHT, seen
 
 TICK = PAIR.period
 

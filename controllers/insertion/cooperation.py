@@ -20,7 +20,7 @@ import struct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.motion.planar_grip import GripSensor, PlanarArm, Stance
+from controllers.insertion.planar_grip import GripSensor, PlanarArm, Stance
 from twin.robot import ArmMode, Command, Observation, RobotError
 
 FloatArray = NDArray[np.float64]

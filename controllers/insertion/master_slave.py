@@ -15,9 +15,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from controllers.insertion.cooperation import REPORT, SET_POINT, Grip, HybridGrip, decode, encode
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
 from controllers.motion.base_motion import level_of
-from controllers.motion.cooperation import REPORT, SET_POINT, Grip, HybridGrip, decode, encode
 from twin.robot import Command, Observation
 
 FloatArray = NDArray[np.float64]
