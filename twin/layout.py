@@ -22,23 +22,10 @@ def default_blueprint(
         rrb.TimeSeriesView(origin="excitation", name="Excitation"),
         rrb.TimeSeriesView(origin="estimates", name="Estimates"),
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(
-                    origin="world",
-                    name="Scene",
-                    eye_controls=rrb.EyeControls3D(
-                        position=(1.3, -1.3, 0.9), look_target=(0.0, 0.1, 0.1)
-                    ),
-                ),
-                rrb.Horizontal(*below),
-                row_shares=[3, 2],
-            ),
-            rrb.Tabs(*tabs) if tabs else rrb.TimeSeriesView(origin="/", name="Curves"),
-            column_shares=[3, 2],
-        ),
-        *_panels(),
+    scene = scene_view("world", "Scene", (1.3, -1.3, 0.9), (0.0, 0.1, 0.1))
+    return side_by_side(
+        rrb.Vertical(scene, rrb.Horizontal(*below), row_shares=[3, 2]),
+        rrb.Tabs(*tabs) if tabs else rrb.TimeSeriesView(origin="/", name="Curves"),
     )
 
 
@@ -60,26 +47,48 @@ def task_blueprint(
         rrb.Spatial2DView(origin=f"{watcher}/stereo/{side}", name=f"{watcher}'s {side} eye")
         for side in ("left", "right")
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(
-                    origin="world",
-                    name="Scene",
-                    eye_controls=rrb.EyeControls3D(position=position, look_target=target),
-                ),
-                rrb.Horizontal(*eyes),
-                row_shares=[3, 2],
-            ),
-            rrb.Vertical(*views),
-            column_shares=[3, 2],
-        ),
-        *_panels(),
+    scene = scene_view("world", "Scene", position, target)
+    return side_by_side(
+        rrb.Vertical(scene, rrb.Horizontal(*eyes), row_shares=[3, 2]), rrb.Vertical(*views)
     )
 
 
-def _panels() -> tuple[rrb.TimePanel, rrb.BlueprintPanel, rrb.SelectionPanel]:
-    return (
+def scene_view(
+    origin: str,
+    name: str,
+    position: tuple[float, float, float],
+    target: tuple[float, float, float],
+) -> rrb.Spatial3DView:
+    """Return a view of a scene in space.
+
+    Args:
+        origin: Entity path of the scene.
+        name: Title of the view.
+        position: Position of the eye [m].
+        target: Point that the eye looks at [m].
+    """
+    eye = rrb.EyeControls3D(position=position, look_target=target)
+    return rrb.Spatial3DView(origin=origin, name=name, eye_controls=eye)
+
+
+def side_by_side(main: rrb.View | rrb.Container, beside: rrb.View | rrb.Container) -> rrb.Blueprint:
+    """Return the layout of a main view on the left and smaller ones on the right.
+
+    Args:
+        main: View or container that takes three fifths of the width.
+        beside: View or container that takes the rest.
+    """
+    return content_alone(rrb.Horizontal(main, beside, column_shares=[3, 2]))
+
+
+def content_alone(content: rrb.View | rrb.Container) -> rrb.Blueprint:
+    """Return a blueprint whose viewer shows the content and hides its own panels.
+
+    Args:
+        content: View or container that fills the window, above the collapsed timeline.
+    """
+    return rrb.Blueprint(
+        content,
         rrb.TimePanel(timeline="sim_time", state="collapsed"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from controllers.insertion.guide import Phase
 from experiments.ch5.contact_bench import shape_of
 from experiments.ch5.contact_figures import card_outline, wall_outlines
+from twin.layout import side_by_side
 
 GREEN, GREY = (40, 150, 80), (120, 120, 120)
 EVERY = 5
@@ -30,18 +31,13 @@ def record_insertion(width: float, course: NDArray[np.float64], path: Path) -> N
     stream = rr.RecordingStream("fieldtwin")
     stream.save(path)
     stream.send_blueprint(
-        rrb.Blueprint(
-            rrb.Horizontal(
-                rrb.Spatial2DView(origin="slot", name="Card and slot [mm]"),
-                rrb.Vertical(
-                    rrb.TimeSeriesView(origin="curves/force", name="Contact force [N]"),
-                    rrb.TimeSeriesView(origin="curves/moment", name="Moment [N m]"),
-                    rrb.TextLogView(origin="phase", name="Phase"),
-                ),
+        side_by_side(
+            rrb.Spatial2DView(origin="slot", name="Card and slot [mm]"),
+            rrb.Vertical(
+                rrb.TimeSeriesView(origin="curves/force", name="Contact force [N]"),
+                rrb.TimeSeriesView(origin="curves/moment", name="Moment [N m]"),
+                rrb.TextLogView(origin="phase", name="Phase"),
             ),
-            rrb.TimePanel(timeline="sim_time", state="collapsed"),
-            rrb.BlueprintPanel(state="hidden"),
-            rrb.SelectionPanel(state="hidden"),
         )
     )
     flip = np.array([1e3, -1e3])

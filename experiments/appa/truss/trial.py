@@ -24,8 +24,7 @@ from experiments.appa.truss.bench import ROBOTS, TrussBench
 from models import datasheets
 from models.truss import MASTER, SLAVE, TRUSS
 from twin.describe import describe
-from twin.hardware.emulator.modem import ModemConfig, VirtualModems
-from twin.hardware.radio.framed_radio import FramedLink
+from twin.hardware.emulator.modem import ModemConfig, virtual_links
 from twin.simulation import Simulation
 
 Floats = NDArray[np.float64]
@@ -230,15 +229,14 @@ def _drive(
     simulation = Simulation(
         bench.model, list(ROBOTS), seed=trial.seed, period=PERIOD, data=bench.data
     )
-    modems = VirtualModems(ModemConfig(error_rate=trial.byte_errors), rng)
-    links = [FramedLink(end, rng) for end in modems.ends]
+    modems = ModemConfig(error_rate=trial.byte_errors)
+    links = virtual_links(ROBOTS, lambda: simulation.time, rng, modems)
     robots = [simulation.robots[name] for name in ROBOTS]
     for robot in robots:
         robot.activate()
     course: list[list[float]] = []
     for _ in range(round(LIMIT / PERIOD)):
-        modems.time = simulation.time
-        for robot, link, side in zip(robots, links, (master, slave), strict=True):
+        for robot, link, side in zip(robots, links.values(), (master, slave), strict=True):
             command, message = side.step(robot.observe(), link.poll().messages)
             if message is not None:
                 link.send_latest(message)

@@ -14,6 +14,7 @@ from experiments.appe.mechanism.bench import TICK, make_bench
 from experiments.appe.mechanism.braid_record import BraidRecord
 from experiments.appe.mechanism.trial import WordTrial
 from models.braid.build import BraidConfig
+from twin.layout import scene_view, side_by_side
 
 EVERY = 4
 """Ticks of the drive from one picture to the next."""
@@ -30,25 +31,13 @@ def record_words(trial: WordTrial, path: Path) -> None:
     stream = rr.RecordingStream("fieldtwin")
     stream.save(path)
     stream.send_blueprint(
-        rrb.Blueprint(
-            rrb.Horizontal(
-                rrb.Spatial3DView(
-                    origin="world",
-                    name="BRAID",
-                    eye_controls=rrb.EyeControls3D(
-                        position=(0.45, -0.45, 0.35), look_target=(0.0, 0.0, 0.12)
-                    ),
-                ),
-                rrb.Vertical(
-                    rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long"),
-                    rrb.TimeSeriesView(origin="curves/hottest_wire", name="Hottest wire [degC]"),
-                    rrb.TextLogView(origin="word", name="Word"),
-                ),
-                column_shares=[3, 2],
+        side_by_side(
+            scene_view("world", "BRAID", (0.45, -0.45, 0.35), (0.0, 0.0, 0.12)),
+            rrb.Vertical(
+                rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long"),
+                rrb.TimeSeriesView(origin="curves/hottest_wire", name="Hottest wire [degC]"),
+                rrb.TextLogView(origin="word", name="Word"),
             ),
-            rrb.TimePanel(timeline="sim_time", state="collapsed"),
-            rrb.BlueprintPanel(state="hidden"),
-            rrb.SelectionPanel(state="hidden"),
         )
     )
     record = BraidRecord(stream, bench)

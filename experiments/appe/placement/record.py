@@ -13,6 +13,7 @@ from controllers.braid.bus.drive import WireDrive
 from experiments.appe.mechanism.bench import TICK
 from experiments.appe.mechanism.braid_record import BraidRecord
 from experiments.appe.placement.trial import PlacementTrial, prepare
+from twin.layout import scene_view, side_by_side
 
 EVERY, IMAGE_EVERY = 4, 40
 """Ticks of the drive from one pose, and from one camera picture, to the next."""
@@ -35,24 +36,12 @@ def record_placement(trial: PlacementTrial, path: Path) -> None:
     stream = rr.RecordingStream("fieldtwin")
     stream.save(path)
     stream.send_blueprint(
-        rrb.Blueprint(
-            rrb.Horizontal(
-                rrb.Spatial3DView(
-                    origin="world",
-                    name="Rover with BRAID",
-                    eye_controls=rrb.EyeControls3D(
-                        position=(-0.3, -1.6, 0.9), look_target=(0.4, 0.0, 0.25)
-                    ),
-                ),
-                rrb.Vertical(
-                    rrb.Spatial2DView(origin="camera", name="Left camera"),
-                    rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long"),
-                ),
-                column_shares=[3, 2],
+        side_by_side(
+            scene_view("world", "Rover with BRAID", (-0.3, -1.6, 0.9), (0.4, 0.0, 0.25)),
+            rrb.Vertical(
+                rrb.Spatial2DView(origin="camera", name="Left camera"),
+                rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long"),
             ),
-            rrb.TimePanel(timeline="sim_time", state="collapsed"),
-            rrb.BlueprintPanel(state="hidden"),
-            rrb.SelectionPanel(state="hidden"),
         )
     )
     record = BraidRecord(stream, scene.bench)

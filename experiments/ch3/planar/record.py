@@ -15,6 +15,7 @@ from experiments.ch3.planar.figures import shades
 from experiments.ch3.planar.trial import PlanarRun, PlanarTrial, Round, build_world, run_trial
 from perception.planar.map import Grid
 from perception.planar.raycast import RangeSensor
+from twin.layout import side_by_side
 
 COLOURS = ((220, 40, 40), (0, 170, 190), (240, 150, 0), (60, 160, 60), (150, 80, 200))
 ARC = 16
@@ -47,18 +48,12 @@ def record_trial(trial: PlanarTrial, path: Path) -> PlanarRun:
 
 def blueprint() -> rrb.Blueprint:
     """Return the layout: the map, and the curves beside it."""
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial2DView(origin="map", name="Map"),
-            rrb.Vertical(
-                rrb.TimeSeriesView(origin="curves/fraction", name="Fraction mapped"),
-                rrb.TimeSeriesView(origin="curves/metres", name="Distance moved [m]"),
-            ),
-            column_shares=[3, 2],
+    return side_by_side(
+        rrb.Spatial2DView(origin="map", name="Map"),
+        rrb.Vertical(
+            rrb.TimeSeriesView(origin="curves/fraction", name="Fraction mapped"),
+            rrb.TimeSeriesView(origin="curves/metres", name="Distance moved [m]"),
         ),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from controllers.mapping.looking import Look
 from controllers.mapping.stereo_mapper import StereoMapper
+from twin.layout import scene_view, side_by_side
 
 _SHOWN = 40_000
 """Points of the map that are written at each look, at most: drawn at random."""
@@ -125,24 +126,12 @@ def _blueprint() -> rrb.Blueprint:
         rrb.Spatial2DView(origin=f"images/{name}", name=f"{name}, left eye")
         for name in ("rover1", "rover2")
     ]
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                origin="map",
-                name="Map, cameras and candidates",
-                eye_controls=rrb.EyeControls3D(
-                    position=(1.6, -2.6, 1.9), look_target=(0.0, -0.4, 0.0)
-                ),
-            ),
-            rrb.Vertical(
-                *images,
-                rrb.TimeSeriesView(origin="curves/share", name="Share of the surface mapped"),
-                rrb.TimeSeriesView(origin="curves/points", name="Mapped points"),
-                row_shares=[3, 3, 2, 2],
-            ),
-            column_shares=[3, 2],
+    return side_by_side(
+        scene_view("map", "Map, cameras and candidates", (1.6, -2.6, 1.9), (0.0, -0.4, 0.0)),
+        rrb.Vertical(
+            *images,
+            rrb.TimeSeriesView(origin="curves/share", name="Share of the surface mapped"),
+            rrb.TimeSeriesView(origin="curves/points", name="Mapped points"),
+            row_shares=[3, 3, 2, 2],
         ),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
     )

@@ -20,6 +20,7 @@ from experiments.ch4.montecarlo.trial import (
     guide,
     worlds,
 )
+from twin.layout import content_alone
 
 BLUE, GREEN, RED, PURPLE, GREY = (
     (40, 90, 200), (40, 150, 60), (210, 40, 40), (130, 80, 170), (110, 110, 110),
@@ -39,8 +40,7 @@ def record_test(seed: int, path: Path) -> None:
     stream.save(path)
     views: list[Any] = [rrb.Spatial2DView(origin=name, name=name) for name in PLACEMENTS]
     curves = rrb.TimeSeriesView(origin="error_mm", name="Error across the slot [mm]")
-    panels = (rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden"))
-    stream.send_blueprint(rrb.Blueprint(rrb.Vertical(rrb.Horizontal(*views), curves), *panels))
+    stream.send_blueprint(content_alone(rrb.Vertical(rrb.Horizontal(*views), curves)))
     for index, placement in enumerate(PLACEMENTS):
         track = np.empty((PERIODS, len(TRACK)))
         _, steps = guide(SCENARIO, world, chance, index, True, track)

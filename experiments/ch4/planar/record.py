@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from controllers.placement.planar.search import rating_field
 from experiments.ch4.planar.motion import STEP, MappedSite, Moment
+from twin.layout import side_by_side
 
 Floats = NDArray[np.float64]
 
@@ -45,18 +46,12 @@ def record_approach(site: MappedSite, moments: Sequence[Moment], path: Path) -> 
 
 def blueprint() -> rrb.Blueprint:
     """Return the layout: the map, and the rating beside it."""
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial2DView(origin="map", name="Map, hulls and ratings of places"),
-            rrb.Vertical(
-                rrb.TimeSeriesView(origin="curves/rating", name="Rating [1/m]"),
-                rrb.TimeSeriesView(origin="curves/free_cap", name="Target field visibility [deg]"),
-            ),
-            column_shares=[3, 2],
+    return side_by_side(
+        rrb.Spatial2DView(origin="map", name="Map, hulls and ratings of places"),
+        rrb.Vertical(
+            rrb.TimeSeriesView(origin="curves/rating", name="Rating [1/m]"),
+            rrb.TimeSeriesView(origin="curves/free_cap", name="Target field visibility [deg]"),
         ),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
     )
 
 

@@ -19,6 +19,7 @@ from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.task import View
 from models.blocks import Block
 from models.datasheets import CAMERA
+from twin.layout import scene_view, side_by_side
 
 FloatArray = NDArray[np.float64]
 
@@ -136,23 +137,11 @@ def _colours(parts: FloatArray) -> NDArray[np.uint8]:
 
 
 def _blueprint() -> rrb.Blueprint:
-    eye = rrb.EyeControls3D(position=(0.35, -0.45, 0.35), look_target=(0.0, 0.0, 0.04))
-    above = rrb.EyeControls3D(position=(0.05, -0.1, 0.42), look_target=(0.0, 0.0, 0.03))
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                origin="scene", name="Blocks, hulls, ratings and camera", eye_controls=eye
-            ),
-            rrb.Vertical(
-                rrb.Spatial2DView(origin="scene/camera", name="What the camera sees"),
-                rrb.Spatial3DView(
-                    origin="sphere", name="Target field visibility, hidden parts dark",
-                    eye_controls=above,
-                ),
-            ),
-            column_shares=[3, 2],
-        ),
-        rrb.TimePanel(timeline="sim_time", state="collapsed"),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-    )  # fmt: skip
+    blocks = scene_view(
+        "scene", "Blocks, hulls, ratings and camera", (0.35, -0.45, 0.35), (0.0, 0.0, 0.04)
+    )
+    sphere = scene_view(
+        "sphere", "Target field visibility, hidden parts dark", (0.05, -0.1, 0.42), (0.0, 0.0, 0.03)
+    )
+    camera = rrb.Spatial2DView(origin="scene/camera", name="What the camera sees")
+    return side_by_side(blocks, rrb.Vertical(camera, sphere))
