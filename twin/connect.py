@@ -23,7 +23,7 @@ from twin.hardware.connect_boards import (
 )
 from twin.hardware.emulator.modem import ModemConfig, virtual_links
 from twin.hardware.emulator.process import EmulatorProcess
-from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
+from twin.hardware.emulator.scene import SETTLING, EmulatedScene, SceneConfig
 from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedConfig, FramedLink
 from twin.hardware.serial_link import SerialLink
@@ -48,16 +48,32 @@ TARGETS: Mapping[str, str] = {
 
 
 @dataclasses.dataclass(frozen=True)
+class LineConfig:
+    """Simulated lines between hosts and boards, and between the robots.
+
+    Attributes:
+        bus_faults: Share of damaged exchanges with emulated motor boards, 0 to 1.
+        modems: Properties of the radio's modems.
+        radio_rng: Random generator for the radio's byte errors and session numbers; None for one
+            drawn from the seed.
+    """
+
+    bus_faults: float = 0.0
+    modems: ModemConfig = dataclasses.field(default_factory=ModemConfig)
+    radio_rng: np.random.Generator | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Connection:
     """Robots, the clock that paces them and, for simulated ones, the scene behind them.
 
     Attributes:
-        robots: By name.
+        robots: Robots by name.
         clock: Paces `twin.loop.run`.
         simulation: The scene with the truth, for measuring and recording only; None when real.
         emulator: The process behind emulated boards; None for all others.
         links: Each robot's end of the radio, by robot name; empty where there is none.
-        resources: What `close` takes down besides.
+        resources: Ports, processes and threads that `close` takes down besides.
     """
 
     robots: Mapping[str, Robot]
@@ -95,10 +111,7 @@ def connect(
     suite: SensorSuite = DATASHEET,
     stereo: StereoConfig | None = None,
     seed: int = 0,
-    settling: float = 1.0,
-    line_faults: float = 0.0,
-    modems: ModemConfig | None = None,
-    radio_rng: np.random.Generator | None = None,
+    lines: LineConfig | None = None,
 ) -> Connection:
     """Return robots that stand still and wait to be activated.
 
@@ -109,12 +122,8 @@ def connect(
         suite: Sensors of simulated robots; boards have their own.
         stereo: Stereo heads of simulated, quantised and emulated robots; None leaves the channel
             missing.
-        seed: Of all sensor noise.
-        settling: Time for which simulated robots come to rest before time zero [s].
-        line_faults: Share of damaged exchanges with emulated motor boards, 0 to 1.
-        modems: Properties of the simulated radio; None for the default.
-        radio_rng: Random generator for the simulated radio's byte errors and session numbers; None
-            for one drawn from the seed.
+        seed: Random seed of all sensor noise.
+        lines: Simulated radio and damage on emulated lines; None for the default.
 
     Raises:
         ValueError: If the target is unknown or misspelt, or a calibration cannot be used.
@@ -124,22 +133,22 @@ def connect(
     word, colon, wiring = target.partition(":")
     if word == "serial" and colon:
         return _connect_wires(Wiring.parse_all(wiring))
-    scene = SceneConfig(tuple(robots), field, seed, settling, stereo=stereo)
+    scene = SceneConfig(tuple(robots), field, seed, stereo=stereo)
+    lines = lines or LineConfig()
     if target != "sim" and any(robot.model for robot in scene.robots):
         raise ValueError(
             f"{target}: the boards have four wheels and four arm joints each, not more"
         )
     if target == "emulated":
-        bare = _connect_emulated(scene, line_faults)
+        bare = _connect_emulated(scene, lines.bus_faults)
     elif target == "quantised":
         bare = _connect_quantised(scene)
     elif target == "sim":
         bare = _connect_simulation(scene, suite)
     else:
         raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
-    if radio_rng is None:
-        radio_rng = np.random.default_rng([seed, 6])
-    links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, modems)
+    radio_rng = lines.radio_rng or np.random.default_rng([seed, 6])
+    links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, lines.modems)
     return dataclasses.replace(bare, links=links)
 
 
@@ -151,7 +160,7 @@ def _connect_simulation(scene: SceneConfig, suite: SensorSuite) -> Connection:
         suite=suite,
         stereo=scene.stereo,
         seed=scene.seed,
-        data=settle(model, scene.settling),
+        data=settle(model, SETTLING),
     )
     return Connection(simulation.robots, SimClock(simulation), simulation)
 
@@ -165,9 +174,9 @@ def _connect_quantised(config: SceneConfig) -> Connection:
     return Connection(robots, TickClock(scene), scene.simulation, resources=resources)
 
 
-def _connect_emulated(config: SceneConfig, line_faults: float) -> Connection:
+def _connect_emulated(config: SceneConfig, bus_faults: float) -> Connection:
     with contextlib.ExitStack() as opening:
-        emulator = EmulatorProcess(config, line_faults)
+        emulator = EmulatorProcess(config, bus_faults)
         opening.callback(emulator.close)
         robots = emulated_robots(emulator, config)
         for robot in robots.values():

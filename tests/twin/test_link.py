@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from models.compose import RobotPlacement
-from twin.connect import connect
+from twin.connect import LineConfig, connect
 from twin.hardware.emulator.modem import ModemConfig
 
 PAIR = (RobotPlacement("rover1"), RobotPlacement("rover2", (1.5, 0.0)))
@@ -36,8 +36,9 @@ def test_radio_rng_decides_what_is_lost_and_sensors_do_not():
             "sim",
             robots=PAIR,
             seed=seed,
-            modems=ModemConfig(error_rate=0.05),
-            radio_rng=np.random.default_rng(radio),
+            lines=LineConfig(
+                modems=ModemConfig(error_rate=0.05), radio_rng=np.random.default_rng(radio)
+            ),
         ) as connection:
             return exchange(connection, 250)
 

@@ -18,7 +18,7 @@ from experiments.appd.boards.trial import PERIOD, ROBOT
 from experiments.ch2.rover.trial import known_swinging_arm
 from models.compose import RobotPlacement
 from twin.clock import WallClock
-from twin.connect import connect
+from twin.connect import LineConfig, connect
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.connect_boards import (
@@ -94,7 +94,7 @@ def compare_boards(config: IdentityTrial) -> BoardComparison:
         controller = RoverIdentifier(identifier, np.random.default_rng(config.seed))
         seed = config.seed % 2**31
         placements = [RobotPlacement(ROBOT)]
-        with connect(target, robots=placements, seed=seed, line_faults=faults) as connection:
+        with connect(target, robots=placements, seed=seed, lines=LineConfig(faults)) as connection:
             with contextlib.suppress(RobotError):  # Then there are fewer cycles than were wanted.
                 run(connection.robots, [controller], connection.clock, [keep], identifier.total)
             if connection.emulator is not None:

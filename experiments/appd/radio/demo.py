@@ -14,7 +14,7 @@ from controllers.mapping.pose_sharing import PoseSharing, SharingConfig
 from controllers.motion.driving import SkidSteer
 from models.compose import FieldConfig, RobotPlacement
 from models.datasheets import ROVER
-from twin.connect import Connection, connect
+from twin.connect import Connection, LineConfig, connect
 from twin.hardware.emulator.modem import ModemConfig
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import LoopRecorder, Tick
@@ -97,10 +97,10 @@ def converse(
     """
     sensors, radio = np.random.SeedSequence(seed).spawn(2)
     noise = int(sensors.generate_state(1)[0])
-    rng = np.random.default_rng(radio)
+    lines = LineConfig(modems=modems, radio_rng=np.random.default_rng(radio))
     with contextlib.ExitStack() as stack:
         connection = stack.enter_context(
-            connect(robot, robots=PLACEMENTS, field=FIELD, seed=noise, modems=modems, radio_rng=rng)
+            connect(robot, robots=PLACEMENTS, field=FIELD, seed=noise, lines=lines)
         )
         assert connection.simulation is not None
         links = _framed(connection)

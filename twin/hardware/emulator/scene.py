@@ -23,6 +23,9 @@ from twin.hardware.calibration.calibration import Calibration, calibration_path,
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
 from twin.simulation import Simulation
 
+SETTLING = 1.0
+"""Time for which robots come to rest before time zero [s]."""
+
 
 @dataclasses.dataclass(frozen=True)
 class SceneConfig:
@@ -31,8 +34,7 @@ class SceneConfig:
     Attributes:
         robots: Names and starting places.
         field: Ground.
-        seed: Of all noise.
-        settling: Time for which the robots come to rest before time zero [s].
+        seed: Random seed of all noise.
         calibrations: Files by robot name; the repository's own unless given.
         stereo: How the stereo heads see; None for without.
     """
@@ -40,7 +42,6 @@ class SceneConfig:
     robots: tuple[RobotPlacement, ...] = (RobotPlacement(),)
     field: FieldConfig = FLAT
     seed: int = 0
-    settling: float = 1.0
     calibrations: Mapping[str, Path] = dataclasses.field(default_factory=dict[str, Path])
     stereo: StereoConfig | None = None
 
@@ -72,7 +73,6 @@ class SceneConfig:
             tuple(_placement(_tuples(entry)) for entry in table["robots"]),
             FieldConfig(**field),
             table["seed"],
-            table["settling"],
             {name: Path(path) for name, path in table["calibrations"].items()},
             None if stereo is None else StereoConfig(**_tuples(stereo)),
         )
@@ -109,7 +109,7 @@ class EmulatedScene:
             suite=ANALOGUE_SENSORS,
             stereo=config.stereo,
             seed=config.seed,
-            data=settle(model, config.settling),
+            data=settle(model, SETTLING),
         )
         self.rovers = {
             name: EmulatedRover(robot, model, self.simulation.data, calibrations[name])

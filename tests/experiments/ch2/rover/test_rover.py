@@ -37,7 +37,7 @@ def test_a_disconnected_sensor_is_named(sensor):
     controller = RoverIdentifier(
         RoverIdentifierConfig(ROBOT, known_swinging_arm()), np.random.default_rng(0)
     )
-    with connect("sim", robots=[RobotPlacement(ROBOT)], settling=0.1) as connection:
+    with connect("sim", robots=[RobotPlacement(ROBOT)]) as connection:
         connection.robots[ROBOT].disconnect_sensor(sensor)
         with pytest.raises(RobotError, match=sensor):
             run(connection.robots, [controller], connection.clock, duration=0.1)

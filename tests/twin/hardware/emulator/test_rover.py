@@ -17,7 +17,7 @@ from controllers.identification.rover_identifier import RoverIdentifier, RoverId
 from experiments.ch2.rover.trial import known_swinging_arm
 from models.compose import PayloadConfig, RobotPlacement
 from twin.camera import StereoConfig
-from twin.connect import connect
+from twin.connect import LineConfig, connect
 from twin.hardware.connect_boards import emulated_wiring, wired_robot
 from twin.hardware.emulator.__main__ import Emulator
 from twin.hardware.emulator.process import EmulatorProcess
@@ -88,7 +88,7 @@ def configured(**changes):
 def test_controller_sees_and_does_the_same_on_quantised_and_emulated_boards(faults):
     config = configured(**SHORT)
     plain, _, _ = identified("quantised", config)
-    wired, damage, _ = identified("emulated", config, line_faults=faults)
+    wired, damage, _ = identified("emulated", config, lines=LineConfig(faults))
     assert len(plain.observations) == 150
     assert first_difference(plain, wired) is None
     assert (sum(damage.values()) > 10) == (faults > 0.0)
@@ -106,7 +106,7 @@ def identification():
 @pytest.mark.parametrize("faults", [0.0, 0.03])
 def test_whole_identification_is_the_same_bit_for_bit(identification, faults):
     config, plain = identification
-    wired, damage, statistics = identified("emulated", config, line_faults=faults)
+    wired, damage, statistics = identified("emulated", config, lines=LineConfig(faults))
     assert len(plain.observations) == 1350
     assert first_difference(plain, wired) is None
     # Whatever was damaged was asked again while the rover's time stood still.
@@ -238,7 +238,7 @@ def emulator():
 HOST = """
 import sys
 import numpy as np
-from twin.connect import connect
+from twin.connect import LineConfig, connect
 from twin.robot import Command
 with connect(sys.argv[1]) as link:
     robot = link.robots["rover1"]

@@ -1,0 +1,42 @@
+"""The mission on two rovers that are opened by their boards' ports."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiments.mission.mission import Options
+from experiments.mission.scene import MASTER, SLAVE
+from experiments.mission.trial import MissionTrial, prepared
+from tests.twin.hardware.realtime_emulator import serial_target
+from twin.loop import run
+
+SLOW_DOWN = 6
+"""On two cores with ten other jobs the longest cycle took 0.5 s: 0.08 s of the robots' time, about
+half of what the watchdog allows."""
+
+
+def test_the_mission_accepts_two_robots_by_their_ports() -> None:
+    target = "serial:/dev/a,robot=rover1,serial:/dev/b,robot=rover2"
+    assert Options(quick=True, robot=target).robot == target
+
+
+@pytest.mark.slow
+@pytest.mark.real_time
+def test_the_mission_on_ports_ends_its_first_stage(tmp_path: Path) -> None:
+    with (
+        serial_target((MASTER, SLAVE), SLOW_DOWN, tmp_path) as target,
+        prepared(MissionTrial(seed=7, robot=target)) as mission,
+    ):
+        team, connection = mission.team, mission.connection
+        run(
+            connection.robots,
+            [team],
+            connection.clock,
+            duration=20.0,
+            until=lambda: any(team.ended),
+        )
+        assert [name for name, _ in team.ended] == ["identify"]
+        for part in (team.master, team.slave):
+            assert part.belief.pitch is not None
