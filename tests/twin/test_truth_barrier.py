@@ -1,15 +1,29 @@
 """Controllers learn of the world by observations only."""
 
+import collections
+import contextlib
+import enum
+import functools
 import gc
+import sys
 import types
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
+import experiments
+import twin.connect
+from controllers.mission.stages.insert import GuideInsertion, InsertCard
+from experiments.ch5.insertion_scene import insertion_drawing
+from experiments.mission.scene import MASTER, SLAVE
+from experiments.mission.trial import MissionTrial, prepared
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import Renderer, StereoConfig, StereoRig
 from twin.clock import SimClock
+from twin.describe import describe, describe_rover
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import run
 from twin.robot import Command, Observation, WheelMode
@@ -128,3 +142,187 @@ def test_observation_has_no_attribute_beyond_the_contract(played):
     assert type(observation) is Observation
     assert not hasattr(observation, "__dict__")
     assert len(observation) == len(Observation._fields)
+
+
+PLAIN = (str, bytes, bool, int, type(None), enum.Enum, np.dtype, range, slice)
+CLOSED = (type, types.ModuleType, types.BuiltinFunctionType, np.ufunc, FramedLink)
+"""What holds no numbers of a robot; a radio link is a device."""
+
+
+def held(root):
+    """Numbers that are held by an object, by where they are; none is passed over in silence."""
+    found, seen, pending = {}, {}, [("", root)]
+    while pending:
+        path, item = pending.pop()
+        if isinstance(item, PLAIN):
+            found[path] = repr(item)
+        elif isinstance(item, (float, complex, np.generic)):
+            found[path] = np.asarray(item)
+        elif isinstance(item, np.ndarray) and item.dtype != object:
+            found[path] = item.copy()
+        elif isinstance(item, CLOSED) or id(item) in seen:
+            continue
+        else:
+            seen[id(item)] = item
+            pending += [(f"{path}/{name}", part) for name, part in parts(item).items()]
+    return found
+
+
+def parts(item):
+    """Objects that an object holds, by name."""
+    if isinstance(item, (RigidTransform, Rotation)):
+        return {"matrix": item.as_matrix()}
+    if isinstance(item, np.random.Generator):
+        return {"state": item.bit_generator.state}
+    if isinstance(item, (dict, types.MappingProxyType)):
+        return {str(key): part for key, part in item.items()}
+    if isinstance(item, (set, frozenset)):
+        return dict(enumerate(sorted(item, key=repr)))
+    if isinstance(item, (list, tuple, collections.deque, np.ndarray)):
+        return dict(enumerate(item))
+    if isinstance(item, types.GeneratorType):
+        return dict(item.gi_frame.f_locals) if item.gi_frame else {}
+    if isinstance(item, types.MethodType):
+        return {"self": item.__self__, "function": item.__func__}
+    if isinstance(item, types.FunctionType):
+        cells = [cell.cell_contents for cell in item.__closure__ or ()]
+        return {"closed": cells, "defaults": item.__defaults__, **vars(item)}
+    if isinstance(item, functools.partial):
+        return {"function": item.func, "args": item.args, "keywords": item.keywords}
+    if not hasattr(item, "__dict__") and not hasattr(item, "__slots__"):
+        raise TypeError(f"what a {type(item)} holds is not known")
+    slots = [slot for kind in type(item).__mro__ for slot in getattr(kind, "__slots__", ())]
+    there = {slot: getattr(item, slot) for slot in slots if hasattr(item, slot)}
+    return there | getattr(item, "__dict__", {})
+
+
+def differing(one, other):
+    """Places at which two objects hold other numbers; places of one alone are among them."""
+    a, b = held(one), held(other)
+    return sorted(path for path in a.keys() | b.keys() if not same(a.get(path), b.get(path)))
+
+
+def same(one, other):
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
+    return one == other
+
+
+def as_made(model, robots=(MASTER, SLAVE)):
+    """Change every number of the robots in a scene by about a hundredth."""
+    roots = [model.body(f"{robot}/chassis").id for robot in robots]
+    bodies = np.isin(model.body_rootid, roots)
+    joints = bodies[model.jnt_bodyid]
+    owned = {
+        "body": bodies,
+        "jnt": joints,
+        "dof": bodies[model.dof_bodyid],
+        "geom": bodies[model.geom_bodyid],
+        "site": bodies[model.site_bodyid],
+        "cam": bodies[model.cam_bodyid],
+        "actuator": joints[model.actuator_trnid[:, 0]],
+    }
+    turn = np.array([np.cos(5e-3), *(np.sin(5e-3) * np.array([0.6, 0.0, 0.8]))])
+    for prefix, own in owned.items():
+        for name in filter(lambda name: name.startswith(f"{prefix}_"), dir(model)):
+            values = getattr(model, name)
+            if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
+                continue
+            if name.endswith("quat"):
+                for index in np.flatnonzero(own):
+                    mujoco.mju_mulQuat(values[index], values[index].copy(), turn)
+            elif name == "jnt_axis":
+                for index in np.flatnonzero(own):
+                    mujoco.mju_rotVecQuat(values[index], values[index].copy(), turn)
+            else:
+                values[own] *= 1.013
+    # What is zero as drawn, or would keep a ratio.
+    model.actuator_gainprm[owned["actuator"]] *= 1.007
+    model.cam_intrinsic[owned["cam"], 2:] += 1e-5
+    hinges = joints & (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
+    model.key_qpos[:, model.jnt_qposadr[hinges]] *= 1.013
+    moved = np.flatnonzero(bodies & (model.body_jntnum == 0))
+    model.body_pos[moved] += 2e-3
+    model.body_ipos[bodies] += 2e-3
+    return model
+
+
+@pytest.fixture(scope="module")
+def missions():
+    """A mission with robots as drawn, and the same with robots as made that differ in all."""
+    make_model = twin.connect.make_model
+    with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
+        found = []
+        for change in (lambda model: model, as_made):
+            for cached in (describe_rover, insertion_drawing):
+                cached.cache_clear()
+            patch.setattr(twin.connect, "make_model", lambda *a, c=change: c(make_model(*a)))
+            found.append(stack.enter_context(prepared(MissionTrial(seed=4))))
+        yield found
+
+
+def all_stages(team):
+    """A team, and its last stages, which it makes when the ones before have ended."""
+    exchange = team.slave._exchange
+    card = RigidTransform.identity()
+    insert = InsertCard(team.slave.belief, MASTER, exchange)
+    return team, insert, GuideInsertion(team.master.belief, SLAVE, exchange, card, True)
+
+
+def test_robots_as_made_differ_from_the_drawn_ones_in_every_number(missions):
+    drawn, made = (mission.connection.simulation.model for mission in missions)
+    for robot in (MASTER, SLAVE):
+        one, other = (held(describe(model, robot)) for model in (drawn, made))
+        alike = [
+            path for path in one
+            if isinstance(one[path], np.ndarray)
+            and not path.startswith(("/sensor_sigma", "/arm/cover_radius"))  # no robot's own
+            and np.any(np.abs(one[path]) > 1e-6) and np.array_equal(one[path], other[path])
+        ]  # fmt: skip
+        assert alike == []
+
+
+def test_a_mission_holds_the_same_whatever_its_robots_are_made_like(missions):
+    one, other = (all_stages(mission.team) for mission in missions)
+    assert len(held(one)) > 300
+    assert differing(one, other) == []
+
+
+def test_a_controller_that_is_given_the_robot_as_made_is_found(missions):
+    drawn, made = missions
+    model = made.connection.simulation.model
+    belief = made.team.slave.belief
+    belief.robot, kept = describe(model, SLAVE), belief.robot
+    try:
+        assert differing(drawn.team, made.team)
+    finally:
+        belief.robot = kept
+
+
+def test_a_tick_of_the_mission_calls_nothing_of_the_experiments(missions):
+    """Between observation and command there are controllers alone."""
+    mission = missions[0]
+    folder = str(Path(experiments.__file__).parent)
+    files = collections.Counter()
+    robots = mission.connection.robots
+
+    def note(frame, event, _):
+        if event == "call":
+            files[frame.f_code.co_filename] += 1
+
+    for robot in robots.values():
+        robot.activate()
+    for _ in range(5):
+        observations = {name: robot.observe() for name, robot in robots.items()}
+        sys.setprofile(note)
+        try:
+            commands = mission.team.step(observations)
+        finally:
+            sys.setprofile(None)
+        for name, command in commands.items():
+            robots[name].command(command)
+        mission.connection.clock.tick()
+    assert any(file.endswith("controllers/mission/team.py") for file in files)
+    assert [file for file in files if file.startswith(folder)] == []
