@@ -1,1 +1,13 @@
-"""What the robots and the field are: MJCF, datasheets, scene composition."""
+"""What the robots and the field are: datasheets, MJCF, scene composition.
+
+- `datasheets`: every number with its source.
+- `rover`, `arm`, `stereo_head`, `field`: MJCF of the robot and of the ground it stands on.
+- `configuration`: what may be asked of a scene; `compose`: the scene from it.
+- `terrain`, `materials`, `clutter`: ground, textures, blocks and a panel with markers.
+- `card_and_slot`: the card and its slot (thesis chapter 5).
+- `compliant_base`: the plant of the simulation study (thesis chapter 2).
+- `blocks`: the work-piece of thesis figure 4-12.
+- `truss`: two rovers with a truss segment (thesis appendix A).
+- `braid`: the binary mechanism (thesis appendix E).
+- `render_pictures`: the pictures of the models' README files.
+"""

@@ -1,4 +1,19 @@
-"""What a robot does, simulated or real: the contract, the loop, the sensors, the recording."""
+"""What a robot does, simulated or real.
+
+In reading order:
+
+- `robot`: the contract of every robot; `description`: what a robot knows of itself, as drawn;
+  `link`: the radio as a controller sees it.
+- `connect`: robots from a word on the command line.
+- `loop`, `clock`: observe, decide, command, wait.
+- `describe`: descriptions from a model as drawn.
+- `simulation`, `sim_robot`: a MuJoCo scene stepped for several robots.
+- `servo`: commands into motor duty; `sensors`, `sensor_bank`, `wiring`: measurements with noise.
+- `camera`, `frustum_culling`: stereo heads, drawn when a pair is read.
+- `record`, `layout`, `scene_mesh`, `screenshot`: recordings for the rerun viewer.
+- `environment`: the same scene for dm_control.
+- `hardware`: robots over real and emulated boards (thesis appendix D).
+"""
 
 import os
 

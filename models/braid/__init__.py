@@ -1,1 +1,4 @@
-"""The computer card and the slot that it is inserted into."""
+"""BRAID, stages of bistable legs switched by muscle wires (thesis appendix E).
+
+- `build`: MJCF of any number of stages.
+"""

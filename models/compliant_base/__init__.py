@@ -1,1 +1,4 @@
-"""The simplified plant of chapter 2: a rigid arm on a rigid base on a 6-DOF compliance."""
+"""The plant of the simulation study: an arm on a base on springs (thesis chapter 2).
+
+- `build`: the plant of any parameter set and arm mode.
+"""

@@ -1,1 +1,12 @@
-"""The robot over real boards: codecs, clients, calibration, and the same boards emulated."""
+"""Robots over real boards, and the same boards emulated (thesis appendix D).
+
+- `serial_link`: a serial port with deadlines.
+- `roboclaw`: motor boards; `analogue`: inclinometer and centre potentiometer; `force_torque`: the
+  sensor under the arm; `cameras`: stereo pairs; `radio`: modems between two robots.
+- `calibration`: counts of one particular robot into SI units, and the procedure that finds them.
+- `board_set`: all boards of one robot as one device.
+- `board_samples`: latest sample of every board, with its age.
+- `board_robot`: a robot of the contract (`twin.robot`) over its boards.
+- `connect_boards`: robots from the words of ``serial:``.
+- `emulator`: the same boards on pseudo-terminals, with simulated physics behind them.
+"""
