@@ -32,7 +32,7 @@ class Block:
         name: Its geom.
         centre: (x, y, z) [m], world.
         half: Half of its edges in its own frame [m].
-        yaw: Of that frame about the vertical [rad].
+        yaw: Angle of that frame about the vertical [rad].
     """
 
     name: str
@@ -224,7 +224,7 @@ def place_camera(
     """Move the camera ``view`` and let it look at a point, its top as near to z as can be.
 
     Args:
-        model: Of `build_blocks`.
+        model: Compiled model from `build_blocks`.
         data: Its state; positions are computed.
         position: (3,) [m], world.
         aim: (3,) [m], world.

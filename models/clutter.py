@@ -28,9 +28,9 @@ class PanelMarker:
     """A white disc with a dark centre on the panel's face.
 
     Attributes:
-        x: Of its centre, to the right in the face [m].
-        y: Of its centre, up in the face [m].
-        radius: Of the white disc [m].
+        x: Centre's coordinate to the right in the face [m].
+        y: Centre's coordinate upwards in the face [m].
+        radius: Radius of the white disc [m].
         dark: Radius of the dark centre over that of the disc.
     """
 
@@ -54,7 +54,7 @@ class PanelConfig:
     """A textured plate on the ground, held up by two rods behind it.
 
     Attributes:
-        position: Of the middle of its lower front edge, x and y [m], world.
+        position: Middle of the lower front edge, x and y [m], world.
         yaw: About the vertical [rad]; at 0 its face looks along -y.
         tilt: How far it leans back [rad]; 0 is upright.
         size: Width and height of the face [m].

@@ -228,7 +228,7 @@ def compile_scene(scene: mujoco.MjSpec) -> mujoco.MjModel:
     """Compile a scene.
 
     Args:
-        scene: From `build_scene`.
+        scene: Scene from `build_scene`.
 
     Returns:
         The model.
@@ -251,7 +251,7 @@ def settle(model: mujoco.MjModel, seconds: float = 2.0) -> mujoco.MjData:
     """Let the robots of a scene come to rest from ``home``.
 
     Args:
-        model: Of a scene.
+        model: Compiled model of a scene.
         seconds: How long to wait [s].
 
     Returns:
@@ -278,7 +278,7 @@ def arm_hold_voltage(model: mujoco.MjModel, data: mujoco.MjData, robot: str) -> 
     """Return the voltages that carry an arm against gravity where it is now.
 
     Args:
-        model: Of a scene.
+        model: Compiled model of a scene.
         data: After ``mj_forward``, with the arm at rest.
         robot: Name of the robot.
 
@@ -294,7 +294,7 @@ def add_home(scene: mujoco.MjSpec, robots: Sequence[RobotPlacement]) -> None:
     """Give a scene the key frame ``home``, in place of an older one.
 
     Args:
-        scene: From `build_scene`.
+        scene: Scene from `build_scene`.
         robots: The robots that it was built with.
     """
     for key in list(scene.keys):

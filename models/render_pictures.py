@@ -33,7 +33,7 @@ class Shot:
 
     Attributes:
         lookat: (3,) point in the middle of the picture [m], world.
-        distance: From there to the eye [m].
+        distance: Distance from there to the eye [m].
         azimuth: Direction of view, from the world's x [deg].
         elevation: Direction of view, from the horizontal [deg].
         camera: Name of a camera of the model in place of the above.
@@ -52,7 +52,7 @@ def take(
     """Render one view.
 
     Args:
-        model: Of a scene.
+        model: Compiled model of a scene.
         data: Its state.
         shot: Where to look from.
         size: Width and height [px].

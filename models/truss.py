@@ -86,10 +86,10 @@ def make_truss(height: float, angles: ArrayLike, offset: float, tilt: float) -> 
     """Compile the scene.
 
     Args:
-        height: Of the chord above the ground at the start [m].
+        height: Height of the chord above the ground at the start [m].
         angles: (4,) joints of both arms there, as the grips have it [rad].
-        offset: Of the stage along y from its place [m].
-        tilt: Of the stage about x [rad].
+        offset: Offset of the stage along y from its place [m].
+        tilt: Tilt of the stage about x [rad].
 
     Returns:
         A model with the bodies ``segment`` and ``stage``, the welds ``grip_rover1`` and
@@ -121,7 +121,7 @@ def settle_truss(model: mujoco.MjModel, seconds: float = 1.0) -> mujoco.MjData:
     """Let rovers and segment come to rest from ``start``.
 
     Args:
-        model: From `make_truss`.
+        model: Compiled model from `make_truss`.
         seconds: How long to wait [s].
     """
     data = mujoco.MjData(model)

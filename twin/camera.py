@@ -230,7 +230,7 @@ def has_stereo(model: mujoco.MjModel, prefix: str) -> bool:
 
     Args:
         model: The scene.
-        prefix: Of the robot's names.
+        prefix: Prefix of the robot's names in the scene.
     """
     return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{prefix}stereo_left") >= 0
 

@@ -74,7 +74,7 @@ def describe_placement(robot: RobotPlacement) -> RobotDescription:
     """Return a robot of a scene as drawn: the thesis' rover, or one of the user's own.
 
     Args:
-        robot: As placed in the scene; where it stands and its payload do not count.
+        robot: Robot as placed in the scene; its pose and payload do not count.
     """
     if robot.model:
         return describe(

@@ -42,7 +42,7 @@ class JointDescription:
 
     Attributes:
         name: Name of the joint and of its axis in the contract.
-        transform_link_to_parent: From the link's frame to its parent's, at position zero.
+        transform_link_to_parent: Transform from the link's frame to its parent's at position zero.
         axis: (3,) unit vector of the hinge or slide in the link's frame.
         body: The link with everything fixed to it, link frame.
         limits: Lowest and highest position [rad, or m for a slide].
@@ -69,7 +69,7 @@ class ArmDescription:
     """A serial arm of hinges on its force/torque sensor.
 
     Attributes:
-        transform_base_to_robot: From the arm's base, the face of the sensor, to the robot frame.
+        transform_base_to_robot: Transform from the arm's base, the sensor's face, to the robot.
         base: What the sensor carries before the first joint, base frame.
         joints: Joints from the base to the wrist.
         home: (n,) joint angles of the arm's rest posture [rad].
@@ -140,8 +140,8 @@ class StereoHeadDescription:
 
     Attributes:
         camera: Intrinsics of either camera.
-        baseline: From the left to the right camera, along the camera frame's x [m].
-        transform_camera_to_wrist: From the left camera to the arm's last link.
+        baseline: Distance from the left to the right camera along the camera's x [m].
+        transform_camera_to_wrist: Transform from the left camera to the arm's last link.
     """
 
     camera: Pinhole

@@ -42,7 +42,7 @@ class RoverTask(control.Task):
 
         Args:
             simulation: The scene; its present state is where every episode begins.
-            reward: Of the observations, by robot name.
+            reward: Function from observations, by robot name, to the reward.
         """
         self._simulation = simulation
         self._start = simulation.save()
@@ -106,9 +106,9 @@ def make_environment(
         robots: Names and starting places.
         field: The ground.
         suite: How the sensors measure.
-        seed: Of all sensor noise; every episode has the same.
+        seed: Random seed of all sensor noise; every episode has the same.
         time_limit: Length of an episode [s].
-        reward: Of the observations, by robot name.
+        reward: Function from observations, by robot name, to the reward.
     """
     model = make_model(field, robots)
     physics = Physics.from_model(wrapper.MjModel(model))

@@ -39,9 +39,9 @@ def task_blueprint(
 
     Args:
         watcher: Name of the robot with the eyes.
-        position: From where the scene is shown [m].
-        target: What is in its middle [m].
-        views: Beside them, from top to bottom.
+        position: Position of the scene's eye [m].
+        target: Point that the scene's eye looks at [m].
+        views: Views in the right column, from top to bottom.
     """
     eyes = [
         rrb.Spatial2DView(origin=f"{watcher}/stereo/{side}", name=f"{watcher}'s {side} eye")

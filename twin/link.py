@@ -34,7 +34,7 @@ class Polled(NamedTuple):
 
     Attributes:
         messages: Received, in order.
-        outcomes: Of messages sent; each ticket appears once, sooner or later.
+        outcomes: Outcomes of messages sent; each ticket appears once, sooner or later.
     """
 
     messages: list[bytes]

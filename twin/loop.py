@@ -71,7 +71,7 @@ def run(
     stops all. Controllers are not reset: the caller decides what they remember.
 
     Args:
-        robots: By name.
+        robots: Robots by name.
         controllers: Each sees all observations and commands robots that no other one commands.
         clock: Paces the loop.
         recorders: Take every tick, in this order; they are flushed, not closed.

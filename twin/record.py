@@ -50,7 +50,7 @@ class RecorderConfig:
     Attributes:
         body_rate: Poses of bodies per second [Hz].
         image_rate: Stereo pairs per second, at most [Hz].
-        jpeg_quality: Of stereo images, 0 to 100.
+        jpeg_quality: JPEG quality of stereo images, 0 to 100.
         flush_period: Robot time between writes [s].
     """
 
@@ -151,7 +151,7 @@ class Recorder(LoopRecorder):
         Args:
             path: Entity, such as ``estimates/mass``.
             values: One number for each curve, always as many.
-            names: Of the curves, for the legend.
+            names: Names of the curves in the legend.
 
         Raises:
             ValueError: If the number of values changes.
@@ -177,7 +177,7 @@ class Recorder(LoopRecorder):
             mean: One number for each curve.
             low: Lower bounds.
             high: Upper bounds.
-            names: Of the curves, for the legend.
+            names: Names of the curves in the legend.
 
         Raises:
             ValueError: If the number of values changes.
@@ -202,7 +202,7 @@ class Recorder(LoopRecorder):
         Args:
             path: Entity below the image's, such as ``rover1/stereo/left/markers``.
             pixels: (N, 2) column and row [px].
-            radius: Of the marks [px].
+            radius: Radius of the marks [px].
         """
         marks = np.asarray(pixels, dtype=float).reshape(-1, 2)
         columns = rr.Points2D.columns(

@@ -18,7 +18,7 @@ import numpy as np
 
 from twin.robot import MISSING, Channel, FloatArray, Validity
 from twin.sensors import CHANNELS, ChannelSpec, SensorSuite, check_channel
-from twin.wiring import IntArray, Wiring, direct, gather
+from twin.wiring import IntArray, SensorWiring, direct, gather
 
 _TIME_SLACK = 1e-9
 _BLOCK = 64  # ticks of noise drawn, and of readings laid out, at a time
@@ -62,7 +62,7 @@ class SavedBank:
     """A `BankState` with what else a bank remembers.
 
     Attributes:
-        state: Of the channels.
+        state: Saved state of the channels.
         connected: Whether each channel's wire is whole.
         random: State of the generator, before it drew the present block of noise if some of
             that is left.
@@ -84,7 +84,7 @@ class SensorBank:
         period: float,
         rng: np.random.Generator,
         widths: Mapping[str, int],
-        wiring: Wiring | None = None,
+        wiring: SensorWiring | None = None,
     ) -> None:
         """Lay the channels side by side.
 

@@ -44,7 +44,7 @@ class ChannelSpec:
         bits: Resolution of the converter over [low, high]; None for none.
         bandwidth: First-order low-pass corner [Hz]; None for none.
         rate: Samples per second [Hz], held between; None for every servo tick.
-        delay: From sample to reading [s], rounded to whole servo ticks.
+        delay: Time from sample to reading [s], rounded to whole servo ticks.
         dropout: Probability that a sample is lost, in [0, 1].
         stale_after: Age from which a sample is stale [s]; None for three sampling periods
             (at least 0.1 s) and the delay.

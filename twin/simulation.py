@@ -60,7 +60,7 @@ class Simulation:
             servo: Their motors and gains; None for the motors of each description.
             stereo: How their stereo heads see; None leaves the channel missing, as does a head
                 without cameras.
-            seed: Of all noise; the same seed gives the same run, bit for bit.
+            seed: Random seed of all noise; one seed gives one run, bit for bit.
             period: Servo tick [s], a multiple of the physics step.
             data: The scene's state, if another owner (dm_control) holds it.
 

@@ -26,7 +26,7 @@ _PITCH, _HEADING = 15, 1
 _ACCELERATION_CHANNELS: tuple[str, ...] = ("arm_base_wrench", "accelerometer")
 
 
-class Wiring(NamedTuple):
+class SensorWiring(NamedTuple):
     """Where a robot's true values come from.
 
     Attributes:
@@ -35,7 +35,7 @@ class Wiring(NamedTuple):
             how many they are; 0 samples for a value of the present.
         orientation: Where the quaternion of the front half begins; -1 for none.
         missing: Channels without a sensor.
-        lags: By channel, how much older than the tick the value is [s].
+        lags: Age of the value at a tick by channel name [s].
     """
 
     wires: IntArray
@@ -44,17 +44,17 @@ class Wiring(NamedTuple):
     lags: dict[str, float]
 
 
-def direct(widths: Mapping[str, int]) -> Wiring:
+def direct(widths: Mapping[str, int]) -> SensorWiring:
     """Return a wiring in which every value comes from where it goes.
 
     Args:
         widths: How many values each channel has.
     """
     rows = [(i, i, 0, 0) for i in range(sum(widths.values()))]
-    return Wiring(np.array(rows, dtype=np.intp), -1, (), {})
+    return SensorWiring(np.array(rows, dtype=np.intp), -1, (), {})
 
 
-def wire(model: mujoco.MjModel, prefix: str, robot: RobotDescription) -> Wiring:
+def wire(model: mujoco.MjModel, prefix: str, robot: RobotDescription) -> SensorWiring:
     """Find a robot's sensors in the scene.
 
     Args:
@@ -100,7 +100,7 @@ def wire(model: mujoco.MjModel, prefix: str, robot: RobotDescription) -> Wiring:
     # A mean of n samples, the last of them a step old, stands for its middle.
     lags["arm_base_wrench"] = step * (1 + samples) / 2
     rows = np.array(wires, dtype=np.intp).reshape(-1, 4)
-    return Wiring(rows, orientation, tuple(missing), lags)
+    return SensorWiring(rows, orientation, tuple(missing), lags)
 
 
 def _sensor(model: mujoco.MjModel, name: str) -> int:
@@ -160,8 +160,8 @@ def gather(
     Args:
         present: MuJoCo's sensordata.
         history: Its history.
-        wires: As in `Wiring`.
-        orientation: As in `Wiring`.
+        wires: Rows of wires, see `SensorWiring`.
+        orientation: Place of the orientation, see `SensorWiring`.
         raw: (values,) receives them; what has no wire stays as it is.
     """
     for i in range(wires.shape[0]):

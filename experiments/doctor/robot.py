@@ -26,7 +26,7 @@ from twin.hardware.connect_boards import Wiring, emulated_wiring, open_boards
 from twin.hardware.emulator.faults import RobotFault
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 from twin.hardware.serial_link import LinkError
 from twin.robot import Channel, Observation, RobotError
 from twin.servo import SERVO_PERIOD
@@ -155,8 +155,8 @@ def _board_finding(boards: WiredBoards, address: int) -> Finding:
     try:
         version = boards.bus.version(address)
         state = boards.state(address)
-        logic = 0.1 * boards.bus.read(address, Command.GET_LOGIC_VOLTAGE)[0]
-        warmth = 0.1 * boards.bus.read(address, Command.GET_TEMPERATURE)[0]
+        logic = 0.1 * boards.bus.read(address, BoardCommand.GET_LOGIC_VOLTAGE)[0]
+        warmth = 0.1 * boards.bus.read(address, BoardCommand.GET_TEMPERATURE)[0]
     except LinkError as error:
         return Finding(what, f"no answer ({error})", "check power, address and baud rate 460800")
     status = (state.status.name or hex(state.status)).lower()

@@ -23,7 +23,7 @@ def add_card(scene: mujoco.MjSpec, parent: mujoco.MjsBody, prefix: str = "") -> 
     """Add the body ``card`` in the parent's frame, with its wrench site and markers.
 
     Args:
-        scene: Of the parent.
+        scene: Scene that it is attached to.
         parent: Body to add to; the card's frame is the parent's until it is moved.
         prefix: In front of the names ``card``, ``card_plate``, ``card_marker0`` and ``1`` and the
             site ``card_wrench``.
@@ -55,7 +55,7 @@ def add_slot(
     """Add the body ``slot`` in the parent's frame: two walls with a marker each.
 
     Args:
-        scene: Of the parent.
+        scene: Scene that it is attached to.
         parent: Body to add to, for instance the world's; move the slot by its ``pos`` and
             ``quat``.
         width: Between the walls [m].

@@ -56,7 +56,7 @@ class BoardRobot:
     """Watches, limits and stops; boards, samples and servo do the rest.
 
     Attributes:
-        name: As controllers see it.
+        name: Name of the robot, as controllers see it.
         description: The robot as drawn.
         boards: Its boards.
         calibration: Their constants.
@@ -79,7 +79,7 @@ class BoardRobot:
             boards: Its boards.
             calibration: Their constants.
             clock: Robot time [s].
-            config: How patient it is.
+            config: Time limits and age limits of the robot.
         """
         self.name, self.description = description.name, description
         self.boards = boards

@@ -23,10 +23,10 @@ class SamplingConfig:
     """Ages from which samples are stale [s].
 
     Attributes:
-        encoder_age: Of encoder values.
-        tilt_age: Of inclinometer and potentiometer, which are read every fourth cycle.
-        wrench_age: Of the wrench.
-        stereo_age: Of a stereo pair.
+        encoder_age: Age limit of encoder values.
+        tilt_age: Age limit of inclinometer and potentiometer, read every fourth cycle.
+        wrench_age: Age limit of the wrench.
+        stereo_age: Age limit of a stereo pair.
     """
 
     encoder_age: float = 0.1
@@ -66,7 +66,7 @@ class BoardSamples:
 
         Args:
             boards: Where they come from.
-            calibration: Of the robot.
+            calibration: Calibration of the robot.
             clock: Robot time [s].
             config: Ages.
         """

@@ -15,7 +15,7 @@ from twin.hardware.cameras.camera import StereoCapture
 from twin.hardware.force_torque.net_ft import NetForceTorque
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 from twin.hardware.serial_link import LinkError
 from twin.robot import Channel
 
@@ -24,9 +24,9 @@ IntArray = NDArray[np.int64]
 _CURRENT_UNIT = 0.01  # [A]
 _VOLTAGE_UNIT = 0.1  # [V]
 _TIMEOUT_UNIT = 0.1  # [s]
-_SET_ENCODER = {1: Command.SET_ENCODER_1, 2: Command.SET_ENCODER_2}
-_SET_LIMIT = {1: Command.SET_CURRENT_LIMIT_1, 2: Command.SET_CURRENT_LIMIT_2}
-_GET_LIMIT = {1: Command.GET_CURRENT_LIMIT_1, 2: Command.GET_CURRENT_LIMIT_2}
+_SET_ENCODER = {1: BoardCommand.SET_ENCODER_1, 2: BoardCommand.SET_ENCODER_2}
+_SET_LIMIT = {1: BoardCommand.SET_CURRENT_LIMIT_1, 2: BoardCommand.SET_CURRENT_LIMIT_2}
+_GET_LIMIT = {1: BoardCommand.GET_CURRENT_LIMIT_1, 2: BoardCommand.GET_CURRENT_LIMIT_2}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +37,7 @@ class BoardState:
         address: On the bus.
         status: Errors and warnings.
         battery: Main voltage [V].
-        currents: Of both motors [A].
+        currents: Currents of both motors [A].
         timeout: Serial timeout that is set; 0 after a reset [s].
     """
 
@@ -191,7 +191,7 @@ class WiredBoards:
         """Set timeouts and current limits, and read the limits back."""
         steps = round(self._limits.serial_timeout / _TIMEOUT_UNIT)
         for address in self.addresses:
-            self.bus.write(address, Command.SET_TIMEOUT, steps)
+            self.bus.write(address, BoardCommand.SET_TIMEOUT, steps)
         for axis in self._axes:
             units = round(axis.current_limit / _CURRENT_UNIT)
             self.bus.write(axis.address, _SET_LIMIT[axis.channel], units, 0)
@@ -204,7 +204,7 @@ class WiredBoards:
 
     def encoders(self, address: int) -> tuple[int, int]:
         """Return both counters of a board."""
-        one, two = self.bus.read(address, Command.GET_ENCODERS)
+        one, two = self.bus.read(address, BoardCommand.GET_ENCODERS)
         return one, two
 
     def set_encoder(self, axis: int, count: int) -> None:
@@ -227,7 +227,9 @@ class WiredBoards:
         for address in sorted(self._places, key=self._silent.__contains__):
             one, two = self._places[address]
             try:
-                self.bus.write(address, Command.DUTY_BOTH, _code(codes, one), _code(codes, two))
+                self.bus.write(
+                    address, BoardCommand.DUTY_BOTH, _code(codes, one), _code(codes, two)
+                )
                 self._silent.discard(address)
             except LinkError as error:
                 self._silent.add(address)
@@ -272,20 +274,20 @@ class WiredBoards:
 
     def state(self, address: int) -> BoardState:
         """Return all that a board says of itself."""
-        one, two = self.bus.read(address, Command.GET_CURRENTS)
+        one, two = self.bus.read(address, BoardCommand.GET_CURRENTS)
         return BoardState(
             address,
             self.bus.status(address),
-            self.bus.read(address, Command.GET_MAIN_VOLTAGE)[0] * _VOLTAGE_UNIT,
+            self.bus.read(address, BoardCommand.GET_MAIN_VOLTAGE)[0] * _VOLTAGE_UNIT,
             (one * _CURRENT_UNIT, two * _CURRENT_UNIT),
-            self.bus.read(address, Command.GET_TIMEOUT)[0] * _TIMEOUT_UNIT,
+            self.bus.read(address, BoardCommand.GET_TIMEOUT)[0] * _TIMEOUT_UNIT,
         )
 
     def reset_e_stop(self) -> None:
         """Let go of a latched e-stop on every board."""
         for address in self.addresses:
             if self.bus.status(address) & Status.E_STOP:
-                self.bus.write(address, Command.RESET_E_STOP)
+                self.bus.write(address, BoardCommand.RESET_E_STOP)
 
     def close(self) -> None:
         """Close all ports."""

@@ -48,8 +48,8 @@ class Wiring:
         wrench: Host, or host:port, of the force/torque sensor; empty for none.
         stereo: One or two captures, as "0:1" or "left.avi:right.avi", or the file of an emulator,
             "rover1.frames"; empty for none.
-        robot: Whose boards they are.
-        calibration: Its file; the repository's own unless given.
+        robot: Name of the robot.
+        calibration: File of its calibration; the repository's own unless given.
         most_days: Largest age of the calibration [days].
         home: Joint angles (4,) in which the arm stands in its jig [rad]; empty if it is not.
         radio: Serial port of the radio modem; empty for none.
@@ -132,7 +132,7 @@ class Wiring:
         """Return the wirings of several robots.
 
         Args:
-            words: As `parse` takes them, each robot's but the first behind ``,serial:``.
+            words: Words as for `parse`, each robot's but the first behind ``,serial:``.
 
         Raises:
             ValueError: As `parse`; or if two robots have one name or port, or unlike `slow_down`.
@@ -228,7 +228,7 @@ def wired_robot(
     Args:
         wiring: Where its boards are.
         clock: Robot time [s].
-        config: How patient it is.
+        config: Time limits and age limits of the robot.
 
     Raises:
         CalibrationError: If its calibration cannot be used.
@@ -320,7 +320,7 @@ def watched(robot: BoardRobot, period: float = 0.05) -> Generator[None]:
     """Stop a robot on the wall clock whose controller hangs.
 
     Args:
-        robot: It.
+        robot: Robot that is watched.
         period: Between looks [s].
     """
     over = threading.Event()

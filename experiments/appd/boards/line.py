@@ -16,7 +16,7 @@ from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw.client import RoboClawBus
-from twin.hardware.roboclaw.codec import FULL_DUTY, Command
+from twin.hardware.roboclaw.codec import FULL_DUTY, BoardCommand
 from twin.hardware.serial_link import LinkError, SerialLink
 
 FloatArray = NDArray[np.float64]
@@ -139,11 +139,11 @@ def _read(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Gene
     """Turn the shafts anywhere, read them, and tell whether the reading is wrong."""
     one, two = (int(count) for count in rng.integers(-(2**31), 2**31, 2))
     wire.shafts[address].now = one, two
-    return bus.read(address, Command.GET_ENCODERS) != (one, two)
+    return bus.read(address, BoardCommand.GET_ENCODERS) != (one, two)
 
 
 def _write(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Generator) -> bool:
     """Set two duties, and tell whether the board has others though it acknowledged."""
     one, two = (int(code) for code in rng.integers(-FULL_DUTY, FULL_DUTY + 1, 2))
-    bus.write(address, Command.DUTY_BOTH, one, two)
+    bus.write(address, BoardCommand.DUTY_BOTH, one, two)
     return wire.boards[address].duties() != (one, two)

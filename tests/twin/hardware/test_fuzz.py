@@ -29,7 +29,7 @@ from twin.hardware.radio.handshake import (
 )
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
-from twin.hardware.roboclaw.codec import Command
+from twin.hardware.roboclaw.codec import BoardCommand
 from twin.hardware.serial_link import LinkError
 from twin.link import RadioError
 
@@ -189,7 +189,7 @@ def roboclaw_calls(bus):
         *(lambda c=command: bus.read(0x80, c) for command in codec.READS),
         lambda: bus.status(0x80),
         lambda: bus.version(0x80),
-        lambda: bus.write(0x80, Command.DUTY_BOTH, 1, 2),
+        lambda: bus.write(0x80, BoardCommand.DUTY_BOTH, 1, 2),
     ]
 
 
@@ -216,7 +216,7 @@ def test_a_million_bytes_of_random_answers_harm_no_bus():
 def test_a_million_random_bytes_are_refused_by_the_reply_parsers():
     rng = np.random.default_rng(3)
     parsers = [
-        lambda reply: codec.checked(0x80, Command.GET_VERSION, reply),
+        lambda reply: codec.checked(0x80, BoardCommand.GET_VERSION, reply),
         lambda reply: codec.decode_status_reply(0x80, reply),
         *(lambda r, c=command: codec.decode_reply(0x80, c, r) for command in codec.READS),
     ]

@@ -285,7 +285,7 @@ def _build(kind: type[Any], table: Mapping[str, Any], where: str) -> Any:
 
     Args:
         kind: The dataclass.
-        table: From the file.
+        table: Table from the file.
         where: What stands before a key in messages.
 
     Raises:

@@ -30,8 +30,8 @@ class AxisCalibration:
     """One motor with its encoder, at one channel of one motor board.
 
     Attributes:
-        address: Of the board, one of `ADDRESSES`.
-        channel: Of the board, 1 or 2.
+        address: Address of the board, one of `ADDRESSES`.
+        channel: Channel of the board, 1 or 2.
         direction: 1 where positive duty and rising counts mean the positive sense of the contract
             (forward for wheels), -1 where they mean the negative one.
         counts_per_turn: Encoder counts in one turn of the output shaft.

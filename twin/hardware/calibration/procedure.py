@@ -45,7 +45,7 @@ class ProcedureConfig:
     Attributes:
         tilts: Pitch and roll of each tilt that is asked for [rad]; wedges need not be exact.
         weight: Mass that is hung on the gripper [kg].
-        arm_mass: Of all that the force/torque sensor carries [kg].
+        arm_mass: Mass of all that the force/torque sensor carries [kg].
         least_span: Between the outermost tilts of an axis [rad].
         least_step: Between a tilt and every other one, in one of the axes [rad].
         largest_tilt: End of the inclinometer's linear range [rad].
@@ -142,7 +142,7 @@ def tilt_procedure(
     plausible is refused and asked for again, with the reason.
 
     Args:
-        calibration: Of the robot; all but the inclinometer's section is kept.
+        calibration: Calibration of the robot; all but the inclinometer's section is kept.
         config: Tilts and limits.
         today: Becomes the date of the section.
 
@@ -178,7 +178,7 @@ def run_procedure(
     """Lead a person through a procedure.
 
     Args:
-        steps: From `tilt_procedure`.
+        steps: Steps from `tilt_procedure`.
         measure: Returns the means over a second or more at rest.
         ask: Shows a question and returns the answer.
         tell: Shows a line.

@@ -121,8 +121,8 @@ class ForceTorqueCalibration(Section):
     """The force/torque sensor under the arm; its origin is the arm base frame's.
 
     Attributes:
-        counts_per_newton: Of its three force components.
-        counts_per_newton_metre: Of its three torque components.
+        counts_per_newton: Counts of each of the three force components [1/N].
+        counts_per_newton_metre: Counts of each of the three torque components [1/(N m)].
         direction: -1 for a sensor that tells the load on its face, as makers do; 1 for one that
             tells what carries the load, which is what the contract asks for.
         rotation: (3, 3) rows of the rotation from the sensor's frame to the arm base frame.

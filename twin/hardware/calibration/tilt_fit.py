@@ -112,7 +112,7 @@ def weighed_tilts(
         weighings: n tilts.
         volts_per_radian: (2,) rough slopes of the pitch and roll axes, by which the sag is taken
             out [V/rad]; None takes the added force for the vertical, as the thesis does.
-        arm_weight: Of all that the force/torque sensor carries [N].
+        arm_weight: Weight of all that the force/torque sensor carries [N].
     """
     added = np.array([weighing.added for weighing in weighings])
     up = _unit(added)
@@ -178,7 +178,7 @@ def fit_tilt(
 
     Args:
         weighings: At different tilts; every one tells about both axes.
-        arm_weight: Of all that the force/torque sensor carries [N].
+        arm_weight: Weight of all that the force/torque sensor carries [N].
         two_point: Use only the two outermost tilts of each axis.
         without_sag: Take the sag under the weight out.
 

@@ -41,7 +41,7 @@ class Options:
         realtime: Let the physics run on the wall clock at 100 Hz, and two robots' radio with them.
         slow_down: With --realtime, how many times slower than the wall's the robots' time is; the
             host says the same, as slow_down=N behind serial:PORT.
-        seed: Of all noise and damage.
+        seed: Random seed of all noise and damage.
         line_faults: Share of the exchanges with the motor boards that are damaged, 0 to 1.
         faults: File with scheduled faults: a JSON list of {"robot", "time" [s], "kind",
             "duration" [s], "address"}.

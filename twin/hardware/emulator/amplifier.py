@@ -54,12 +54,12 @@ class AmplifierConfig:
         full_fraction: Command voltage over Vcc at which the pulse of law "rc" is as long as the
             clock is high; it gives the RC of the second timer.
         battery: Supply of the bridge [V].
-        switch_resistance: Of each of the two switches that conduct [ohm].
+        switch_resistance: Resistance of each of the two switches that conduct [ohm].
         least_pulse: Shortest pulse or gap that the bridge passes on [s].
         peak_current: Largest motor current for `peak_time` [A].
         peak_time: [s].
         continuous_current: Largest motor current for ever [A].
-        motor_resistance: Of the windings, for each motor [ohm].
+        motor_resistance: Resistance of each motor's windings [ohm].
         motor_constant: Back-EMF, for each motor [V s/rad].
     """
 

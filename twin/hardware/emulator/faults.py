@@ -168,7 +168,7 @@ class ScheduledFault:
         time: When it begins [s]; at 0 the boards power on with it.
         kind: What happens.
         duration: For how long, where that has a meaning [s].
-        address: Of the motor board that it happens to.
+        address: Address of the motor board that it happens to.
     """
 
     time: float

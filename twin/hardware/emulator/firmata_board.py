@@ -62,7 +62,7 @@ class FirmataBoard:
 
         Args:
             analogue: Counts of an analogue input, A0 being 0; kept within 0 to 1023.
-            name: Of the firmware.
+            name: Name of the firmware.
         """
         self._analogue = analogue
         self._name = name

@@ -30,7 +30,7 @@ class ModemConfig:
 
     Attributes:
         baud: Bits a second, 8N1: a tenth of it is bytes a second.
-        delay: From a byte's last bit in to the same out at the other end [s].
+        delay: Time from a byte's last bit in to the same out at the other end [s].
         error_rate: Probability that a byte is hit.
         flip: Share of hits that change the byte to another.
         loss: Share of hits that lose it.
@@ -159,7 +159,7 @@ class VirtualModems:
 
     Attributes:
         time: Virtual time without a clock [s].
-        lines: From the first to the second end, and back.
+        lines: Lines from the first to the second end, and back.
         ends: The two computers' channels.
     """
 
@@ -206,7 +206,7 @@ class PtyModems:
 
     Attributes:
         ports: Device paths for the two computers.
-        lines: From the first to the second port, and back.
+        lines: Lines from the first to the second port, and back.
     """
 
     def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:

@@ -61,7 +61,7 @@ class NetFT:
 
         Args:
             datagram: What came; anything but a request is ignored.
-            address: Of the sender, kept for the stream that it may start.
+            address: Address of the sender, kept for the stream that it may start.
             now: Time [s].
         """
         request = decode_request(datagram)

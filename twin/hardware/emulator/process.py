@@ -17,10 +17,10 @@ class EmulatorProcess:
     """A running emulator; time passes by `tick`, or by itself if it runs in real time.
 
     Attributes:
-        ports: By robot: paths of "bus" and "analogue", UDP port of "wrench", and the file of
-            "stereo" pairs if the scene has them.
+        ports: Ports by robot name: paths of "bus" and "analogue", UDP port of "wrench", and the
+            file of "stereo" pairs if the scene has them.
         period: Servo tick [s].
-        time: Of the last tick [s].
+        time: Time of the last tick [s].
     """
 
     def __init__(
@@ -72,10 +72,10 @@ class EmulatorProcess:
         """Let a fault begin at the next tick.
 
         Args:
-            robot: It happens to.
+            robot: Name of the robot that it happens to.
             kind: Value of `emulator.faults.RobotFault` or `CameraFault`.
-            duration: [s].
-            address: Of the motor board concerned.
+            duration: How long it lasts [s].
+            address: Address of the motor board concerned.
         """
         order = {"do": "fault", "robot": robot, "time": self.time, "kind": kind}
         self._ask({**order, "duration": duration, "address": address})

@@ -46,7 +46,7 @@ class BoardMotors:
 
         Args:
             rover: What moves.
-            address: Of the board.
+            address: Address of the board.
         """
         self._rover = rover
         self.axes: list[int | None] = [None, None]

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from twin.hardware.roboclaw import codec
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 
 VERSION = "USB Roboclaw 2x15a v4.3.6\n\0"
 _FIXED_POINT = 65536
@@ -32,7 +32,7 @@ class Motors(Protocol):
 
 
 @dataclasses.dataclass
-class Channel:
+class MotorChannel:
     """What a board keeps of one motor."""
 
     duty: int = 0
@@ -71,8 +71,8 @@ class RoboClawBoard:
         """Power on anew: all that was set is forgotten, the encoders count from zero."""
         first, second = self.motors.counts()
         self.channels = (
-            Channel(offset=-first, last_count=first),
-            Channel(offset=-second, last_count=second),
+            MotorChannel(offset=-first, last_count=first),
+            MotorChannel(offset=-second, last_count=second),
         )
         self.timeout = 0
         self.pwm_mode = 0
@@ -114,11 +114,11 @@ class RoboClawBoard:
         count = self.motors.counts()[number] + self.channels[number].offset
         return codec.signed_difference(count, 0)
 
-    def answer(self, command: Command) -> bytes:
+    def answer(self, command: BoardCommand) -> bytes:
         """Return the payload of a read."""
-        if command is Command.GET_VERSION:
+        if command is BoardCommand.GET_VERSION:
             return VERSION.encode()
-        if command is Command.GET_STATUS:
+        if command is BoardCommand.GET_STATUS:
             return self._status_word()
         return struct.pack(codec.READS[command], *self._values(command))
 
@@ -128,80 +128,82 @@ class RoboClawBoard:
             status |= Status.MAIN_VOLTAGE_LOW_WARNING
         return codec.encode_status(status, self.old_firmware)
 
-    def _values(self, command: Command) -> Sequence[int]:
+    def _values(self, command: BoardCommand) -> Sequence[int]:
         one, two = self.channels
         encoders = self.encoder(0), self.encoder(1)
         speeds = round(one.rate), round(two.rate)
         match command:
-            case Command.GET_TIMEOUT:
+            case BoardCommand.GET_TIMEOUT:
                 return (self.timeout,)
-            case Command.GET_ENCODER_1 | Command.GET_ENCODER_2:
-                number = command - Command.GET_ENCODER_1
+            case BoardCommand.GET_ENCODER_1 | BoardCommand.GET_ENCODER_2:
+                number = command - BoardCommand.GET_ENCODER_1
                 return encoders[number], 2 * (speeds[number] < 0)
-            case Command.GET_SPEED_1 | Command.GET_SPEED_2:
-                number = command - Command.GET_SPEED_1
+            case BoardCommand.GET_SPEED_1 | BoardCommand.GET_SPEED_2:
+                number = command - BoardCommand.GET_SPEED_1
                 return speeds[number], int(speeds[number] < 0)
-            case Command.GET_MAIN_VOLTAGE:
+            case BoardCommand.GET_MAIN_VOLTAGE:
                 return (round(10 * self.motors.voltage()),)
-            case Command.GET_LOGIC_VOLTAGE:
+            case BoardCommand.GET_LOGIC_VOLTAGE:
                 return (50,)
-            case Command.GET_DUTIES:
+            case BoardCommand.GET_DUTIES:
                 return self.duties()
-            case Command.GET_CURRENTS:
+            case BoardCommand.GET_CURRENTS:
                 return [round(100 * current) for current in self.motors.currents()]
-            case Command.GET_VELOCITY_PID_1:
+            case BoardCommand.GET_VELOCITY_PID_1:
                 return one.gains
-            case Command.GET_VELOCITY_PID_2:
+            case BoardCommand.GET_VELOCITY_PID_2:
                 return two.gains
-            case Command.GET_ENCODERS:
+            case BoardCommand.GET_ENCODERS:
                 return encoders
-            case Command.GET_RAW_SPEEDS:
+            case BoardCommand.GET_RAW_SPEEDS:
                 # Counts in the last 1/300 s, as a rate [1/s]: 300 counts/s is the least step.
                 return [300 * int(speed / 300) for speed in speeds]
-            case Command.GET_TEMPERATURE:
+            case BoardCommand.GET_TEMPERATURE:
                 return (250,)
-            case Command.GET_CURRENT_LIMIT_1:
+            case BoardCommand.GET_CURRENT_LIMIT_1:
                 return one.current_limit, 0
-            case Command.GET_CURRENT_LIMIT_2:
+            case BoardCommand.GET_CURRENT_LIMIT_2:
                 return two.current_limit, 0
             case _:
                 return (self.pwm_mode,)
 
-    def obey(self, command: Command, values: Sequence[int]) -> None:
+    def obey(self, command: BoardCommand, values: Sequence[int]) -> None:
         """Carry out a write."""
         one, two = self.channels
         match command:
-            case Command.SET_TIMEOUT:
+            case BoardCommand.SET_TIMEOUT:
                 self.timeout = values[0]
-            case Command.RESET_ENCODERS:
+            case BoardCommand.RESET_ENCODERS:
                 self._set_encoder(0, 0)
                 self._set_encoder(1, 0)
-            case Command.SET_ENCODER_1 | Command.SET_ENCODER_2:
-                self._set_encoder(command - Command.SET_ENCODER_1, values[0])
-            case Command.SET_VELOCITY_PID_1 | Command.SET_VELOCITY_PID_2:
+            case BoardCommand.SET_ENCODER_1 | BoardCommand.SET_ENCODER_2:
+                self._set_encoder(command - BoardCommand.SET_ENCODER_1, values[0])
+            case BoardCommand.SET_VELOCITY_PID_1 | BoardCommand.SET_VELOCITY_PID_2:
                 derivative, proportional, integral, full_speed = values
-                channel = self.channels[command - Command.SET_VELOCITY_PID_1]
+                channel = self.channels[command - BoardCommand.SET_VELOCITY_PID_1]
                 channel.gains = proportional, integral, derivative, full_speed
-            case Command.DUTY_1 | Command.DUTY_2:
-                _set_duty(self.channels[command - Command.DUTY_1], values[0])
-            case Command.DUTY_BOTH:
+            case BoardCommand.DUTY_1 | BoardCommand.DUTY_2:
+                _set_duty(self.channels[command - BoardCommand.DUTY_1], values[0])
+            case BoardCommand.DUTY_BOTH:
                 _set_duty(one, values[0])
                 _set_duty(two, values[1])
-            case Command.SPEED_1 | Command.SPEED_2:
-                _set_speed(self.channels[command - Command.SPEED_1], values[0])
-            case Command.SPEED_BOTH:
+            case BoardCommand.SPEED_1 | BoardCommand.SPEED_2:
+                _set_speed(self.channels[command - BoardCommand.SPEED_1], values[0])
+            case BoardCommand.SPEED_BOTH:
                 _set_speed(one, values[0])
                 _set_speed(two, values[1])
-            case Command.POSITION_1 | Command.POSITION_2:
-                _set_position(self.channels[command - Command.POSITION_1], values[3], values[1])
-            case Command.POSITION_BOTH:
+            case BoardCommand.POSITION_1 | BoardCommand.POSITION_2:
+                _set_position(
+                    self.channels[command - BoardCommand.POSITION_1], values[3], values[1]
+                )
+            case BoardCommand.POSITION_BOTH:
                 _set_position(one, values[3], values[1])
                 _set_position(two, values[7], values[5])
-            case Command.SET_CURRENT_LIMIT_1 | Command.SET_CURRENT_LIMIT_2:
-                self.channels[command - Command.SET_CURRENT_LIMIT_1].current_limit = values[0]
-            case Command.SET_PWM_MODE:
+            case BoardCommand.SET_CURRENT_LIMIT_1 | BoardCommand.SET_CURRENT_LIMIT_2:
+                self.channels[command - BoardCommand.SET_CURRENT_LIMIT_1].current_limit = values[0]
+            case BoardCommand.SET_PWM_MODE:
                 self.pwm_mode = values[0]
-            case Command.RESET_E_STOP:
+            case BoardCommand.RESET_E_STOP:
                 self.status &= ~Status.E_STOP
             case _:
                 raise AssertionError(command)
@@ -210,25 +212,25 @@ class RoboClawBoard:
         self.channels[number].offset = count - self.motors.counts()[number]
 
 
-def _stop(channel: Channel) -> None:
+def _stop(channel: MotorChannel) -> None:
     channel.duty, channel.integral = 0, 0.0
     channel.target_speed = channel.target_position = None
 
 
-def _set_duty(channel: Channel, duty: int) -> None:
+def _set_duty(channel: MotorChannel, duty: int) -> None:
     _stop(channel)
     channel.duty = max(-codec.FULL_DUTY, duty)
 
 
-def _set_speed(channel: Channel, speed: int) -> None:
+def _set_speed(channel: MotorChannel, speed: int) -> None:
     channel.target_speed, channel.target_position = float(speed), None
 
 
-def _set_position(channel: Channel, position: int, speed: int) -> None:
+def _set_position(channel: MotorChannel, position: int, speed: int) -> None:
     channel.target_position = position, speed
 
 
-def _regulate(channel: Channel, count: int, period: float) -> None:
+def _regulate(channel: MotorChannel, count: int, period: float) -> None:
     """Set the duty of a channel whose speed or position is asked for."""
     if channel.target_position is not None:
         position, most = channel.target_position
@@ -287,7 +289,7 @@ class RoboClawLine:
         address, number = self._buffer[:2]
         board = self.boards.get(address)
         try:
-            command = Command(number)
+            command = BoardCommand(number)
         except ValueError:
             command = None
         if board is None or command is None:

@@ -213,9 +213,9 @@ class NetForceTorque:
 
         Args:
             host: The sensor; records from elsewhere are not received.
-            counts_per_newton: Of the active calibration, whose force unit may be another [1/N].
+            counts_per_newton: Counts by the active calibration, in its force unit [1/N].
             counts_per_newton_metre: Likewise; many calibrations count in N mm [1/(N m)].
-            port: Of the sensor.
+            port: UDP port of the sensor.
             deadline: Longest call of `read` [s].
             attempts: Most requests in a call.
 

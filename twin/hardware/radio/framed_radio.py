@@ -47,9 +47,9 @@ class FramedConfig:
         message_limit: Longest message [bytes].
         window: Messages on the way at once, 1 to 8.
         queue_limit: Messages that may wait to be sent.
-        acknowledge_within: From a frame's last byte to its acknowledgement [s]: both ways' delays,
-            both ends' polling, and one frame that is in the acknowledgement's way.
-        deliver_within: From `send` until a message is given up [s].
+        acknowledge_within: Time from a frame's last byte to its acknowledgement [s]: delays of both
+            directions, both ends' polling, and one frame sent before the acknowledgement.
+        deliver_within: Time from `send` until a message is given up [s].
         write_ahead: How long before the line is free the next frame is written [s]: two polls.
     """
 
@@ -133,8 +133,8 @@ class FramedLink:
         """Begin a session.
 
         Args:
-            channel: To the modem.
-            rng: Draws the session number; seed it anew at each start of a real robot.
+            channel: Line to the modem.
+            rng: Random generator for the session number; seeded anew at each start of a robot.
             config: Numbers of the link.
         """
         self.statistics = LinkStatistics()

@@ -25,7 +25,7 @@ class Frame(NamedTuple):
     Attributes:
         kind: What the body is, 0 to 15.
         age: How many sequence numbers back the sender's oldest unconfirmed message is, 0 to 15.
-        session: Of the sender of the messages that are numbered, 0 to 65535.
+        session: Session of the sender of the numbered messages, 0 to 65535.
         sequence: Number of a message, 0 to 255.
         body: At least one byte.
     """

@@ -29,8 +29,8 @@ class HandshakeConfig:
 
     Attributes:
         message_limit: Longest message [bytes].
-        send_within: From the transmit command until the transmitter gives up [s].
-        receive_within: From the transmit command until the receiver gives up [s]; shorter than
+        send_within: Time from the transmit command until the transmitter gives up [s].
+        receive_within: Time from the transmit command until the receiver gives up [s]; shorter than
             `send_within`, so that it listens again when the next transmit command comes.
     """
 

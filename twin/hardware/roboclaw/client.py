@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 from twin.hardware.roboclaw import codec
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 from twin.hardware.serial_link import LinkError
 
 T = TypeVar("T")
@@ -23,18 +23,18 @@ T = TypeVar("T")
 # later than a whole round, some 140 ms. All firmware answers them alike, and the servo cycle asks
 # other ones.
 _PROBES = (
-    Command.GET_LOGIC_VOLTAGE,
-    Command.GET_TEMPERATURE,
-    Command.GET_ENCODER_1,
-    Command.GET_ENCODER_2,
-    Command.GET_SPEED_1,
-    Command.GET_SPEED_2,
-    Command.GET_VELOCITY_PID_1,
-    Command.GET_VELOCITY_PID_2,
+    BoardCommand.GET_LOGIC_VOLTAGE,
+    BoardCommand.GET_TEMPERATURE,
+    BoardCommand.GET_ENCODER_1,
+    BoardCommand.GET_ENCODER_2,
+    BoardCommand.GET_SPEED_1,
+    BoardCommand.GET_SPEED_2,
+    BoardCommand.GET_VELOCITY_PID_1,
+    BoardCommand.GET_VELOCITY_PID_2,
 )
 
 
-class Link(Protocol):
+class BusLink(Protocol):
     """What the bus asks of a serial port; see `twin.hardware.serial_link.SerialLink`."""
 
     port: str
@@ -61,10 +61,10 @@ class BusTiming:
     """Deadlines of the bus [s].
 
     Attributes:
-        reply: From a request to its whole answer.
+        reply: Time from a request to its whole answer.
         quiet: Silence after a failure; longer than `codec.PACKET_GAP`, so that the boards drop
             what they hold of a broken packet.
-        call: From a call to its end, with all its retries.
+        call: Time from a call to its end, with all its retries.
     """
 
     reply: float = 0.006
@@ -98,7 +98,7 @@ class BusStatistics:
 class RoboClawBus:
     """Boards at several addresses behind one port."""
 
-    def __init__(self, link: Link, timing: BusTiming | None = None) -> None:
+    def __init__(self, link: BusLink, timing: BusTiming | None = None) -> None:
         """Take over an open port.
 
         Args:
@@ -113,11 +113,11 @@ class RoboClawBus:
         self._turn = 0
         self._status_length: dict[int, int] = {}
 
-    def read(self, address: int, command: Command) -> tuple[int, ...]:
+    def read(self, address: int, command: BoardCommand) -> tuple[int, ...]:
         """Ask a board, and return the values of its answer.
 
         Args:
-            address: Of the board.
+            address: Address of the board.
             command: A key of `codec.READS`.
 
         Raises:
@@ -131,11 +131,11 @@ class RoboClawBus:
 
         return self._call(f"{command.name} of board {address:#x}", address, command, exchange)
 
-    def write(self, address: int, command: Command, *values: int) -> None:
+    def write(self, address: int, command: BoardCommand, *values: int) -> None:
         """Tell a board, and wait for its acknowledgement.
 
         Args:
-            address: Of the board.
+            address: Address of the board.
             command: A key of `codec.WRITES`.
             values: Its payload.
 
@@ -158,7 +158,7 @@ class RoboClawBus:
         Raises:
             LinkError: If no valid answer came in time.
         """
-        command = Command.GET_STATUS
+        command = BoardCommand.GET_STATUS
 
         def exchange(deadline: float) -> Status | None:
             length = self._status_length.get(address, 6)
@@ -178,7 +178,7 @@ class RoboClawBus:
         Raises:
             LinkError: If no valid answer came in time.
         """
-        command = Command.GET_VERSION
+        command = BoardCommand.GET_VERSION
 
         def exchange(deadline: float) -> str | None:
             self._link.write(codec.encode_read(address, command))
@@ -199,7 +199,7 @@ class RoboClawBus:
         """Close the port."""
         self._link.close()
 
-    def _ask(self, address: int, command: Command, length: int, deadline: float) -> bytes:
+    def _ask(self, address: int, command: BoardCommand, length: int, deadline: float) -> bytes:
         self._link.write(codec.encode_read(address, command))
         return self._link.read(length, deadline)
 
@@ -216,7 +216,7 @@ class RoboClawBus:
         self,
         what: str,
         address: int,
-        command: Command,
+        command: BoardCommand,
         exchange: Callable[[float], T | None],
     ) -> T:
         """Exchange until an answer is right or the time is up."""
@@ -252,7 +252,7 @@ class RoboClawBus:
         self.statistics.refused += behind > 0
         return not behind
 
-    def _clear(self, address: int, command: Command, end: float) -> bool:
+    def _clear(self, address: int, command: BoardCommand, end: float) -> bool:
         """Make sure that no earlier answer can be taken for the next one.
 
         Bytes keep their order on a line: once the answer to one more question has come, and to no
@@ -268,13 +268,13 @@ class RoboClawBus:
             self._suspect = not self._probe(address, self._next_probe(command), end)
         return not self._suspect
 
-    def _next_probe(self, command: Command) -> Command:
+    def _next_probe(self, command: BoardCommand) -> BoardCommand:
         """Return the next probe; it must not be the question itself."""
         self._turn = (self._turn + 1) % len(_PROBES)
         probe = _PROBES[self._turn]
         return self._next_probe(command) if probe is command else probe
 
-    def _probe(self, address: int, question: Command, end: float) -> bool:
+    def _probe(self, address: int, question: BoardCommand, end: float) -> bool:
         """Ask, and let pass what comes before the answer."""
         deadline = min(time.monotonic() + self._timing.reply, end)
         self._link.write(codec.encode_read(address, question))

@@ -23,7 +23,7 @@ LONGEST_VERSION = 48
 VERSION_END = b"\n\0"
 
 
-class Command(enum.IntEnum):
+class BoardCommand(enum.IntEnum):
     """Commands in use, by their numbers on the wire."""
 
     SET_TIMEOUT = 14
@@ -68,53 +68,53 @@ class Command(enum.IntEnum):
 
 # Payload layouts for `struct`; what is not listed is not spoken. The status of an encoder or a
 # speed is a byte behind it: 1 underflow, 2 backward, 4 overflow.
-WRITES: dict[Command, str] = {
-    Command.SET_TIMEOUT: ">B",
-    Command.RESET_ENCODERS: ">",
-    Command.SET_ENCODER_1: ">i",
-    Command.SET_ENCODER_2: ">i",
-    Command.SET_VELOCITY_PID_1: ">IIII",  # D, P, I (16.16 fixed point), counts/s at full duty
-    Command.SET_VELOCITY_PID_2: ">IIII",
-    Command.DUTY_1: ">h",
-    Command.DUTY_2: ">h",
-    Command.DUTY_BOTH: ">hh",
-    Command.SPEED_1: ">i",
-    Command.SPEED_2: ">i",
-    Command.SPEED_BOTH: ">ii",
-    Command.POSITION_1: ">IIIiB",  # acceleration, speed, deceleration, position, at once
-    Command.POSITION_2: ">IIIiB",
-    Command.POSITION_BOTH: ">IIIiIIIiB",
-    Command.SET_CURRENT_LIMIT_1: ">II",  # most and least, 10 mA
-    Command.SET_CURRENT_LIMIT_2: ">II",
-    Command.SET_PWM_MODE: ">B",
-    Command.RESET_E_STOP: ">",
+WRITES: dict[BoardCommand, str] = {
+    BoardCommand.SET_TIMEOUT: ">B",
+    BoardCommand.RESET_ENCODERS: ">",
+    BoardCommand.SET_ENCODER_1: ">i",
+    BoardCommand.SET_ENCODER_2: ">i",
+    BoardCommand.SET_VELOCITY_PID_1: ">IIII",  # D, P, I (16.16 fixed point), counts/s at full duty
+    BoardCommand.SET_VELOCITY_PID_2: ">IIII",
+    BoardCommand.DUTY_1: ">h",
+    BoardCommand.DUTY_2: ">h",
+    BoardCommand.DUTY_BOTH: ">hh",
+    BoardCommand.SPEED_1: ">i",
+    BoardCommand.SPEED_2: ">i",
+    BoardCommand.SPEED_BOTH: ">ii",
+    BoardCommand.POSITION_1: ">IIIiB",  # acceleration, speed, deceleration, position, at once
+    BoardCommand.POSITION_2: ">IIIiB",
+    BoardCommand.POSITION_BOTH: ">IIIiIIIiB",
+    BoardCommand.SET_CURRENT_LIMIT_1: ">II",  # most and least, 10 mA
+    BoardCommand.SET_CURRENT_LIMIT_2: ">II",
+    BoardCommand.SET_PWM_MODE: ">B",
+    BoardCommand.RESET_E_STOP: ">",
 }
-READS: dict[Command, str] = {
-    Command.GET_TIMEOUT: ">B",
-    Command.GET_ENCODER_1: ">iB",
-    Command.GET_ENCODER_2: ">iB",
-    Command.GET_SPEED_1: ">iB",
-    Command.GET_SPEED_2: ">iB",
-    Command.GET_MAIN_VOLTAGE: ">H",
-    Command.GET_LOGIC_VOLTAGE: ">H",
-    Command.GET_DUTIES: ">hh",
-    Command.GET_CURRENTS: ">hh",
-    Command.GET_VELOCITY_PID_1: ">IIII",  # P, I, D, counts/s
-    Command.GET_VELOCITY_PID_2: ">IIII",
-    Command.GET_ENCODERS: ">ii",
-    Command.GET_RAW_SPEEDS: ">ii",
-    Command.GET_TEMPERATURE: ">H",
-    Command.GET_CURRENT_LIMIT_1: ">II",
-    Command.GET_CURRENT_LIMIT_2: ">II",
-    Command.GET_PWM_MODE: ">B",
+READS: dict[BoardCommand, str] = {
+    BoardCommand.GET_TIMEOUT: ">B",
+    BoardCommand.GET_ENCODER_1: ">iB",
+    BoardCommand.GET_ENCODER_2: ">iB",
+    BoardCommand.GET_SPEED_1: ">iB",
+    BoardCommand.GET_SPEED_2: ">iB",
+    BoardCommand.GET_MAIN_VOLTAGE: ">H",
+    BoardCommand.GET_LOGIC_VOLTAGE: ">H",
+    BoardCommand.GET_DUTIES: ">hh",
+    BoardCommand.GET_CURRENTS: ">hh",
+    BoardCommand.GET_VELOCITY_PID_1: ">IIII",  # P, I, D, counts/s
+    BoardCommand.GET_VELOCITY_PID_2: ">IIII",
+    BoardCommand.GET_ENCODERS: ">ii",
+    BoardCommand.GET_RAW_SPEEDS: ">ii",
+    BoardCommand.GET_TEMPERATURE: ">H",
+    BoardCommand.GET_CURRENT_LIMIT_1: ">II",
+    BoardCommand.GET_CURRENT_LIMIT_2: ">II",
+    BoardCommand.GET_PWM_MODE: ">B",
 }
 # Twice is not once: after a lost acknowledgement these are not sent again.
 NOT_REPEATABLE = frozenset(
     {
-        Command.RESET_ENCODERS,
-        Command.SET_ENCODER_1,
-        Command.SET_ENCODER_2,
-        Command.RESET_E_STOP,
+        BoardCommand.RESET_ENCODERS,
+        BoardCommand.SET_ENCODER_1,
+        BoardCommand.SET_ENCODER_2,
+        BoardCommand.RESET_E_STOP,
     }
 )
 
@@ -175,16 +175,16 @@ def checksum(data: bytes) -> bytes:
     return fastcrc.crc16.xmodem(data).to_bytes(2, "big")
 
 
-def encode_read(address: int, command: Command) -> bytes:
+def encode_read(address: int, command: BoardCommand) -> bytes:
     """Return the packet that asks a question."""
     return bytes((address, command))
 
 
-def encode_write(address: int, command: Command, *values: int) -> bytes:
+def encode_write(address: int, command: BoardCommand, *values: int) -> bytes:
     """Return the packet of a write.
 
     Args:
-        address: Of the board, in `ADDRESSES`.
+        address: Address of the board, in `ADDRESSES`.
         command: A key of `WRITES`.
         values: The payload.
 
@@ -199,12 +199,12 @@ def encode_write(address: int, command: Command, *values: int) -> bytes:
     return body + checksum(body)
 
 
-def reply_length(command: Command) -> int:
+def reply_length(command: BoardCommand) -> int:
     """Return the length of a read's reply with its checksum, for fixed layouts."""
     return struct.calcsize(READS[command]) + 2
 
 
-def decode_reply(address: int, command: Command, reply: bytes) -> tuple[int, ...] | None:
+def decode_reply(address: int, command: BoardCommand, reply: bytes) -> tuple[int, ...] | None:
     """Return the values of a reply, or None if it is not the answer to this question."""
     payload = checked(address, command, reply)
     if payload is None or len(payload) != struct.calcsize(READS[command]):
@@ -212,7 +212,7 @@ def decode_reply(address: int, command: Command, reply: bytes) -> tuple[int, ...
     return struct.unpack(READS[command], payload)
 
 
-def checked(address: int, command: Command, reply: bytes) -> bytes | None:
+def checked(address: int, command: BoardCommand, reply: bytes) -> bytes | None:
     """Return a reply without its checksum, or None if that does not fit."""
     payload, crc = reply[:-2], reply[-2:]
     return payload if checksum(bytes((address, command)) + payload) == crc else None
@@ -224,8 +224,8 @@ def decode_status_reply(address: int, reply: bytes) -> Status | None:
     The checksum does not see zeros behind it: a short reply and two zeros would pass for a long
     one, with bits that nobody set.
     """
-    payload = checked(address, Command.GET_STATUS, reply)
-    short = len(reply) > 4 and checked(address, Command.GET_STATUS, reply[:4])
+    payload = checked(address, BoardCommand.GET_STATUS, reply)
+    short = len(reply) > 4 and checked(address, BoardCommand.GET_STATUS, reply[:4])
     return None if payload is None or short else decode_status(payload)
 
 

@@ -12,7 +12,7 @@ from tests.twin.hardware.roboclaw.wire import (
 from twin.hardware.emulator.faults import FaultyLine, LineFault, LineFaultConfig
 from twin.hardware.emulator.roboclaw_board import VERSION, RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw import codec
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 
 pytestmark = pytest.mark.virtual_time
 
@@ -89,14 +89,14 @@ def test_encoder_wraps_at_32_bits_and_counts_from_reset():
 def test_speed_command_reaches_its_speed_and_position_command_its_position():
     (board,), line = boards_on_a_line()
     speed = 0.0
-    line.feed(codec.encode_write(0x80, Command.SPEED_1, 20000), 0.0)
+    line.feed(codec.encode_write(0x80, BoardCommand.SPEED_1, 20000), 0.0)
     for step in range(2000):
         line.tick(0.01 * step, 0.01)
         speed += 0.2 * (44000 * board.duties()[0] / 32767 - speed)
         board.motors.count[0] += round(0.01 * speed)
     assert board.channels[0].rate == pytest.approx(20000, rel=0.01)
     target = board.encoder(0) - 5000
-    line.feed(codec.encode_write(0x80, Command.POSITION_1, 1, 30000, 1, target, 1), 20.0)
+    line.feed(codec.encode_write(0x80, BoardCommand.POSITION_1, 1, 30000, 1, target, 1), 20.0)
     for step in range(2000):
         line.tick(20.0 + 0.01 * step, 0.01)
         speed += 0.2 * (44000 * board.duties()[0] / 32767 - speed)

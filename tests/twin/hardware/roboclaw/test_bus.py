@@ -30,7 +30,7 @@ from tests.twin.hardware.roboclaw.wire import (
 from twin.hardware.emulator.faults import FaultyLine, LineFault, LineFaultConfig
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import BusTiming, RoboClawBus
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 from twin.hardware.serial_link import LinkError
 
 pytestmark = pytest.mark.virtual_time
@@ -55,7 +55,7 @@ def test_sound_line_carries_every_command_at_the_first_try(bench, command):
     assert not trial.wrong and not trial.failures
     statistics = trial.bus.statistics
     assert statistics.transactions == 10 and statistics.retries == statistics.refused == 0
-    if command is not Command.GET_STATUS:  # Whose old layout is shorter than is waited for.
+    if command is not BoardCommand.GET_STATUS:  # Whose old layout is shorter than is waited for.
         # First the line was seen clear by another question; since then, only the calls.
         assert len(link.sent) == 11 and statistics.silent == 0
 
@@ -77,7 +77,9 @@ def test_board_exchanged_for_one_of_other_firmware_is_understood(bench):
         assert trial.bus.status(OLD) == Status.E_STOP
 
 
-@pytest.mark.parametrize("command", [Command.DUTY_1, Command.DUTY_BOTH, Command.SET_TIMEOUT])
+@pytest.mark.parametrize(
+    "command", [BoardCommand.DUTY_1, BoardCommand.DUTY_BOTH, BoardCommand.SET_TIMEOUT]
+)
 def test_what_does_not_fit_is_refused_before_the_wire(bench, command):
     _, link, trial = bench
     rest = [0] * (len(codec.WRITES[command]) - 2)
@@ -95,8 +97,8 @@ CLEAR = [(None, 0)]  # The first exchange of a fresh bus sees the line clear.
 def test_lost_acknowledgement_is_asked_for_again_where_twice_is_once(bench):
     line, _, trial = bench
     line.script = [*CLEAR, (LineFault.LOSE_REPLY, 0)]
-    trial.bus.write(NEW, Command.DUTY_BOTH, 100, -100)
-    assert trial.boards[0].obeyed == [(Command.DUTY_BOTH, (100, -100))] * 2
+    trial.bus.write(NEW, BoardCommand.DUTY_BOTH, 100, -100)
+    assert trial.boards[0].obeyed == [(BoardCommand.DUTY_BOTH, (100, -100))] * 2
     assert trial.bus.statistics.retries == trial.bus.statistics.silent == 1
 
 
@@ -122,27 +124,27 @@ def test_late_answer_is_not_taken_for_the_next_one(bench):
         line.script = [(LineFault.LATE, seed)] * 4  # Longer than a call takes.
         before = trial.bus.statistics.failures
         try:
-            assert trial.bus.read(NEW, Command.GET_ENCODERS) == (seed, -seed)
+            assert trial.bus.read(NEW, BoardCommand.GET_ENCODERS) == (seed, -seed)
         except LinkError:
             assert trial.bus.statistics.failures == before + 1
         line.script = []
         motors.count = [-seed - 1, seed + 1]
-        assert trial.bus.read(NEW, Command.GET_ENCODERS) == (-seed - 1, seed + 1)
+        assert trial.bus.read(NEW, BoardCommand.GET_ENCODERS) == (-seed - 1, seed + 1)
     assert line.counts[LineFault.LATE] > 40 and trial.bus.statistics.failures > 5
 
 
 def test_late_acknowledgement_is_not_taken_for_the_next_ones(bench):
     line, _, trial = bench
     board = trial.boards[0]
-    trial.bus.write(NEW, Command.DUTY_1, 1)
+    trial.bus.write(NEW, BoardCommand.DUTY_1, 1)
     for seed in range(20):
         line.script = [(None, 0)] * trial.bus._suspect + [(LineFault.LATE, seed)]
         with pytest.raises(LinkError):
-            trial.bus.write(NEW, Command.SET_ENCODER_1, seed)
+            trial.bus.write(NEW, BoardCommand.SET_ENCODER_1, seed)
         # Its acknowledgement is still on its way; this one never reaches the board.
         line.script = [(None, 0), *[(LineFault.LOSE_REQUEST, 0)] * 9]
         with pytest.raises(LinkError):
-            trial.bus.write(NEW, Command.DUTY_1, 1000 + seed)
+            trial.bus.write(NEW, BoardCommand.DUTY_1, 1000 + seed)
         assert board.channels[0].duty == 1
         line.script = []
 
@@ -151,10 +153,10 @@ def test_old_answer_that_comes_again_before_the_new_one_is_not_believed(bench):
     line, _, trial = bench
     board = trial.boards[0]
     board.motors.count = [1, 2]
-    assert trial.bus.read(NEW, Command.GET_ENCODERS) == (1, 2)
+    assert trial.bus.read(NEW, BoardCommand.GET_ENCODERS) == (1, 2)
     board.motors.count = [3, 4]
     line.script = [(LineFault.MERGED, 0)]
-    assert trial.bus.read(NEW, Command.GET_ENCODERS) == (3, 4)
+    assert trial.bus.read(NEW, BoardCommand.GET_ENCODERS) == (3, 4)
     assert trial.bus.statistics.refused == 1
 
 
@@ -165,9 +167,9 @@ class Misheard:
         self.device, self.misheard = device, 0
 
     def feed(self, data, now):
-        if data[1:2] == bytes((Command.DUTY_BOTH,)) and not self.misheard:
+        if data[1:2] == bytes((BoardCommand.DUTY_BOTH,)) and not self.misheard:
             self.misheard += 1
-            data = data[:1] + bytes((Command.GET_SPEED_1,))
+            data = data[:1] + bytes((BoardCommand.GET_SPEED_1,))
         return self.device.feed(data, now)
 
 
@@ -177,7 +179,7 @@ def test_answer_to_a_damaged_write_is_no_acknowledgement_though_it_begins_like_o
     link = VirtualLink(Misheard(device))
     with virtual_time(link):
         bus = RoboClawBus(link)
-        bus.write(0x80, Command.DUTY_BOTH, 5, 6)
+        bus.write(0x80, BoardCommand.DUTY_BOTH, 5, 6)
         assert board.duties() == (5, 6)
         assert bus.statistics.refused == bus.statistics.retries == 1
 
@@ -212,18 +214,18 @@ def test_stray_bytes_before_a_call_are_drained_and_counted(bench):
 def test_stray_answer_to_the_same_question_is_not_believed(bench):
     _, link, trial = bench
     trial.boards[0].motors.count = [7, 8]
-    trial.bus.read(NEW, Command.GET_ENCODERS)
-    crc = codec.checksum(bytes((NEW, Command.GET_ENCODERS)) + struct.pack(">ii", 1, 1))
+    trial.bus.read(NEW, BoardCommand.GET_ENCODERS)
+    crc = codec.checksum(bytes((NEW, BoardCommand.GET_ENCODERS)) + struct.pack(">ii", 1, 1))
     link.stray(struct.pack(">ii", 1, 1) + crc)
-    assert trial.bus.read(NEW, Command.GET_ENCODERS) == (7, 8)
+    assert trial.bus.read(NEW, BoardCommand.GET_ENCODERS) == (7, 8)
 
 
 def test_half_a_packet_in_the_boards_buffer_costs_one_retry(bench):
     line, link, trial = bench
     trial.boards[0].motors.count = [7, 8]
-    trial.bus.read(NEW, Command.GET_ENCODERS)
+    trial.bus.read(NEW, BoardCommand.GET_ENCODERS)
     line.feed(bytes.fromhex("80 22 12"), link.now)
-    assert trial.bus.read(NEW, Command.GET_ENCODERS) == (7, 8)
+    assert trial.bus.read(NEW, BoardCommand.GET_ENCODERS) == (7, 8)
     assert trial.bus.statistics.retries == trial.bus.statistics.silent == 1
 
 
@@ -239,7 +241,9 @@ class Babbler:
 
 
 @pytest.mark.parametrize("count", [1, 3, 50])
-@pytest.mark.parametrize("command", [Command.GET_ENCODERS, Command.DUTY_BOTH, Command.GET_VERSION])
+@pytest.mark.parametrize(
+    "command", [BoardCommand.GET_ENCODERS, BoardCommand.DUTY_BOTH, BoardCommand.GET_VERSION]
+)
 def test_babbling_board_cannot_hold_a_call(command, count):
     (board,), _ = boards_on_a_line()
     link = VirtualLink(Babbler(count))
@@ -265,7 +269,7 @@ class Slow:
         return out
 
 
-@pytest.mark.parametrize("command", [Command.GET_LOGIC_VOLTAGE, Command.GET_ENCODERS])
+@pytest.mark.parametrize("command", [BoardCommand.GET_LOGIC_VOLTAGE, BoardCommand.GET_ENCODERS])
 def test_answers_that_take_longer_than_a_call_are_never_believed_later(command):
     for delay in np.arange(0.0065, 0.12, 0.0005).tolist():
         line, link, trial = virtual_trial(lambda device, d=delay: Slow(device, d))
@@ -283,11 +287,11 @@ def test_silent_board_is_named_at_the_deadline(bench):
     _, link, trial = bench
     begin = link.now
     with pytest.raises(LinkError, match=r"GET_ENCODERS of board 0x85: no valid answer .* virtual"):
-        trial.bus.read(0x85, Command.GET_ENCODERS)
+        trial.bus.read(0x85, BoardCommand.GET_ENCODERS)
     assert link.now - begin <= BusTiming().call + 1e-9
     assert trial.bus.statistics.failures == 1
     assert trial.bus.statistics.worst_call == link.now - begin
-    trial.call(Command.GET_ENCODERS, np.random.default_rng(0))
+    trial.call(BoardCommand.GET_ENCODERS, np.random.default_rng(0))
     assert not trial.failures and not trial.wrong
 
 
@@ -312,7 +316,7 @@ def test_no_sequence_of_faults_gives_a_wrong_value_or_a_long_call(calls):
         line.script = []
         # Whatever was, a sound line works again with the next call.
         trial.failures = 0
-        trial.call(Command.GET_ENCODERS, np.random.default_rng(0))
+        trial.call(BoardCommand.GET_ENCODERS, np.random.default_rng(0))
     assert not trial.wrong and not trial.failures
     assert max(trial.durations) <= BusTiming().call + OVERHEAD
 

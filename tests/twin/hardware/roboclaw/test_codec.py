@@ -8,98 +8,104 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin.hardware.roboclaw import codec
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 
 pytestmark = pytest.mark.virtual_time
 
 # Packets as the user manual writes them: address, command, payload, checksum.
 WRITES = [
-    (0x80, Command.SET_TIMEOUT, (0,), "80 0e 00 18 55"),
-    (0x87, Command.SET_TIMEOUT, (255,), "87 0e ff 83 35"),
-    (0x80, Command.RESET_ENCODERS, (), "80 14 49 2d"),
-    (0x80, Command.SET_ENCODER_1, (-(2**31),), "80 16 80 00 00 00 c0 c7"),
-    (0x81, Command.SET_ENCODER_2, (2**31 - 1,), "81 17 7f ff ff ff b6 f9"),
-    (0x80, Command.SET_ENCODER_2, (-1,), "80 17 ff ff ff ff 2e 61"),
+    (0x80, BoardCommand.SET_TIMEOUT, (0,), "80 0e 00 18 55"),
+    (0x87, BoardCommand.SET_TIMEOUT, (255,), "87 0e ff 83 35"),
+    (0x80, BoardCommand.RESET_ENCODERS, (), "80 14 49 2d"),
+    (0x80, BoardCommand.SET_ENCODER_1, (-(2**31),), "80 16 80 00 00 00 c0 c7"),
+    (0x81, BoardCommand.SET_ENCODER_2, (2**31 - 1,), "81 17 7f ff ff ff b6 f9"),
+    (0x80, BoardCommand.SET_ENCODER_2, (-1,), "80 17 ff ff ff ff 2e 61"),
     (
         0x82,  # D, P, I, counts a second: 0.25, 1.0, 0.5, 44000
-        Command.SET_VELOCITY_PID_1,
+        BoardCommand.SET_VELOCITY_PID_1,
         (0x4000, 0x10000, 0x8000, 44000),
         "82 1c 00 00 40 00 00 01 00 00 00 00 80 00 00 00 ab e0 d6 b9",
     ),
     (
         0x82,
-        Command.SET_VELOCITY_PID_2,
+        BoardCommand.SET_VELOCITY_PID_2,
         (0, 2**32 - 1, 1, 2**32 - 1),
         "82 1d 00 00 00 00 ff ff ff ff 00 00 00 01 ff ff ff ff 8b 79",
     ),
-    (0x80, Command.DUTY_1, (32767,), "80 20 7f ff 5d 69"),
-    (0x80, Command.DUTY_2, (-32767,), "80 21 80 01 67 77"),
-    (0x80, Command.DUTY_BOTH, (32767, -32767), "80 22 7f ff 80 01 ca 56"),
-    (0x83, Command.DUTY_BOTH, (0, -1), "83 22 00 00 ff ff 4b f8"),
-    (0x80, Command.SPEED_1, (-(2**31),), "80 23 80 00 00 00 ef 7e"),
-    (0x80, Command.SPEED_2, (2**31 - 1,), "80 24 7f ff ff ff 11 65"),
-    (0x81, Command.SPEED_BOTH, (-1, 1), "81 25 ff ff ff ff 00 00 00 01 74 4e"),
+    (0x80, BoardCommand.DUTY_1, (32767,), "80 20 7f ff 5d 69"),
+    (0x80, BoardCommand.DUTY_2, (-32767,), "80 21 80 01 67 77"),
+    (0x80, BoardCommand.DUTY_BOTH, (32767, -32767), "80 22 7f ff 80 01 ca 56"),
+    (0x83, BoardCommand.DUTY_BOTH, (0, -1), "83 22 00 00 ff ff 4b f8"),
+    (0x80, BoardCommand.SPEED_1, (-(2**31),), "80 23 80 00 00 00 ef 7e"),
+    (0x80, BoardCommand.SPEED_2, (2**31 - 1,), "80 24 7f ff ff ff 11 65"),
+    (0x81, BoardCommand.SPEED_BOTH, (-1, 1), "81 25 ff ff ff ff 00 00 00 01 74 4e"),
     (
         0x80,
-        Command.POSITION_1,
+        BoardCommand.POSITION_1,
         (1000, 2000, 3000, -10, 1),
         "80 41 00 00 03 e8 00 00 07 d0 00 00 0b b8 ff ff ff f6 01 91 ca",
     ),
     (
         0x80,
-        Command.POSITION_2,
+        BoardCommand.POSITION_2,
         (2**32 - 1, 0, 1, -(2**31), 0),
         "80 42 ff ff ff ff 00 00 00 00 00 00 00 01 80 00 00 00 00 77 4a",
     ),
     (
         0x80,
-        Command.POSITION_BOTH,
+        BoardCommand.POSITION_BOTH,
         (1, 2, 3, 4, 5, 6, 7, -8, 1),
         "80 43 00 00 00 01 00 00 00 02 00 00 00 03 00 00 00 04"
         "00 00 00 05 00 00 00 06 00 00 00 07 ff ff ff f8 01 1b 14",
     ),
     # Where the manual explains 133, its packet shows 134; the motors' numbers tell them apart.
-    (0x80, Command.SET_CURRENT_LIMIT_1, (1500, 0), "80 85 00 00 05 dc 00 00 00 00 d3 82"),
-    (0x80, Command.SET_CURRENT_LIMIT_2, (2**32 - 1, 0), "80 86 ff ff ff ff 00 00 00 00 3e 20"),
-    (0x80, Command.SET_PWM_MODE, (1,), "80 94 01 ff 54"),
-    (0x80, Command.RESET_E_STOP, (), "80 c8 43 dc"),
+    (0x80, BoardCommand.SET_CURRENT_LIMIT_1, (1500, 0), "80 85 00 00 05 dc 00 00 00 00 d3 82"),
+    (0x80, BoardCommand.SET_CURRENT_LIMIT_2, (2**32 - 1, 0), "80 86 ff ff ff ff 00 00 00 00 3e 20"),
+    (0x80, BoardCommand.SET_PWM_MODE, (1,), "80 94 01 ff 54"),
+    (0x80, BoardCommand.RESET_E_STOP, (), "80 c8 43 dc"),
 ]
 READS = [
-    (0x80, Command.GET_TIMEOUT, "80 0f", "05 7b c1", (5,)),
-    (0x80, Command.GET_ENCODER_1, "80 10", "80 00 00 00 02 b3 ef", (-(2**31), 2)),
-    (0x80, Command.GET_ENCODER_2, "80 11", "7f ff ff ff 04 4b 19", (2**31 - 1, 4)),
-    (0x80, Command.GET_SPEED_1, "80 12", "ff ff ff ff 01 f7 8c", (-1, 1)),
-    (0x80, Command.GET_SPEED_2, "80 13", "00 00 00 00 00 7f 9d", (0, 0)),
-    (0x80, Command.GET_MAIN_VOLTAGE, "80 18", "00 78 c8 65", (120,)),
-    (0x80, Command.GET_LOGIC_VOLTAGE, "80 19", "ff ff 1d c5", (65535,)),
-    (0x80, Command.GET_DUTIES, "80 30", "7f ff 80 01 8a 8f", (32767, -32767)),
-    (0x80, Command.GET_CURRENTS, "80 31", "ff f6 0b b8 92 e7", (-10, 3000)),
+    (0x80, BoardCommand.GET_TIMEOUT, "80 0f", "05 7b c1", (5,)),
+    (0x80, BoardCommand.GET_ENCODER_1, "80 10", "80 00 00 00 02 b3 ef", (-(2**31), 2)),
+    (0x80, BoardCommand.GET_ENCODER_2, "80 11", "7f ff ff ff 04 4b 19", (2**31 - 1, 4)),
+    (0x80, BoardCommand.GET_SPEED_1, "80 12", "ff ff ff ff 01 f7 8c", (-1, 1)),
+    (0x80, BoardCommand.GET_SPEED_2, "80 13", "00 00 00 00 00 7f 9d", (0, 0)),
+    (0x80, BoardCommand.GET_MAIN_VOLTAGE, "80 18", "00 78 c8 65", (120,)),
+    (0x80, BoardCommand.GET_LOGIC_VOLTAGE, "80 19", "ff ff 1d c5", (65535,)),
+    (0x80, BoardCommand.GET_DUTIES, "80 30", "7f ff 80 01 8a 8f", (32767, -32767)),
+    (0x80, BoardCommand.GET_CURRENTS, "80 31", "ff f6 0b b8 92 e7", (-10, 3000)),
     (
         0x80,  # P, I, D, counts a second: not the order in which they are set
-        Command.GET_VELOCITY_PID_1,
+        BoardCommand.GET_VELOCITY_PID_1,
         "80 37",
         "00 01 00 00 00 00 80 00 00 00 40 00 00 00 ab e0 ab c0",
         (0x10000, 0x8000, 0x4000, 44000),
     ),
     (
         0x80,
-        Command.GET_VELOCITY_PID_2,
+        BoardCommand.GET_VELOCITY_PID_2,
         "80 38",
         "ff ff ff ff 00 00 00 00 00 00 00 01 ff ff ff ff b2 f2",
         (2**32 - 1, 0, 1, 2**32 - 1),
     ),
     (
         0x83,
-        Command.GET_ENCODERS,
+        BoardCommand.GET_ENCODERS,
         "83 4e",
         "80 00 00 00 7f ff ff ff c0 23",
         (-(2**31), 2**31 - 1),
     ),
-    (0x80, Command.GET_RAW_SPEEDS, "80 4f", "ff ff ff ff 00 00 00 00 1c 97", (-1, 0)),
-    (0x80, Command.GET_TEMPERATURE, "80 52", "00 fa a3 c3", (250,)),
-    (0x80, Command.GET_CURRENT_LIMIT_1, "80 87", "00 00 05 dc 00 00 00 00 15 e5", (1500, 0)),
-    (0x80, Command.GET_CURRENT_LIMIT_2, "80 88", "ff ff ff ff 00 00 00 00 4d 57", (2**32 - 1, 0)),
-    (0x80, Command.GET_PWM_MODE, "80 95", "01 cc 65", (1,)),
+    (0x80, BoardCommand.GET_RAW_SPEEDS, "80 4f", "ff ff ff ff 00 00 00 00 1c 97", (-1, 0)),
+    (0x80, BoardCommand.GET_TEMPERATURE, "80 52", "00 fa a3 c3", (250,)),
+    (0x80, BoardCommand.GET_CURRENT_LIMIT_1, "80 87", "00 00 05 dc 00 00 00 00 15 e5", (1500, 0)),
+    (
+        0x80,
+        BoardCommand.GET_CURRENT_LIMIT_2,
+        "80 88",
+        "ff ff ff ff 00 00 00 00 4d 57",
+        (2**32 - 1, 0),
+    ),
+    (0x80, BoardCommand.GET_PWM_MODE, "80 95", "01 cc 65", (1,)),
 ]
 # Present and old status words of the manual; the old one's home bits have no present ones.
 PRESENT = {
@@ -154,7 +160,7 @@ def values_of(layout):
 
 
 def named(command):
-    return command.name if isinstance(command, Command) else None
+    return command.name if isinstance(command, BoardCommand) else None
 
 
 def test_checksum_is_xmodem():
@@ -169,10 +175,12 @@ def test_checksum_is_xmodem():
 def test_every_write_and_read_has_a_vector():
     assert {write[1] for write in WRITES} == set(codec.WRITES)
     assert {read[1] for read in READS} == set(codec.READS)
-    both = set(codec.WRITES) | set(codec.READS) | {Command.GET_VERSION, Command.GET_STATUS}
-    assert both == set(Command)
+    both = (
+        set(codec.WRITES) | set(codec.READS) | {BoardCommand.GET_VERSION, BoardCommand.GET_STATUS}
+    )
+    assert both == set(BoardCommand)
     # The manual's firmwares disagree on these.
-    assert not {int(command) for command in Command} & set(range(98, 105))
+    assert not {int(command) for command in BoardCommand} & set(range(98, 105))
 
 
 @pytest.mark.parametrize(("address", "command", "values", "packet"), WRITES, ids=named)
@@ -189,22 +197,22 @@ def test_read_is_the_manuals_exchange(address, command, request_, reply, values)
 
 def test_answer_to_another_board_or_question_is_none():
     reply = bytes.fromhex("80 00 00 00 7f ff ff ff c0 23")
-    assert codec.decode_reply(0x83, Command.GET_ENCODERS, reply) is not None
-    assert codec.decode_reply(0x82, Command.GET_ENCODERS, reply) is None
-    assert codec.decode_reply(0x83, Command.GET_RAW_SPEEDS, reply) is None
+    assert codec.decode_reply(0x83, BoardCommand.GET_ENCODERS, reply) is not None
+    assert codec.decode_reply(0x82, BoardCommand.GET_ENCODERS, reply) is None
+    assert codec.decode_reply(0x83, BoardCommand.GET_RAW_SPEEDS, reply) is None
     # A checksum over the payload alone, as one public emulator sends it.
     alone = reply[:8] + binascii.crc_hqx(reply[:8], 0).to_bytes(2, "big")
-    assert codec.decode_reply(0x83, Command.GET_ENCODERS, alone) is None
+    assert codec.decode_reply(0x83, BoardCommand.GET_ENCODERS, alone) is None
 
 
 def test_reply_of_another_length_is_none_though_its_checksum_fits():
     payload = bytes(4)
-    crc = binascii.crc_hqx(bytes((0x80, Command.GET_MAIN_VOLTAGE)) + payload, 0)
+    crc = binascii.crc_hqx(bytes((0x80, BoardCommand.GET_MAIN_VOLTAGE)) + payload, 0)
     reply = payload + crc.to_bytes(2, "big")
-    assert codec.checked(0x80, Command.GET_MAIN_VOLTAGE, reply) == payload
-    assert codec.decode_reply(0x80, Command.GET_MAIN_VOLTAGE, reply) is None
-    assert codec.decode_reply(0x80, Command.GET_MAIN_VOLTAGE, b"") is None
-    assert codec.decode_reply(0x80, Command.GET_MAIN_VOLTAGE, b"\0") is None
+    assert codec.checked(0x80, BoardCommand.GET_MAIN_VOLTAGE, reply) == payload
+    assert codec.decode_reply(0x80, BoardCommand.GET_MAIN_VOLTAGE, reply) is None
+    assert codec.decode_reply(0x80, BoardCommand.GET_MAIN_VOLTAGE, b"") is None
+    assert codec.decode_reply(0x80, BoardCommand.GET_MAIN_VOLTAGE, b"\0") is None
 
 
 @pytest.mark.parametrize(("command", "layout"), codec.WRITES.items(), ids=named)
@@ -277,9 +285,9 @@ def test_old_status_with_zeros_behind_it_is_no_present_one():
 
 def test_version_is_checked_text():
     text = b"USB Roboclaw 2x15a v4.3.6\n\0"
-    assert codec.checked(0x80, Command.GET_VERSION, text + bytes.fromhex("0032")) == text
+    assert codec.checked(0x80, BoardCommand.GET_VERSION, text + bytes.fromhex("0032")) == text
     assert text.endswith(codec.VERSION_END) and len(text) <= codec.LONGEST_VERSION
-    assert codec.checked(0x80, Command.GET_VERSION, text + bytes.fromhex("0033")) is None
+    assert codec.checked(0x80, BoardCommand.GET_VERSION, text + bytes.fromhex("0033")) is None
 
 
 @given(st.sampled_from(sorted(codec.WRITES)), st.sampled_from(codec.ADDRESSES), st.data())

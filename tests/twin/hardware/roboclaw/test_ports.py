@@ -17,7 +17,7 @@ from tests.twin.hardware.roboclaw.wire import BAUD, PtyWire
 from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.roboclaw.client import RoboClawBus
-from twin.hardware.roboclaw.codec import Command
+from twin.hardware.roboclaw.codec import BoardCommand
 from twin.hardware.serial_link import LinkError, SerialLink
 
 pytestmark = pytest.mark.real_time
@@ -77,8 +77,10 @@ def test_port_that_takes_nothing_cannot_hold_a_call(waiting_time):
     with pytest.raises(LinkError, match=f"{port.name}: takes no bytes"):
         for _ in range(1000):
             serial.write(bytes(4096))
-    assert timed_failure(lambda: bus.read(NEW, Command.GET_ENCODERS), waiting_time) <= WORST_CALL
-    assert timed_failure(lambda: bus.write(NEW, Command.DUTY_1, 5), waiting_time) <= WORST_CALL
+    assert (
+        timed_failure(lambda: bus.read(NEW, BoardCommand.GET_ENCODERS), waiting_time) <= WORST_CALL
+    )
+    assert timed_failure(lambda: bus.write(NEW, BoardCommand.DUTY_1, 5), waiting_time) <= WORST_CALL
     bus.close()
     port.close()
 
@@ -88,8 +90,8 @@ def test_port_that_is_gone_is_a_link_error(waiting_time):
     bus = RoboClawBus(SerialLink(port.name, BAUD))
     port.close()
     for call in (
-        lambda: bus.read(NEW, Command.GET_ENCODERS),
-        lambda: bus.write(NEW, Command.DUTY_1, 5),
+        lambda: bus.read(NEW, BoardCommand.GET_ENCODERS),
+        lambda: bus.write(NEW, BoardCommand.DUTY_1, 5),
         lambda: bus.status(NEW),
         lambda: bus.version(NEW),
     ):

@@ -11,7 +11,7 @@ from tests.twin.hardware.roboclaw.wire import (
 from twin.hardware.emulator.faults import FaultyLine, LineFault, LineFaultConfig
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
-from twin.hardware.roboclaw.codec import Command, Status
+from twin.hardware.roboclaw.codec import BoardCommand, Status
 from twin.hardware.serial_link import LinkError
 
 NEW, OLD = 0x80, 0x83  # The second has old firmware.
@@ -27,12 +27,12 @@ FIELDS = {
 }
 # Once is not twice, whatever the code says.
 ONCE = {
-    Command.RESET_ENCODERS,
-    Command.SET_ENCODER_1,
-    Command.SET_ENCODER_2,
-    Command.RESET_E_STOP,
+    BoardCommand.RESET_ENCODERS,
+    BoardCommand.SET_ENCODER_1,
+    BoardCommand.SET_ENCODER_2,
+    BoardCommand.RESET_E_STOP,
 }
-QUESTIONS = (*codec.READS, Command.GET_STATUS, Command.GET_VERSION)
+QUESTIONS = (*codec.READS, BoardCommand.GET_STATUS, BoardCommand.GET_VERSION)
 COMMANDS = (*codec.WRITES, *QUESTIONS)
 
 
@@ -72,25 +72,25 @@ def scramble(board, rng):
     back = [int(rate < 0) for rate in rates]
     shown = board.status & OLD_BITS if board.old_firmware else board.status
     return {
-        Command.GET_TIMEOUT: (board.timeout,),
-        Command.GET_ENCODER_1: (motors.count[0], 2 * back[0]),
-        Command.GET_ENCODER_2: (motors.count[1], 2 * back[1]),
-        Command.GET_SPEED_1: (rates[0], back[0]),
-        Command.GET_SPEED_2: (rates[1], back[1]),
-        Command.GET_MAIN_VOLTAGE: (volts,),
-        Command.GET_LOGIC_VOLTAGE: (motors.logic,),
-        Command.GET_DUTIES: (0, 0) if board.status & 0xFFFF else tuple(duties.tolist()),
-        Command.GET_CURRENTS: tuple(currents),
-        Command.GET_VELOCITY_PID_1: tuple(gains[0]),
-        Command.GET_VELOCITY_PID_2: tuple(gains[1]),
-        Command.GET_ENCODERS: tuple(motors.count),
-        Command.GET_RAW_SPEEDS: tuple(rates),
-        Command.GET_TEMPERATURE: (motors.temperature,),
-        Command.GET_CURRENT_LIMIT_1: (limits[0], 0),
-        Command.GET_CURRENT_LIMIT_2: (limits[1], 0),
-        Command.GET_PWM_MODE: (board.pwm_mode,),
-        Command.GET_STATUS: shown,
-        Command.GET_VERSION: "USB Roboclaw 2x15a v4.3.6",
+        BoardCommand.GET_TIMEOUT: (board.timeout,),
+        BoardCommand.GET_ENCODER_1: (motors.count[0], 2 * back[0]),
+        BoardCommand.GET_ENCODER_2: (motors.count[1], 2 * back[1]),
+        BoardCommand.GET_SPEED_1: (rates[0], back[0]),
+        BoardCommand.GET_SPEED_2: (rates[1], back[1]),
+        BoardCommand.GET_MAIN_VOLTAGE: (volts,),
+        BoardCommand.GET_LOGIC_VOLTAGE: (motors.logic,),
+        BoardCommand.GET_DUTIES: (0, 0) if board.status & 0xFFFF else tuple(duties.tolist()),
+        BoardCommand.GET_CURRENTS: tuple(currents),
+        BoardCommand.GET_VELOCITY_PID_1: tuple(gains[0]),
+        BoardCommand.GET_VELOCITY_PID_2: tuple(gains[1]),
+        BoardCommand.GET_ENCODERS: tuple(motors.count),
+        BoardCommand.GET_RAW_SPEEDS: tuple(rates),
+        BoardCommand.GET_TEMPERATURE: (motors.temperature,),
+        BoardCommand.GET_CURRENT_LIMIT_1: (limits[0], 0),
+        BoardCommand.GET_CURRENT_LIMIT_2: (limits[1], 0),
+        BoardCommand.GET_PWM_MODE: (board.pwm_mode,),
+        BoardCommand.GET_STATUS: shown,
+        BoardCommand.GET_VERSION: "USB Roboclaw 2x15a v4.3.6",
     }
 
 
@@ -173,9 +173,9 @@ class Trial:
         if values is not None:
             self.bus.write(address, command, *values)
             return True
-        if command is Command.GET_STATUS:
+        if command is BoardCommand.GET_STATUS:
             return self.bus.status(address)
-        if command is Command.GET_VERSION:
+        if command is BoardCommand.GET_VERSION:
             return self.bus.version(address)
         return self.bus.read(address, command)
 

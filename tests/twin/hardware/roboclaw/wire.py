@@ -12,7 +12,7 @@ from twin.hardware import serial_link as link
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw import client as roboclaw
-from twin.hardware.roboclaw.codec import Command
+from twin.hardware.roboclaw.codec import BoardCommand
 from twin.hardware.serial_link import SerialLink
 
 BAUD = 460800
@@ -50,9 +50,9 @@ class NotedBoard(RoboClawBoard):
 
     def _values(self, command):
         match command:
-            case Command.GET_LOGIC_VOLTAGE:
+            case BoardCommand.GET_LOGIC_VOLTAGE:
                 return (self.motors.logic,)
-            case Command.GET_TEMPERATURE:
+            case BoardCommand.GET_TEMPERATURE:
                 return (self.motors.temperature,)
         return super()._values(command)
 
