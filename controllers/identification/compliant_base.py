@@ -9,12 +9,13 @@ below a millisecond, so an explicit step of 5 ms would be unstable.
 
 In the kernels vectors are tuples of three numbers and matrices tuples of three rows: numba keeps
 them in registers, where small arrays would cost an allocation each. `p` is always the parameter
-vector (22,) in the order of `parameters.NAMES`; all vectors are in the base frame unless said.
+vector (22,) in the order of `parameters.NAMES`; vectors are in the base frame unless stated.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -24,6 +25,60 @@ from scipy.spatial.transform import Rotation
 from controllers.identification.arm_motion import RigidArm, Trajectory, mode_axes
 from controllers.identification.parameters import COUNT
 from perception.geometry.gravity import GRAVITY
+
+FloatArray = NDArray[np.float64]
+
+
+class _Arm(NamedTuple):
+    """`ArmOnMount` as the kernels read it, its inertia as rows."""
+
+    mass: float
+    inertia: tuple[tuple[float, ...], ...]
+    centre: tuple[float, ...]
+    axis: tuple[float, ...]
+    rest_angle: float
+
+
+class _Plant(NamedTuple):
+    """What the equations of motion hold constant.
+
+    Attributes:
+        p: (22,) physical parameters.
+        arm_mass: Mass of the arm [kg].
+        rest_wrench: (6,) force and moment of the springs at static rest [N, N m].
+    """
+
+    p: FloatArray
+    arm_mass: float
+    rest_wrench: FloatArray
+
+
+class _Motion(NamedTuple):
+    """Generalised coordinates q (6,) with their first and second derivatives."""
+
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+
+class _State(NamedTuple):
+    """What an integration carries from step to step, changed in place; see `BaseState`."""
+
+    q: FloatArray
+    v: FloatArray
+    s_q: FloatArray
+    s_v: FloatArray
+
+
+class _Path(NamedTuple):
+    """A `Trajectory` as the kernels read it, with the integration's step [s] and steps a sample."""
+
+    h: float
+    substeps: int
+    angle: FloatArray
+    rate: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
 
 
 @numba.njit(cache=True, inline="always")
@@ -82,7 +137,7 @@ def _rotation(axis, angle):
 
 
 @numba.njit(cache=True)
-def arm_kinematics(inertia, centre, axis, angle, rate, acceleration):
+def _arm_kinematics(inertia, centre, axis, angle, rate, acceleration):
     """Return arm inertia, centre, its rate and acceleration, spin and its rate."""
     turn = _rotation(axis, angle)
     spin, spin_rate = _scale(rate, axis), _scale(acceleration, axis)
@@ -123,12 +178,14 @@ def _lever(p, kin):
 
 
 @numba.njit(cache=True)
-def residual(p, arm_mass, kin, rest_wrench, q, v, a, out):
+def _residual(plant, kin, motion, out):
     """Fill `out` (6,) with the exact equations of motion; return force and moment at the mount.
 
     Force rows are in the world frame, moment rows along the hinge axes (Thesis eq. B-2, B-3 with
     the slides outermost). The springs hold all weight at rest.
     """
+    p, arm_mass, rest_wrench = plant
+    q, v, a = motion
     arm_inertia, centre, centre_rate, centre_acceleration, spin, spin_rate = kin
     rates = (v[3], v[4], v[5])
     rotation, rate_matrix, rate_bias = _hinges(q[3], q[4], q[5], rates)
@@ -159,7 +216,7 @@ def residual(p, arm_mass, kin, rest_wrench, q, v, a, out):
 
 
 @numba.njit(cache=True)
-def by_motion(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
+def _by_motion(plant, kin, motion, columns, work):
     """Fill (12, 18): derivatives of equations and wrench (six each) by q, v and a.
 
     Shift and its rate act through their springs and dampers alone. The rest are differences of the
@@ -167,41 +224,43 @@ def by_motion(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
     a linearisation about rest would leave 1e-3.
     """
     base, changed = np.empty(12), np.empty(12)
-    _stack(p, arm_mass, kin, rest_wrench, q, v, a, base, work)
+    _stack(plant, kin, motion, base, work)
     columns[:, :] = 0.0
+    p = plant.p
     for i in range(3):
         columns[i, i], columns[i, 6 + i] = p[16 + i], p[10 + i]
     for j in range(6):
         for k in range(2 if j < 3 else 0, 3):
-            moving = (q, v, a)[k]
+            moving = (motion.q, motion.v, motion.a)[k]
             step = 1.0 if k == 2 else 1e-6
             kept = moving[j]
             moving[j] = kept + step
-            _stack(p, arm_mass, kin, rest_wrench, q, v, a, changed, work)
+            _stack(plant, kin, motion, changed, work)
             moving[j] = kept
             for i in range(12):
                 columns[i, 6 * k + j] = (changed[i] - base[i]) / step
 
 
 @numba.njit(cache=True)
-def by_parameters(p, arm_mass, kin, rest_wrench, q, v, a, columns, work):
+def _by_parameters(plant, kin, motion, columns, work):
     """Fill (12, 22): derivatives of equations and wrench by the parameters at fixed motion."""
     base, changed = np.empty(12), np.empty(12)
-    _stack(p, arm_mass, kin, rest_wrench, q, v, a, base, work)
+    _stack(plant, kin, motion, base, work)
     columns[:, :] = 0.0
+    p, (q, v, a) = plant.p, motion
     _by_inertia(q, v, a, columns)
     for j in range(7, 10):
         kept = p[j]
         p[j] = kept + 1e-6
-        _stack(p, arm_mass, kin, rest_wrench, q, v, a, changed, work)
+        _stack(plant, kin, motion, changed, work)
         p[j] = kept
         for i in range(12):
             columns[i, j] = (changed[i] - base[i]) / 1e-6
     for i in range(3):
         columns[i, 0] = a[i]
     # The weight at rest turns with the lever: rest_wrench holds r2 x F0.
-    columns[3, 8] -= arm_mass * GRAVITY
-    columns[4, 7] += arm_mass * GRAVITY
+    columns[3, 8] -= plant.arm_mass * GRAVITY
+    columns[4, 7] += plant.arm_mass * GRAVITY
     for i in range(6):
         columns[i, 10 + i] = v[i]
         columns[i, 16 + i] = q[i]
@@ -229,14 +288,12 @@ def _by_inertia(q, v, a, columns):
 
 
 @numba.njit(cache=True)
-def _stack(p, arm_mass, kin, rest_wrench, q, v, a, out, work):
-    force, moment = residual(p, arm_mass, kin, rest_wrench, q, v, a, work)
+def _stack(plant, kin, motion, out, work):
+    force, moment = _residual(plant, kin, motion, work)
     for i in range(3):
         out[i], out[3 + i] = work[i], work[3 + i]
         out[6 + i], out[9 + i] = force[i], moment[i]
 
-
-FloatArray = NDArray[np.float64]
 
 CHANNELS = 24
 SIGNALS = {
@@ -331,30 +388,34 @@ def simulate(
     count = len(trajectory.jerk)
     outputs = np.empty((count, CHANNELS))
     derivatives = np.zeros((count if sensitivities else 0, CHANNELS, COUNT))
-    position, velocity = state.position.copy(), state.velocity.copy()
-    sens_q = state.position_sensitivity.copy()
-    sens_v = state.velocity_sensitivity.copy()
+    end = BaseState(
+        state.position.copy(),
+        state.velocity.copy(),
+        state.position_sensitivity.copy(),
+        state.velocity_sensitivity.copy(),
+    )
     _integrate(
         parameters,
-        arm.mass,
-        _rows(arm.inertia),
-        tuple(arm.centre.tolist()),
-        tuple(arm.axis.tolist()),
-        arm.rest_angle,
-        trajectory.time_step,
-        substeps,
-        trajectory.angle,
-        trajectory.rate,
-        trajectory.acceleration,
-        trajectory.jerk,
-        position,
-        velocity,
-        sens_q,
-        sens_v,
+        _Arm(
+            arm.mass,
+            _rows(arm.inertia),
+            tuple(arm.centre.tolist()),
+            tuple(arm.axis.tolist()),
+            arm.rest_angle,
+        ),
+        _Path(
+            trajectory.time_step / substeps,
+            substeps,
+            trajectory.angle,
+            trajectory.rate,
+            trajectory.acceleration,
+            trajectory.jerk,
+        ),
+        _State(end.position, end.velocity, end.position_sensitivity, end.velocity_sensitivity),
         outputs,
         derivatives,
     )
-    return outputs, derivatives, BaseState(position, velocity, sens_q, sens_v)
+    return outputs, derivatives, end
 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
@@ -431,20 +492,24 @@ def _stage_motion(h, i, q, v, stages, position, velocity):
 
 
 @numba.njit(cache=True)
-def _stage_kinematics(inertia, centre, axis, angle, rate, acceleration, jerk, t):
+def _stage_kinematics(arm, path, n, t):
+    """Return the arm's kinematics a time t [s] after the start of step n of its path."""
+    acceleration, jerk = path.acceleration[n], path.jerk[n]
     f2 = acceleration + jerk * t
-    f1 = rate + t * (acceleration + jerk * t / 2)
-    f0 = angle + t * (rate + t * (acceleration / 2 + jerk * t / 6))
-    return arm_kinematics(inertia, centre, axis, f0, f1, f2)
+    f1 = path.rate[n] + t * (acceleration + jerk * t / 2)
+    f0 = path.angle[n] + t * (path.rate[n] + t * (acceleration / 2 + jerk * t / 6))
+    return _arm_kinematics(arm.inertia, arm.centre, arm.axis, f0, f1, f2)
 
 
 @numba.njit(cache=True)
-def _newton(h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, position, velocity, work):
+def _newton(h, plant, kins, inverse, state, stage, work):
     """Solve for the stage accelerations; the linearised matrix is close, so two steps do."""
+    position, velocity = np.empty(6), np.empty(6)
     for _ in range(2):
         for i in range(STAGES):
-            _stage_motion(h, i, q, v, stage, position, velocity)
-            residual(p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i], work[6 * i :])
+            _stage_motion(h, i, state.q, state.v, stage, position, velocity)
+            motion = _Motion(position, velocity, stage[i])
+            _residual(plant, kins[i], motion, work[6 * i :])
         for r in range(6 * STAGES):
             change = 0.0
             for c in range(6 * STAGES):
@@ -472,7 +537,8 @@ def _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v):
 
 
 @numba.njit(cache=True)
-def _store(q, v, a, wrench, rest, row):
+def _store(motion, wrench, rest, row):
+    q, v, a = motion
     for i in range(3):
         row[i], row[3 + i], row[6 + i] = q[i], v[i], a[i]
         row[9 + i], row[12 + i], row[15 + i] = q[3 + i], v[3 + i], a[3 + i]
@@ -493,54 +559,47 @@ def _store_sensitivity(s_q, s_v, s_a, motion_columns, parameter_columns, rows):
 
 
 @numba.njit(cache=True)
-def _integrate(
-    p, arm_mass, inertia, centre, axis, rest_angle, time_step, substeps,
-    angle, rate, acceleration, jerk, q, v, s_q, s_v, outputs, derivatives,
-):  # fmt: skip
-    """Step the base over the whole trajectory; q, v, s_q, s_v are updated in place."""
+def _integrate(p, arm, path, state, outputs, derivatives):
+    """Step the base over the whole path; the state is updated in place."""
+    h, q, v = path.h, state.q, state.v
     rest_wrench, work, still = np.zeros(6), np.zeros(6 * STAGES), np.zeros(6)
-    rest_kin = arm_kinematics(inertia, centre, axis, rest_angle, 0.0, 0.0)
-    rest = residual(p, arm_mass, rest_kin, rest_wrench, still, still, still, work)
+    plant = _Plant(p, arm.mass, rest_wrench)
+    rest_kin = _arm_kinematics(arm.inertia, arm.centre, arm.axis, arm.rest_angle, 0.0, 0.0)
+    rest = _residual(plant, rest_kin, _Motion(still, still, still), work)
     rest_wrench[:] = work[:6]
     with_sensitivities = derivatives.shape[0] > 0
-    h = time_step / substeps
     motion_columns, parameter_columns = np.zeros((STAGES, 12, 18)), np.zeros((STAGES, 12, 22))
     matrix, stage = np.empty((6 * STAGES, 6 * STAGES)), np.zeros((STAGES, 6))
     s_a = np.zeros((6, 22))
     position, velocity = np.empty(6), np.empty(6)
     kins = (rest_kin, rest_kin, rest_kin)
-    for n in range(jerk.shape[0]):
-        cubic = (angle[n], rate[n], acceleration[n], jerk[n])
-        for sub in range(substeps):
+    for n in range(path.jerk.shape[0]):
+        for sub in range(path.substeps):
             kins = (
-                _stage_kinematics(inertia, centre, axis, *cubic, h * (sub + _NODES[0])),
-                _stage_kinematics(inertia, centre, axis, *cubic, h * (sub + _NODES[1])),
-                _stage_kinematics(inertia, centre, axis, *cubic, h * (sub + _NODES[2])),
+                _stage_kinematics(arm, path, n, h * (sub + _NODES[0])),
+                _stage_kinematics(arm, path, n, h * (sub + _NODES[1])),
+                _stage_kinematics(arm, path, n, h * (sub + _NODES[2])),
             )
             for i in range(STAGES):
                 _stage_motion(h, i, q, v, stage, position, velocity)
-                by_motion(
-                    p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i],
-                    motion_columns[i], work,
-                )  # fmt: skip
+                motion = _Motion(position, velocity, stage[i])
+                _by_motion(plant, kins[i], motion, motion_columns[i], work)
             _stage_matrix(h, motion_columns, matrix)
             inverse = _invert(matrix)
-            _newton(
-                h, p, arm_mass, kins, rest_wrench, inverse, q, v, stage, position, velocity, work
-            )  # fmt: skip
+            _newton(h, plant, kins, inverse, state, stage, work)
             if with_sensitivities:
                 for i in range(STAGES):
                     _stage_motion(h, i, q, v, stage, position, velocity)
-                    by_parameters(
-                        p, arm_mass, kins[i], rest_wrench, position, velocity, stage[i],
-                        parameter_columns[i], work,
-                    )  # fmt: skip
-                s_a = _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v)
+                    motion = _Motion(position, velocity, stage[i])
+                    _by_parameters(plant, kins[i], motion, parameter_columns[i], work)
+                s_a = _sensitivity_step(
+                    h, inverse, motion_columns, parameter_columns, state.s_q, state.s_v
+                )
             _stage_motion(h, STAGES - 1, q, v, stage, position, velocity)
             q[:], v[:] = position, velocity
-        wrench = residual(p, arm_mass, kins[-1], rest_wrench, q, v, stage[-1], work)
-        _store(q, v, stage[-1], wrench, rest, outputs[n])
+        motion = _Motion(q, v, stage[-1])
+        _store(motion, _residual(plant, kins[-1], motion, work), rest, outputs[n])
         if with_sensitivities:
             _store_sensitivity(
-                s_q, s_v, s_a, motion_columns[-1], parameter_columns[-1], derivatives[n]
+                state.s_q, state.s_v, s_a, motion_columns[-1], parameter_columns[-1], derivatives[n]
             )

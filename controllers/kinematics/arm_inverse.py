@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -100,14 +100,15 @@ class ArmGeometry:
             pitch: (...) angle of the view's part in the plane above the y axis [rad].
 
         Returns:
-            (..., 2, 3) angles [rad] with the elbow either way; NaN where out of reach or limits.
+            (..., 2, 3) angles [rad] with the elbow up and down; NaN where out of reach or limits.
         """
         # Compiled: an arm that is steered asks for one place, many times a second.
         given = np.broadcast_arrays(along, height, pitch)
         y, z, turn = (np.ascontiguousarray(numbers, dtype=float).ravel() for numbers in given)
         angles = np.empty((len(y), 2, 3))
         squint = math.atan2(self.axis[2], self.axis[1])
-        _bend(self.shoulder, self.links, self.camera, squint, self.limits[1:], y, z, turn, angles)
+        arm = _PlanarArm(self.shoulder, self.links, self.camera, squint, self.limits[1:])
+        _bend(arm, y, z, turn, angles)
         return angles.reshape(*given[0].shape, 2, 3)
 
     def turned(self, yaw: ArrayLike) -> FloatArray:
@@ -123,10 +124,10 @@ class ArmGeometry:
         return np.where(fits.all(axis=-1, keepdims=True), clipped, np.nan)
 
     def headings(self, direction: FloatArray) -> list[tuple[float, float]]:
-        """Return ways to look along a direction that is not upright, as (heading, pitch) [rad].
+        """Return the arm's two (heading, pitch) [rad] that look along a direction; none if upright.
 
-        The heading is that of the arm's plane, from where y is ahead; the second way is with the
-        camera upside down.
+        The heading is that of the arm's plane, from where y is ahead; with the second pair the
+        camera is upside down.
 
         Args:
             direction: (3,) unit vector, frame of the base.
@@ -141,44 +142,53 @@ class ArmGeometry:
         ]
 
 
+class _PlanarArm(NamedTuple):
+    """What `_bend` reads of an `ArmGeometry`.
+
+    Attributes:
+        shoulder: (2,) y, z from the foot of the yaw's axis [m].
+        links: (2, 2) y, z of upper arm and forearm at angle zero [m].
+        camera: (2,) y, z of the camera from the wrist's hinge at angle zero [m].
+        squint: Angle of the view's part in the plane from the wrist's y axis [rad].
+        limits: (3, 2) lowest and highest angles of shoulder, elbow and wrist [rad].
+    """
+
+    shoulder: FloatArray
+    links: FloatArray
+    camera: FloatArray
+    squint: float
+    limits: FloatArray
+
+
 @numba.njit(cache=True)
-def _bend(
-    shoulder: Any,
-    links: Any,
-    camera: Any,
-    squint: float,
-    limits: Any,
-    along: Any,
-    height: Any,
-    pitch: Any,
-    angles: Any,
-) -> None:
-    """Write (N, 2, 3) angles of `ArmGeometry.bend`; the squint is the view's angle in the plane."""
+def _bend(arm: Any, along: Any, height: Any, pitch: Any, angles: Any) -> None:
+    """Write (N, 2, 3) angles of `ArmGeometry.bend`."""
+    links = arm.links
     upper = math.hypot(links[0, 0], links[0, 1])
     fore = math.hypot(links[1, 0], links[1, 1])
     rest_upper = math.atan2(links[0, 1], links[0, 0])
     rest_fore = math.atan2(links[1, 1], links[1, 0])
     for n in range(len(along)):
-        turn = pitch[n] - squint
+        turn = pitch[n] - arm.squint
         cosine, sine = math.cos(turn), math.sin(turn)
-        y = along[n] - shoulder[0] - cosine * camera[0] + sine * camera[1]
-        z = height[n] - shoulder[1] - sine * camera[0] - cosine * camera[1]
+        y = along[n] - arm.shoulder[0] - cosine * arm.camera[0] + sine * arm.camera[1]
+        z = height[n] - arm.shoulder[1] - sine * arm.camera[0] - cosine * arm.camera[1]
         folded = (y * y + z * z - upper * upper - fore * fore) / (2.0 * upper * fore)
         # A stretched arm is at the edge of what acos takes.
         if not abs(folded) <= 1.0 + STRAIGHT:
             angles[n] = np.nan
             continue
         inside = math.acos(min(max(folded, -1.0), 1.0))
-        for way in range(2):
-            between = inside if way == 0 else -inside
-            lean = math.atan2(fore * math.sin(between), upper + fore * math.cos(between))
-            first = math.atan2(z, y) - lean
-            found = angles[n, way]
+        for elbow in range(2):
+            between = inside if elbow == 0 else -inside
+            offset = math.atan2(fore * math.sin(between), upper + fore * math.cos(between))
+            first = math.atan2(z, y) - offset
+            found = angles[n, elbow]
             found[0] = first - rest_upper
             found[1] = first + between - rest_fore - found[0]
             found[2] = turn - found[0] - found[1]
             for k in range(3):
-                low, high = limits[k]
+                low, high = arm.limits[k]
                 middle = 0.5 * (low + high)
                 near = middle + (found[k] - middle + np.pi) % (2.0 * np.pi) - np.pi
                 if not (low - STRAIGHT <= near <= high + STRAIGHT):
