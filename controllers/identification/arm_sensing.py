@@ -26,15 +26,14 @@ class IdentificationError(ValueError):
 
 
 class ObservationLog:
-    """The channels that an estimate needs, tick by tick."""
+    """The channels that an estimate needs, tick by tick.
+
+    Args:
+        purpose: What the channels are needed for; begins every error.
+        channels: Names of fields of `Observation`.
+    """
 
     def __init__(self, purpose: str, channels: Sequence[str]) -> None:
-        """Prepare an empty log.
-
-        Args:
-            purpose: What the channels are needed for; begins every error.
-            channels: Names of fields of `Observation`.
-        """
         self._purpose = purpose
         self._channels = tuple(channels)
         self._times: list[float] = []
@@ -42,7 +41,7 @@ class ObservationLog:
         self._stamps: dict[str, list[float]] = {name: [] for name in channels}
 
     def forget_before(self, time: float) -> None:
-        """Drop the ticks before a time [s]."""
+        """Discard the ticks before a time [s]."""
         first = int(np.searchsorted(self._times, time))
         del self._times[:first]
         for rows in (*self._values.values(), *self._stamps.values()):

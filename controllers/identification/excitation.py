@@ -1,4 +1,4 @@
-"""Choosing how the arm swings next: thesis metric and its peers, by Levenberg-Marquardt."""
+"""Choice of the arm's next excitation: thesis criterion and its peers, by Levenberg-Marquardt."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ REPLAN_PERIOD = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
-class Knowledge:
-    """What a plan is made from; all of it estimated, none of it true.
+class EstimationState:
+    """State of the estimation that a plan starts from.
 
     Attributes:
         parameters: (22,) current estimate.
         information: (22, 22) inverse covariance of the physical parameters.
-        sigma: (24,) deviations of the sensors' noise.
-        arm_states: Where each mode's arm is.
-        base_states: Where each mode's base is believed to be, with sensitivities.
+        sigma: (24,) standard deviations of the sensors' noise.
+        arm_states: State of the arm by mode.
+        base_states: Estimated state of the base by mode, with sensitivities.
         regressor_square: (22, 22) sum of A^T A so far, for the condition number.
     """
 
@@ -70,7 +70,7 @@ class Forecast:
 
 
 Residuals = Callable[[Forecast], FloatArray]
-Criterion = Callable[[Knowledge], Residuals]
+Criterion = Callable[[EstimationState], Residuals]
 
 
 def parameter_scale(parameters: FloatArray) -> FloatArray:
@@ -81,22 +81,22 @@ def parameter_scale(parameters: FloatArray) -> FloatArray:
     return scale
 
 
-def _predicted_information(knowledge: Knowledge, ranges: FloatArray) -> Residuals:
+def _predicted_information(state: EstimationState, ranges: FloatArray) -> Residuals:
     def residuals(forecast: Forecast) -> FloatArray:
-        covariance = np.linalg.inv(knowledge.information + forecast.information)
+        covariance = np.linalg.inv(state.information + forecast.information)
         sigma = np.sqrt(np.diag(covariance))
-        return mutual_information(knowledge.parameters, sigma, ranges) / BITS
+        return mutual_information(state.parameters, sigma, ranges) / BITS
 
     return residuals
 
 
-def information(knowledge: Knowledge) -> Residuals:
+def information(state: EstimationState) -> Residuals:
     """Thesis eq. 2-13 as its text describes it.
 
     V = 1/2 sum [1 - (1 - u_now) u(d)], u = In / 10 bits: the weight of a parameter is frozen at
     what is known of it now, so that the uncertain ones count most.
     """
-    predict = _predicted_information(knowledge, Ranges().bounds())
+    predict = _predicted_information(state, Ranges().bounds())
     now = predict(Forecast(np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT))))
 
     def residuals(forecast: Forecast) -> FloatArray:
@@ -105,9 +105,9 @@ def information(knowledge: Knowledge) -> Residuals:
     return residuals
 
 
-def literal(knowledge: Knowledge) -> Residuals:
+def literal(state: EstimationState) -> Residuals:
     """Thesis eq. 2-13 as printed, 1 - u + u^2: its minimum lies at u = 1/2, half known."""
-    predict = _predicted_information(knowledge, Ranges().bounds())
+    predict = _predicted_information(state, Ranges().bounds())
 
     def residuals(forecast: Forecast) -> FloatArray:
         known = predict(forecast)
@@ -116,12 +116,12 @@ def literal(knowledge: Knowledge) -> Residuals:
     return residuals
 
 
-def d_optimal(knowledge: Knowledge) -> Residuals:
+def d_optimal(state: EstimationState) -> Residuals:
     """Least volume of the ellipsoid of uncertainty: -log det of the information."""
-    scale = parameter_scale(knowledge.parameters)
+    scale = parameter_scale(state.parameters)
 
     def residuals(forecast: Forecast) -> FloatArray:
-        total = (knowledge.information + forecast.information) * np.outer(scale, scale)
+        total = (state.information + forecast.information) * np.outer(scale, scale)
         # Squares sum to a constant less log det; 50 keeps each term positive.
         pivots = np.log(np.diag(np.linalg.cholesky(total)))
         return np.sqrt(np.maximum(50 - 2 * pivots, 1e-6))
@@ -129,30 +129,30 @@ def d_optimal(knowledge: Knowledge) -> Residuals:
     return residuals
 
 
-def a_optimal(knowledge: Knowledge) -> Residuals:
+def a_optimal(state: EstimationState) -> Residuals:
     """Least sum of the relative variances."""
-    scale = parameter_scale(knowledge.parameters)
+    scale = parameter_scale(state.parameters)
 
     def residuals(forecast: Forecast) -> FloatArray:
-        covariance = np.linalg.inv(knowledge.information + forecast.information)
+        covariance = np.linalg.inv(state.information + forecast.information)
         return np.sqrt(np.diag(covariance)) / scale
 
     return residuals
 
 
-def condition(knowledge: Knowledge) -> Residuals:
+def condition(state: EstimationState) -> Residuals:
     """Condition number of the matrix A of the sensed values (Thesis section 2.6.1)."""
-    return _condition(knowledge, np.ones(COUNT))
+    return _condition(state, np.ones(COUNT))
 
 
-def condition_scaled(knowledge: Knowledge) -> Residuals:
-    """Condition number of A with each column scaled to its parameter, so that units drop out."""
-    return _condition(knowledge, parameter_scale(knowledge.parameters))
+def condition_scaled(state: EstimationState) -> Residuals:
+    """Condition number of A with each column scaled to its parameter, so that units cancel."""
+    return _condition(state, parameter_scale(state.parameters))
 
 
-def _condition(knowledge: Knowledge, scale: FloatArray) -> Residuals:
+def _condition(state: EstimationState, scale: FloatArray) -> Residuals:
     def residuals(forecast: Forecast) -> FloatArray:
-        square = (knowledge.regressor_square + forecast.regressor_square) * np.outer(scale, scale)
+        square = (state.regressor_square + forecast.regressor_square) * np.outer(scale, scale)
         values = np.linalg.eigvalsh(square)
         return np.array([0.5 * np.log(values[-1] / max(values[0], 1e-18 * values[-1]))])
 
@@ -170,7 +170,17 @@ CRITERIA: dict[str, Criterion] = {
 
 
 class Planner:
-    """Chooses offset, amplitude and frequency of every mode for the next window."""
+    """Chooses offset, amplitude and frequency of every mode for the next window.
+
+    Args:
+        criterion: One of `CRITERIA`, or another of that form.
+        arms: The arm in each mode.
+        limits: The arm's limits.
+        time_step: Sampling time [s].
+        steps: Samples in the window planned for.
+        iterations: Levenberg-Marquardt iterations.
+        candidates: Random excitations a mode to start from, besides the present one.
+    """
 
     def __init__(
         self,
@@ -182,17 +192,6 @@ class Planner:
         iterations: int = 1,
         candidates: int = 2,
     ) -> None:
-        """Set the planner up.
-
-        Args:
-            criterion: One of `CRITERIA`, or another of that form.
-            arms: The arm in each mode.
-            limits: The arm's limits.
-            time_step: Sampling time [s].
-            steps: Samples in the window planned for.
-            iterations: Levenberg-Marquardt iterations.
-            candidates: Random excitations a mode to start from, besides the present one.
-        """
         self._criterion = criterion
         self._arms = dict(arms)
         self._limits = limits
@@ -203,28 +202,28 @@ class Planner:
 
     def plan(
         self,
-        knowledge: Knowledge,
+        state: EstimationState,
         present: Mapping[str, Excitation],
         generator: np.random.Generator,
     ) -> dict[str, Excitation]:
         """Return the next excitation of each mode.
 
         Args:
-            knowledge: What is known now.
+            state: State of the estimation now.
             present: Excitations of the window before.
-            generator: For the starting points.
+            generator: Random generator of the starting points.
         """
-        residuals = self._criterion(knowledge)
-        chosen, forecasts = self._start(knowledge, present, residuals, generator)
+        residuals = self._criterion(state)
+        chosen, forecasts = self._start(state, present, residuals, generator)
         damping = 1e-2
         for _ in range(self._iterations):
-            values, jacobian = self._jacobian(knowledge, chosen, forecasts, residuals)
+            values, jacobian = self._jacobian(state, chosen, forecasts, residuals)
             gradient, hessian = jacobian.T @ values, jacobian.T @ jacobian
             for _ in range(3):
                 damped = hessian + damping * np.diag(np.diag(hessian) + 1e-12)
                 step = np.linalg.solve(damped, -gradient).astype(np.float64)
                 trial = self._moved(chosen, step)
-                trial_forecasts = {m: self._forecast(knowledge, m, trial[m]) for m in trial}
+                trial_forecasts = {m: self._forecast(state, m, trial[m]) for m in trial}
                 cost = _cost(residuals, trial_forecasts)
                 if cost < 0.5 * values @ values:
                     chosen, forecasts, damping = trial, trial_forecasts, damping / 10
@@ -234,34 +233,34 @@ class Planner:
 
     def _start(
         self,
-        knowledge: Knowledge,
+        state: EstimationState,
         present: Mapping[str, Excitation],
         residuals: Residuals,
         generator: np.random.Generator,
     ) -> tuple[dict[str, Excitation], dict[str, Forecast]]:
         """Pick the best of a few candidates, mode after mode: their information adds up."""
         chosen = dict(present)
-        forecasts = {m: self._forecast(knowledge, m, e) for m, e in chosen.items()}
+        forecasts = {m: self._forecast(state, m, e) for m, e in chosen.items()}
         best = _cost(residuals, forecasts)
         for mode in self._arms:
             for _ in range(self._candidates):
                 candidate = random_excitation(self._limits, generator)
-                trial = {**forecasts, mode: self._forecast(knowledge, mode, candidate)}
+                trial = {**forecasts, mode: self._forecast(state, mode, candidate)}
                 cost = _cost(residuals, trial)
                 if cost < best:
                     best, forecasts = cost, trial
                     chosen[mode] = candidate
         return chosen, forecasts
 
-    def _forecast(self, knowledge: Knowledge, mode: str, excitation: Excitation) -> Forecast:
+    def _forecast(self, state: EstimationState, mode: str, excitation: Excitation) -> Forecast:
         trajectory, _ = swing(
-            knowledge.arm_states[mode], excitation, self._limits, self._steps, self._time_step
+            state.arm_states[mode], excitation, self._limits, self._steps, self._time_step
         )
         arm = self._arms[mode]
         outputs, derivatives, _ = simulate(
-            knowledge.parameters, arm, trajectory, knowledge.base_states[mode]
+            state.parameters, arm, trajectory, state.base_states[mode]
         )
-        weighted = (derivatives / knowledge.sigma[:, None]).reshape(-1, COUNT)
+        weighted = (derivatives / state.sigma[:, None]).reshape(-1, COUNT)
         square = np.zeros((COUNT, COUNT))
         if self._needs_regressor:
             matrix = regressor(outputs, arm)[0].reshape(-1, COUNT)
@@ -270,7 +269,7 @@ class Planner:
 
     def _jacobian(
         self,
-        knowledge: Knowledge,
+        state: EstimationState,
         chosen: Mapping[str, Excitation],
         forecasts: Mapping[str, Forecast],
         residuals: Residuals,
@@ -287,7 +286,7 @@ class Planner:
                 low, high = self._limits.bounds()[axis]
                 inwards = excitation.vector()[axis] > (low + high) / 2
                 step[axis] = -1e-3 if inwards else 1e-3
-                moved = self._forecast(knowledge, mode, self._stepped(excitation, step))
+                moved = self._forecast(state, mode, self._stepped(excitation, step))
                 columns.append((residuals(others + moved) - values) / step[axis])
         return values, np.array(columns).T
 

@@ -246,15 +246,14 @@ class FrictionEstimate:
 
 
 class FrictionProbe:
-    """Jerks one robot's arm, and estimates the friction under its wheels."""
+    """Jerks one robot's arm, and estimates the friction under its wheels.
+
+    Args:
+        robot: Name of the robot.
+        config: What is known.
+    """
 
     def __init__(self, robot: str, config: FrictionConfig) -> None:
-        """Prepare to jerk.
-
-        Args:
-            robot: Name of the robot.
-            config: What is known.
-        """
         self._robot = robot
         self._config = config
         self.reset()
@@ -382,7 +381,7 @@ def ground_load(record: ArmRecord, config: FrictionConfig) -> GroundLoad:
     """Return what the ground must supply, filtered.
 
     Args:
-        record: Of the arm.
+        record: Samples of the arm.
         config: What is known.
     """
     motion = record.angles, record.rates, record.accelerations

@@ -23,7 +23,7 @@ from controllers.identification.compliant_base import ArmOnMount
 from controllers.identification.excitation import (
     CRITERIA,
     REPLAN_PERIOD,
-    Knowledge,
+    EstimationState,
     Planner,
     random_excitation,
 )
@@ -73,18 +73,16 @@ class IdentifierConfig:
 class Identifier:
     """Plans windows of arm motion and estimates from what was measured in them.
 
+    Args:
+        config: What to do.
+        generator: For the planner's starting points and for random excitation.
+
     Attributes:
         plan_seconds: Time that each plan took [s].
         estimate_seconds: Time that each on-line update of the estimate took [s].
     """
 
     def __init__(self, config: IdentifierConfig, generator: np.random.Generator) -> None:
-        """Start from the prior.
-
-        Args:
-            config: What to do.
-            generator: For the planner's starting points and for random excitation.
-        """
         self._config = config
         self._generator = generator
         self.steps = round(REPLAN_PERIOD / config.time_step)
@@ -133,7 +131,7 @@ class Identifier:
                 self._excitations[mode] = random_excitation(self._config.limits, self._generator)
         elif self._planner and self._sigma is not None:
             self._excitations = self._planner.plan(
-                self._knowledge(self._sigma), self._excitations, self._generator
+                self._state(self._sigma), self._excitations, self._generator
             )
         self.plan_seconds.append(time.perf_counter() - start)
         for mode, excitation in self._excitations.items():
@@ -176,9 +174,9 @@ class Identifier:
         """Fit all windows to convergence and return the result."""
         return self._fit.fit()
 
-    def _knowledge(self, sigma: FloatArray) -> Knowledge:
+    def _state(self, sigma: FloatArray) -> EstimationState:
         estimate = self._fit.estimate
-        return Knowledge(
+        return EstimationState(
             parameters=estimate.parameters,
             information=estimate.physical_information(),
             sigma=sigma,

@@ -86,13 +86,13 @@ def _information(estimate, sigma, bounds, bits):
         width = (high - low) / count
         mean = min(max(estimate[n], low), high)
         # A thousand ranges are as good as infinity, which is also what NaN stands for.
-        spread = 1e3 * (high - low)
-        if sigma[n] < spread:
-            spread = max(sigma[n], 1e-12 * (high - low))
-        scale = 1.0 / (math.sqrt(2.0) * spread)
+        deviation = 1e3 * (high - low)
+        if sigma[n] < deviation:
+            deviation = max(sigma[n], 1e-12 * (high - low))
+        scale = 1.0 / (math.sqrt(2.0) * deviation)
         # Beyond eight sigma a bin holds nothing that counts.
-        first = max(0, int((mean - 8 * spread - low) / width))
-        last = min(count, int((mean + 8 * spread - low) / width) + 1)
+        first = max(0, int((mean - 8 * deviation - low) / width))
+        last = min(count, int((mean + 8 * deviation - low) / width) + 1)
         total = 0.5 * (math.erf((high - mean) * scale) - math.erf((low - mean) * scale))
         uncertainty = 0.0
         below = math.erf((low + first * width - mean) * scale)

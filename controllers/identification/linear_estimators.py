@@ -188,9 +188,9 @@ def _update(estimate, covariance, matrix, right, variance):
         for r in range(matrix.shape[1]):
             row = matrix[n, r]
             gain = covariance @ row
-            spread = row @ gain + variance[r]
+            innovation_variance = row @ gain + variance[r]
             error = right[n, r] - row @ estimate
-            estimate += gain * (error / spread)
+            estimate += gain * (error / innovation_variance)
             for i in range(22):
                 for j in range(22):
-                    covariance[i, j] -= gain[i] * gain[j] / spread
+                    covariance[i, j] -= gain[i] * gain[j] / innovation_variance

@@ -39,21 +39,22 @@ CHI_SQUARE_TOLERANCE = 0.01
 """How far chi^2 per measurement may lie from 1 before the fit is refused."""
 
 SMALLEST_GAIN = 1e-4
-"""Of half the squared residuals, at which a fit has converged: 0.014 standard deviations away."""
+"""Gain of half the squared residuals at which a fit has converged, 0.014 deviations away."""
 
 LARGEST_LEFT = 0.5
-"""The same, at which the whole prior has brought the fit near: one standard deviation away."""
+"""Gain at which the whole prior has brought the fit near: one standard deviation away."""
 
 SUBSTEPS = 2
 """Integration steps a sample, on line: one would leave 0.3 % in the angular accelerations."""
 
 FINAL_SUBSTEPS = 4
-"""Those of the final fit: on a light, stiff body two bias it by more than its deviation."""
+"""Integration steps a sample of the final fit: on a light, stiff body two bias it by more than its
+deviation."""
 
 PRIOR_SHARE = 0.01
-"""Of the information along a combination of parameters, below which the final fit leaves the prior
-out: with it the deviation would fall by half a percent, but the fit move by a tenth of a deviation
-for each of the prior's that the truth lies off the guess."""
+"""Share of the information along a combination of parameters below which the final fit leaves the
+prior out: with it the deviation would fall by half a percent, but the fit move by a tenth of a
+deviation for each of the prior's that the truth lies off the guess."""
 
 _PriorTerm = Callable[[FloatArray], tuple[float, FloatArray, FloatArray]]
 
@@ -95,9 +96,10 @@ class Estimate:
 
     Attributes:
         parameters: (22,) physical parameters.
-        covariance: (22, 22) of the physical parameters.
+        covariance: (22, 22) covariance of the physical parameters.
         theta: (22,) search coordinates.
-        information: (22, 22) of data and prior, as far as it counts, in search coordinates.
+        information: (22, 22) information of data and prior, as far as the prior counts, in search
+            coordinates.
         chi_square: Weighted squared residuals per measurement; 1 when the model holds.
         iterations: Gauss-Newton iterations.
         measurements: Number of scalar measurements.
@@ -121,8 +123,8 @@ class Estimate:
         """
         if not self.measurements:
             return False
-        spread = 4 * np.sqrt(0.8 / self.measurements)
-        return abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, spread)
+        tolerance = 4 * np.sqrt(0.8 / self.measurements)
+        return abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, tolerance)
 
     def physical_information(self) -> FloatArray:
         """Return the posterior information (22, 22) by the physical parameters."""
@@ -156,15 +158,13 @@ class OutputError:
 
     On line the sensitivities are kept from one window to the next, and everything is simulated
     anew only when the estimate has left the point at which it was linearised.
+
+    Args:
+        arms: The arm in each mode, by mode name.
+        prior: Prior of the 22 parameters; a generic guess by default.
     """
 
     def __init__(self, arms: Mapping[str, ArmOnMount], prior: Prior | None = None) -> None:
-        """Start from the prior alone.
-
-        Args:
-            arms: The arm in each mode, by mode name.
-            prior: What is believed beforehand; a generic guess by default.
-        """
         self._arms = dict(arms)
         self._prior = prior or Prior()
         self._windows: dict[str, list[Window]] = {mode: [] for mode in arms}
@@ -247,7 +247,7 @@ class OutputError:
             point, count = self._descend_under(term, point, gain, count, iterations)
             information = point.normal.information
             directions = self._prior.noticeable(point.theta, information, PRIOR_SHARE)
-            # What the data determine only while the prior holds it needs the prior: no way back.
+            # What the data determine only while the prior holds it needs the prior: not released.
             if directions.shape[1] <= held:
                 break
             held, gain = directions.shape[1], SMALLEST_GAIN

@@ -225,7 +225,7 @@ class Prior:
         Args:
             coordinates: (22,) search coordinates.
             data: (22, 22) information of the data about them.
-            share: Of the information of both, from which the prior's matters.
+            share: Share of prior and data's joint information from which the prior matters, (0, 1].
 
         Returns:
             (22, n) orthonormal columns; n is zero if the prior matters nowhere.

@@ -53,7 +53,7 @@ class SwingConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class PayloadConfig:
+class PayloadIdentifierConfig:
     """What is known before a payload is identified.
 
     Attributes:
@@ -86,7 +86,7 @@ class PayloadEstimate:
         covariance: (10, 10) of the linear estimate, from the sensor's noise; where `chi_squared`
             is above 1, times that.
         linear: (10,) the linear estimate, whether or not a body can have it.
-        chi_squared: Of the linear fit, per degree of freedom; 1 when all is noise.
+        chi_squared: Chi squared of the linear fit per degree of freedom; 1 when all is noise.
         unidentifiable: Names of parameters that the motion did not show.
         residual: (m, 6) what the fit leaves of the filtered wrench, in standard deviations.
         times: (m,) of the equations [s].
@@ -112,15 +112,14 @@ class PayloadEstimate:
 
 
 class PayloadIdentifier:
-    """Swings one robot's arm and identifies what its gripper holds."""
+    """Swings one robot's arm and identifies what its gripper holds.
 
-    def __init__(self, robot: str, config: PayloadConfig) -> None:
-        """Prepare to swing.
+    Args:
+        robot: Name of the robot.
+        config: What is known.
+    """
 
-        Args:
-            robot: Name of the robot.
-            config: What is known.
-        """
+    def __init__(self, robot: str, config: PayloadIdentifierConfig) -> None:
         self._robot = robot
         self._config = config
         self.reset()
@@ -175,7 +174,7 @@ def swing_targets(
     return start + share * (swung - start), share * rate + growth * (swung - start)
 
 
-def estimate_payload(log: ObservationLog, config: PayloadConfig) -> PayloadEstimate:
+def estimate_payload(log: ObservationLog, config: PayloadIdentifierConfig) -> PayloadEstimate:
     """Return the payload that explains a run.
 
     Args:
@@ -216,7 +215,7 @@ def parameter_scales(mass: float, distance: float) -> FloatArray:
 
 
 def _solve(
-    rows: FloatArray, right: FloatArray, times: FloatArray, config: PayloadConfig
+    rows: FloatArray, right: FloatArray, times: FloatArray, config: PayloadIdentifierConfig
 ) -> PayloadEstimate:
     """Solve the weighted equations rows phi = right, whose errors have unit variance."""
     mass, distance = config.scales
@@ -233,9 +232,9 @@ def _solve(
     physical = physical_parameters(linear, information, scales)
     sizes = parameter_scales(max(float(physical[0]), 1e-3 * mass), distance)
     sizes[0] = mass
-    spread = np.sqrt(np.diag(covariance)) / sizes
+    sigmas = np.sqrt(np.diag(covariance)) / sizes
     hidden = tuple(
-        name for name, size in zip(NAMES, spread, strict=True) if size > config.resolution
+        name for name, size in zip(NAMES, sigmas, strict=True) if size > config.resolution
     )
     if "mass" in hidden:
         raise IdentificationError("the motion does not show the payload's mass")

@@ -36,7 +36,7 @@ class PitchSensors:
     """What the pitch identification must know of its sensors.
 
     Attributes:
-        period: Of the wrench samples [s].
+        period: Sampling period of the wrench [s].
         tilt_bandwidth: First-order pole of the inclinometer [Hz].
         tilt_sigma: Its noise [rad].
         tilt_period: Time between its samples [s].
@@ -99,7 +99,7 @@ def predict_tilt(
         parameters: (5,) in the order of `NAMES`.
         wrench: (n, 6) deviation from rest of force and moment on the arm, arm-base frame.
         sensors: The sensors.
-        ahead: By how much the tilt is read later than the wrench, within a sample [s].
+        ahead: Delay from a wrench sample to the tilt that is read within it [s].
 
     Returns:
         (n,) filtered tilt [rad], deviation from rest, `ahead` after each of the wrench's samples.
@@ -176,10 +176,14 @@ def _derivatives(
 
 
 class PitchFit:
-    """Maximum a posteriori fit of the tilt, warm-started from one window to the next."""
+    """Maximum a posteriori fit of the tilt, warm-started from one window to the next.
+
+    Args:
+        sensors: Sampling and noise of wrench and inclinometer.
+        prior: Prior of the five parameters and its deviations; a generic guess by default.
+    """
 
     def __init__(self, sensors: PitchSensors, prior: PitchPrior | None = None) -> None:
-        """Start from the prior."""
         self.prior = prior or PitchPrior()
         self._sensors = sensors
         self.estimate = self._summary(self.prior.mean(), np.zeros((6, 6)), 0.0, 0)

@@ -50,7 +50,7 @@ class SwingingArm:
     """What is known of the stretched arm: it swings about the shoulder, in the pitch plane.
 
     Attributes:
-        mass: Of all that swings [kg].
+        mass: Mass of all that swings [kg].
         inertia: About its centre, about x [kg m^2].
         centre: (2,) y, z of its centre from the shoulder at angle zero [m].
         shoulder: (2,) y, z of the shoulder from the force/torque sensor [m].
@@ -159,7 +159,7 @@ class Log:
         tilt: Pitch read, deviation from rest [rad].
         tilt_indices: Tick of each reading.
         estimates: After each window.
-        excitations: Of each window.
+        excitations: Excitation of each window.
         step_seconds: Time that each estimate and plan took together [s].
     """
 
@@ -174,15 +174,14 @@ class Log:
 
 
 class RoverIdentifier:
-    """Approach, rest, excite; estimate and plan anew every 0.4 s."""
+    """Approach, rest, excite; estimate and plan anew every 0.4 s.
+
+    Args:
+        config: Sensors, limits, prior and schedule of the identification.
+        generator: Random generator of the planner's starting points and of random excitations.
+    """
 
     def __init__(self, config: RoverIdentifierConfig, generator: np.random.Generator) -> None:
-        """Set up.
-
-        Args:
-            config: What to do.
-            generator: For the planner's starting points and for random excitation.
-        """
         self.config = config
         self._generator = generator
         self._window = round(REPLAN_PERIOD / config.sensors.period)

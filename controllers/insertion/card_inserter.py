@@ -212,7 +212,7 @@ class CardInserter:
 
     def _reckon(self, seen: Observation, angles: FloatArray) -> None:
         """Bring dead reckoning on; the tilt counts from where it was at the start."""
-        before, turned = self._odometry.way, self._odometry.turned
+        before, turned = self._odometry.distance, self._odometry.turned
         self._odometry.update(seen, self.config.period)
         if not self._levelled and seen.inclinometer.usable:
             # The map's prior was given in the robot's own frame.
@@ -220,7 +220,7 @@ class CardInserter:
             self._levelled = True
         if self.stage in (InsertionStage.INSERT, InsertionStage.DONE, InsertionStage.FAILED):
             return
-        way, turn = self._odometry.way - before, self._odometry.turned - turned
+        way, turn = self._odometry.distance - before, self._odometry.turned - turned
         card = self._odometry.pose() @ self._arm.card_in_robot(angles)
         self.belief.note(seen.time, card, way, turn, self.config.period)
 

@@ -1,11 +1,11 @@
 """Two robots hold one segment: decentralised master-slave hybrid control (Thesis figure A-8).
 
-In the plane two rigid grips take six forces, and the segment moves in three ways: three forces are
-internal. So of the six directions of the two grips three are positions and three are forces. The
-master holds the place of its grip along s and z, the slave that of its own along z; both yield to
-moments, and the slave yields along the segment until it presses with the wanted squeeze. Each
-robot acts on its own sensors. Over the radio go where the segment shall be, to the slave, and what
-the slave's grip puts on it, to the master.
+In the plane two rigid grips take six forces, and the segment has three degrees of freedom: three
+forces are internal. So of the six directions of the two grips three are positions and three are
+forces. The master holds the place of its grip along s and z, the slave that of its own along z;
+both yield to moments, and the slave yields along the segment until it presses with the wanted
+squeeze. Each robot acts on its own sensors. Over the radio go where the segment shall be, to the
+slave, and what the slave's grip puts on it, to the master.
 
 A position is reached by the servo, a force by moving the servo's target in proportion to what is
 missing of it: the suspension, the arm and the grip are the spring (Thesis eq. A-1).
@@ -77,7 +77,7 @@ class Grip:
 
     Attributes:
         place: (2,) in the segment's frame [m].
-        angle: Of the gripper against the segment, plan frame [rad].
+        angle: Angle of the gripper against the segment, plan frame [rad].
     """
 
     place: tuple[float, float]
@@ -116,7 +116,7 @@ class Grip:
 
         Args:
             wrench: (3,).
-            angle: Of the segment [rad].
+            angle: Angle of the segment [rad].
         """
         f_s, f_z, moment = np.asarray(wrench, dtype=float)
         x, y = self.lever(angle)
@@ -133,13 +133,13 @@ class HybridConfig:
         give: Speed by missing force [m/s/N].
         give_turn: Turning rate by missing moment [rad/s/(N m)].
         speed: Largest speed of a correction [m/s].
-        turn_rate: The same of turning [rad/s].
+        turn_rate: Largest turning rate of a correction [rad/s].
         reach: Largest correction by force [m].
-        turn_reach: The same of the angle [rad].
+        turn_reach: Largest correction of the angle by force [rad].
         take_up: Time constant in which a first difference from the target goes, where by
             position [s].
         filter_time: Time constant of the wrench's low pass [s].
-        joint_rate: Largest of a joint [rad/s].
+        joint_rate: Largest rate of a joint [rad/s].
         period: Servo tick [s].
     """
 
@@ -175,23 +175,21 @@ class HybridConfig:
 class HybridGrip:
     """Brings one gripper to positions and forces, by its own sensors alone.
 
+    Args:
+        config: Directions of force and position control, with their gains and limits.
+        arm: Plane model of the robot's arm.
+        sensor: Sensor of the gripper's wrench.
+        stance: Stance of the robot; its tilt is measured later.
+
     Attributes:
         wrench: (3,) low-passed wrench of the gripper on the segment, plan frame; None while there
             is none.
-        stance: Of its robot.
+        stance: Stance of the gripper's robot.
     """
 
     def __init__(
         self, config: HybridConfig, arm: PlanarArm, sensor: GripSensor, stance: Stance
     ) -> None:
-        """Prepare; `hold`, `start` and then `command` drive it.
-
-        Args:
-            config: What is held, and how.
-            arm: Of the robot.
-            sensor: Of the gripper's wrench.
-            stance: Of the robot; its tilt is measured later.
-        """
         self.stance = stance
         self.wrench: FloatArray | None = None
         self._config, self._arm, self._sensor = config, arm, sensor
@@ -220,7 +218,7 @@ class HybridGrip:
         """Go over from holding to `command`, and return the gripper's pose (3,).
 
         Args:
-            tilt: Of the robot, from now on [rad].
+            tilt: Pitch of the robot from now on [rad].
 
         Raises:
             RobotError: If it did not hold before.
@@ -245,8 +243,8 @@ class HybridGrip:
         """Return the arm's command; without a wrench the forces' corrections stay as they are.
 
         Args:
-            target: (3,) the gripper's pose by plan.
-            rate: (3,) the same's rate.
+            target: (3,) planned pose of the gripper.
+            rate: (3,) rate of that pose.
 
         Raises:
             RobotError: If `start` has not been called.

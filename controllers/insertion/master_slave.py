@@ -1,8 +1,8 @@
 """Master and slave who carry a segment together and insert it (Thesis section A.4).
 
-The master plans the segment's way, adds up what both grips feel (figure A-6) and lets the insertion
-guide move the plan in the direction of least resistance. The slave follows the set points that the
-radio brings. Neither sees the other's joints, nor where the stage truly is.
+The master plans the segment's path, adds up what both grips feel (figure A-6) and lets the
+insertion guide move the plan in the direction of least resistance. The slave follows the set points
+that the radio brings. Neither sees the other's joints, nor where the stage truly is.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ class Stage(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class PairConfig:
-    """What master and slave agree on.
+    """Agreement of master and slave.
 
     Attributes:
         master: The master's grip.
         slave: The slave's grip.
         mouth: (2,) s, z of the mouth's middle as the master believes [m]; it stands level.
         guide: How the segment is inserted; `card_width` is its web's.
-        stand_off: Of the leading edge above the mouth before the insertion [m].
+        stand_off: Height of the leading edge above the mouth before the insertion [m].
         hold: Time in which the tilt is taken and the forces settle [s].
-        carry: Time of the way to the mouth [s].
+        carry: Time of the path to the mouth [s].
         rest: Time before the insertion in which the segment's weight is taken off the wrench [s].
         every: Ticks between two messages.
-        latency: Of a message, as known of the radio [s].
+        latency: Known latency of a message by the radio [s].
         lost_time: Age from which a message counts no more [s].
         period: Servo tick [s].
     """
@@ -108,6 +108,11 @@ class Master:
     Without the slave's reports, or its own wrench, it waits in REST; in INSERT it stands still, and
     gives up after the guide's `lost_time`.
 
+    Args:
+        grip: Control of the master's gripper.
+        config: Agreement of master and slave.
+        guide: Insertion guide, by force or straight ahead.
+
     Attributes:
         stage: What the pair is doing.
         target: (3,) planned pose of the segment, plan frame; NaN while it holds.
@@ -121,13 +126,6 @@ class Master:
         config: PairConfig,
         guide: Callable[[GuideConfig, FloatArray], Guide] = InsertionGuide,
     ) -> None:
-        """Prepare.
-
-        Args:
-            grip: Its own.
-            config: As agreed.
-            guide: By force, or straight ahead.
-        """
         self.stage = Stage.HOLD
         self.target = np.full(3, np.nan)
         self.felt: FloatArray | None = None
@@ -161,7 +159,7 @@ class Master:
         """Return the arm's command and a message for the slave, None if there is none.
 
         Args:
-            seen: Of the master.
+            seen: Observation of the master.
             heard: Messages of the slave since the last step.
 
         Raises:
@@ -243,10 +241,14 @@ class Master:
 
 
 class Slave:
-    """Holds its end of the segment where the master's set points and its own forces have it."""
+    """Holds its end of the segment where the master's set points and its own forces have it.
+
+    Args:
+        grip: Control of the slave's gripper.
+        config: Agreement of master and slave.
+    """
 
     def __init__(self, grip: HybridGrip, config: PairConfig) -> None:
-        """Prepare; arguments as `Master`."""
         self._grip, self._config = grip, config
         self._holding = _Holding(config)
         self._set_point: FloatArray | None = None
@@ -256,11 +258,11 @@ class Slave:
     def step(self, seen: Observation, heard: list[bytes]) -> tuple[Command, bytes | None]:
         """Return the arm's command and a message for the master, None if there is none.
 
-        While no set point comes it goes on with the last one's rate for as long as messages count,
-        and then holds; its forces it keeps.
+        While no set point comes it follows the last one's rate for as long as messages count, and
+        then holds; the forces stay controlled.
 
         Args:
-            seen: Of the slave.
+            seen: Observation of the slave.
             heard: Messages of the master since the last step.
 
         Raises:

@@ -134,7 +134,7 @@ class GripSensor:
 
     Attributes:
         chain: The arm and what the sensor carries before its first joint.
-        arm: In the robot frame.
+        arm: Plane model of the arm, in the robot frame.
         mount: (2,) place of the sensor's frame forward and up in the robot frame [m].
     """
 
@@ -148,8 +148,8 @@ class GripSensor:
         Slow motion is assumed: what the arm's own acceleration asks for is not taken off.
 
         Args:
-            seen: Of the robot.
-            stance: Whose facing and tilt turn it into the plan frame.
+            seen: Observation of the robot.
+            stance: Facing and tilt of the robot, which turn the wrench into the plan frame.
 
         Returns:
             In the plan frame; None if the wrench or the joint angles are missing or stale.

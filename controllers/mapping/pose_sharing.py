@@ -116,7 +116,7 @@ class PoseSharing:
         odometry, tilt = self._odometry, seen.inclinometer
         pitch, roll = map(float, tilt.value) if tilt.usable else (0.0, 0.0)
         position = float(odometry.place[0]), float(odometry.place[1]), 0.0
-        deviation = self._config.drift * odometry.way
+        deviation = self._config.drift * odometry.distance
         attitude = pitch, roll, odometry.yaw
         return PoseMessage(self._config.number, seen.time, position, attitude, deviation)
 

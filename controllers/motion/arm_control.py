@@ -107,17 +107,15 @@ class ArmControlConfig:
 class ArmController:
     """Drives one robot's arm along a reference; the wheels stay braked.
 
+    Args:
+        config: Model of the arm, control law and gains.
+        reference: Function that gives the reference at a time since the first step [s].
+
     Attributes:
         fed_forward: Whether the last step fed the base's motion forward.
     """
 
     def __init__(self, config: ArmControlConfig, reference: Callable[[float], Reference]) -> None:
-        """Prepare.
-
-        Args:
-            config: What it knows.
-            reference: Of the time since the first step [s].
-        """
         self._config = config
         self._reference = reference
         self._filter = BaseMotionFilter(config.base_filter)

@@ -1,4 +1,4 @@
-"""An arm that goes somewhere, and says when a pair was taken there at rest."""
+"""Motion of an arm to a posture, and whether a stereo pair was taken there at rest."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ FloatArray = NDArray[np.float64]
 
 @dataclasses.dataclass
 class ArmMove:
-    """A straight way in joint space, the wheels at rest.
+    """A straight path in joint space, the wheels at rest.
 
     Attributes:
         goal: (joints,) where it ends [rad].
-        speed: Of the fastest joint [rad/s].
+        speed: Speed of the fastest joint [rad/s].
         rest: Time at the goal before a pair counts [s].
         near: Greatest joint error at which the arm counts as there [rad].
         patience: Longest time at a goal that is not reached [s].
@@ -40,24 +40,24 @@ class ArmMove:
         """Return where the arm shall be now; nothing moves before its angles are known.
 
         Args:
-            seen: Of the robot.
+            seen: Observation of the robot.
         """
         if self._start is None:
             if not seen.arm_angles.usable:
                 return Command()
             self._start, self._begun = np.array(seen.arm_angles.value, dtype=float), seen.time
-        way = self.goal - self._start
-        duration = max(float(np.abs(way).max()) / self.speed, 1e-9)
+        distance = self.goal - self._start
+        duration = max(float(np.abs(distance).max()) / self.speed, 1e-9)
         part = min(1.0, (seen.time - self._begun) / duration)
-        rates = way / duration if part < 1.0 else np.zeros_like(way)
-        place = self._start + part * way
+        rates = distance / duration if part < 1.0 else np.zeros_like(distance)
+        place = self._start + part * distance
         return Command(np.zeros(4), place, self.wheel_mode, ArmMode.POSITION, rates)
 
     def is_there(self, seen: Observation) -> bool:
         """Say whether the arm has been at its goal for the time of rest.
 
         Args:
-            seen: Of the robot.
+            seen: Observation of the robot.
         """
         if self._start is None or not seen.arm_angles.usable:
             return False
@@ -74,7 +74,7 @@ class ArmMove:
         """Say whether the pair at hand was taken at the goal, at rest.
 
         Args:
-            seen: Of the robot.
+            seen: Observation of the robot.
         """
         stereo = seen.stereo
         return self.is_there(seen) and stereo.usable and stereo.stamp >= self._there + self.rest

@@ -44,14 +44,13 @@ class BaseFilterConfig:
 
 
 class BaseMotionFilter:
-    """Turns observations into the base's motion, lagged."""
+    """Turns observations into the base's motion, lagged.
+
+    Args:
+        config: Lag and tick.
+    """
 
     def __init__(self, config: BaseFilterConfig) -> None:
-        """Prepare.
-
-        Args:
-            config: Lag and tick.
-        """
         self._config = config
         self._keep = math.exp(-config.period / config.lag) if config.lag > 0.0 else 0.0
         self.reset()
@@ -92,7 +91,7 @@ def level_of(observation: Observation) -> FrameMotion:
     """Return the base at rest as the inclinometer has it; level without one.
 
     Args:
-        observation: Of the robot.
+        observation: Observation of the robot, with its inclinometer.
     """
     if not observation.inclinometer.usable:
         return LEVEL

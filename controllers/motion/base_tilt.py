@@ -1,4 +1,4 @@
-"""How far an arm leans its base on the springs by its weight: known before it is measured.
+"""Tilt of a base on its springs under the weight of its arm, predicted before it is measured.
 
 The suspension that chapter 2 identifies, fed forward: what stands still in the world moves in the
 robot's frame when the arm reaches out, by what stiffness and levers say (Thesis eq. 2-1 at rest).
@@ -23,9 +23,9 @@ class TiltAxis:
     """How a base tilts about an axis: inertia tilt'' + damping tilt' + stiffness tilt = moment.
 
     Attributes:
-        inertia: About the line that it tilts about [kg m^2].
-        damping: [N m s/rad].
-        stiffness: [N m/rad].
+        inertia: Moment of inertia about the line that it tilts about [kg m^2].
+        damping: Damping of the tilt [N m s/rad].
+        stiffness: Stiffness of the tilt [N m/rad].
         lever: (2,) from that line to the arm's base [m]: forward and up for pitch, leftward and up
             for roll, (ry, rz) of `controllers.identification.pitch`.
     """
@@ -100,8 +100,8 @@ def tilting_moments(pitch: TiltAxis, roll: TiltAxis) -> FloatArray:
     """Return (2, 6), what the wrench on the arm does to the base about both axes [N m].
 
     Args:
-        pitch: About x.
-        roll: About y.
+        pitch: How the base tilts about x.
+        roll: How it tilts about y.
     """
     return -np.array(
         [
@@ -112,17 +112,16 @@ def tilting_moments(pitch: TiltAxis, roll: TiltAxis) -> FloatArray:
 
 
 class BaseTilt:
-    """A base at rest on its springs, under an arm."""
+    """A base at rest on its springs, under an arm.
+
+    Args:
+        pitch: How the base tilts about x, as identified.
+        roll: How it tilts about y. By eq. A-1 it is up to a half stiffer than a rover whose centre
+            joint is free.
+        mount: (3,) the arm's base in the robot frame [m].
+    """
 
     def __init__(self, pitch: TiltAxis, roll: TiltAxis, mount: ArrayLike) -> None:
-        """Prepare.
-
-        Args:
-            pitch: How the base tilts about x, as identified.
-            roll: About y. By eq. A-1 it is up to a half stiffer than a rover whose centre joint is
-                free.
-            mount: (3,) the arm's base in the robot frame [m].
-        """
         stiffness = np.array([[pitch.stiffness], [roll.stiffness]])
         self._give = tilting_moments(pitch, roll) / stiffness
         x, y, z = np.asarray(mount, dtype=float)
@@ -140,7 +139,7 @@ class BaseTilt:
         return self._give @ np.asarray(change, dtype=float)
 
     def motion(self, tilt: ArrayLike) -> RigidTransform:
-        """Return the transform from the robot frame when it leans to the one before.
+        """Return the transform from the tilted robot frame to the one before.
 
         Args:
             tilt: (2,) by how much pitch and roll have changed [rad].

@@ -1,4 +1,4 @@
-"""Skid steering: wheel speeds for a motion, and the motion that wheel speeds tell of.
+"""Skid steering: wheel speeds for a motion, and the motion that follows from wheel speeds.
 
 Wheels that stand fast on the body scrub sideways when it turns, so it turns by a share of what
 rolling wheels would make of their speeds. The share depends on ground and load: it is identified by
@@ -24,7 +24,7 @@ class SkidSteer:
 
     Attributes:
         wheel_radius: [m].
-        half_track: Of a wheel from the middle plane [m].
+        half_track: Distance of a wheel from the middle plane [m].
         turn_share: Turn rate over that of rolling wheels, (v_right - v_left) / track.
         most: Largest speed of a wheel [rad/s].
     """
@@ -60,7 +60,7 @@ class SkidSteer:
         return speeds * min(1.0, self.most / max(float(np.abs(speeds).max()), 1e-9))
 
     def motion(self, speeds: ArrayLike) -> tuple[float, float]:
-        """Return forward speed [m/s] and turn rate [rad/s] that wheel speeds tell of.
+        """Return forward speed [m/s] and turn rate [rad/s] by wheel speeds.
 
         Args:
             speeds: (4,) [rad/s], in the order of `WHEELS`.
@@ -75,10 +75,16 @@ class SkidSteer:
 class Odometry:
     """Where a rover is by its tachometers, tilted as its inclinometer says.
 
+    Args:
+        steer: Relation of wheel speeds and motion.
+        place: Initial x, y [m].
+        yaw: Initial yaw [rad].
+        tilt_lag: Time constant that smooths the tilt [s].
+
     Attributes:
         place: (2,) x, y [m], in the frame of the start, or of the world if it began there.
         yaw: [rad]; forward is y at zero.
-        way: Distance driven, forward and back [m].
+        distance: Distance driven, forward and back [m].
         turned: Angle turned, left and right [rad].
     """
 
@@ -89,23 +95,15 @@ class Odometry:
         yaw: float = 0.0,
         tilt_lag: float = 0.3,
     ) -> None:
-        """Begin at a place.
-
-        Args:
-            steer: How wheel speeds are motion.
-            place: x, y [m].
-            yaw: [rad].
-            tilt_lag: Time constant that smooths the tilt [s].
-        """
         self.place = np.array(place, dtype=float)
         self.yaw = float(yaw)
-        self.way = self.turned = 0.0
+        self.distance = self.turned = 0.0
         self._steer = steer
         self._lag = tilt_lag
         self._tilt: FloatArray | None = None
 
     def update(self, observation: Observation, period: float) -> None:
-        """Go on by a period [s]; what is missing, stale or not finite moves nothing."""
+        """Integrate a period [s]; what is missing, stale or not finite moves nothing."""
         if _is_good(observation.inclinometer):
             tilt = np.asarray(observation.inclinometer.value, dtype=float)
             share = period / (period + self._lag)
@@ -116,7 +114,7 @@ class Odometry:
         middle = self.yaw + 0.5 * turn * period
         self.place += forward * period * np.array([-math.sin(middle), math.cos(middle)])
         self.yaw += turn * period
-        self.way += abs(forward) * period
+        self.distance += abs(forward) * period
         self.turned += abs(turn) * period
 
     @property
@@ -174,8 +172,8 @@ def identify_turn_share(
     rolled = np.cumsum(rates) * period
     basis = np.column_stack([rolled, np.ones(len(rolled))])
     if np.ptp(rolled) < math.radians(5.0):
-        raise ValueError("the drive turned by less than 5 degrees: expected a turn to tell of")
+        raise ValueError("the drive turned by less than 5 degrees: expected a larger turn")
     solved, residual, *_ = np.linalg.lstsq(basis, yaw, rcond=None)
     variance = float(residual[0]) / (len(yaw) - 2) if len(residual) else 0.0
-    spread = variance * np.linalg.inv(basis.T @ basis)[0, 0]
-    return float(solved[0]), math.sqrt(spread)
+    share_variance = variance * np.linalg.inv(basis.T @ basis)[0, 0]
+    return float(solved[0]), math.sqrt(share_variance)

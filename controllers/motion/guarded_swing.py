@@ -1,7 +1,7 @@
 """A swing of the arm from rest to rest that a guard against tipping over slows (Thesis A.3).
 
 The guard plans the swing slower as a whole before it begins (`tip_over.guard`), slows it tick by
-tick on its way (`online_guard.OnlineGuard`), or is absent, for comparison.
+tick while it runs (`online_guard.OnlineGuard`), or is absent, for comparison.
 """
 
 from __future__ import annotations

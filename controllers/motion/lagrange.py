@@ -23,7 +23,18 @@ _HERE = RigidTransform.identity()
 
 
 class NineCoordinates:
-    """H(q) q'' + h(q, q') - G = Q - J^T F for the nine coordinates."""
+    """H(q) q'' + h(q, q') - G = Q - J^T F for the nine coordinates.
+
+    Args:
+        vehicle: What does not ride on the springs, in the vehicle's frame.
+        base: What rides on them, in the same axes and about the same origin at rest.
+        arm: Arm on the base, whose frame is the chain's robot frame: a yaw, then three hinges
+            about x.
+        yaw: Angle at which the arm's yaw is held [rad].
+
+    Raises:
+        ValueError: If the arm has not four joints.
+    """
 
     def __init__(
         self,
@@ -32,18 +43,6 @@ class NineCoordinates:
         arm: SerialChain,
         yaw: float = 0.0,
     ) -> None:
-        """Build the chain.
-
-        Args:
-            vehicle: What does not ride on the springs, in the vehicle's frame.
-            base: What rides on them, in the same axes and about the same origin at rest.
-            arm: Arm on the base, whose frame is the chain's robot frame: a yaw, then three hinges
-                about x.
-            yaw: Angle at which the arm's yaw is held [rad].
-
-        Raises:
-            ValueError: If the arm has not four joints.
-        """
         if len(arm) != 4:
             raise ValueError(f"arm of {len(arm)} joints: expected a yaw and three more")
         pitch, forward, up = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)

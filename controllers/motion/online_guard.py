@@ -24,8 +24,8 @@ from controllers.motion.tip_over import Footing
 FloatArray = NDArray[np.float64]
 Path = Callable[[float], tuple[FloatArray, FloatArray, FloatArray]]
 """Angles [rad], rates [rad/s] and accelerations [rad/s^2] of the joints at a time [s]."""
-_HALVINGS = 24  # Of the interval in which the largest squared rate is sought.
-_STANDING = 1e-3  # A rate below counts as rest.
+_HALVINGS = 24  # Halvings of the interval in which the largest squared rate is sought.
+_REST_RATE = 1e-3  # A rate below counts as rest.
 _ZERO = np.zeros(3)
 _NORMAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # Part of a wrench that presses.
 
@@ -72,23 +72,21 @@ class OnlineConfig:
 class OnlineGuard:
     """Passes a path on to the arm, slowed where it would tip the rover.
 
+    Args:
+        footing: The rover.
+        path: The motion, from rest.
+        config: How to slow; None for the default.
+
     Attributes:
-        time: Of the path, where it is now [s].
-        rate: At which it passes, 0 to 1.
+        time: Time of the path that is reached [s].
+        rate: Rate of the path's time, 0 (rest) to 1 (as asked for).
         slowest: Least rate so far.
         late: How much longer the path has taken than asked for [s].
         held: How long it has stood still by now [s].
-        lost: Ticks in which no rate kept half of the reserve, as when the ground gives way.
+        lost: Ticks in which no rate kept half of the reserve, as when the ground yields.
     """
 
     def __init__(self, footing: Footing, path: Path, config: OnlineConfig | None = None) -> None:
-        """Prepare a motion.
-
-        Args:
-            footing: The rover.
-            path: The motion, from rest.
-            config: How to slow; None for the default.
-        """
         self._footing, self._path = footing, path
         self._config = config or OnlineConfig()
         self._edges = _edge_rows(footing.polygon, footing.ground)
@@ -113,11 +111,11 @@ class OnlineGuard:
         return text if self.lost == 0 else f"{text}, half the reserve lost for {self.lost} ticks"
 
     def step(self, still: FrameMotion | None) -> None:
-        """Go on by a tick; `at` tells the reference within it.
+        """Advance by a tick; `at` gives the reference within it.
 
         Args:
             still: The base at rest, as its inclinometer has it; None or not finite without one: the
-                motion is brought to rest until it is back.
+                motion is brought to rest until it is measured again.
         """
         config, tick = self._config, self._config.period
         self._ticks += 1
@@ -126,7 +124,7 @@ class OnlineGuard:
             self.time += gone
             self.rate = min(max(self.rate + self._acceleration * tick, 0.0), 1.0)
             self.late += tick - gone
-            self.held = self.held + tick if self.rate < _STANDING else 0.0
+            self.held = self.held + tick if self.rate < _REST_RATE else 0.0
         blind = still is None or not np.all(np.isfinite(still.specific_force))
         if still is not None and not blind:
             force = np.asarray(still.specific_force, dtype=float)
@@ -149,7 +147,7 @@ class OnlineGuard:
 
         Args:
             time: Since the first step [s], within the tick that the last one began; beyond it the
-                rate goes on as there.
+                rate is extrapolated.
         """
         since = time - max(self._ticks, 0) * self._config.period
         # A falling rate stays at rest once it is there.
@@ -215,9 +213,9 @@ class OnlineGuard:
         """Return (n,) the largest squared rate at the places ahead from which rest is in reach."""
         config = self._config
         wrenches = self._look(first)
-        standing = self._rows(wrenches, up, self._floor)[..., 2].min(axis=1) >= 0.0
+        stable = self._rows(wrenches, up, self._floor)[..., 2].min(axis=1) >= 0.0
         # Beyond the first place where the arm could not stand still it may not go.
-        last = len(wrenches) if standing.all() else max(int(np.argmin(standing)), 1)
+        last = len(wrenches) if stable.all() else max(int(np.argmin(stable)), 1)
         limits = np.zeros(len(wrenches))
         rows = self._rows(wrenches[:last], up, self._reserve, config.swing)
         _backward(rows, config.period, config.brake, config.resume, limits)
@@ -229,9 +227,9 @@ class OnlineGuard:
         x = self.rate**2
         # The next place at least half a spacing ahead: a nearer one says little about `a`.
         index = min(math.ceil(self.time / tick + 0.5) - first, len(limits) - 1)
-        way = max((first + index) * tick - self.time, 0.5 * tick)
+        distance = max((first + index) * tick - self.time, 0.5 * tick)
         least = -min(config.brake, self.rate / tick)
-        most = min(config.resume, (1.0 - self.rate) / tick, (limits[index] - x) / (2.0 * way))
+        most = min(config.resume, (1.0 - self.rate) / tick, (limits[index] - x) / (2.0 * distance))
         # Unseen, or at the last place where the arm may stand, it only brakes.
         ending = blind or limits[0] == 0.0
         most = 0.0 if ending else max(least, most)
@@ -240,7 +238,7 @@ class OnlineGuard:
         near = [(1.0 - share) * self._known[first] + share * self._known[first + 1],
                 self._known[first + index]]  # fmt: skip
         rows = self._rows(np.array(near), up, 0.5 * self._reserve)
-        low, high = _accelerations(rows[0], rows[1], x, 2.0 * way, least, most)
+        low, high = _accelerations(rows[0], rows[1], x, 2.0 * distance, least, most)
         if low <= high:
             return low if ending else high
         self.lost += 1

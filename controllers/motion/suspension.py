@@ -33,7 +33,7 @@ class Corner:
     tyre: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Refuse springs that push the wrong way.
+        """Refuse springs of negative stiffness.
 
         Raises:
             ValueError: Naming the corner and the stiffness.

@@ -27,7 +27,7 @@ def zero_moment_point(wrench: ArrayLike, height: float = 0.0) -> FloatArray:
     Args:
         wrench: (6,) force [N] and moment about the origin [N m] by the ground on the robot, in
             axes whose z is the ground's normal.
-        height: Of the ground's plane along z [m].
+        height: Height of the ground's plane along z [m].
 
     Raises:
         ValueError: If the ground would have to pull, or not push at all.
@@ -105,10 +105,10 @@ class Footing:
         """Return (6,) the ground's force [N] and moment about the origin [N m], body frame.
 
         Args:
-            angles: Of the arm [rad].
-            rates: [rad/s].
-            accelerations: [rad/s^2].
-            motion: Of the base, at the body frame's origin.
+            angles: (n,) joint angles of the arm [rad].
+            rates: (n,) joint rates [rad/s].
+            accelerations: (n,) joint accelerations [rad/s^2].
+            motion: Motion of the base, at the body frame's origin.
         """
         foot = motion.at(self.mount)
         arm = self.chain.inverse_dynamics(angles, rates, accelerations, foot)[1]
@@ -140,7 +140,7 @@ class Sweep:
         start: (n,) [rad].
         end: (n,) [rad].
         duration: [s].
-        part: How much of the way is gone, (0, 1].
+        part: Part of the path from start to end that is taken, (0, 1].
     """
 
     start: FloatArray
@@ -155,11 +155,11 @@ class Sweep:
             time: Since the start [s]; the joints rest before and after.
         """
         t = min(max(time / self.duration, 0.0), 1.0)
-        way = (self.end - self.start) * self.part
+        distance = (self.end - self.start) * self.part
         rate = 30.0 * t**2 * (1.0 - t) ** 2 / self.duration
         bend = 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / self.duration**2
         gone = t**3 * (10.0 + t * (6.0 * t - 15.0))
-        return self.start + gone * way, rate * way, bend * way
+        return self.start + gone * distance, rate * distance, bend * distance
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,7 +169,7 @@ class GuardConfig:
     Attributes:
         reserve: Least distance of the zero-moment point from the polygon's edge [m]: it carries
             what the estimate lacks, as the base's own swing and the payload's error.
-        samples: Of a motion that are looked at.
+        samples: Number of samples of a motion that are checked.
         slowest: Largest stretch of a motion's duration; a motion that needs more is cut short.
     """
 
@@ -184,8 +184,8 @@ class Guarded:
 
     Attributes:
         sweep: The motion, slowed or cut short; None if the arm must stay.
-        stretch: Its duration over the one asked for, for the same part of the way.
-        margin: Of the motion as asked for [m]; negative where it would tip.
+        stretch: Its duration over the one asked for, for the same part of the path.
+        margin: Least margin of the motion as asked for [m]; negative where it would tip.
         report: What was done and why; empty if nothing.
     """
 
@@ -230,7 +230,7 @@ def guard(
         middle = 0.5 * (low + high)
         inside = least_margin(footing, stretched(middle), still, rules.samples) >= rules.reserve
         low, high = (low, middle) if inside else (middle, high)
-    cut = f", cut to {part:.0%} of the way" if part < 1.0 else ""
+    cut = f", cut to {part:.0%} of the path" if part < 1.0 else ""
     report = f"zero-moment point {1e3 * asked:.0f} mm inside: slowed {high:.2f} times{cut}"
     return Guarded(stretched(high), high, asked, report)
 
@@ -244,7 +244,7 @@ def least_margin(footing: Footing, sweep: Sweep, still: FrameMotion, samples: in
         footing: The rover.
         sweep: The motion.
         still: The base at rest.
-        samples: Of the motion that are looked at.
+        samples: Number of samples of the motion that are checked.
 
     Raises:
         ValueError: If the motion is not one of the arm's joints, or not finite.
@@ -259,7 +259,7 @@ def least_margin(footing: Footing, sweep: Sweep, still: FrameMotion, samples: in
 
 
 def _stable_part(footing: Footing, sweep: Sweep, still: FrameMotion, rules: GuardConfig) -> float:
-    """Return how much of the way, in [0, 1], the arm could stand still at every point of.
+    """Return the part of the path, in [0, 1], along which the arm could rest at every point.
 
     A tenth of the reserve is left to the motion, so that a slow one fits in.
     """

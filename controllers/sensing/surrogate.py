@@ -3,7 +3,7 @@
 Each tick the identified model says what wrench and tilt should read. A sample that is missing, not
 finite, frozen, or too far off for its covariance (normalised innovation) is replaced; a sensor that
 stays so is named as failed until it agrees again. While the inclinometer is lost, the weight of an
-arm that touches nothing tells the tilt. When its surrogate has become too unsure, or has served too
+arm that touches nothing gives the tilt. When its surrogate has become too unsure, or has served too
 long, the task has to stop, and the reason is given.
 """
 
@@ -86,15 +86,14 @@ class Verdict:
 
 
 class SensorMonitor:
-    """Says of each sample of one sensor whether it may be believed."""
+    """Judges each sample of one sensor.
+
+    Args:
+        name: Name of the channel, for the reasons.
+        limits: When the sensor has failed, and how its surrogate may serve.
+    """
 
     def __init__(self, name: str, limits: SensorLimits) -> None:
-        """Prepare.
-
-        Args:
-            name: Of the channel, for the reasons.
-            limits: When it has failed.
-        """
         self.name = name
         self.limits = limits
         freedom = len(limits.noise)
@@ -115,9 +114,9 @@ class SensorMonitor:
         """Judge a sample.
 
         Args:
-            channel: As observed.
-            predicted: What the model says, without the sensor's noise.
-            dt: Since the step before [s].
+            channel: The sample as observed.
+            predicted: Prediction of the model, without the sensor's noise.
+            dt: Time since the step before [s].
             allowed: (n, n) covariance of what the model does not know, such as contact.
 
         Returns:
@@ -163,10 +162,10 @@ class SensorMonitor:
         else:
             self._same = 0.0
         error = value - predicted.value
-        spread = predicted.covariance + np.diag(np.square(self.limits.noise))
+        covariance = predicted.covariance + np.diag(np.square(self.limits.noise))
         if allowed is not None:
-            spread = spread + np.asarray(allowed)
-        self._innovation = float(error @ np.linalg.solve(spread, error)) / len(error)
+            covariance = covariance + np.asarray(allowed)
+        self._innovation = float(error @ np.linalg.solve(covariance, error)) / len(error)
         return "spike" if self._innovation > self._gate else ""
 
     def _stop(self, predicted: Prediction, dt: float) -> str:
@@ -209,21 +208,20 @@ class Sensed:
 
 
 class SurrogateSensing:
-    """Stands between a robot and its controller, and mends the observations."""
+    """Stands between a robot and its controller, and mends the observations.
+
+    Args:
+        wrench: Model of the wrench under the arm.
+        tilt: Model of the base's tilt.
+        limits: Limits of ``arm_base_wrench`` and ``inclinometer``.
+
+    Raises:
+        ValueError: If limits are missing or unknown.
+    """
 
     def __init__(
         self, wrench: WrenchModel, tilt: TiltModel, limits: Mapping[str, SensorLimits]
     ) -> None:
-        """Prepare.
-
-        Args:
-            wrench: Model of the wrench under the arm.
-            tilt: Model of the base's tilt.
-            limits: Of ``arm_base_wrench`` and ``inclinometer``.
-
-        Raises:
-            ValueError: If limits are missing or unknown.
-        """
         if set(limits) != {WRENCH, TILT}:
             raise ValueError(f"limits of {', '.join(limits) or 'nothing'}: need {WRENCH}, {TILT}")
         self._wrench, self._tilt = wrench, tilt
@@ -237,7 +235,7 @@ class SurrogateSensing:
         for monitor in self._monitors.values():
             monitor.reset()
         self._level: Channel | None = None
-        self._lean: FloatArray | None = None
+        self._tilt_sigma: FloatArray | None = None
         self._stamp = math.nan
 
     def step(
@@ -251,9 +249,10 @@ class SurrogateSensing:
         """Take an observation and mend it.
 
         Args:
-            observation: Of the robot.
-            dt: Since the one before [s].
-            efforts: (4,) of the arm's motors at the joints [N m]; with them contact is predicted.
+            observation: Observation of the robot.
+            dt: Time since the observation before [s].
+            efforts: (4,) efforts of the arm's motors at the joints [N m]; with them contact is
+                predicted.
             contact: Whether the hand may touch something: then a wrench that a force at the hand
                 explains is no fault, and without efforts nothing can predict it. A touch that was
                 not announced looks like a failed wrench.
@@ -268,16 +267,16 @@ class SurrogateSensing:
         # This tick's tilt is not judged yet.
         before = observation._replace(inclinometer=self._level or observation.inclinometer)
         touching = efforts if contact else None
-        wrench = self._wrench.predict(before, dt, touching, self._lean)
+        wrench = self._wrench.predict(before, dt, touching, self._tilt_sigma)
         touchable = contact or obstacles
-        allowed = self._wrench.contact_spread(observation) if touchable else None
+        allowed = self._wrench.contact_covariance(observation) if touchable else None
         if contact and efforts is None and allowed is not None:
             wrench = Prediction(wrench.value, wrench.covariance + allowed)
         felt = self._monitors[WRENCH].step(observation.arm_base_wrench, wrench, dt, allowed)
         mended, expected = observation, wrench
         if felt.believed:
-            spread = np.diag(np.square(self._monitors[WRENCH].limits.noise))
-            wrench = Prediction(np.asarray(observation.arm_base_wrench.value, dtype=float), spread)
+            noise = np.diag(np.square(self._monitors[WRENCH].limits.noise))
+            wrench = Prediction(np.asarray(observation.arm_base_wrench.value, dtype=float), noise)
         else:
             mended = mended._replace(arm_base_wrench=_predicted(wrench, observation.time))
         tilt = self._tilt.predict(mended, dt, wrench.covariance)
@@ -286,14 +285,14 @@ class SurrogateSensing:
             if observation.inclinometer.stamp != self._stamp:
                 self._tilt.correct(np.asarray(observation.inclinometer.value, dtype=float))
             self._stamp = observation.inclinometer.stamp
-            self._lean = None
+            self._tilt_sigma = None
         else:
-            if felt.believed and not contact and self._lean is not None:
+            if felt.believed and not contact and self._tilt_sigma is not None:
                 self._weigh(before, expected, wrench, dt)
             mended = mended._replace(inclinometer=_predicted(tilt, observation.time))
             # The wrench that follows from a predicted tilt is as unsure as that is: else the good
             # wrench sensor would be called failed for the lost inclinometer.
-            self._lean = np.sqrt(np.diag(tilt.covariance))
+            self._tilt_sigma = np.sqrt(np.diag(tilt.covariance))
         self._level = mended.inclinometer
         verdicts = {WRENCH: felt, TILT: seen}
         return Sensed(
@@ -309,9 +308,9 @@ class SurrogateSensing:
         self, believed: Observation, expected: Prediction, wrench: Prediction, dt: float
     ) -> None:
         """Correct the tilt by the arm's weight."""
-        assert self._lean is not None
-        value, spread = wrench
-        off = self._wrench.lean(believed, expected, value, spread, self._lean, dt)
+        assert self._tilt_sigma is not None
+        value, noise = wrench
+        off = self._wrench.tilt_error(believed, expected, value, noise, self._tilt_sigma, dt)
         if off is not None:
             tilt = np.asarray(believed.inclinometer.value, dtype=float) + off.value
             self._tilt.weigh(Prediction(tilt, off.covariance))

@@ -17,7 +17,7 @@ from controllers.sensing.surrogate_wrench import Prediction
 from twin.robot import Observation
 
 FloatArray = NDArray[np.float64]
-_LASTS = 0.1  # Time for which an unknown moment stays about the same [s].
+_MOMENT_TIME = 0.1  # Time for which an unknown moment stays about the same [s].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,17 +25,18 @@ class TiltModelConfig:
     """How a base tilts, and how the inclinometer sees it.
 
     Attributes:
-        pitch: About x.
-        roll: About y, as pitch of a rover turned a quarter to its right.
+        pitch: How the base tilts about x.
+        roll: How it tilts about y, as pitch of a rover turned a quarter to its right.
         noise: Standard deviation of the inclinometer's samples [rad].
-        bandwidth: Its first-order corner [Hz].
+        bandwidth: First-order corner frequency of the inclinometer [Hz].
         moment: Standard deviation of the moment that the model does not know [N m].
-        gain: The same of the moment that it knows, as a part of it.
-        lever: The same of the levers [m]: an arm that only swings hardly tells them.
-        stand: How fast what the wheels stand on becomes unsure at rest [rad/sqrt(s)].
-        drive: The same by driving [rad/sqrt(m)]. Measured over 0.4 m of ground with 2 cm of relief
-            and rocks of 2 to 5 cm: 0.157 in pitch, 0.112 in roll (r.m.s., 24 fields).
-        wheel_radius: Tells how far the wheels drove [m].
+        gain: Relative standard deviation of the moment that it knows.
+        lever: Standard deviation of the levers [m]: an arm that only swings hardly shows them.
+        ground_drift: Growth of the slope's deviation at rest [rad/sqrt(s)].
+        drive_drift: Growth of the slope's deviation by driving [rad/sqrt(m)]. Measured over 0.4 m
+            of ground with 2 cm of relief and rocks of 2 to 5 cm: 0.157 in pitch, 0.112 in roll
+            (r.m.s., 24 fields).
+        wheel_radius: Radius of the wheels, for the distance driven [m].
     """
 
     pitch: TiltAxis
@@ -45,8 +46,8 @@ class TiltModelConfig:
     moment: float = 0.02
     gain: float = 0.1
     lever: float = 0.03
-    stand: float = 1e-4
-    drive: float = 0.16
+    ground_drift: float = 1e-4
+    drive_drift: float = 0.16
     wheel_radius: float = 0.08
 
     def __post_init__(self) -> None:
@@ -65,15 +66,13 @@ class TiltModel:
     """Predicts pitch and roll of a base from the wrench under its arm, through its springs.
 
     Of each axis four numbers are estimated: swing, its rate, the inclinometer's filtered reading
-    of it, and the slope on which the base swings. While the inclinometer lives it corrects them.
+    of it, and the slope on which the base swings. While the inclinometer works it corrects them.
+
+    Args:
+        config: Springs of the base, and the inclinometer.
     """
 
     def __init__(self, config: TiltModelConfig) -> None:
-        """Prepare.
-
-        Args:
-            config: Springs and sensor.
-        """
         self.config = config
         self.reset()
 
@@ -82,19 +81,19 @@ class TiltModel:
         self._rest: FloatArray | None = None
         self._states = np.zeros((2, 4))
         # The slope may be any that a rover stands on.
-        spread = np.diag(np.square([0.01, 0.1, 0.01, 0.3]))
-        self._spreads = np.array([spread, spread])
+        initial = np.diag(np.square([0.01, 0.1, 0.01, 0.3]))
+        self._covariances = np.array([initial, initial])
         self._steps: tuple[float, list[tuple[FloatArray, FloatArray, FloatArray]]] | None = None
 
     def predict(
         self, observation: Observation, dt: float, wrench_covariance: ArrayLike | None = None
     ) -> Prediction:
-        """Return pitch and roll as the inclinometer should show them, without looking at it.
+        """Return pitch and roll as the inclinometer should show them, without using it.
 
         Args:
             observation: With the wrench under the arm usable, measured or predicted, and the wheel
                 speeds if there are any.
-            dt: Since the observation before [s].
+            dt: Time since the observation before [s].
             wrench_covariance: (6, 6) of the wrench, whose error lasts as an unknown moment's does;
                 None for none.
 
@@ -119,15 +118,17 @@ class TiltModel:
         unsure += self.config.lever**2 * across
         if wrench_covariance is not None:
             unsure += np.einsum("ij,jk,ik->i", turns, np.asarray(wrench_covariance), turns)
-        drift = self.config.stand**2 * dt + self.config.drive**2 * self._driven(observation, dt)
+        drift = self.config.ground_drift**2 * dt + self.config.drive_drift**2 * self._driven(
+            observation, dt
+        )
         for axis, (step, push, noise) in enumerate(self._transitions(dt)):
             self._states[axis] = step @ self._states[axis] + push * moments[axis]
-            spread = step @ self._spreads[axis] @ step.T + unsure[axis] * noise
-            spread[3, 3] += drift
-            self._spreads[axis] = spread
+            covariance = step @ self._covariances[axis] @ step.T + unsure[axis] * noise
+            covariance[3, 3] += drift
+            self._covariances[axis] = covariance
         shown = self._states[:, 2] + self._states[:, 3]
         read = np.array([0.0, 0.0, 1.0, 1.0])
-        return Prediction(shown, np.diag(read @ self._spreads @ read))
+        return Prediction(shown, np.diag(read @ self._covariances @ read))
 
     def correct(self, tilt: ArrayLike) -> None:
         """Take a believed sample of the inclinometer, after `predict`.
@@ -139,7 +140,7 @@ class TiltModel:
         self._take(values, np.full(2, self.config.noise**2), np.array([0.0, 0.0, 1.0, 1.0]))
 
     def weigh(self, tilt: Prediction) -> None:
-        """Take what the weight of the arm says of the tilt as it is, after `predict`.
+        """Take the tilt by the weight of the arm, undelayed, after `predict`.
 
         Args:
             tilt: (2,) pitch and roll [rad].
@@ -148,16 +149,16 @@ class TiltModel:
 
     def _take(self, values: FloatArray, variances: FloatArray, read: FloatArray) -> None:
         for axis, (value, variance) in enumerate(zip(values, variances)):
-            spread = self._spreads[axis]
-            gain = spread @ read / (read @ spread @ read + variance)
+            covariance = self._covariances[axis]
+            gain = covariance @ read / (read @ covariance @ read + variance)
             self._states[axis] += gain * (value - read @ self._states[axis])
-            self._spreads[axis] = spread - np.outer(gain, read @ spread)
+            self._covariances[axis] = covariance - np.outer(gain, read @ covariance)
 
     @property
     def tilt(self) -> Prediction:
         """(2,) pitch and roll as they are, not delayed by the inclinometer's filter [rad]."""
         read = np.array([1.0, 0.0, 0.0, 1.0])
-        return Prediction(self._states @ read, np.diag(read @ self._spreads @ read))
+        return Prediction(self._states @ read, np.diag(read @ self._covariances @ read))
 
     def _driven(self, observation: Observation, dt: float) -> float:
         if not observation.wheel_speeds.usable:
@@ -184,4 +185,4 @@ class TiltModel:
         flow[2, [0, 2]] = pole, -pole
         whole = np.asarray(scipy.linalg.expm(flow * dt), dtype=float)
         push = whole[:4, 4]
-        return whole[:4, :4], push, np.outer(push, push) * max(_LASTS / dt, 1.0)
+        return whole[:4, :4], push, np.outer(push, push) * max(_MOMENT_TIME / dt, 1.0)

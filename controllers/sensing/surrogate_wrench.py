@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 _AT_REST = 0.15  # Tachometers of wheels at rest read less [rad/s].
 _SETTLES = 0.5  # Time for which the base still swings when the wheels have stopped [s].
-_SHAKES = 0.1  # Time for which what shakes the base stays about the same [s].
+_DISTURBED = 0.1  # Time for which what shakes the base stays about the same [s].
 _NO_TILT = float(scipy.stats.chi2.isf(1e-3, 6))  # Squared distance, whitened.
 _SAME_POSE = 0.02  # Joint angles within which slopes are taken as the same [rad].
 
@@ -51,20 +51,20 @@ class WrenchModelConfig:
         arm: The arm with what it carries, as identified.
         mount: (3,) its base from the accelerometer, in the body frame [m].
         grip: (3,) where the hand touches things, in the last link's frame [m].
-        lag: Of the filter that makes accelerations of rates [s].
+        lag: Time constant of the filter that makes accelerations of rates [s].
         rate_noise: Standard deviation of a rate [rad/s].
-        jerk: Of the joints, usual: what the lag leaves out is this times it [rad/s^3].
+        jerk: Usual jerk of the joints: what the lag leaves out is this times it [rad/s^3].
         tilt: Standard deviation of the base's tilt about each axis [rad].
-        base_acceleration: The same of the base's motion where no accelerometer tells it [m/s^2].
-        base_turning: The same of its angular acceleration where no gyro tells it [rad/s^2].
+        base_acceleration: The same of the base's motion without an accelerometer [m/s^2].
+        base_turning: The same of its angular acceleration without a gyro [rad/s^2].
         driven: Both of these with turning wheels, as wheels shake the base [m/s^2, rad/s^2]; on
             rough ground at 6 cm/s 0.6 m/s^2 were measured, with peaks of 4.
         accelerometer_noise: Standard deviation of its samples [m/s^2].
         gyro_noise: The same of the gyro's [rad/s].
         mass: Relative standard deviation of the arm's mass.
-        friction: (4,) dry friction of the joints [N m]; what a joint's effort leaves unsaid.
+        friction: (4,) dry friction of the joints [N m]; what a joint's effort cannot show.
         contact: Standard deviation of a force at the hand before anything is measured [N].
-        spread: Distance from the grip point within which things touch [m].
+        contact_radius: Distance from the grip point within which things touch [m].
     """
 
     arm: SerialChain
@@ -82,7 +82,7 @@ class WrenchModelConfig:
     mass: float = 0.01
     friction: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
     contact: float = 5.0
-    spread: float = 0.06
+    contact_radius: float = 0.06
 
     def __post_init__(self) -> None:
         """Refuse numbers that could not be meant.
@@ -101,14 +101,13 @@ class WrenchModelConfig:
 
 
 class WrenchModel:
-    """Predicts the wrench under an arm from its motion, and the force at its hand from efforts."""
+    """Predicts the wrench under an arm from its motion, and the force at its hand from efforts.
+
+    Args:
+        config: Arm, and the uncertainties of what the wrench follows from.
+    """
 
     def __init__(self, config: WrenchModelConfig) -> None:
-        """Prepare.
-
-        Args:
-            config: Arm and uncertainties.
-        """
         self.config = config
         hand = RigidTransform.from_translation(config.grip)
         base = RigidTransform.identity()
@@ -139,8 +138,8 @@ class WrenchModel:
         Args:
             observation: With arm angles and rates usable; the base's motion is taken from
                 accelerometer, gyro and inclinometer as far as they are.
-            dt: Since the observation before [s].
-            efforts: (4,) of the motors at the joints, friction not taken off [N m]: then the
+            dt: Time since the observation before [s].
+            efforts: (4,) efforts of the motors at the joints, with friction [N m]: then the
                 force at the hand is found from them and is part of the wrench.
             tilt: (2,) deviations of pitch and roll where the inclinometer's channel is itself
                 predicted [rad]; None where it is measured.
@@ -151,25 +150,25 @@ class WrenchModel:
         Raises:
             ValueError: If angles or rates are missing or not finite, or dt is not positive.
         """
-        wrench, spread, joints = self._free(observation, dt, tilt)
+        wrench, covariance, joints = self._free(observation, dt, tilt)
         if efforts is None:
-            return Prediction(wrench, spread)
+            return Prediction(wrench, covariance)
         by_efforts, by_wrench = self._contact_maps(observation)
         touch = self._touch(by_efforts, np.asarray(efforts, dtype=float) - joints.value, joints)
         return Prediction(
             wrench + by_wrench @ touch.value,
-            spread + by_wrench @ touch.covariance @ by_wrench.T,
+            covariance + by_wrench @ touch.covariance @ by_wrench.T,
         )
 
     def contact_force(self, observation: Observation, dt: float, efforts: ArrayLike) -> Prediction:
         """Return force and moment of the hand on the world, about the grip point, from efforts.
 
-        Four joints tell four of the six; the others keep what was believed before.
+        Four joints determine four of the six; the others keep their prior.
 
         Args:
-            observation: As of `predict`.
-            dt: As of `predict`.
-            efforts: (4,) [N m].
+            observation: Observation with arm angles and rates usable.
+            dt: Time since the observation before [s].
+            efforts: (4,) efforts of the motors at the joints [N m].
 
         Returns:
             (6,) in the last link's frame [N, N m].
@@ -193,7 +192,7 @@ class WrenchModel:
         extra = np.asarray(wrench, dtype=float) - free.value
         return _update(self._before(), by_wrench, extra, free.covariance + np.asarray(noise))
 
-    def contact_spread(self, observation: Observation) -> FloatArray:
+    def contact_covariance(self, observation: Observation) -> FloatArray:
         """Return (6, 6) what contact at the hand may add to the wrench's covariance.
 
         Args:
@@ -202,7 +201,7 @@ class WrenchModel:
         _, by_wrench = self._contact_maps(observation)
         return by_wrench @ self._before() @ by_wrench.T
 
-    def lean(
+    def tilt_error(
         self,
         observation: Observation,
         expected: Prediction,
@@ -211,15 +210,15 @@ class WrenchModel:
         tilt: ArrayLike,
         dt: float,
     ) -> Prediction | None:
-        """Return by how much the tilt is off: the arm's weight tells where down is.
+        """Return the error of the tilt by the direction of the arm's weight.
 
         Args:
             observation: With the arm's angles, and the tilt as it is believed.
-            expected: Of `predict` for it, with the same ``tilt``.
+            expected: Result of `predict` for it, with the same ``tilt``.
             wrench: (6,) measured [N, N m].
             noise: (6, 6) covariance of it.
             tilt: (2,) deviations of the believed pitch and roll [rad].
-            dt: Since the observation before [s].
+            dt: Time since the observation before [s].
 
         Returns:
             (2,) pitch and roll to add [rad]; None for a wrench that no tilt explains, as of a hand
@@ -229,23 +228,23 @@ class WrenchModel:
         by_force = self._by_motion(angles)[:6, len(angles) : len(angles) + 3]
         by_tilt = by_force @ _force_by_tilt(observation)
         unsure = np.asarray(tilt, dtype=float)
-        leaned = np.square(_leaned(level_of(observation), [*unsure, 0.0]))
-        spread = expected.covariance - (by_force * leaned) @ by_force.T + np.asarray(noise)
+        tilted = np.square(_tilted(level_of(observation), [*unsure, 0.0]))
+        covariance = expected.covariance - (by_force * tilted) @ by_force.T + np.asarray(noise)
         off = np.asarray(wrench, dtype=float) - expected.value
-        whole = spread + by_tilt @ np.diag(unsure**2) @ by_tilt.T
+        whole = covariance + by_tilt @ np.diag(unsure**2) @ by_tilt.T
         if off @ np.linalg.solve(whole, off) > _NO_TILT:
             return None
-        weights = np.linalg.solve(spread, by_tilt).T
-        covariance = np.asarray(np.linalg.inv(weights @ by_tilt), dtype=float)
+        weights = np.linalg.solve(covariance, by_tilt).T
+        posterior = np.asarray(np.linalg.inv(weights @ by_tilt), dtype=float)
         # What shakes the base stays about the same for a while, and counts once.
-        return Prediction(covariance @ weights @ off, covariance * max(_SHAKES / dt, 1.0))
+        return Prediction(posterior @ weights @ off, posterior * max(_DISTURBED / dt, 1.0))
 
     def _touch(self, by_efforts: FloatArray, extra: FloatArray, joints: Prediction) -> Prediction:
         noise = joints.covariance + np.diag(self.config.friction**2)
         return _update(self._before(), by_efforts, extra, noise)
 
     def _before(self) -> FloatArray:
-        force, moment = self.config.contact, self.config.contact * self.config.spread
+        force, moment = self.config.contact, self.config.contact * self.config.contact_radius
         return np.diag(np.square([force] * 3 + [moment] * 3))
 
     def _free(
@@ -273,7 +272,7 @@ class WrenchModel:
         if tilt is not None:
             count = len(angles)
             sigma[count : count + 3] = np.hypot(
-                sigma[count : count + 3], _leaned(motion, [*np.asarray(tilt, dtype=float), 0.0])
+                sigma[count : count + 3], _tilted(motion, [*np.asarray(tilt, dtype=float), 0.0])
             )
         both = np.concatenate([wrench, efforts])
         slopes = np.column_stack([self._by_motion(angles), both])
@@ -328,7 +327,7 @@ class WrenchModel:
         if known:
             moved[:3] = math.hypot(config.accelerometer_noise * smoothed, 0.5 * moved[0])
             moved[3:] = math.hypot(config.gyro_noise * shaken, 0.5 * moved[3])
-        moved[:3] = np.hypot(moved[:3], _leaned(motion, np.full(3, config.tilt)))
+        moved[:3] = np.hypot(moved[:3], _tilted(motion, np.full(3, config.tilt)))
         return np.concatenate([np.full(len(self._accelerations), joint), moved, [config.mass]])
 
     def _contact_maps(self, observation: Observation) -> tuple[FloatArray, FloatArray]:
@@ -351,7 +350,7 @@ def motor_efforts(duty: ArrayLike, rates: ArrayLike, stall: float, no_load: floa
     return stall * (np.asarray(duty, dtype=float) - np.asarray(rates, dtype=float) / no_load)
 
 
-def _leaned(motion: FrameMotion, tilt: ArrayLike) -> FloatArray:
+def _tilted(motion: FrameMotion, tilt: ArrayLike) -> FloatArray:
     """Return (3,) deviations of the specific force by those of the turn about each axis (3,)."""
     return np.sqrt(np.square(cross_matrix(motion.specific_force)) @ np.square(tilt))
 

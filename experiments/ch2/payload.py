@@ -16,7 +16,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from controllers.identification.arm_sensing import IdentificationError, SensingConfig
-from controllers.identification.payload import PayloadConfig, PayloadEstimate, PayloadIdentifier
+from controllers.identification.payload import (
+    PayloadEstimate,
+    PayloadIdentifier,
+    PayloadIdentifierConfig,
+)
 from controllers.kinematics.rigid_body import NAMES, inertial_parameters
 from controllers.kinematics.serial_chain import SerialChain
 from experiments.harness import contract
@@ -121,10 +125,10 @@ def sensing() -> SensingConfig:
     )
 
 
-def payload_config(arm: SerialChain) -> PayloadConfig:
+def payload_config(arm: SerialChain) -> PayloadIdentifierConfig:
     """Return what the identification may know beforehand."""
     sheet = datasheets.FORCE_TORQUE
-    return PayloadConfig(
+    return PayloadIdentifierConfig(
         arm,
         wrench_noise=(sheet.force_noise,) * 3 + (sheet.torque_noise,) * 3,
         sensing=sensing(),

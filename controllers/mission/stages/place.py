@@ -140,7 +140,7 @@ class PlaceCamera:
         x, y = odometry.place
         moved = RigidTransform.from_matrix(_planar_pose(x, y, odometry.yaw))
         belief.transform_slot_to_level = moved.inv() * belief.transform_slot_to_level
-        far, turned = odometry.way, odometry.turned
+        far, turned = odometry.distance, odometry.turned
         added = np.diag(
             np.square(
                 [0.02, 0.02, 0.03 + 0.05 * turned, 0.02 + 0.05 * far, 0.02 + 0.05 * far, 0.01]

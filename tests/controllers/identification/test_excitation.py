@@ -18,12 +18,13 @@ from controllers.identification.arm_motion import (
 from controllers.identification.compliant_base import BaseState, simulate
 from controllers.identification.excitation import (
     CRITERIA,
+    EstimationState,
     Forecast,
-    Knowledge,
     Planner,
     parameter_scale,
     random_excitation,
 )
+from controllers.identification.linear_estimators import regressor
 from controllers.identification.parameters import COUNT, Ranges
 from tests.controllers.identification.recorded import (
     ARMS,
@@ -41,7 +42,7 @@ NOTHING = Forecast(np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT)))
 
 
 @pytest.fixture(scope="module")
-def knowledge() -> Knowledge:
+def state() -> EstimationState:
     """After one window of each mode."""
     outputs, sigma = noisy(0, windows=1)
     paths = {mode: motion(mode, windows=1) for mode in MODES}
@@ -53,21 +54,21 @@ def knowledge() -> Knowledge:
         base_states[mode] = simulate(estimate.parameters, ARMS[mode], path, start)[2]
     square = np.diag(1 / parameter_scale(TRUTH) ** 2)
     information = estimate.physical_information()
-    return Knowledge(estimate.parameters, information, sigma, arm_states, base_states, square)
+    return EstimationState(estimate.parameters, information, sigma, arm_states, base_states, square)
 
 
-def cost(planner: Planner, knowledge: Knowledge, plan: dict[str, Excitation], name: str) -> float:
-    forecasts = [planner._forecast(knowledge, mode, plan[mode]) for mode in plan]
+def cost(planner: Planner, state: EstimationState, plan: dict[str, Excitation], name: str) -> float:
+    forecasts = [planner._forecast(state, mode, plan[mode]) for mode in plan]
     total = forecasts[0] + forecasts[1] + forecasts[2]
-    return 0.5 * float(np.sum(CRITERIA[name](knowledge)(total) ** 2))
+    return 0.5 * float(np.sum(CRITERIA[name](state)(total) ** 2))
 
 
 @pytest.mark.parametrize("name", CRITERIA)
-def test_plan_is_no_worse_than_its_start_and_within_the_bounds(knowledge, name):
+def test_plan_is_no_worse_than_its_start_and_within_the_bounds(state, name):
     present = dict.fromkeys(MODES, CONSTANT)
     planner = Planner(CRITERIA[name], ARMS, LIMITS, iterations=2)
-    plan = planner.plan(knowledge, present, np.random.default_rng(0))
-    before, after = (cost(planner, knowledge, p, name) for p in (present, plan))
+    plan = planner.plan(state, present, np.random.default_rng(0))
+    before, after = (cost(planner, state, p, name) for p in (present, plan))
     assert after < before
     for excitation in plan.values():
         bounds = LIMITS.bounds()
@@ -75,25 +76,25 @@ def test_plan_is_no_worse_than_its_start_and_within_the_bounds(knowledge, name):
         assert np.all(excitation.vector() <= bounds[:, 1] + 1e-12)
 
 
-def test_iterations_of_levenberg_and_marquardt_lower_the_cost_further(knowledge):
+def test_iterations_of_levenberg_and_marquardt_lower_the_cost_further(state):
     present = {mode: Excitation(0.8, 0.4, 6.0) for mode in MODES}
     costs = []
     for iterations in (0, 1, 4):
         planner = Planner(
             CRITERIA["information"], ARMS, LIMITS, iterations=iterations, candidates=0
         )
-        plan = planner.plan(knowledge, present, np.random.default_rng(0))
-        costs.append(cost(planner, knowledge, plan, "information"))
+        plan = planner.plan(state, present, np.random.default_rng(0))
+        costs.append(cost(planner, state, plan, "information"))
     assert costs[0] > costs[1] > costs[2]
 
 
-def test_jacobian_equals_finer_central_differences(knowledge):
+def test_jacobian_equals_finer_central_differences(state):
     planner = Planner(CRITERIA["information"], ARMS, LIMITS)
-    residuals = CRITERIA["information"](knowledge)
+    residuals = CRITERIA["information"](state)
     chosen = {mode: Excitation(0.8, 0.4, 6.0) for mode in MODES}
-    forecasts = {mode: planner._forecast(knowledge, mode, chosen[mode]) for mode in MODES}
+    forecasts = {mode: planner._forecast(state, mode, chosen[mode]) for mode in MODES}
     total = forecasts["x"] + forecasts["y"] + forecasts["z"]
-    values, jacobian = planner._jacobian(knowledge, chosen, forecasts, residuals)
+    values, jacobian = planner._jacobian(state, chosen, forecasts, residuals)
     np.testing.assert_allclose(values, residuals(total))
     step = 1e-4
     for column in range(9):
@@ -101,22 +102,22 @@ def test_jacobian_equals_finer_central_differences(knowledge):
         ends = []
         for sign in (1, -1):
             moved = planner._stepped(chosen[mode], sign * step * np.eye(3)[axis])
-            other = planner._forecast(knowledge, mode, moved)
+            other = planner._forecast(state, mode, moved)
             ends.append(residuals(total - forecasts[mode] + other))
         expected = (ends[0] - ends[1]) / (2 * step)
         error = np.linalg.norm(jacobian[:, column] - expected)
         assert error <= 0.03 * np.linalg.norm(expected) + 1e-4
 
 
-def test_forecast_is_the_information_that_the_window_then_brings(knowledge):
+def test_forecast_is_the_information_that_the_window_then_brings(state):
     planner = Planner(CRITERIA["information"], ARMS, LIMITS)
     excitation = Excitation(0.5, 0.5, 9.0)
-    found = planner._forecast(knowledge, "x", excitation).information
-    path, _ = swing(knowledge.arm_states["x"], excitation, LIMITS, WINDOW, 0.005)
+    found = planner._forecast(state, "x", excitation).information
+    path, _ = swing(state.arm_states["x"], excitation, LIMITS, WINDOW, 0.005)
     _, derivatives, _ = simulate(
-        knowledge.parameters, ARMS["x"], path, knowledge.base_states["x"], substeps=2
+        state.parameters, ARMS["x"], path, state.base_states["x"], substeps=2
     )
-    rows = (derivatives / knowledge.sigma[:, None]).reshape(-1, COUNT)
+    rows = (derivatives / state.sigma[:, None]).reshape(-1, COUNT)
     expected = rows.T @ rows
     # Sampled twice as coarsely and counted twice; what says next to nothing may differ more.
     np.testing.assert_allclose(
@@ -124,20 +125,70 @@ def test_forecast_is_the_information_that_the_window_then_brings(knowledge):
     )
 
 
-def bits_known(knowledge: Knowledge, part: float) -> Knowledge:
+def test_forecast_counts_each_equation_of_its_coarse_samples_twice(state):
+    planner, excitation = Planner(CRITERIA["condition"], ARMS, LIMITS), Excitation(0.5, 0.5, 9.0)
+    path, _ = swing(state.arm_states["x"], excitation, LIMITS, WINDOW // 2, 0.01)
+    outputs, _, _ = simulate(state.parameters, ARMS["x"], path, state.base_states["x"])
+    matrix = regressor(outputs, ARMS["x"])[0].reshape(-1, COUNT)
+    found = planner._forecast(state, "x", excitation)
+    np.testing.assert_allclose(found.regressor_square, 2 * matrix.T @ matrix, rtol=1e-9, atol=1e-9)
+    other = planner._forecast(state, "x", CONSTANT)
+    back = (found + other) - other
+    np.testing.assert_allclose(back.regressor_square, found.regressor_square, atol=1e-6)
+
+
+def test_start_is_the_best_of_its_candidates(state):
+    arms, present = {"x": ARMS["x"]}, {"x": CONSTANT}
+    planner = Planner(CRITERIA["information"], arms, LIMITS, iterations=0, candidates=8)
+    generator = np.random.default_rng(0)
+    offered = [CONSTANT, *(random_excitation(LIMITS, generator) for _ in range(8))]
+    residuals = CRITERIA["information"](state)
+    costs = [np.sum(residuals(planner._forecast(state, "x", e)) ** 2) for e in offered]
+    best = offered[int(np.argmin(costs))]
+    assert planner.plan(state, present, np.random.default_rng(0))["x"] == best
+
+
+def test_step_descends_along_the_gradient_at_its_start(state):
+    present = {mode: Excitation(0.8, 0.4, 6.0) for mode in MODES}
+    planner = Planner(CRITERIA["d_optimal"], ARMS, LIMITS, iterations=1, candidates=0)
+    forecasts = {mode: planner._forecast(state, mode, present[mode]) for mode in MODES}
+    values, jacobian = planner._jacobian(state, present, forecasts, CRITERIA["d_optimal"](state))
+    plan = planner.plan(state, present, np.random.default_rng(0))
+    span = np.ptp(LIMITS.bounds(), axis=1)
+    moved = [(plan[mode].vector() - present[mode].vector()) / span for mode in MODES]
+    assert np.concatenate(moved) @ (jacobian.T @ values) < 0
+
+
+def test_derivative_at_a_bound_is_taken_inwards(state):
+    planner = Planner(CRITERIA["information"], ARMS, LIMITS)
+    residuals = CRITERIA["information"](state)
+    for end in (0, 1):
+        chosen = {mode: Excitation(*LIMITS.bounds()[:, end].tolist()) for mode in MODES}
+        forecasts = {mode: planner._forecast(state, mode, chosen[mode]) for mode in MODES}
+        _, jacobian = planner._jacobian(state, chosen, forecasts, residuals)
+        assert np.any(jacobian[:, 2::3] != 0)
+        step = np.zeros(3)
+        step[2] = 1e-3 if end == 0 else -1e-3
+        total = forecasts["x"] + forecasts["y"] + forecasts["z"]
+        inner = planner._forecast(state, "x", planner._stepped(chosen["x"], step))
+        change = residuals(total - forecasts["x"] + inner) - residuals(total)
+        np.testing.assert_allclose(jacobian[:, 2], change / step[2], rtol=1e-6, atol=1e-9)
+
+
+def bits_known(state: EstimationState, part: float) -> EstimationState:
     """The same, where each deviation is that part of its range and the estimate in its middle."""
     bounds = Ranges().bounds()
     sigma = part * (bounds[:, 1] - bounds[:, 0])
     return dataclasses.replace(
-        knowledge, parameters=bounds.mean(axis=1), information=np.diag(sigma**-2)
+        state, parameters=bounds.mean(axis=1), information=np.diag(sigma**-2)
     )
 
 
-def test_literal_criterion_is_least_where_half_is_known(knowledge):
+def test_literal_criterion_is_least_where_half_is_known(state):
     costs = {}
     for wanted in (0.1, 0.3, 0.5, 0.7, 0.9):
         # u = (log2(range / sigma) - 2.05) / 10
-        sharp = bits_known(knowledge, 2 ** -(10 * wanted + 2.047))
+        sharp = bits_known(state, 2 ** -(10 * wanted + 2.047))
         values = CRITERIA["literal"](sharp)(NOTHING)
         np.testing.assert_allclose(values**2, 1 - wanted + wanted**2, atol=0.02)
         costs[wanted] = float(values @ values)
@@ -145,8 +196,15 @@ def test_literal_criterion_is_least_where_half_is_known(knowledge):
     assert costs[0.9] > costs[0.7] and costs[0.1] > costs[0.3]
 
 
-def test_information_criterion_always_gains_by_knowing_more_and_most_by_the_uncertain(knowledge):
-    vague = bits_known(knowledge, 0.05)
+def test_information_criterion_weighs_by_what_is_unknown_now(state):
+    for known in (0.2, 0.5, 0.8):
+        sharp = bits_known(state, 2 ** -(10 * known + 2.047))
+        values = CRITERIA["information"](sharp)(NOTHING)
+        np.testing.assert_allclose(values**2, 1 - (1 - known) * known, atol=0.02)
+
+
+def test_information_criterion_always_gains_by_knowing_more_and_most_by_the_uncertain(state):
+    vague = bits_known(state, 0.05)
     residuals = CRITERIA["information"](vague)
     sigma = 0.05 * np.ptp(Ranges().bounds(), axis=1)
     costs = [
@@ -167,21 +225,21 @@ def test_information_criterion_always_gains_by_knowing_more_and_most_by_the_unce
     assert gains[1] > 2 * gains[0]
 
 
-def test_d_and_a_optimal_are_determinant_and_trace_of_the_relative_covariance(knowledge):
-    scale = parameter_scale(knowledge.parameters)
-    covariance = np.linalg.inv(knowledge.information) / np.outer(scale, scale)
-    d_values = CRITERIA["d_optimal"](knowledge)(NOTHING)
+def test_d_and_a_optimal_are_determinant_and_trace_of_the_relative_covariance(state):
+    scale = parameter_scale(state.parameters)
+    covariance = np.linalg.inv(state.information) / np.outer(scale, scale)
+    d_values = CRITERIA["d_optimal"](state)(NOTHING)
     log_determinant = np.linalg.slogdet(covariance)[1]
     assert np.sum(d_values**2) == pytest.approx(50 * COUNT + log_determinant, rel=1e-6)
-    a_values = CRITERIA["a_optimal"](knowledge)(NOTHING)
+    a_values = CRITERIA["a_optimal"](state)(NOTHING)
     assert np.sum(a_values**2) == pytest.approx(np.trace(covariance), rel=1e-6)
 
 
-def test_condition_criteria_are_the_logarithm_of_the_condition_number(knowledge):
-    scale = parameter_scale(knowledge.parameters)
+def test_condition_criteria_are_the_logarithm_of_the_condition_number(state):
+    scale = parameter_scale(state.parameters)
     generator = np.random.default_rng(0)
     matrix = generator.normal(size=(60, COUNT)) / scale
-    seen = dataclasses.replace(knowledge, regressor_square=matrix.T @ matrix)
+    seen = dataclasses.replace(state, regressor_square=matrix.T @ matrix)
     scaled = CRITERIA["condition_scaled"](seen)(NOTHING)[0]
     assert np.exp(scaled) == pytest.approx(np.linalg.cond(matrix * scale), rel=1e-6)
     flat = dataclasses.replace(seen, regressor_square=(matrix * scale).T @ (matrix * scale))

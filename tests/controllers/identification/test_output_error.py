@@ -143,6 +143,35 @@ def test_windows_that_come_after_a_fit_add_to_it():
         np.testing.assert_allclose(*ends, rtol=0.1, atol=1e-4)
 
 
+def test_estimate_on_line_moves_by_no_more_than_one_from_where_it_was_linearised():
+    outputs, sigma = noisy(5, windows=1)
+    search = OutputError(ARMS)
+    found = search.add(
+        {mode: cut(mode, 0, outputs[mode], sigma) for mode in MODES}, relinearise_above=np.inf
+    )
+    assert np.abs(found.theta - Prior().mean()).max() == pytest.approx(1.0)
+
+
+def test_fit_starts_again_until_it_is_trusted_and_keeps_the_best(monkeypatch):
+    outputs, sigma = noisy(5, windows=1)
+    search = OutputError(ARMS)
+    search.add({mode: cut(mode, 0, outputs[mode], sigma) for mode in MODES})
+    starts, costs = [], []
+
+    def stalled(theta, iterations):
+        starts.append(theta)
+        chi_square = costs.pop(0)
+        return dataclasses.replace(search.estimate, chi_square=chi_square), (search._data, {})
+
+    monkeypatch.setattr(search, "_descend", stalled)
+    costs += [3.0, 5.0, 2.0, 4.0]
+    best = search.fit(restarts=3)
+    assert best.chi_square == 2.0 and search.estimate is best and not costs
+    assert len({tuple(start) for start in starts}) == 4
+    costs += [3.0, 1.0, 4.0]
+    assert search.fit(restarts=3).chi_square == 1.0 and costs == [4.0]
+
+
 def test_physical_information_is_the_inverse_of_the_covariance():
     estimate = OutputError(ARMS).estimate
     product = estimate.physical_information() @ estimate.covariance

@@ -13,8 +13,8 @@ from controllers.identification.arm_sensing import (
     raised_cosine,
 )
 from controllers.identification.payload import (
-    PayloadConfig,
     PayloadIdentifier,
+    PayloadIdentifierConfig,
     SwingConfig,
     physical_parameters,
     pseudo_inertia,
@@ -100,7 +100,7 @@ def identify(arm, config, seen):
 
 
 def test_payload_is_recovered_without_noise(arm):
-    config = PayloadConfig(arm)
+    config = PayloadIdentifierConfig(arm)
     estimate = identify(arm, config, observations(arm, config, 12.0, 0.0)).estimate()
     assert estimate.mass == pytest.approx(BOX.mass, rel=1e-4)
     np.testing.assert_allclose(estimate.centre, BOX.centre, atol=1e-4)
@@ -108,7 +108,7 @@ def test_payload_is_recovered_without_noise(arm):
 
 
 def test_covariance_and_chi_squared_are_calibrated(arm):
-    config = PayloadConfig(arm)
+    config = PayloadIdentifierConfig(arm)
     errors, chi_squared = [], []
     for seed in range(3):
         seen = observations(arm, config, 10.0, 1.0, seed=seed)
@@ -121,7 +121,7 @@ def test_covariance_and_chi_squared_are_calibrated(arm):
 
 
 def test_resting_arm_hides_inertias_by_name_and_shows_the_mass(arm):
-    config = PayloadConfig(arm)
+    config = PayloadIdentifierConfig(arm)
     seen = observations(arm, config, 10.0, 1.0, moving=False)
     estimate = identify(arm, config, seen).estimate()
     assert set(NAMES[4:]) <= set(estimate.unidentifiable)
@@ -144,7 +144,7 @@ def test_impossible_estimate_becomes_a_body():
 
 
 def test_missing_stale_and_nan_are_refused_by_name(arm):
-    config = PayloadConfig(arm)
+    config = PayloadIdentifierConfig(arm)
     seen = observations(arm, config, 1.0, 0.0)
     identifier = identify(arm, config, seen[:3])
     without = seen[3]._replace(arm_base_wrench=MISSING)
@@ -161,7 +161,7 @@ def test_missing_stale_and_nan_are_refused_by_name(arm):
 
 
 def test_too_short_a_run_is_told(arm):
-    config = PayloadConfig(arm, sensing=SensingConfig())
+    config = PayloadIdentifierConfig(arm, sensing=SensingConfig())
     with pytest.raises(IdentificationError, match="a run of 0 ticks is too short"):
         identify(arm, config, observations(arm, config, 0.095, 0.0)).estimate()
     # One window is six equations for ten parameters.
@@ -172,7 +172,7 @@ def test_too_short_a_run_is_told(arm):
 
 def test_parameters_are_unidentifiable_from_their_deviation_over_their_size_on(arm):
     """Sizes are 0.3 kg for the mass, m d for first moments and m d^2 for inertias."""
-    config = PayloadConfig(arm)
+    config = PayloadIdentifierConfig(arm)
     seen = observations(arm, config, 12.0, 1.0)
     found = identify(arm, config, seen).estimate()
     lever = 0.15

@@ -84,7 +84,7 @@ def test_dead_reckoning_follows_a_circle(turn):
         place = [radius * (math.cos(angle) - 1.0), radius * math.sin(angle)]
         assert tick % 50 or np.allclose(odometry.place, place, rtol=0.0, atol=2e-6)
     assert odometry.yaw == pytest.approx(angle)
-    assert odometry.way == pytest.approx(0.1 * PERIOD * tick)
+    assert odometry.distance == pytest.approx(0.1 * PERIOD * tick)
     assert odometry.turned == pytest.approx(abs(angle))
 
 
@@ -94,7 +94,7 @@ def test_way_and_turn_count_backwards_too():
         for _ in range(100):
             odometry.update(driving(sign * STEER.wheel_speeds(0.1, 0.3)), PERIOD)
     np.testing.assert_allclose(odometry.place, 0.0, atol=1e-12)
-    assert odometry.way == pytest.approx(0.2) and odometry.turned == pytest.approx(0.6)
+    assert odometry.distance == pytest.approx(0.2) and odometry.turned == pytest.approx(0.6)
 
 
 def test_missing_speeds_move_nothing_and_missing_tilt_keeps_the_last():

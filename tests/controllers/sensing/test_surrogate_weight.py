@@ -29,7 +29,7 @@ def test_weight_of_an_arm_at_rest_tells_how_far_the_base_leans():
     )
     model, unsure = wrench_model(), np.full(2, 0.1)
     expected = model.predict(seen, PERIOD, tilt=unsure)
-    off = model.lean(seen, expected, true.value, NOISE, unsure, PERIOD)
+    off = model.tilt_error(seen, expected, true.value, NOISE, unsure, PERIOD)
     assert off is not None
     assert off.value == pytest.approx([0.05, -0.03], abs=2e-3)
     # 0.1 N and 0.05 m/s^2 on an arm of 7.5 N, ten ticks alike.
@@ -38,13 +38,13 @@ def test_weight_of_an_arm_at_rest_tells_how_far_the_base_leans():
 
 
 @pytest.mark.parametrize("force", [(0.0, -3.0, 0.0), (3.0, 0.0, 0.0)])
-def test_touch_is_not_taken_for_a_lean(force):
+def test_touch_is_not_taken_for_a_tilt(force):
     seen = swing().seen[0]._replace(accelerometer=MISSING, gyro=MISSING)
     model, unsure = wrench_model(), np.full(2, 0.03)
     expected = model.predict(seen, PERIOD, tilt=unsure)
     # Of the hand, half a metre before the arm's base and a little above.
     pushed = np.concatenate([force, np.cross([0.0, 0.5, 0.1], force)])
-    assert model.lean(seen, expected, expected.value + pushed, NOISE, unsure, PERIOD) is None
+    assert model.tilt_error(seen, expected, expected.value + pushed, NOISE, unsure, PERIOD) is None
 
 
 def drive(seed, weighs, push=0.0):
