@@ -143,13 +143,12 @@ def test_windows_that_come_after_a_fit_add_to_it():
         np.testing.assert_allclose(*ends, rtol=0.1, atol=1e-4)
 
 
-def test_estimate_on_line_moves_by_no_more_than_one_from_where_it_was_linearised():
-    outputs, sigma = noisy(5, windows=1)
-    search = OutputError(ARMS)
-    found = search.add(
-        {mode: cut(mode, 0, outputs[mode], sigma) for mode in MODES}, relinearise_above=np.inf
-    )
-    assert np.abs(found.theta - Prior().mean()).max() == pytest.approx(1.0)
+def test_step_is_cut_to_one_of_its_greatest_coordinate():
+    here, step = Prior().mean(), np.zeros(COUNT)
+    step[-2:] = 5.0, -2.5
+    held = OutputError(ARMS)._held(here, here + step)
+    np.testing.assert_allclose(held, here + step / 5.0)
+    np.testing.assert_allclose(OutputError(ARMS)._held(here, here + 0.1 * step), here + 0.1 * step)
 
 
 def test_fit_starts_again_until_it_is_trusted_and_keeps_the_best(monkeypatch):
