@@ -251,6 +251,7 @@ class Witness(LoopRecorder):
             return camera_in_world(simulation.model, simulation.data, f"{name}/stereo_left")
         assert emulator is not None
         pose = emulator.state()[name]["camera"]
+        assert pose is not None
         turn = Rotation.from_matrix(pose["rotation"])
         return RigidTransform.from_components(pose["translation"], turn)
 

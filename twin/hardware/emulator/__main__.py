@@ -27,6 +27,7 @@ from models.compose import RobotPlacement
 from twin.camera import StereoConfig, camera_pose
 from twin.hardware.emulator.drawing import DrawingProcess
 from twin.hardware.emulator.faults import CameraFault, LineFaultConfig, RobotFault, ScheduledFault
+from twin.hardware.emulator.messages import PoseTable, RobotTruth
 from twin.hardware.emulator.modem import ModemConfig, PtyModems
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
@@ -157,7 +158,7 @@ class Emulator:
             case other:
                 return {"error": f"unknown order {other!r}"}
 
-    def _state(self, name: str) -> dict[str, Any]:
+    def _state(self, name: str) -> RobotTruth:
         """Return what a person beside the robot could measure."""
         rover, rig = self.scene.rovers[name], self.rigs[name]
         damage = {kind.value: count for kind, count in rig.bus_line.counts.items()}
@@ -170,11 +171,11 @@ class Emulator:
             "bodies": self._bodies(name),
         }
 
-    def _bodies(self, name: str) -> dict[str, dict[str, Any]]:
+    def _bodies(self, name: str) -> dict[str, PoseTable]:
         """Return the true poses of a robot's chassis, of its card and of the slot, if any."""
         model, data = self.scene.simulation.model, self.scene.simulation.data
         names = {"chassis": f"{name}/chassis", "card": f"{name}/card", "slot": "slot"}
-        found: dict[str, dict[str, Any]] = {}
+        found: dict[str, PoseTable] = {}
         for word, body in names.items():
             index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
             if index >= 0:
@@ -182,7 +183,7 @@ class Emulator:
                 found[word] = {"rotation": rotation.tolist(), "translation": place.tolist()}
         return found
 
-    def _camera(self, name: str) -> dict[str, Any]:
+    def _camera(self, name: str) -> PoseTable:
         """Return the left camera's true pose in the world."""
         physics = self.scene.simulation
         index = int(physics.model.camera(f"{name}/stereo_left").id)

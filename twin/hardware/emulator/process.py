@@ -9,6 +9,7 @@ import sys
 import tempfile
 from typing import IO, Any, cast
 
+from twin.hardware.emulator.messages import RobotTruth
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import LinkError
 
@@ -80,7 +81,7 @@ class EmulatorProcess:
         order = {"do": "fault", "robot": robot, "time": self.time, "kind": kind}
         self._ask({**order, "duration": duration, "address": address})
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> dict[str, RobotTruth]:
         """Return, by robot, what a person beside it could measure."""
         return self._ask({"do": "state"})
 
