@@ -56,7 +56,7 @@ class ViewConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class Lens:
+class ViewRays:
     """What a stereo head sees.
 
     Attributes:
@@ -102,7 +102,7 @@ class ArmViews:
 
     arm: SerialChain
     transform_robot_to_world: RigidTransform
-    lens: Lens
+    lens: ViewRays
     config: ViewConfig = ViewConfig()
 
     def cameras(self, angles: FloatArray) -> RigidTransform:

@@ -23,7 +23,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)
-class SearchConfig:
+class TargetSearchConfig:
     """How a target is looked for.
 
     Attributes:
@@ -53,7 +53,7 @@ class TargetSearch:
         home: ArrayLike,
         survey: ArrayLike,
         extent: float,
-        config: SearchConfig | None = None,
+        config: TargetSearchConfig | None = None,
     ) -> None:
         """Begin.
 
@@ -64,7 +64,7 @@ class TargetSearch:
             extent: Greatest distance between two markers of the target [m].
             config: How it is looked for.
         """
-        self._arm, self._config = arm, config or SearchConfig()
+        self._arm, self._config = arm, config or TargetSearchConfig()
         low, high = np.array(home, dtype=float), np.array(survey, dtype=float)
         low[-1] += self._config.lift
         self._postures = (low, high)

@@ -1,4 +1,4 @@
-"""The map that robots share, and how a look enters it."""
+"""The map that robots share, and how a view enters it."""
 
 from __future__ import annotations
 
@@ -38,9 +38,18 @@ _MISFIT = 6.0  # Squared normalised residuals per degree of freedom of markers t
 class SharedMap:
     """Voxels, and the target that fixes their frame.
 
+    Args:
+        voxels: Map, new or begun; the target will be at its origin.
+        geometry: Geometry of all stereo heads.
+        cad: Markers of the target.
+        stride: Distance between matched pixels [px].
+        reach: Nearest and farthest depth that enters the map [m].
+
     Attributes:
         voxels: The map, in the world that the target defines.
-        transform_target_to_world: None until a robot has seen the target.
+        geometry: Geometry of all stereo heads.
+        cad: Markers of the target.
+        transform_target_to_world: From the target to the world; None until a robot has seen it.
     """
 
     def __init__(
@@ -51,18 +60,9 @@ class SharedMap:
         stride: int,
         reach: tuple[float, float],
     ) -> None:
-        """Start with nothing known.
-
-        Args:
-            voxels: An empty map.
-            geometry: Of all stereo heads.
-            cad: The target's markers.
-            stride: Of the pixels that are matched.
-            reach: Nearest and farthest depth that enters the map [m].
-        """
         self.voxels = voxels
         self.transform_target_to_world: RigidTransform | None = None
-        self._geometry, self._cad, self._reach = geometry, cad, reach
+        self.geometry, self.cad, self._reach = geometry, cad, reach
         frustum = Frustum(*geometry.intrinsics, *reach)
         self._frustum = frustum.resized(geometry.width // stride, geometry.height // stride)
 
@@ -75,17 +75,20 @@ class SharedMap:
         sigma: ArrayLike,
         config: LocalizationConfig,
     ) -> RobotLocalization | None:
-        """Return where a robot stands if it sees the target; the first one defines the world.
+        """Localize a robot that sees the target; the first one to see it defines the world.
 
         Args:
-            arm: Its kinematics.
-            angles: (joints,) of its arm [rad].
-            tilt: (2,) pitch and roll [rad].
-            pair: (2, H, W) uint8.
-            sigma: (3,) deviations of a marker's column, row and disparity [px].
-            config: How well arm and inclinometer tell where the camera is.
+            arm: Chain of the robot's arm, with the left camera as its tool.
+            angles: (joints,) joint angles of the arm [rad].
+            tilt: (2,) pitch and roll of the robot [rad].
+            pair: (2, H, W) uint8 left and right image.
+            sigma: (3,) standard deviations of a marker's column, row and disparity [px].
+            config: Standard deviations of the camera pose by arm and inclinometer.
+
+        Returns:
+            The localization; None if the target is not in view.
         """
-        target = find_target(pair, self._geometry, self._cad, sigma)
+        target = find_target(pair, self.geometry, self.cad, sigma)
         if target is None:
             return None
         camera = self._camera_at(target, np.asarray(sigma, dtype=float))
@@ -103,16 +106,16 @@ class SharedMap:
         return localize(arm, angles, tilt, in_world, config)
 
     def _camera_at(self, target: SeenTarget, sigma: FloatArray) -> CameraPose | None:
-        """Return where the camera is in the target's frame; None if the markers do not fit.
+        """Return the camera's pose in the target's frame; None if the markers do not fit.
 
-        Three markers are enough: their distances have told which they are.
+        Three markers are enough: their distances identify them.
         """
-        markers = self._cad.points[target.indices]
+        markers = self.cad.points[target.indices]
         known = KnownPoints(markers, np.broadcast_to(_KNOWN * np.eye(3), (len(markers), 3, 3)))
         sight = Sighting(
-            target.image_points, np.broadcast_to(sigma, (len(markers), 3)), self._geometry
+            target.image_points, np.broadcast_to(sigma, (len(markers), 3)), self.geometry
         )
-        seen = self._geometry.points(target.image_points)
+        seen = self.geometry.points(target.image_points)
         try:
             start = kabsch_pose(markers, seen, np.ones(len(markers)))
             found = solve(start, known, sight)
@@ -122,28 +125,28 @@ class SharedMap:
             return None
         return CameraPose(found.pose.transform(), found.covariance)
 
-    def fuse(self, camera: CameraPose, seen: StereoPoints, left_out: FloatArray) -> int:
-        """Put what a camera saw into the map.
+    def fuse(self, camera: CameraPose, points: StereoPoints, excluded: FloatArray) -> int:
+        """Fuse the points of a view into the map.
 
         Args:
-            camera: Where it was.
-            seen: Points in its frame.
-            left_out: (M, 4) spheres, centre and radius [m], world: robots, which move.
+            camera: Pose of the left camera.
+            points: Matched points, camera frame.
+            excluded: (M, 4) spheres about the robots, which move: centre and radius [m], world.
 
         Returns:
-            How many points were used.
+            Number of points that entered the map.
         """
         near, far = self._reach
-        inside = (seen.points[:, 2] >= near) & (seen.points[:, 2] <= far)
-        points, covariances = transform_points_with_covariance(
+        inside = (points.points[:, 2] >= near) & (points.points[:, 2] <= far)
+        places, covariances = transform_points_with_covariance(
             camera.transform_camera_to_world,
             camera.covariance,
-            seen.points[inside],
-            seen.covariances[inside],
+            points.points[inside],
+            points.covariances[inside],
         )
-        kept = ~within(points, left_out)
+        kept = ~within(places, excluded)
         return self.voxels.insert(
-            camera.transform_camera_to_world, self._frustum, points[kept], covariances[kept]
+            camera.transform_camera_to_world, self._frustum, places[kept], covariances[kept]
         )
 
     def occupied_and_free(self, points: FloatArray) -> tuple[BoolArray, BoolArray]:

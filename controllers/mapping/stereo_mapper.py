@@ -14,24 +14,19 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.mapping.arm_views import (
-    ArmViews,
-    Collides,
-    Lens,
-    RatedViews,
-    ViewError,
-)
-from controllers.mapping.localiser import Localiser
+from controllers.kinematics.serial_chain import SerialChain
+from controllers.mapping.arm_views import ArmViews, Collides, RatedViews, ViewError, ViewRays
+from controllers.mapping.fiducial_localizer import FiducialLocalizer
 from controllers.mapping.localization import RobotLocalization
-from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
+from controllers.mapping.stereo_view import MapperConfig, StereoView
 from controllers.motion.arm_move import ArmMove
-from perception.registration.target import TargetCad, possible_markers
+from perception.registration.target import possible_markers
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher
-from perception.voxels.map import VoxelMap
 from perception.voxels.views import planning_grid
+from twin.description import RobotDescription
 from twin.robot import Command, Observation, WheelMode
 
 FloatArray = NDArray[np.float64]
@@ -40,45 +35,45 @@ IndexArray = NDArray[np.intp]
 
 
 @dataclasses.dataclass(frozen=True)
-class _Waiting:
-    """A look that waits until its robot knows its place.
+class _PendingView:
+    """A view that waits until its robot is localized.
 
     Attributes:
-        place: In the list of all looks.
-        tilt: (2,) pitch and roll then [rad].
-        arms: (joints,) angles of all arms then, as far as they were known [rad].
+        index: Index of the view in the list of all views.
+        tilt: (2,) pitch and roll of the robot at that time [rad].
+        arms: (joints,) angles of all arms at that time, as far as they were known [rad].
     """
 
-    place: int
+    index: int
     tilt: FloatArray
     arms: dict[str, FloatArray]
 
 
 @dataclasses.dataclass
 class _Head:
-    """One robot's state.
+    """State of one robot's stereo head.
 
     Attributes:
-        brief: What is known of it.
-        search: For the target.
-        move: Of its arm to the present view.
-        standing: Where it stands; None until it has seen the target.
-        offsets: (12,) numbers of what its looks err by alike, in the map of fiducials.
-        looks: Looks taken.
-        waiting: Looks taken before it knew where it stands.
+        arm: Chain of the arm, with the left camera as its tool.
+        search: Search for the target.
+        move: Motion of the arm to the present view.
+        localization: Localization of the robot; None until it has seen the target.
+        offsets: (12,) indices, in the map of fiducials, of the errors that its views share.
+        taken: Number of views taken.
+        pending: Views taken before the robot was localized.
         rated: Candidates of the decision for the present goal.
         claims: Cells that the present goal is about to see.
-        raster: Next place of the raster.
-        done: Whether it has taken all its looks, or found no view to go to.
+        raster: Index of the next view of the raster.
+        done: Whether it has taken all its views, or found none that it can reach.
     """
 
-    brief: RobotBrief
+    arm: SerialChain
     search: TargetSearch
     move: ArmMove
-    standing: RobotLocalization | None = None
+    localization: RobotLocalization | None = None
     offsets: IndexArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.intp))
-    looks: int = 0
-    waiting: list[_Waiting] = dataclasses.field(default_factory=list)
+    taken: int = 0
+    pending: list[_PendingView] = dataclasses.field(default_factory=list)
     rated: RatedViews | None = None
     claims: BoolArray | None = None
     raster: int = 0
@@ -86,80 +81,70 @@ class _Head:
 
 
 class StereoMapper:
-    """Drives all robots' arms; a `twin.robot.Controller`.
+    """Moves the arms of all robots from view to view; a `twin.robot.Controller`.
+
+    Nothing moves before the first `step`.
+
+    Args:
+        robots: Robots by name, each with a stereo head on its arm; all heads are alike.
+        shared: Map that the robots build, new or begun.
+        config: How the robots move, look and choose.
+        rng: Random generator for candidate views.
+        on_view: Called once after each view, for recording.
+        localizations: Localization of the robots that have one already, by name; they need a map
+            whose frame is known.
 
     Attributes:
-        shared: The map that they build.
-        geometry: Of the stereo heads.
-        localiser: The scene's fiducials.
-        looks: All looks so far, in the order in which they were taken. One that was taken before
-            its robot knew its place is completed when the robot does.
+        shared: Map that the robots build.
+        localizer: Fiducials of the scene, and the camera poses that they give.
+        views: All views so far, in the order in which they were taken. One that was taken before
+            its robot was localized is completed once it is.
     """
 
     def __init__(
         self,
-        robots: Mapping[str, RobotBrief],
-        geometry: StereoGeometry,
-        cad: TargetCad,
-        voxels: VoxelMap,
+        robots: Mapping[str, RobotDescription],
+        shared: SharedMap,
         config: MapperConfig,
         rng: np.random.Generator,
-        on_look: Callable[[Look], None] | None = None,
-        begun: SharedMap | None = None,
-        standings: Mapping[str, RobotLocalization] | None = None,
+        on_view: Callable[[StereoView], None] | None = None,
+        localizations: Mapping[str, RobotLocalization] | None = None,
     ) -> None:
-        """Prepare; nothing moves before the first `step`.
-
-        Args:
-            robots: By name.
-            geometry: Of their stereo heads.
-            cad: The target's markers.
-            voxels: An empty map; the target will be at its origin.
-            config: How they move, look and choose.
-            rng: Draws candidates.
-            on_look: Called after each look, once, for recording.
-            begun: A map to go on with, in place of ``voxels``.
-            standings: Where robots stand, of those that know already; needs a map with a frame.
-        """
-        self.shared = begun or SharedMap(voxels, geometry, cad, config.stereo.stride, config.reach)
-        self._known = dict(standings or {})
-        self.looks: list[Look] = []
-        self._config, self._rng, self._on_look = config, rng, on_look
-        self.localiser = Localiser(geometry, config.localiser)
-        self.geometry = geometry
+        self.shared = shared
+        self._known = dict(localizations or {})
+        self.views: list[StereoView] = []
+        self._config, self._rng, self._on_view = config, rng, on_view
+        geometry = shared.geometry
+        self.localizer = FiducialLocalizer(geometry, config.localizer)
         self._matcher = StereoMatcher(geometry, config.stereo)
-        self._lens = Lens(_rays(geometry, config.rays), config.reach)
-        self._cad = cad
-        self._briefs = dict(robots)
+        self._lens = ViewRays(_rays(geometry, config.rays), config.reach)
+        self._robots = dict(robots)
         self._heads: dict[str, _Head] = {}
         self.reset()
 
     @property
     def done(self) -> bool:
-        """True when no robot will look again."""
+        """Whether no robot will take another view."""
         return all(head.done for head in self._heads.values())
 
     @property
-    def standings(self) -> Mapping[str, RobotLocalization]:
-        """Where the robots stand, of those that know."""
+    def localizations(self) -> Mapping[str, RobotLocalization]:
+        """Localization of each robot that has one, by name."""
         heads = self._heads.items()
-        return {name: head.standing for name, head in heads if head.standing is not None}
+        return {name: head.localization for name, head in heads if head.localization is not None}
 
     def reset(self) -> None:
         """Forget where the robots are and what they were about to do; the map stays."""
         self._heads = {}
-        for name, brief in self._briefs.items():
-            search = TargetSearch(
-                brief.arm,
-                brief.home,
-                self._config.views.survey,
-                self._cad.extent,
-                self._config.search,
-            )
-            head = self._heads[name] = _Head(brief, search, self._move_to(search.first()))
+        survey, extent = self._config.views.survey, self.shared.cad.extent
+        for name, robot in self._robots.items():
+            assert robot.arm is not None
+            arm = SerialChain.of_robot(robot)
+            search = TargetSearch(arm, robot.arm.home, survey, extent, self._config.search)
+            head = self._heads[name] = _Head(arm, search, self._move_to(search.first()))
             if name in self._known:
-                head.standing = self._known[name]
-                head.offsets = self.localiser.fiducials.share(head.standing.shared_covariance())
+                head.localization = self._known[name]
+                head.offsets = self.localizer.fiducials.share(head.localization.shared_covariance())
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Return one command for each robot.
@@ -180,102 +165,93 @@ class StereoMapper:
         head = self._heads[name]
         known = seen.inclinometer.usable and seen.stereo.usable
         if not head.done and known and head.move.sees(seen):
-            self._look(name, head, seen, arms)
+            self._take(name, head, seen, arms)
         return head.move.command(seen)
 
     def _move_to(self, goal: FloatArray) -> ArmMove:
-        """Return the way to a view (joints,) [rad]; the wheels get no voltage."""
+        """Return the motion to a view (joints,) [rad]; the wheels get no voltage."""
         c = self._config
         return ArmMove(goal, c.speed, c.rest, c.near, c.patience, WheelMode.DUTY)
 
-    def _look(
+    def _take(
         self, name: str, head: _Head, seen: Observation, arms: Mapping[str, FloatArray]
     ) -> None:
-        """Take the pair in, and choose where to look next."""
+        """Take a view, and choose the next one."""
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         tilt = np.asarray(seen.inclinometer.value, dtype=float)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
-        look = Look(
-            name,
-            head.looks,
-            seen.time,
-            angles,
-            pair,
-            self._matcher.match(pair),
-            None,
-            None,
-            head.rated,
-        )
-        head.looks += 1
-        if head.standing is None:
-            head.standing = self.shared.locate(
-                head.brief.arm,
-                angles,
-                tilt,
-                pair,
-                self._config.marker_sigma,
-                self._config.standing,
+        points = self._matcher.match(pair)
+        view = StereoView(name, head.taken, seen.time, angles, pair, points, None, None, head.rated)
+        head.taken += 1
+        if head.localization is None:
+            c = self._config
+            head.localization = self.shared.locate(
+                head.arm, angles, tilt, pair, c.marker_sigma, c.localization
             )
-            if head.standing is not None:
-                shared = head.standing.shared_covariance()
-                head.offsets = self.localiser.fiducials.share(shared)
-        head.waiting.append(_Waiting(len(self.looks), tilt, dict(arms)))
-        self.looks.append(look)
-        if head.standing is not None:
-            for taken in head.waiting:
-                self._take(taken, head.standing, head.offsets)
-            head.waiting.clear()
-        if self._on_look is not None:
-            self._on_look(self.looks[-1])
-        self._choose(name, head, look, tilt)
+            if head.localization is not None:
+                shared = head.localization.shared_covariance()
+                head.offsets = self.localizer.fiducials.share(shared)
+        head.pending.append(_PendingView(len(self.views), tilt, dict(arms)))
+        self.views.append(view)
+        if head.localization is not None:
+            for pending in head.pending:
+                self._fuse(pending, head.localization, head.offsets)
+            head.pending.clear()
+        if self._on_view is not None:
+            self._on_view(self.views[-1])
+        self._choose(name, head, view, tilt)
 
-    def _take(self, taken: _Waiting, standing: RobotLocalization, offsets: IndexArray) -> None:
-        """Fuse a look into the map."""
-        look = self.looks[taken.place]
-        guess = standing.camera(look.angles, taken.tilt)
-        prior = standing.prior(look.angles, taken.tilt, offsets)
-        correction = self.localiser.locate(look.pair, look.seen, prior)
-        self.shared.fuse(correction.camera, look.seen, self._bodies(taken.arms))
-        self.looks[taken.place] = dataclasses.replace(look, guess=guess, correction=correction)
+    def _fuse(
+        self, pending: _PendingView, localization: RobotLocalization, offsets: IndexArray
+    ) -> None:
+        """Fuse a view into the map."""
+        view = self.views[pending.index]
+        prediction = localization.camera(view.angles, pending.tilt)
+        prior = localization.prior(view.angles, pending.tilt, offsets)
+        correction = self.localizer.locate(view.pair, view.points, prior)
+        self.shared.fuse(correction.camera, view.points, self._bodies(pending.arms))
+        self.views[pending.index] = dataclasses.replace(
+            view, prediction=prediction, correction=correction
+        )
 
     def _bodies(self, arms: Mapping[str, FloatArray]) -> FloatArray:
-        """Return (M, 4) spheres about the robots that are known to stand somewhere."""
+        """Return (M, 4) spheres, centre and radius [m], about the robots that are localized."""
         spheres = [np.zeros((0, 4))]
-        for name, standing in self.standings.items():
+        for name, localization in self.localizations.items():
             if name not in arms:
                 continue
-            points = standing.arm.cover_points(arms[name][None])[0]
-            radii = np.full((len(points), 1), standing.arm.cover_radius)
-            local = np.vstack([np.hstack([points, radii]), self._briefs[name].body])
-            local[:, :3] = standing.transform_level_to_world.apply(local[:, :3])
+            points = localization.arm.cover_points(arms[name][None])[0]
+            radii = np.full((len(points), 1), localization.arm.cover_radius)
+            local = np.vstack([np.hstack([points, radii]), self._robots[name].body_spheres])
+            local[:, :3] = localization.transform_level_to_world.apply(local[:, :3])
             spheres.append(local + [0.0, 0.0, 0.0, self._config.aura])
         return np.concatenate(spheres)
 
-    def _choose(self, name: str, head: _Head, look: Look, tilt: FloatArray) -> None:
-        """Choose the next view of a robot, and set its arm off."""
+    def _choose(self, name: str, head: _Head, view: StereoView, tilt: FloatArray) -> None:
+        """Choose the next view of a robot, and start its arm's motion there."""
         head.claims, head.rated = None, None
-        spare = self._config.search_scans if head.standing is None else 0
-        if head.looks >= self._config.scans + spare:
+        spare = self._config.search_scans if head.localization is None else 0
+        if head.taken >= self._config.scans + spare:
             head.done = True
             return
         try:
-            goal = self._goal(name, head, look, tilt)
+            goal = self._goal(name, head, view, tilt)
         except ViewError:
             head.done = True
             return
         head.move = self._move_to(goal)
 
-    def _goal(self, name: str, head: _Head, look: Look, tilt: FloatArray) -> FloatArray:
-        angles = look.angles
-        if head.standing is None:
-            hints = possible_markers(look.pair, self.geometry, self._cad)
+    def _goal(self, name: str, head: _Head, view: StereoView, tilt: FloatArray) -> FloatArray:
+        angles = view.angles
+        if head.localization is None:
+            hints = possible_markers(view.pair, self.shared.geometry, self.shared.cad)
             goal = head.search.after(angles, hints, tilt)
             if goal is None:
                 raise ViewError("the target is nowhere around")
             return goal
         views = ArmViews(
-            head.brief.arm,
-            head.standing.transform_level_to_world,
+            head.arm,
+            head.localization.transform_level_to_world,
             self._lens,
             self._config.views,
         )
@@ -300,12 +276,12 @@ class StereoMapper:
         raise ViewError("the raster has ended")
 
     def _claims(self, name: str) -> BoolArray | None:
-        """Return what the other robots are about to see."""
+        """Return the cells that the other robots are about to see; None if there are none."""
         others = [h.claims for n, h in self._heads.items() if n != name and h.claims is not None]
         return np.logical_or.reduce(others) if others else None
 
     def _collides(self, views: ArmViews) -> Collides:
-        """Return which points may not be free for one robot's arm."""
+        """Return the test of which points may not be free for one robot's arm."""
         base = views.arm.transform_base_to_robot.translation
         to_robot = views.transform_robot_to_world.inv()
         radius, height = self._config.clear

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import rankdata
 
-from controllers.mapping.looking import MapperConfig
+from controllers.mapping.stereo_view import MapperConfig
 from experiments.appc.pictures import Measured, measure_whole, resampled
 from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
 from experiments.ch3.stereo.trial import BOX, VOXEL, shared_errors

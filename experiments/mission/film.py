@@ -112,8 +112,8 @@ class _Notes(LoopRecorder):
             self._recorder.log_text("mission/stage", text)
         if stage is not self._stage:
             self._stage, self._views = stage, 0
-        if isinstance(stage, FindPanel | MapTogether) and len(stage.mapper.looks) > self._views:
-            self._views = len(stage.mapper.looks)
+        if isinstance(stage, FindPanel | MapTogether) and len(stage.mapper.views) > self._views:
+            self._views = len(stage.mapper.views)
             self._map(stage)
 
     def _map(self, stage: FindPanel | MapTogether) -> None:

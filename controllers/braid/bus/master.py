@@ -75,7 +75,7 @@ def protocols(actuators: int) -> dict[str, Protocol]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class ChangeOutcome:
     """What the master knows after a change of word.
 
     Attributes:
@@ -104,7 +104,7 @@ def planned_commands(
     return once * rounds
 
 
-class Master:
+class BusMaster:
     """Sends words over a bus by a protocol, and believes what it has been able to check."""
 
     def __init__(
@@ -134,7 +134,7 @@ class Master:
         self._believed = check_word(self._protocol.code, word)
         self._lost = False
 
-    def change(self, goal: ArrayLike) -> Outcome:
+    def change(self, goal: ArrayLike) -> ChangeOutcome:
         """Bring the actuators to a word; one that follows a failure is written anew.
 
         Raises:
@@ -148,7 +148,9 @@ class Master:
         else:
             self._send(planned_commands(self._protocol, self._bus, self._believed, goal))
             self._believed = goal
-        return Outcome(self._believed, self._lost, self._resent, self._rewritten, self._seconds)
+        return ChangeOutcome(
+            self._believed, self._lost, self._resent, self._rewritten, self._seconds
+        )
 
     def _send(self, commands: Iterable[int]) -> None:
         trains = trains_of(self._protocol.code, commands)

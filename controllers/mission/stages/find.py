@@ -1,12 +1,13 @@
-"""Stage ``find``, chapter 3: the master looks for the panel, and maps what it sees on the way."""
+"""Stage ``find``, chapter 3: the master searches for the panel, and maps what it sees meanwhile."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from controllers.insertion.camera_station import camera_arm
-from controllers.mapping.looking import MapperConfig, RobotBrief
+from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_mapper import StereoMapper
+from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.belief import MissionBelief
 from perception.stereo.geometry import StereoGeometry
 from perception.voxels.grid import VoxelGrid
@@ -37,14 +38,10 @@ class FindPanel:
 
     def __init__(self, belief: MissionBelief, scans: int, rng: np.random.Generator) -> None:
         self._belief, robot = belief, belief.robot
-        self.mapper = StereoMapper(
-            {robot.name: brief(robot)},
-            eyes(robot),
-            belief.site.target,
-            VoxelMap(VoxelGrid(VOXEL, *BOX)),
-            MapperConfig(scans=scans, search_scans=_SEARCH_SCANS),
-            rng,
-        )
+        config = MapperConfig(scans=scans, search_scans=_SEARCH_SCANS)
+        voxels, target = VoxelMap(VoxelGrid(VOXEL, *BOX)), belief.site.target
+        shared = SharedMap(voxels, eyes(robot), target, config.stereo.stride, config.reach)
+        self.mapper = StereoMapper({robot.name: robot}, shared, config, rng)
 
     @property
     def done(self) -> bool:
@@ -52,20 +49,14 @@ class FindPanel:
         return self.mapper.done
 
     def step(self, seen: Observation) -> Command:
-        """Look on."""
+        """Return the command towards the next view."""
         name = self._belief.robot.name
         command = self.mapper.step({name: seen})[name]
-        found = self.mapper.standings.get(name)
+        found = self.mapper.localizations.get(name)
         if self.mapper.done and found is not None:
             self._belief.map = self.mapper.shared
             self._belief.localize(found)
         return command
-
-
-def brief(robot: RobotDescription) -> RobotBrief:
-    """Return what a mapper knows of a robot as drawn."""
-    assert robot.arm is not None
-    return RobotBrief(camera_arm(robot)[0], robot.arm.home, robot.body_spheres)
 
 
 def eyes(robot: RobotDescription) -> StereoGeometry:

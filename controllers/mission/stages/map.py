@@ -6,11 +6,10 @@ import numpy as np
 
 from controllers.insertion.camera_station import camera_arm
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
-from controllers.mapping.looking import MapperConfig
 from controllers.mapping.stereo_mapper import StereoMapper
+from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.belief import MissionBelief
 from controllers.mission.exchange import ArmPosture, Exchange
-from controllers.mission.stages.find import brief, eyes
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.se3 import composed_covariance
 from twin.description import RobotDescription
@@ -51,21 +50,13 @@ class MapTogether:
             rng: Random generator for candidate views.
         """
         assert belief.map is not None and belief.localization is not None
-        robots, places = {belief.robot.name: brief(belief.robot)}, {}
-        places[belief.robot.name] = belief.localization
+        robots = {belief.robot.name: belief.robot}
+        places = {belief.robot.name: belief.localization}
         if belief.partner.met:
-            robots[partner.name] = brief(partner)
+            robots[partner.name] = partner
             places[partner.name] = _partner_place(belief, belief.localization, partner)
-        exchange.mapper = StereoMapper(
-            robots,
-            eyes(belief.robot),
-            belief.site.target,
-            belief.map.voxels,
-            MapperConfig(scans=scans),
-            rng,
-            begun=belief.map,
-            standings=places,
-        )
+        config = MapperConfig(scans=scans)
+        exchange.mapper = StereoMapper(robots, belief.map, config, rng, localizations=places)
         return cls(belief, exchange)
 
     @property
@@ -74,12 +65,12 @@ class MapTogether:
         return self.mapper.done
 
     def step(self, seen: Observation) -> Command:
-        """Look on, or keep the arm at home if the robot takes no part."""
-        if self._robot not in self.mapper.standings:
+        """Return the command towards the next view, or home if the robot takes no part."""
+        if self._robot not in self.mapper.localizations:
             return self._rest.command(seen)
         arms = {
             name: posture.angles
-            for name in self.mapper.standings
+            for name in self.mapper.localizations
             if (posture := self._exchange.read(name, ArmPosture)) is not None
             and posture.angles is not None
         }

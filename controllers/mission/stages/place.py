@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import CameraStation, best_camera_station, camera_arm
-from controllers.mapping.looking import MapperConfig
 from controllers.mapping.searching import TargetSearch, aim
+from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.belief import MissionBelief, tilt_of
 from controllers.mission.stages.find import eyes
 from controllers.motion.arm_move import ArmMove
@@ -164,7 +164,7 @@ class PlaceCamera:
         tilt = tilt_of(seen, belief.robot.name)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
         arm = camera_arm(belief.robot)[0]
-        found = belief.map.locate(arm, angles, tilt, pair, config.marker_sigma, config.standing)
+        found = belief.map.locate(arm, angles, tilt, pair, config.marker_sigma, config.localization)
         if found is not None:
             belief.localize(found)
             self.found = True

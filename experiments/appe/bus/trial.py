@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from controllers.braid.bus.circuit import BusCircuit, PowerBus, with_rc_buffer
 from controllers.braid.bus.code import DEFAULT_TIMING
-from controllers.braid.bus.master import Master, Outcome, planned_commands, protocols
+from controllers.braid.bus.master import BusMaster, ChangeOutcome, planned_commands, protocols
 from controllers.braid.bus.trains import (
     FAULT_KINDS,
     Disturbance,
@@ -105,7 +105,7 @@ def run_trial(config: BusTrialConfig) -> BusTrial:
     rng = np.random.default_rng(config.seed)
     protocol, bus = protocols(ACTUATORS)[config.protocol], build_bus(config, rng)
     rates = RandomFaults(rng, config.missed, config.extra, config.missed_flag)
-    master = Master(protocol, bus, rates)
+    master = BusMaster(protocol, bus, rates)
     fates: dict[str, int] = dict.fromkeys(FATES, 0)
     resent = rewritten = 0
     seconds, wrong_bits = np.zeros(config.words), np.zeros(config.words, np.int64)
@@ -115,12 +115,12 @@ def run_trial(config: BusTrialConfig) -> BusTrial:
         if not config.lasting:
             if index % REDRAW == REDRAW - 1:
                 bus = build_bus(config, rng)
-                master = Master(protocol, bus, rates)
+                master = BusMaster(protocol, bus, rates)
             start = rng.random(ACTUATORS) < 0.5
             # A word must change for a fault to befall it.
             goal[0] ^= np.array_equal(start, goal)
             if config.fault != "none":
-                master = Master(protocol, bus, one_fault(config.fault, bus, start, goal, rng))
+                master = BusMaster(protocol, bus, one_fault(config.fault, bus, start, goal, rng))
             bus.preset(start)
             master.believe(start)
         outcome = master.change(goal)
@@ -155,7 +155,10 @@ def one_fault(
 
 
 def _fate(
-    word: NDArray[np.bool_], start: NDArray[np.bool_], goal: NDArray[np.bool_], outcome: Outcome
+    word: NDArray[np.bool_],
+    start: NDArray[np.bool_],
+    goal: NDArray[np.bool_],
+    outcome: ChangeOutcome,
 ) -> str:
     if np.array_equal(word, goal):
         return "right"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.motion.scores import joint_nees, rms, single_nees
-from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig, StereoView
+from experiments.ch3.stereo.scene import CapturedPair, StereoScene, StereoSceneConfig
 from experiments.ch3.stereo.trial import target_cad
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
@@ -237,7 +237,7 @@ def face_panel(scene: StereoScene, name: str, rng: np.random.Generator) -> None:
     scene.set_joints(name, best[1])
 
 
-def _nothing(views: Sequence[StereoView]) -> RenderedPair:
+def _nothing(views: Sequence[CapturedPair]) -> RenderedPair:
     """Return the result of a scene in which nothing succeeds."""
     places = [view.transform_camera_to_world.translation for view in views]
     return RenderedPair(
@@ -250,7 +250,7 @@ def _nothing(views: Sequence[StereoView]) -> RenderedPair:
 
 
 def _marker_errors(
-    scene: StereoScene, views: Sequence[StereoView], seen: Sequence[SeenTarget]
+    scene: StereoScene, views: Sequence[CapturedPair], seen: Sequence[SeenTarget]
 ) -> FloatArray:
     """Hold markers (N, 3) [px] against where the faces of their dark discs truly are."""
     errors: list[FloatArray] = []
@@ -291,7 +291,7 @@ def _sighting(target: SeenTarget, geometry: StereoGeometry) -> Sighting:
 
 
 def _match(
-    views: Sequence[StereoView], relative: RelativePose, geometry: StereoGeometry
+    views: Sequence[CapturedPair], relative: RelativePose, geometry: StereoGeometry
 ) -> _Shared:
     """Find points of the first robot's stereo in the second's view."""
     cloud = StereoMatcher(geometry).match(views[0].pair)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from controllers.mapping.looking import Look
+from controllers.mapping.stereo_view import StereoView
 from experiments.ch3.stereo.scene import StereoScene, left_name, look_at
 from perception.stereo.geometry import StereoGeometry
 from twin.camera import renderer
@@ -35,18 +35,18 @@ def growth_figure(curves: Mapping[str, FloatArray]) -> Figure:
     """Draw the map's growth (figure 3-25).
 
     Args:
-        curves: By method (runs, looks, 2): share of the surface and occupied voxels.
+        curves: By method (runs, views, 2): share of the surface and occupied voxels.
     """
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     labels = ("share of the visible surface mapped [-]", "mapped points (voxels of 5 mm)")
     for column, (axes, label) in enumerate(zip(figure.subplots(1, 2), labels, strict=True)):
         for method, runs in curves.items():
             values = runs[:, :, column]
-            looks = np.arange(1, values.shape[1] + 1)
+            views = np.arange(1, values.shape[1] + 1)
             colour = _COLOURS[method]
-            axes.plot(looks, np.median(values, axis=0), color=colour, label=method)
+            axes.plot(views, np.median(values, axis=0), color=colour, label=method)
             low, high = values.min(axis=0), values.max(axis=0)
-            axes.fill_between(looks, low, high, color=colour, alpha=0.15)
+            axes.fill_between(views, low, high, color=colour, alpha=0.15)
         axes.set(xlabel="scans of both robots", ylabel=label, ylim=(0.0, None))
         axes.grid(alpha=0.3)
     figure.axes[0].legend(title="median and range of the scenes")
@@ -72,19 +72,19 @@ def views_figure(panoramas: NDArray[np.float32], counts: Sequence[int]) -> Figur
     return figure
 
 
-def panorama(looks: Sequence[Look], geometry: StereoGeometry) -> FloatArray:
-    """Return what was seen by direction, NaN where nobody looked; later looks on top.
+def panorama(views: Sequence[StereoView], geometry: StereoGeometry) -> FloatArray:
+    """Return what was seen by direction, NaN where nobody looked; later views on top.
 
     Args:
-        looks: Those whose camera's place is known.
+        views: Views whose camera pose is known.
         geometry: Of the cameras.
     """
     width, height = _PANORAMA
     canvas = np.full((height, width), np.nan)
-    for look in looks:
-        assert look.correction is not None
-        pose = look.correction.camera.transform_camera_to_world
-        image = look.pair[0]
+    for view in views:
+        assert view.correction is not None
+        pose = view.correction.camera.transform_camera_to_world
+        image = view.pair[0]
         rays = geometry.rays(geometry.pixel_grid()).reshape(-1, 3)
         world = pose.rotation.apply(rays / np.linalg.norm(rays, axis=1, keepdims=True))
         azimuth = np.rad2deg(np.arctan2(-world[:, 0], world[:, 1]))

@@ -1,4 +1,4 @@
-"""A stereo mapping run as a recording for the rerun viewer: the map grows look by look."""
+"""A stereo mapping run as a recording for the rerun viewer: the map grows view by view."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from controllers.mapping.looking import Look
 from controllers.mapping.stereo_mapper import StereoMapper
+from controllers.mapping.stereo_view import StereoView
 from twin.layout import scene_view, side_by_side
 
 _SHOWN = 40_000
-"""Points of the map that are written at each look, at most: drawn at random."""
+"""Points of the map that are written at each view, at most: drawn at random."""
 _QUALITY = 60
 
 
 class MapRecorder:
-    """Writes looks to a file: points by probability, cameras, candidates, images and curves."""
+    """Writes views to a file: points by probability, cameras, candidates, images and curves."""
 
     def __init__(self, path: Path) -> None:
         """Open the file.
@@ -35,7 +35,7 @@ class MapRecorder:
         self._stream.send_blueprint(_blueprint())
         self._stream.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._rng = np.random.default_rng(0)
-        self._looks = 0
+        self._count = 0
 
     def __enter__(self) -> MapRecorder:
         return self
@@ -49,25 +49,25 @@ class MapRecorder:
         self._stream.flush()
         self._stream.disconnect()
 
-    def take(self, mapper: StereoMapper, look: Look, share: float) -> None:
-        """Take one look.
+    def take(self, mapper: StereoMapper, view: StereoView, share: float) -> None:
+        """Take one view.
 
         Args:
             mapper: With the map after it.
-            look: It.
+            view: The view.
             share: Of the true surface that is mapped by now.
         """
-        self._looks += 1
+        self._count += 1
         self._stream.reset_time()
-        self._stream.set_time("sim_time", duration=look.time)
-        self._stream.set_time("step", sequence=self._looks)
+        self._stream.set_time("sim_time", duration=view.time)
+        self._stream.set_time("step", sequence=self._count)
         self._map(mapper)
-        self._camera(mapper, look)
-        self._candidates(look)
+        self._camera(mapper, view)
+        self._candidates(view)
         self._stream.log("curves/share", rr.Scalars(share))
         cells, _ = mapper.shared.voxels.occupied_cells()
         self._stream.log("curves/points", rr.Scalars(len(cells)))
-        self._stream.log("curves/fiducials", rr.Scalars(len(mapper.localiser.fiducials)))
+        self._stream.log("curves/fiducials", rr.Scalars(len(mapper.localizer.fiducials)))
 
     def _map(self, mapper: StereoMapper) -> None:
         surface = mapper.shared.voxels.surface()
@@ -76,28 +76,28 @@ class MapRecorder:
         colours = _colours(surface.probabilities[chosen], 0.5, 1.0)
         points = surface.means[chosen].astype(np.float32)
         self._stream.log("map/surface", rr.Points3D(points, colors=colours, radii=0.003))
-        fiducials = mapper.localiser.fiducials.positions.astype(np.float32)
+        fiducials = mapper.localizer.fiducials.positions.astype(np.float32)
         marks = rr.Points3D(fiducials, colors=[255, 140, 0], radii=0.008)
         self._stream.log("map/fiducials", marks)
 
-    def _camera(self, mapper: StereoMapper, look: Look) -> None:
+    def _camera(self, mapper: StereoMapper, view: StereoView) -> None:
         quality = [int(cv2.IMWRITE_JPEG_QUALITY), _QUALITY]
-        _, data = cv2.imencode(".jpg", look.pair[0], quality)
+        _, data = cv2.imencode(".jpg", view.pair[0], quality)
         image = rr.EncodedImage(contents=data.tobytes(), media_type="image/jpeg")
-        self._stream.log(f"images/{look.robot}", image)
-        if look.correction is None:
+        self._stream.log(f"images/{view.robot}", image)
+        if view.correction is None:
             return
         for name, pixels, colour in (
-            ("found", look.correction.found, (255, 140, 0)),
-            ("new", look.correction.added, (0, 200, 220)),
+            ("found", view.correction.found, (255, 140, 0)),
+            ("new", view.correction.added, (0, 200, 220)),
         ):
             marks = rr.Points2D(pixels[:, :2], colors=[colour], radii=4.0)
-            self._stream.log(f"images/{look.robot}/{name}", marks)
-        pose = look.correction.camera.transform_camera_to_world
-        path = f"map/{look.robot}"
+            self._stream.log(f"images/{view.robot}/{name}", marks)
+        pose = view.correction.camera.transform_camera_to_world
+        path = f"map/{view.robot}"
         placed = rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation.as_matrix())
         self._stream.log(path, placed)
-        g = mapper.geometry
+        g = mapper.shared.geometry
         lens = rr.Pinhole(
             image_from_camera=g.matrix,
             resolution=[g.width, g.height],
@@ -105,13 +105,13 @@ class MapRecorder:
         )
         self._stream.log(path, lens)
 
-    def _candidates(self, look: Look) -> None:
-        if look.rated is None:
+    def _candidates(self, view: StereoView) -> None:
+        if view.rated is None:
             return
-        places = look.rated.cameras.translation.astype(np.float32)
-        colours = _colours(look.rated.ratings, look.rated.ratings.min(), look.rated.ratings.max())
+        places = view.rated.cameras.translation.astype(np.float32)
+        colours = _colours(view.rated.ratings, view.rated.ratings.min(), view.rated.ratings.max())
         dots = rr.Points3D(places, colors=colours, radii=0.006)
-        self._stream.log(f"map/candidates/{look.robot}", dots)
+        self._stream.log(f"map/candidates/{view.robot}", dots)
 
 
 def _colours(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.uint8]:

@@ -62,7 +62,7 @@ class StereoSceneConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class StereoView:
+class CapturedPair:
     """What a stereo head saw, and from where.
 
     Attributes:
@@ -205,7 +205,7 @@ class StereoScene:
         rotation, translation = camera_pose(self.data, self.model.camera(left_name(name)).id)
         return _transform(rotation, translation)
 
-    def capture(self, name: str) -> StereoView:
+    def capture(self, name: str) -> CapturedPair:
         """Return what a robot's stereo head or the free rig sees.
 
         Args:
@@ -217,7 +217,7 @@ class StereoScene:
         pose = self.transform_camera_to_world(name)
         joints = np.full(4, np.nan) if name == RIG else self.joints(name)
         rig, rng = self._rigs[name]
-        return StereoView(rig.capture(self.data, (rng, rng)), pose, joints)
+        return CapturedPair(rig.capture(self.data, (rng, rng)), pose, joints)
 
     def true_depths(self, name: str, pixels: ArrayLike) -> FloatArray:
         """Return the depth of what a left camera sees, exactly, by casting rays.

@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 import tyro
 
-from controllers.mapping.looking import METHODS
+from controllers.mapping.stereo_view import METHODS
 from experiments.ch3.motion.cooperative import measure_cooperation
 from experiments.ch3.motion.motion import measure_motion
 from experiments.ch3.motion.rendered import measure_rendered_motion

@@ -5,26 +5,24 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import level_target
-from controllers.mapping.looking import Look, MapperConfig, RobotBrief
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_mapper import StereoMapper
+from controllers.mapping.stereo_view import MapperConfig, StereoView
 from experiments.ch3.stereo.figures import panorama
 from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
 from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
-from models import datasheets
 from perception.registration.target import TargetCad
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
 from twin.describe import camera_in_world, describe
+from twin.description import RobotDescription
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 
@@ -48,7 +46,7 @@ class MappingTrial:
     Attributes:
         seed: Of the scene and of all noise.
         method: How views are chosen.
-        scans: Looks of each robot.
+        scans: Number of views of each robot.
         shown: Whether the result has what its figures need.
         robot: What is driven: sim, quantised or emulated.
     """
@@ -65,9 +63,9 @@ class Scored:
     """What a run leaves.
 
     Attributes:
-        mapper: With map and looks.
+        mapper: The mapper, with its map and views.
         scene: The same scene, for its truth.
-        curve: Looks so far, true surface mapped [fraction], occupied voxels.
+        curve: Number of views so far, true surface mapped [fraction], occupied voxels.
         transform_scene_to_map: True; of the frame that the robots named, see `named_frame`.
         cameras: True, from camera to map when a pair was taken, by robot and time stamp.
         frame_turn: How far that frame is turned from one that is truly level [rad].
@@ -126,14 +124,14 @@ class MappingRun:
 def run_trial(trial: MappingTrial) -> MappingRun:
     """Map a scene and score it; a job of the sweep."""
     scored = map_scene(trial)
-    guess, corrected = pose_errors(scored.mapper.looks, scored.cameras)
+    guess, corrected = pose_errors(scored.mapper.views, scored.cameras)
     nees, lost = surface_errors(
         scored.mapper.shared.voxels.surface(),
         scored.scene,
         scored.transform_scene_to_map,
         np.random.default_rng((trial.seed, 6)),
     )
-    corrections = [look.correction for look in scored.mapper.looks if look.correction]
+    corrections = [view.correction for view in scored.mapper.views if view.correction]
     return MappingRun(
         curve=np.array(scored.curve),
         guess_error=guess,
@@ -141,7 +139,7 @@ def run_trial(trial: MappingTrial) -> MappingRun:
         corrected_share=sum(c.corrected for c in corrections) / max(len(corrections), 1),
         nees=nees,
         lost_share=lost,
-        located=len(scored.mapper.standings),
+        located=len(scored.mapper.localizations),
         frame_turn=scored.frame_turn,
         shown=_shown(scored) if trial.shown else None,
     )
@@ -151,24 +149,24 @@ def _shown(scored: Scored) -> Shown:
     """Return what was seen and mapped."""
     mapper = scored.mapper
     placed = [
-        [look for look in mapper.looks if look.robot == name and look.correction is not None]
+        [view for view in mapper.views if view.robot == name and view.correction is not None]
         for name in scored.scene.robot_names
     ]
     return Shown(
-        np.array([panorama(looks, mapper.geometry) for looks in placed], np.float32),
-        tuple(len(looks) for looks in placed),
+        np.array([panorama(views, mapper.shared.geometry) for views in placed], np.float32),
+        tuple(len(views) for views in placed),
         mapper.shared.voxels.surface().means,
     )
 
 
 def map_scene(
-    trial: MappingTrial, on_look: Callable[[StereoMapper, Look, float], None] | None = None
+    trial: MappingTrial, on_view: Callable[[StereoMapper, StereoView, float], None] | None = None
 ) -> Scored:
     """Let two rovers map a scene.
 
     Args:
         trial: Scene and method.
-        on_look: Called after each look with the mapper, the look and the share of the true surface
+        on_view: Called after each view with the mapper, the view and the share of the true surface
             that is mapped by now, for recording.
     """
     scene = StereoScene(StereoSceneConfig(seed=trial.seed))
@@ -177,12 +175,12 @@ def map_scene(
     mount, plan = (np.random.default_rng((trial.seed, k)) for k in (4, 5))
     curve: list[tuple[float, float, float]] = []
 
-    def score(look: Look) -> None:
+    def score(view: StereoView) -> None:
         pieces = named_frame(mapper.shared, scene).apply(truth)
         share, cells = mapped_share(mapper.shared.voxels, pieces)
-        curve.append((len(mapper.looks), share, float(cells)))
-        if on_look is not None:
-            on_look(mapper, look, share)
+        curve.append((len(mapper.views), share, float(cells)))
+        if on_view is not None:
+            on_view(mapper, view, share)
 
     with connect(
         trial.robot,
@@ -191,15 +189,12 @@ def map_scene(
         stereo=StereoConfig(rate=IMAGE_RATE),
         seed=trial.seed,
     ) as connection:
-        mapper = StereoMapper(
-            {name: _brief(scene.model, name, mount) for name in scene.robot_names},
-            scene.geometry,
-            target_cad(scene),
-            VoxelMap(VoxelGrid(VOXEL, *BOX), VoxelMapConfig(correlated_points=shared_errors(how))),
-            how,
-            plan,
-            score,
+        voxels = VoxelMap(
+            VoxelGrid(VOXEL, *BOX), VoxelMapConfig(correlated_points=shared_errors(how))
         )
+        shared = SharedMap(voxels, scene.geometry, target_cad(scene), how.stereo.stride, how.reach)
+        robots = {name: _drawn(scene, name, mount) for name in scene.robot_names}
+        mapper = StereoMapper(robots, shared, how, plan, score)
         witness = Witness(connection)
         run_loop(
             connection.robots,
@@ -271,11 +266,12 @@ def target_cad(scene: StereoScene) -> TargetCad:
     return TargetCad(scene.panel.marker_points, marker.radius, marker.dark)
 
 
-def _brief(model: mujoco.MjModel, name: str, rng: np.random.Generator) -> RobotBrief:
-    """Return what is known of a robot; its head does not sit quite as drawn."""
-    drawn = describe(model, name)
-    arm = SerialChain.of_robot(drawn)
+def _drawn(scene: StereoScene, name: str, rng: np.random.Generator) -> RobotDescription:
+    """Return a robot as drawn, but for its head: that does not sit quite as drawn."""
+    drawn = describe(scene.model, name)
+    assert drawn.head is not None
     turn, place = (d * rng.standard_normal(3) for d in MOUNT_ERROR)
     off = RigidTransform.from_exp_coords(np.concatenate([turn, place]))
-    arm = dataclasses.replace(arm, transform_tool_to_link=arm.transform_tool_to_link * off)
-    return RobotBrief(arm, np.array(datasheets.ARM.home), drawn.body_spheres)
+    mounted = drawn.head.transform_camera_to_wrist * off
+    head = dataclasses.replace(drawn.head, transform_camera_to_wrist=mounted)
+    return dataclasses.replace(drawn, head=head)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.looking import Look
+from controllers.mapping.stereo_view import StereoView
 from experiments.ch3.stereo.scene import StereoScene
 from perception.voxels.map import Surface, VoxelMap
 
@@ -81,22 +81,22 @@ def mapped_share(voxels: VoxelMap, pieces: FloatArray) -> tuple[float, int]:
 
 
 def pose_errors(
-    looks: Sequence[Look], cameras: Mapping[tuple[str, float], RigidTransform]
+    views: Sequence[StereoView], cameras: Mapping[tuple[str, float], RigidTransform]
 ) -> tuple[FloatArray, FloatArray]:
     """Return (L,) errors of the cameras' places [m], by the arm and as corrected by fiducials.
 
     Args:
-        looks: What was looked at.
+        views: Views taken.
         cameras: True, by robot and time stamp.
     """
     errors = [np.zeros((0, 2))]
-    for look in looks:
-        if look.guess is None or look.correction is None:
+    for view in views:
+        if view.prediction is None or view.correction is None:
             continue
-        true = cameras[look.robot, look.time].translation
+        true = cameras[view.robot, view.time].translation
         told = [
             camera.transform_camera_to_world.translation
-            for camera in (look.guess, look.correction.camera)
+            for camera in (view.prediction, view.correction.camera)
         ]
         errors.append(np.linalg.norm(np.array(told) - true, axis=1)[None])
     guess, corrected = np.concatenate(errors).T

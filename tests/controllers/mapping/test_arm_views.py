@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.mapping.arm_views import ArmViews, Lens, ViewConfig, ViewError
+from controllers.mapping.arm_views import ArmViews, ViewConfig, ViewError, ViewRays
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM
 from perception.voxels.occupancy import State
@@ -16,7 +16,7 @@ PLACE = RigidTransform.from_components([0.4, -0.3, 0.1], Rotation.from_euler("z"
 HOME = np.array(ARM.home)
 COLUMNS, ROWS = np.meshgrid(np.linspace(-0.35, 0.35, 12), np.linspace(-0.28, 0.28, 12))
 RAYS = np.stack([COLUMNS.ravel(), ROWS.ravel(), np.ones(144)], axis=1)
-LENS = Lens(RAYS / np.linalg.norm(RAYS, axis=1, keepdims=True), (0.2, 1.5))
+LENS = ViewRays(RAYS / np.linalg.norm(RAYS, axis=1, keepdims=True), (0.2, 1.5))
 GRID = PlanningGrid(np.array([-1.5, -2.0, 0.0]), 0.05, np.zeros((70, 80, 20), np.int8))
 
 

@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.arm_views import ViewConfig
-from controllers.mapping.looking import MapperConfig
-from controllers.mapping.searching import SearchConfig, TargetSearch
+from controllers.mapping.searching import TargetSearch, TargetSearchConfig
+from controllers.mapping.stereo_view import MapperConfig
 from models.datasheets import ARM
 from perception.registration.target import PossibleMarkers
 from twin.describe import describe_rover
@@ -49,7 +49,7 @@ def test_search_without_hints_looks_all_around_once_and_then_ends(arm):
     views = np.array(views)
     assert views[0, 0] == 0.0 and len(views) == 18
     apart = np.abs(views[:, None] - views).max(axis=2) + np.eye(len(views))
-    assert apart.min() > SearchConfig().alike
+    assert apart.min() > TargetSearchConfig().alike
     # Neighbouring views of 41 degrees overlap.
     assert np.diff(np.sort(views[:9, 0])).max() < np.deg2rad(41.0)
 
@@ -112,8 +112,8 @@ def test_arm_keeps_to_the_space_that_is_free_when_the_robot_is_set_down(arm):
     radius, height = MapperConfig().clear
     base = arm.transform_base_to_robot.translation
     ends = []
-    for posture in (HOME + [0.0, 0.0, 0.0, SearchConfig().lift], SURVEY):
-        bent = rng.uniform(-SearchConfig().bend, SearchConfig().bend, 200)
+    for posture in (HOME + [0.0, 0.0, 0.0, TargetSearchConfig().lift], SURVEY):
+        bent = rng.uniform(-TargetSearchConfig().bend, TargetSearchConfig().bend, 200)
         turned = rng.uniform(-2.6, 2.6, 200)
         ends.append(np.tile(posture, (200, 1)) + np.outer(bent, [0, 0, 0, 1.0]))
         ends[-1][:, 0] = turned

@@ -5,7 +5,7 @@ import pytest
 
 from controllers.braid.bus.circuit import BusCircuit, PowerBus
 from controllers.braid.bus.code import AddressCode
-from controllers.braid.bus.master import Master, Protocol, planned_commands, protocols
+from controllers.braid.bus.master import BusMaster, Protocol, planned_commands, protocols
 from controllers.braid.bus.trains import FAULT_KINDS, OneFault, RandomFaults, Train
 
 START, GOAL = np.array([0, 1, 1, 0, 1, 0], bool), np.array([1, 1, 0, 0, 1, 1], bool)
@@ -19,7 +19,7 @@ def outcomes(name, kind, start, goal):
     pulses = sum(protocol.code.pulses(command) for command in commands)
     for place in range(len(commands) if kind == "missed_flag" else pulses):
         bus.preset(start)
-        master = Master(protocol, bus, OneFault(kind, place))
+        master = BusMaster(protocol, bus, OneFault(kind, place))
         master.believe(start)
         outcome = master.change(goal)
         yield bus.word, outcome
@@ -62,7 +62,9 @@ def test_words_keep_right_with_parity_while_toggles_drift():
         rng = np.random.default_rng(3)
         protocol = protocols(6)[name]
         bus = PowerBus(protocol.code, rng, BusCircuit())
-        master = Master(protocol, bus, RandomFaults(rng, missed=3e-3, extra=3e-3, missed_flag=1e-3))
+        master = BusMaster(
+            protocol, bus, RandomFaults(rng, missed=3e-3, extra=3e-3, missed_flag=1e-3)
+        )
         errors[name] = 0
         for goal in rng.random((150, 6)) < 0.5:
             assert not master.change(goal).failed
@@ -74,7 +76,7 @@ def test_words_keep_right_with_parity_while_toggles_drift():
 def test_foreign_change_is_found_and_the_word_written_anew():
     protocol = protocols(6)["parity"]
     bus = PowerBus(protocol.code, np.random.default_rng(0))
-    master = Master(protocol, bus)
+    master = BusMaster(protocol, bus)
     master.change(START)
     bus.preset(~START & np.array([1, 0, 0, 0, 0, 0], bool))
     outcome = master.change(GOAL)
@@ -86,7 +88,7 @@ def test_dead_line_is_reported_and_the_word_written_anew_once_it_lives():
     protocol = protocols(6)["parity"]
     bus = PowerBus(protocol.code, np.random.default_rng(0))
     dead = [True]
-    master = Master(
+    master = BusMaster(
         protocol, bus, lambda train: Train((0,) * len(train.pulses), False) if dead[0] else train
     )
     assert master.change(GOAL).failed
@@ -107,4 +109,4 @@ def test_unsafe_protocols_are_refused():
         Protocol(AddressCode(3), attempts=0)
     bus = PowerBus(AddressCode(3), np.random.default_rng(0))
     with pytest.raises(ValueError, match="bus: wired for"):
-        Master(Protocol(AddressCode(3, spacing=2)), bus)
+        BusMaster(Protocol(AddressCode(3, spacing=2)), bus)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
-from controllers.mapping.looking import MapperConfig
+from controllers.mapping.stereo_view import MapperConfig
 from experiments.__main__ import main
 from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
 from experiments.ch3.stereo.trial import MappingTrial, map_scene
@@ -26,8 +26,8 @@ def scene() -> StereoScene:
 def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
     scored = map_scene(MappingTrial(1, "information", 2))
     mapper = scored.mapper
-    assert set(mapper.standings) == {"rover1", "rover2"} and mapper.done
-    assert len({(look.robot, look.number) for look in mapper.looks}) == len(mapper.looks) == 4
+    assert set(mapper.localizations) == {"rover1", "rover2"} and mapper.done
+    assert len({(view.robot, view.number) for view in mapper.views}) == len(mapper.views) == 4
     shares = [share for _, share, _ in scored.curve]
     assert len(shares) == 4 and np.all(np.diff(shares) >= 0.0) and shares[-1] > 0.02
     errors, lost = surface_errors(
@@ -37,19 +37,19 @@ def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
         np.random.default_rng(0),
     )
     assert lost < 0.01 and np.mean(errors) < 4.0
-    for look in mapper.looks:
-        check_camera(look, scored.cameras[look.robot, look.time])
+    for view in mapper.views:
+        check_camera(view, scored.cameras[view.robot, view.time])
     # A robot stands where nothing is in its way: the map has its own arm not in it.
-    for standing in mapper.standings.values():
+    for standing in mapper.localizations.values():
         arm = standing.arm.cover_points(np.zeros((1, 4)))[0]
         world = standing.transform_level_to_world.apply(arm)
         assert not np.any(mapper.shared.voxels.states(world) == State.OCCUPIED)
 
 
-def check_camera(look, true):
-    """Hold the camera of a look to the truth, by the covariance that it claims."""
-    assert look.correction is not None
-    camera = look.correction.camera
+def check_camera(view, true):
+    """Hold the camera of a view to the truth, by the covariance that it claims."""
+    assert view.correction is not None
+    camera = view.correction.camera
     xi = (camera.transform_camera_to_world * true.inv()).as_exp_coords()
     assert xi @ np.linalg.solve(camera.covariance, xi) < chi2.ppf(0.999, 6)
     # Near enough to map from: the claim is no excuse.
@@ -59,12 +59,12 @@ def check_camera(look, true):
 @pytest.mark.slow
 def test_rovers_on_emulated_boards_map_as_well():
     scored = map_scene(MappingTrial(3, "information", 1, robot="emulated"))
-    assert set(scored.mapper.standings) == {"rover1", "rover2"} and scored.mapper.done
+    assert set(scored.mapper.localizations) == {"rover1", "rover2"} and scored.mapper.done
     assert len(scored.curve) == 2 and scored.curve[-1][1] > 0.005
-    for look in scored.mapper.looks:
+    for view in scored.mapper.views:
         # The pair was taken while the arm was at rest, and the emulator said where the camera was.
-        stamps = [stamp for robot, stamp in scored.cameras if robot == look.robot]
-        check_camera(look, scored.cameras[look.robot, max(s for s in stamps if s <= look.time)])
+        stamps = [stamp for robot, stamp in scored.cameras if robot == view.robot]
+        check_camera(view, scored.cameras[view.robot, max(s for s in stamps if s <= view.time)])
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.localiser import Localiser
+from controllers.mapping.fiducial_localizer import FiducialLocalizer
 from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
 from perception.registration.fiducial_map import PosePrior
 from perception.stereo.matching import StereoMatcher
@@ -40,13 +40,13 @@ def assert_at(camera, prior):
 
 def test_second_look_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
     rng = np.random.default_rng(0)
-    localiser = Localiser(scene.geometry)
+    localizer = FiducialLocalizer(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
-    first = localiser.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
+    first = localizer.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
     assert not first.corrected and len(first.added) >= 10
     pair, true = look(scene, [0.06, -0.68, 0.38])
     off = RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), GUESS))
-    told = localiser.locate(pair, matcher.match(pair), PosePrior(off * true, GUESS))
+    told = localizer.locate(pair, matcher.match(pair), PosePrior(off * true, GUESS))
     assert told.corrected
     error = (true * told.camera.transform_camera_to_world.inv()).as_exp_coords()
     guessed = np.linalg.norm(off.apply(true.translation) - true.translation)
@@ -57,44 +57,44 @@ def test_second_look_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
 
 
 def test_look_elsewhere_leaves_the_guess_as_it_was(scene, matcher):
-    localiser = Localiser(scene.geometry)
+    localizer = FiducialLocalizer(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
-    localiser.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
+    localizer.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
     scene.set_rig(look_at([0.0, -0.7, 0.35], [0.9, -0.6, 0.0]))
     view = scene.capture(RIG)
     prior = PosePrior(view.transform_camera_to_world, GUESS)
-    told = localiser.locate(view.pair, matcher.match(view.pair), prior)
+    told = localizer.locate(view.pair, matcher.match(view.pair), prior)
     assert not told.corrected
     assert_at(told.camera, prior)
 
 
 def test_black_pair_adds_nothing_and_leaves_the_guess(scene, matcher):
-    localiser = Localiser(scene.geometry)
+    localizer = FiducialLocalizer(scene.geometry)
     black = np.zeros((2, scene.geometry.height, scene.geometry.width), np.uint8)
     prior = PosePrior(RigidTransform.identity(), GUESS)
-    told = localiser.locate(black, matcher.match(black), prior)
+    told = localizer.locate(black, matcher.match(black), prior)
     assert_at(told.camera, prior)
-    assert not len(told.added) and not len(localiser.fiducials)
+    assert not len(told.added) and not len(localizer.fiducials)
 
 
 def test_what_one_look_tells_of_a_shared_error_helps_the_next_that_sees_nothing_known(
     scene, matcher
 ):
     """The robot stands 6 mm off; its third look has no fiducial, but knows that."""
-    localiser = Localiser(scene.geometry)
+    localizer = FiducialLocalizer(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
-    localiser.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
-    numbers = localiser.fiducials.share(GUESS)
+    localizer.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
+    numbers = localizer.fiducials.share(GUESS)
     off = RigidTransform.from_exp_coords([0.004, -0.003, 0.002, 0.006, 0.0, 0.0])
     own = 1e-8 * np.eye(6)
     pair, true = look(scene, [0.06, -0.68, 0.38])
     prior = PosePrior(off.inv() * true, own, numbers, np.eye(6))
-    assert localiser.locate(pair, matcher.match(pair), prior).corrected
+    assert localizer.locate(pair, matcher.match(pair), prior).corrected
     scene.set_rig(look_at([0.0, -0.7, 0.35], [0.9, -0.6, 0.0]))
     view = scene.capture(RIG)
     true = view.transform_camera_to_world
     prior = PosePrior(off.inv() * true, own, numbers, np.eye(6))
-    told = localiser.locate(view.pair, matcher.match(view.pair), prior)
+    told = localizer.locate(view.pair, matcher.match(view.pair), prior)
     assert not told.corrected
     before, after = (
         np.linalg.norm(p.apply([0.0, 0.0, 0.8]) - true.apply([0.0, 0.0, 0.8]))
