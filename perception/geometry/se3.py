@@ -33,13 +33,6 @@ def cross_matrix(vectors: ArrayLike) -> FloatArray:
     return cross
 
 
-def axis_rotation(axis: ArrayLike, angles: ArrayLike) -> FloatArray:
-    """Return the rotations (n, 3, 3) about a unit axis (3,) by angles (n,) [rad] (Rodrigues)."""
-    cross, turns = cross_matrix(axis), np.asarray(angles, dtype=float)
-    sine, cosine = np.sin(turns)[:, None, None], np.cos(turns)[:, None, None]
-    return np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
-
-
 def adjoint(transform: RigidTransform) -> FloatArray:
     """Return the matrix (6, 6) that brings xi from before a transform to after it."""
     rotation, shift = transform.rotation.as_matrix(), transform.translation

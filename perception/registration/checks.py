@@ -97,15 +97,16 @@ def checked_pose_covariance(covariance: ArrayLike) -> FloatArray:
     """Return the (6, 6) covariance of a pose's xi [rad, m].
 
     Raises:
-        RegistrationError: If the shape is another, a number is not finite or a variance negative.
+        RegistrationError: If the shape is another, a number is not finite, or the variance of some
+            direction is negative by more than rounding.
     """
-    spread = np.asarray(covariance, dtype=float)
-    if spread.shape != (6, 6):
-        raise RegistrationError(f"pose covariance of shape {spread.shape}: expected (6, 6)")
-    _check_finite("pose covariance", spread)
-    if np.any(np.diag(spread) < 0.0):
-        raise RegistrationError("pose covariance: a variance is negative")
-    return spread
+    matrix = np.asarray(covariance, dtype=float)
+    if matrix.shape != (6, 6):
+        raise RegistrationError(f"pose covariance of shape {matrix.shape}: expected (6, 6)")
+    _check_finite("pose covariance", matrix)
+    if np.linalg.eigvalsh(matrix)[0] < -1e-9 * np.trace(matrix):
+        raise RegistrationError("pose covariance: it is negative in some direction")
+    return matrix
 
 
 def weakness(image_points: ArrayLike, sigma: ArrayLike) -> str | None:

@@ -19,6 +19,7 @@ from perception.registration.checks import (
     RegistrationError,
     check_strength,
     checked_image_points,
+    checked_pose_covariance,
     checked_sigma,
 )
 from perception.registration.likelihood import RelativeFit, RelativePose, innovation, solve_relative
@@ -95,8 +96,8 @@ def relative_pose(
     Raises:
         RegistrationError: If a covariance is none.
     """
-    both = _checked_pose_covariance(first_covariance)
-    both = both + _checked_pose_covariance(second_covariance)
+    both = checked_pose_covariance(first_covariance)
+    both = both + checked_pose_covariance(second_covariance)
     back = transform_first_to_common.inv()
     return RelativePose(back * transform_second_to_common, transport_covariance(back, both))
 
@@ -155,7 +156,7 @@ def fuse_views(
         raise RegistrationError(f"{len(one)} points of the first robot, {len(other)} of the second")
     moved, carried = transform_points_with_covariance(
         relative.transform_second_to_first,
-        _checked_pose_covariance(relative.covariance),
+        checked_pose_covariance(relative.covariance),
         other,
         other_spread,
     )
@@ -211,7 +212,7 @@ def triangulate_together(
             check_strength(seen.image_points, seen.sigma)
         start = solution.pose
     else:
-        prior = dataclasses.replace(prior, covariance=_checked_pose_covariance(prior.covariance))
+        prior = dataclasses.replace(prior, covariance=checked_pose_covariance(prior.covariance))
         inliers = _fits(prior, known, other)
         start = Pose.of(prior.transform_second_to_first)
     fit = solve_relative(start, known.chosen(inliers), other.chosen(inliers), prior)
@@ -275,12 +276,3 @@ def _checked_points(
             f"points of the {name} robot: the covariance of point {negative[0]} is negative"
         )
     return places, spread
-
-
-def _checked_pose_covariance(covariance: ArrayLike) -> FloatArray:
-    spread = np.asarray(covariance, dtype=float)
-    if spread.shape != (6, 6) or not np.isfinite(spread).all():
-        raise RegistrationError(f"covariance of a pose: got {spread.shape}, expected finite (6, 6)")
-    if np.linalg.eigvalsh(spread)[0] < -1e-9 * np.trace(spread):
-        raise RegistrationError("covariance of a pose: it is negative in some direction")
-    return spread

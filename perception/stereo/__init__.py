@@ -1,7 +1,6 @@
 """A stereo pair to points with covariance (thesis section 3.2.3), in reading order.
 
 - `geometry`: triangulation, projection and covariance of a rectified pair (eq. 3-1 to 3-6).
-- `rectification`: takes lenses and crooked mounts out of a calibrated pair.
 - `matching`: dense points of a pair by block matching, refined.
 - `refinement`: sub-pixel disparities by least squares on windows of both images.
 - `patch_fit`: one patch fitted to another image, with affine distortion.

@@ -405,14 +405,6 @@ class MapWindow:
         """Return (nx, ny, nz) which voxels are occupied."""
         return self.values >= self.threshold
 
-    def known_below(self, limit: float) -> int:
-        """Return the largest value of measured voxels whose probability is below a limit.
-
-        A voxel v is free if ``NEVER < v <= known_below(0.05)``.
-        """
-        below = np.flatnonzero(self.table[1:] < limit)
-        return int(below[-1]) - 127 if len(below) else NEVER
-
 
 def window(voxels: VoxelMap, lower: ArrayLike, upper: ArrayLike) -> MapWindow:
     """Return the voxels of a box; the box may reach out of the map, where nothing is known.

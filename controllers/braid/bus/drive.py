@@ -60,11 +60,6 @@ def word_bits(word: IntArray) -> NDArray[np.bool_]:
     return (word[:, None] >> np.arange(LEGS)) & 1 == 1
 
 
-def bits_word(bits: NDArray[np.bool_]) -> IntArray:
-    """Return the word (n,) of legs (n, 3) that are long."""
-    return np.asarray(bits, dtype=np.int64) @ (1 << np.arange(LEGS))
-
-
 class WireDrive:
     """Heats what a change of word asks for.
 

@@ -12,12 +12,11 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import scipy.ndimage
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
@@ -101,15 +100,6 @@ def frame_of(normal: FloatArray) -> FloatArray:
     x = towards - float(towards @ normal) * normal
     x /= float(np.linalg.norm(x))
     return np.array([x, np.cross(normal, x), normal]).T.astype(np.float64)
-
-
-def occluders_of_meshes(parts: Iterable[tuple[str, trimesh.Trimesh]]) -> list[Occluder]:
-    """Return one occluder for each named part, which counts as convex (as its hull).
-
-    Args:
-        parts: Names and meshes in the world; cut into convex parts before what is not convex.
-    """
-    return [Occluder(name, np.asarray(mesh.vertices, dtype=float)) for name, mesh in parts]
 
 
 def occluders_of_voxels(

@@ -29,6 +29,7 @@ from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.voxels.files import export_mesh, export_points
 
 SCENES, QUICK_SCENES = 6, 1
 SCANS, QUICK_SCANS = 12, 3
@@ -137,9 +138,11 @@ def measure_mapping(options: Options, output: Output) -> None:
     _show(dict(zip(methods, results, strict=False)), seeds[0], output)
     if options.record:
         with MapRecorder(output.file("run.rrd")) as recorder:
-            map_scene(
-                MappingTrial(seeds[0], "information", scans, robot=options.robot), recorder.take
-            )
+            trial = MappingTrial(seeds[0], "information", scans, robot=options.robot)
+            voxels = map_scene(trial, recorder.take).mapper.shared.voxels
+        if len(voxels.surface().means):  # Else no robot has found the target.
+            export_points(voxels, output.file("map_points.ply"))
+            export_mesh(voxels, output.file("map_mesh.stl"))
 
 
 def _compare(curves: dict[str, np.ndarray], informed: Sequence[MappingRun], output: Output) -> None:

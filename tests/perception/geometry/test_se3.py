@@ -6,7 +6,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.geometry.se3 import (
     adjoint,
-    axis_rotation,
     composed_covariance,
     cross_matrix,
     exp_twist,
@@ -49,12 +48,6 @@ def test_cross_matrix_multiplies_like_the_cross_product():
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(2, 5, 3))
     np.testing.assert_allclose((cross_matrix(a) @ b[..., None])[..., 0], np.cross(a, b))
-
-
-def test_axis_rotation_is_scipys():
-    axis, angles = np.array([0.48, -0.6, 0.64]), np.array([-2.0, 0.0, 0.3, 3.0])
-    expected = Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
-    np.testing.assert_allclose(axis_rotation(axis, angles), expected, atol=1e-12)
 
 
 def test_adjoint_brings_a_small_motion_behind_a_transform():

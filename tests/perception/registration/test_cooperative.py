@@ -251,7 +251,7 @@ def test_what_a_known_pose_cannot_explain_is_refused():
     astray = RelativePose(RigidTransform.from_translation([0.0, 0.5, 0.0]) * across(), EXACT)
     with pytest.raises(RegistrationError, match="none of 5 points fits the relative pose"):
         triangulate_together(one, two, astray)
-    with pytest.raises(RegistrationError, match="covariance of a pose: it is negative"):
+    with pytest.raises(RegistrationError, match="pose covariance: it is negative"):
         triangulate_together(one, two, RelativePose(across(), -np.eye(6)))
 
 

@@ -8,14 +8,13 @@ from controllers.braid.bus.drive import (
     RETRACT,
     DriveConfig,
     WireDrive,
-    bits_word,
     word_bits,
 )
 
 
-def test_bits_and_words_are_one_to_one():
+def test_bits_of_a_word_are_its_binary_digits_lowest_first():
     words = np.arange(8)
-    assert bits_word(word_bits(words)).tolist() == words.tolist()
+    assert (word_bits(words) @ [1, 2, 4]).tolist() == words.tolist()
     assert word_bits(np.array([5])).tolist() == [[True, False, True]]
 
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial.field import free_caps
-from controllers.placement.spatial.occluders import expand, occluders_of_meshes, occluders_of_voxels
+from controllers.placement.spatial.occluders import expand, occluders_of_voxels
 from controllers.placement.task import Occluder, PlacementError, Target
 from tests.controllers.placement.spatial.scenes import box, disc_target
 
@@ -38,15 +37,6 @@ def test_margin_holds_a_ball_about_every_corner():
     plain = expand(disc_target(), [block]).shapes[0]
     depth = -(plain @ planes[:, :3].T + planes[:, 3]).max()
     assert margin * (1.0 - 1e-9) <= depth <= 1.3 * margin
-
-
-def test_mesh_is_its_hull_and_keeps_its_name():
-    mesh = trimesh.creation.cylinder(radius=0.02, height=0.1)
-    mesh.apply_translation([0.1, 0.0, 0.06])
-    found = occluders_of_meshes([("post", mesh)])
-    field = expand(disc_target(), found)
-    assert field.names == ("post",)
-    assert free_caps(field, [[0.3, 0.0, 0.1]])[0] == 0.0
 
 
 def test_what_lies_behind_the_targets_plane_hides_nothing():

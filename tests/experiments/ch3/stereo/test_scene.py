@@ -10,7 +10,6 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.stereo.noise import (
     SceneNoise,
@@ -25,10 +24,8 @@ from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, dr
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from models.datasheets import CAMERA
-from perception.geometry.pinhole import DistortedPinhole
 from perception.stereo.matching import StereoMatcher
-from perception.stereo.rectification import Rectification
-from twin.camera import StereoConfig, StereoRig, renderer
+from twin.camera import renderer
 
 EYE = look_at([-0.45, -0.35, 0.35], [0.0, 0.35, 0.1])
 
@@ -147,28 +144,6 @@ def test_layouts_of_many_seeds_can_be_built_and_differ():
             assert 1.0 <= np.hypot(*away) <= 1.2
             assert np.abs(robot.position).max() + 0.3 <= 1.6
         assert np.hypot(*np.subtract(robots[0].position, robots[1].position)) > 0.7
-
-
-@pytest.mark.slow
-def test_rectified_pair_of_distorting_lenses_gives_true_depths(scene):
-    scene.set_rig(EYE)
-    bent = (-0.25, 0.08, 0.001, -0.001, 0.0)
-    rig = StereoRig(scene.model, f"{RIG}/", StereoConfig(4.0, None, bent))
-    rng = np.random.default_rng(0)
-    pair, g = rig.capture(scene.data, (rng, rng)), scene.geometry
-    lens = DistortedPinhole(*g.intrinsics, bent)
-    mount = RigidTransform.from_translation([-g.baseline, 0.0, 0.0])
-    rectified = Rectification(lens, lens, mount).apply(pair)
-    straight = {}
-    for name, images in (("rectified", rectified), ("raw", pair)):
-        found = StereoMatcher(g).match(images)
-        depths = scene.true_depths(RIG, found.pixels[::20])
-        errors = found.disparities[::20] - g.fx * g.baseline / depths
-        straight[name] = errors[np.isfinite(errors)]
-        assert len(straight[name]) > 300
-    assert abs(np.median(straight["rectified"])) < 0.02
-    assert robust_sigma(straight["rectified"]) < 0.08
-    assert robust_sigma(straight["raw"]) > 3.0 * robust_sigma(straight["rectified"])
 
 
 def synthetic(seed: int) -> SceneNoise:
