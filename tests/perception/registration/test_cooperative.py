@@ -269,5 +269,5 @@ def test_measurements_that_are_none_are_refused():
         fuse_views(points, -spread, points, spread, pose)
     with pytest.raises(RegistrationError, match="point 0: both robots say"):
         fuse_views(points, 0.0 * spread, points, 0.0 * spread, pose)
-    with pytest.raises(RegistrationError, match="covariance of a pose: got"):
+    with pytest.raises(RegistrationError, match="pose covariance of shape"):
         fuse_views(points, spread, points, spread, RelativePose(across(), np.eye(3)))

@@ -15,6 +15,7 @@ from controllers.placement.planar.search import (
     axis_of,
     best_view,
     exhaustive_view,
+    rating_field,
     view_from,
 )
 from controllers.placement.planar.sight import KnownSpace
@@ -126,6 +127,39 @@ def test_view_from_the_best_place_is_the_best_view():
     best = best_view(scene)
     again = view_from(scene, best.position)
     assert (again.target, again.rating) == (best.target, pytest.approx(best.rating, rel=1e-6))
+
+
+def test_view_from_a_place_is_of_the_target_that_rates_best_there():
+    other = Target("mark", [0.5, 0.0], [0.0, 1.0], HOLE.outline, relation_error=0.01)
+    for targets in ((HOLE, other), (other, HOLE)):
+        assert view_from(task(targets=targets), np.array([0.0, 2.0])).target == "hole"
+    ratings = rating_field(task(targets=(HOLE, other)), np.array([[0.0, 2.0], [0.0, -2.0]]))
+    assert ratings.shape == (2, 2)
+    assert ratings[0, 0] > ratings[1, 0] > 0.0 and not ratings[:, 1].any()
+
+
+def test_rating_field_turns_with_the_target():
+    turned = dataclasses.replace(HOLE, normal=[1.0, 0.0], outline=[[0.0, 0.1], [0.0, -0.1]])
+    along = rating_field(task(), np.array([[1.0, 2.0]]))
+    np.testing.assert_allclose(
+        rating_field(task(targets=(turned,)), np.array([[2.0, -1.0]])), along, rtol=1e-9
+    )
+
+
+def test_rings_go_from_the_near_to_the_far_limit():
+    np.testing.assert_allclose(RingCandidates(5).distances(LENS), [1.0, 2.0, 3.0, 4.0, 5.0])
+    np.testing.assert_allclose(RingCandidates(1).distances(LENS), [1.0])
+
+
+def test_occluder_barely_ahead_of_the_face_or_near_the_far_limit_still_hides():
+    low = Occluder("low", [[0.6, -0.1], [0.9, -0.1], [0.9, 0.1], [0.6, 0.1]])
+    beyond = Occluder("beyond", [[-1.0, 4.95], [1.0, 4.95], [1.0, 5.2], [-1.0, 5.2]])
+    aside = np.array([[3.0, 0.3]])
+    assert rating_field(task(), aside)[0, 0] > 0.0
+    assert rating_field(task([low]), aside)[0, 0] == 0.0
+    far = np.array([[0.0, 4.99]])
+    assert rating_field(task(), far)[0, 0] > 0.0
+    assert rating_field(task([beyond]), far)[0, 0] == 0.0
 
 
 def test_hidden_primary_target_gives_way_to_the_secondary():

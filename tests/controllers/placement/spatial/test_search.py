@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 
 import numpy as np
 import pytest
@@ -51,6 +52,8 @@ def test_triangles_cover_the_half_sphere_and_hold_their_parts():
     tree = direction_tree(3)
     leaves = tree.leaves
     assert len(leaves) == 4**4
+    # An octant's corner is as far from its middle as the edge from the diagonal of a cube.
+    np.testing.assert_allclose(tree.radii[:4], np.arccos(3.0**-0.5))
     assert np.all(leaves[:, 2] > 0.0)
     for node in range(tree.first_leaf):
         children = tree.centres[4 * node + 4 : 4 * node + 8]
@@ -174,6 +177,39 @@ def test_no_pose_is_answered_with_the_share_of_each_reason():
         best_view(SpatialTask([field], LENS, lambda p: np.full(len(p), np.nan)))
     with pytest.raises(PlacementError, match="100% are refused"):
         best_view(SpatialTask([field], LENS, config=COARSE), lambda view: False)
+
+
+def test_shares_of_the_reasons_are_all_candidates_largest_first():
+    field = random_fields(np.random.default_rng(8))
+    with pytest.raises(PlacementError) as error:
+        best_view(SpatialTask(field, LENS, patchy, COARSE), lambda view: False)
+    shares = [int(share) for share in re.findall(r"(\d+)% are", str(error.value))]
+    assert len(shares) == 3 and shares == sorted(shares, reverse=True)
+    assert sum(shares) == pytest.approx(100, abs=2)
+
+
+def test_refined_view_that_is_refused_gives_way_to_the_candidate():
+    task = SpatialTask(random_fields(np.random.default_rng(7)), LENS, config=COARSE)
+    plain = best_view(task)
+    fine = dataclasses.replace(task, config=dataclasses.replace(COARSE, refine=True))
+    assert best_view(fine).rating > plain.rating
+    assert best_view(fine, lambda view: view.rating <= plain.rating).rating == plain.rating
+
+
+def test_rated_directions_name_their_target():
+    fields = random_fields(np.random.default_rng(5), 2)
+    rated = rate_directions(SpatialTask(fields, LENS, patchy, COARSE))
+    assert set(rated.fields) == {0, 1}
+    for number, field in enumerate(fields):
+        mine = rated.fields == number
+        views = rate_positions(field, LENS, rated.positions[mine], patchy)
+        np.testing.assert_allclose([view.rating for view in views], rated.ratings[mine], rtol=1e-9)
+
+
+def test_spherical_coordinates_are_of_the_targets_frame():
+    field = expand(disc_target(position=[1.0, 0.0, 0.0]), [])
+    found = spherical(field, [1.1, 0.2, 0.2])
+    np.testing.assert_allclose(found, [0.3, np.arctan2(0.2, 0.1), np.arcsin(2.0 / 3.0)])
 
 
 def test_senseless_searches_are_refused():
