@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.mission.results import after_stage, stages_of
+from experiments.mission.trial import MissionResult
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -35,11 +36,11 @@ def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
     return figure
 
 
-def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
+def draw_knowledge(results: Sequence[MissionResult]) -> Figure:
     """Draw by how much robots err in the slot's place after each stage, and what they expect.
 
     Args:
-        results: Of `mission_trial.run_mission`.
+        results: Results of missions.
     """
     figure = Figure(figsize=(7.0, 4.6), layout="constrained")
     axes = figure.add_subplot()
@@ -48,8 +49,10 @@ def draw_knowledge(results: Sequence[Mapping[str, Any]]) -> Figure:
     for offset, robot in ((-0.12, "master"), (0.12, "slave")):
         for stage, name in enumerate(names):
             known = after_stage(results, name)
-            errors = [np.linalg.norm(error) for error in known[f"{robot}_errors"]]
-            sigmas = [np.linalg.norm(sigma) for sigma in known[f"{robot}_sigmas"]]
+            errors, sigmas = (
+                [np.linalg.norm(getattr(ended, f"{robot}_{what}")) for ended in known]
+                for what in ("error", "sigma")
+            )
             spots = np.full(len(errors), place[stage] + offset)
             axes.plot(
                 spots, 1e3 * np.array(errors), "o", color=COLOURS[robot], alpha=0.6, markersize=4,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -15,7 +14,7 @@ from controllers.mission.robot_mission import MissionStage
 from controllers.mission.stages.find import FindPanel
 from controllers.mission.stages.map import MapTogether
 from experiments.mission.scene import MASTER, SLAVE
-from experiments.mission.trial import Mission, MissionTrial, perform, prepared
+from experiments.mission.trial import Mission, MissionResult, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
 from twin.camera import renderer
 from twin.layout import task_blueprint
@@ -36,12 +35,12 @@ class Film:
     """What was filmed.
 
     Attributes:
-        result: Of `mission_trial.run_mission`.
+        result: Result of the mission.
         steps: Names of the stages, when they ended [s] and pictures of the site; none without a
             simulation in this process.
     """
 
-    result: dict[str, Any]
+    result: MissionResult
     steps: list[tuple[str, float, ImageArray]]
 
 

@@ -31,13 +31,13 @@ from experiments.mission.results import (
     stage_seconds,
     stages_of,
 )
-from experiments.mission.trial import MissionTrial, run_mission
+from experiments.mission.trial import MissionResult, MissionTrial, run_mission
 
 ROBOTS = ("sim", "quantised", "emulated")
 WANTED = 0.9
 _TELLS_SLIP = "identification"
 """What dead reckoning rests on."""
-Results = list[dict[str, Any]]
+Results = list[MissionResult]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,15 +114,15 @@ def run(options: Options, output: Output) -> None:
     _tabulate(jobs, results, output)
     _tell_stages(cells[""], output)
     output.figure("mission_knowledge", draw_knowledge(cells[""]))
-    if not any(result["success"] for result in cells[""]):
-        output.failure = f"no card was inserted: {cells[''][0]['reason'] or 'not seated'}"
+    if not any(result.success for result in cells[""]):
+        output.failure = f"no card was inserted: {cells[''][0].reason or 'not seated'}"
     if len(kinds) > 1:
         shares = {kind: _share(results) for kind, results in cells.items()}
         output.figure("mission_ablation", draw_worth(shares, first_stops(cells), off_middle(cells)))
 
 
 def _share(results: Results) -> Any:
-    return fraction(sum(bool(result["success"]) for result in results), len(results))
+    return fraction(sum(bool(result.success) for result in results), len(results))
 
 
 def _measure(cells: dict[str, Results], output: Output) -> None:
@@ -133,11 +133,11 @@ def _measure(cells: dict[str, Results], output: Output) -> None:
         "missions that end with an inserted card", share["mean"], f">= {WANTED}",
         share["mean"] >= WANTED,
     )  # fmt: skip
-    output.measure("seconds", distribution(r["seconds"] for r in whole))
-    pace = [r["wall_over_sim"] for r in whole if np.isfinite(r["wall_over_sim"])]
+    output.measure("seconds", distribution(r.seconds for r in whole))
+    pace = [r.wall_over_sim for r in whole if np.isfinite(r.wall_over_sim)]
     if pace:
         output.measure("wall_over_sim_time", distribution(pace))
-    forces = [r["peak"] for r in whole if np.isfinite(r["peak"])]
+    forces = [r.peak for r in whole if np.isfinite(r.peak)]
     if forces:
         output.measure("largest_force", max(forces))
         output.check("largest force on the card [N]", max(forces), "<= 10", max(forces) <= 10.0)  # noqa: PLR2004
@@ -155,12 +155,12 @@ def _compare(kind: str, whole: Results, results: Results, output: Output) -> Non
     """Measure what a stage is worth: the same seeds with and without it."""
     share, without = _share(whole), _share(results)
     output.measure(f"success_fraction/without_{kind}", without)
-    with_it, left_out = ([bool(r["success"]) for r in each] for each in (whole, results))
+    with_it, left_out = ([bool(r.success) for r in each] for each in (whole, results))
     lost = sum(a and not b for a, b in zip(with_it, left_out))
     won = sum(b and not a for a, b in zip(with_it, left_out))
     output.measure(f"lost_and_won/without_{kind}", [lost, won])
     output.measure(f"mcnemar_p/without_{kind}", mcnemar(with_it, left_out))
-    output.measure(f"seconds/without_{kind}", distribution(r["seconds"] for r in results))
+    output.measure(f"seconds/without_{kind}", distribution(r.seconds for r in results))
     pairs = [(stage_seconds(a), stage_seconds(b)) for a, b in zip(whole, results)]
     for stage in pairs[0][0]:
         longer = [b[stage] - a[stage] for a, b in pairs if stage in a and stage in b]
@@ -177,14 +177,14 @@ def _compare_places(kind: str, whole: Results, results: Results, output: Output)
     """Measure by how much master and card miss their places by more without a stage."""
     more = {
         "first_stop_miss_more_by_mm": [
-            1e3 * (b["misses"][0, 0] - a["misses"][0, 0])
+            1e3 * (b.misses[0, 0] - a.misses[0, 0])
             for a, b in zip(whole, results)
-            if len(a["misses"]) and len(b["misses"])
+            if len(a.misses) and len(b.misses)
         ],
         "card_off_middle_more_by_mm": [
-            1e3 * (abs(b["across"]) - abs(a["across"]))
+            1e3 * (abs(b.across) - abs(a.across))
             for a, b in zip(whole, results)
-            if a["success"] and b["success"]
+            if a.success and b.success
         ],
     }
     for name, values in more.items():
@@ -201,7 +201,7 @@ def _compare_places(kind: str, whole: Results, results: Results, output: Output)
 
 def _tell_stops(kind: str, results: Results, output: Output) -> None:
     """Store how often the master stopped on its way, and how far off it was the first time."""
-    stops = [result["misses"] for result in results if len(result["misses"])]
+    stops = [result.misses for result in results if len(result.misses)]
     if not stops:
         return
     suffix = f"/without_{kind}" if kind else ""
@@ -219,12 +219,13 @@ def _tell_stages(results: Results, output: Output) -> None:
             continue
         known = after_stage(results, name)
         master, slave = (
-            [1e3 * float(np.linalg.norm(error)) for error in known[f"{robot}_errors"]]
+            [1e3 * float(np.linalg.norm(getattr(ended, f"{robot}_error"))) for ended in known]
             for robot in ("master", "slave")
         )
         output.measure(f"slot_error_mm/master/{name}", distribution(master))
         output.measure(f"slot_error_mm/slave/{name}", distribution(slave))
-        values = (known["ends"], master, slave, known["turn_shares"])
+        ends, shares = ([getattr(e, what) for e in known] for what in ("ended", "turn_share"))
+        values = (ends, master, slave, shares)
         rows.append([name, *(float(np.median(each)) for each in values)])
     columns = ["after", "time [s]", "slot from the master, error [mm]",
                "slot from the slave, error [mm]", "share of a turn"]  # fmt: skip
@@ -235,8 +236,8 @@ def _tabulate(jobs: Sequence[MissionTrial], results: Results, output: Output) ->
     columns = ["without", "seed", "success", "reason", "time [s]", "peak [N]", "across [mm]",
                "ahead [mm]", "wall/time", "stops"]  # fmt: skip
     rows = [
-        [j.without or "-", j.seed, r["success"], r["reason"], r["seconds"], r["peak"],
-         1e3 * r["across"], 1e3 * r["ahead"], r["wall_over_sim"], len(r["misses"])]
+        [j.without or "-", j.seed, r.success, r.reason, r.seconds, r.peak,
+         1e3 * r.across, 1e3 * r.ahead, r.wall_over_sim, len(r.misses)]
         for j, r in zip(jobs, results)
     ]  # fmt: skip
     output.table("missions", columns, rows)

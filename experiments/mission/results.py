@@ -3,64 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-Results = Sequence[Mapping[str, Any]]
+from experiments.mission.trial import MissionResult, StageResult
+
+Results = Sequence[MissionResult]
 
 
 def stages_of(results: Results) -> list[str]:
     """Return the names of all stages that any mission has ended, in their order.
 
     Args:
-        results: Of `mission_trial.run_mission`.
+        results: Results of missions.
     """
     names: list[str] = []
-    for result in sorted(results, key=lambda each: -len(each["stage_names"])):
+    for result in sorted(results, key=lambda each: -len(each.stages)):
         place = 0
-        for name in result["stage_names"]:
+        for name in result.stage_names:
             if name not in names:
                 names.insert(place, name)
             place = names.index(name) + 1
     return names
 
 
-def after_stage(results: Results, name: str) -> dict[str, list[Any]]:
-    """Return what was so after a stage, of the missions that have ended it.
+def after_stage(results: Results, name: str) -> list[StageResult]:
+    """Return what a stage has led to in the missions that have ended it.
 
     Args:
-        results: Of `mission_trial.run_mission`.
-        name: Of the stage.
-
-    Returns:
-        One entry for each of these missions: ``ends`` [s], ``turn_shares``, and ``master_errors``,
-        ``master_sigmas``, ``slave_errors`` and ``slave_sigmas`` (3,) [m].
+        results: Results of missions.
+        name: Name of the stage.
     """
-    keys = {"ends": "stage_ends", "turn_shares": "turn_shares"}
-    keys |= {f"{who}_{what}": f"{who}_{what}" for who in ("master", "slave")
-             for what in ("errors", "sigmas")}  # fmt: skip
-    there = [(result, result["stage_names"].index(name)) for result in results
-             if name in result["stage_names"]]  # fmt: skip
-    return {key: [result[told][place] for result, place in there] for key, told in keys.items()}
+    return [stage for result in results for stage in result.stages if stage.name == name]
 
 
-def stage_seconds(result: Mapping[str, Any]) -> dict[str, float]:
+def stage_seconds(result: MissionResult) -> dict[str, float]:
     """Return how long each stage of a mission took [s].
 
     Args:
-        result: Of `mission_trial.run_mission`.
+        result: Result of the mission.
     """
-    ends = [0.0, *result["stage_ends"]]
-    return {name: end - begin for name, begin, end in zip(result["stage_names"], ends, ends[1:])}
+    ends = [0.0, *(stage.ended for stage in result.stages)]
+    return {name: end - begin for name, begin, end in zip(result.stage_names, ends, ends[1:])}
 
 
 def first_stops(cells: Mapping[str, Results]) -> dict[str, list[float]]:
     """Return how far from the camera's place the master stopped at first [m], by kind of mission.
 
     Args:
-        cells: Results of `mission_trial.run_mission`, by kind; missions that stayed are left out.
+        cells: Results of missions, by kind; missions that stayed are left out.
     """
     return {
-        kind: [float(result["misses"][0, 0]) for result in results if len(result["misses"])]
+        kind: [float(result.misses[0, 0]) for result in results if len(result.misses)]
         for kind, results in cells.items()
     }
 
@@ -69,9 +61,9 @@ def off_middle(cells: Mapping[str, Results]) -> dict[str, list[float]]:
     """Return how far inserted cards ended from the slot's middle [m], by kind of mission.
 
     Args:
-        cells: Results of `mission_trial.run_mission`, by kind.
+        cells: Results of missions, by kind.
     """
     return {
-        kind: [abs(float(result["across"])) for result in results if result["success"]]
+        kind: [abs(float(result.across)) for result in results if result.success]
         for kind, results in cells.items()
     }

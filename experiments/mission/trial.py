@@ -1,4 +1,4 @@
-"""One mission, from the drop to the seated card, and what the truth says of it."""
+"""One mission, from the initial poses to the seated card, and what the truth says of it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,11 +39,11 @@ class MissionTrial:
     """What one mission is.
 
     Attributes:
-        seed: Of ground, drops, drawing, sensors and radio.
+        seed: Seed of ground, initial poses, drawing, sensors and radio.
         without: Stage that is left out; empty for none.
         robot: What is driven: sim, quantised or emulated.
-        width: Between the slot's walls [m].
-        scans: Looks of the master alone, and of each robot when both have met.
+        width: Width between the slot's walls [m].
+        scans: Views of the master alone, and of each robot when both have met.
     """
 
     seed: int
@@ -104,13 +103,13 @@ class StageResult:
     """What a stage has led to.
 
     Attributes:
-        name: Of the stage.
-        ended: [s].
-        master_error: Of the slot's place as the master believes it, (3,) slot frame [m].
-        master_sigma: Its standard deviations, (3,) robot frame [m].
-        slave_error: The same of the slave.
-        slave_sigma: The same of the slave.
-        turn_share: As identified by then.
+        name: Name of the stage.
+        ended: Robot time at which both robots had ended it [s].
+        master_error: (3,) error of the slot's place as the master believes it, slot frame [m].
+        master_sigma: (3,) standard deviations that the master expects, robot frame [m].
+        slave_error: (3,) error of the slot's place as the slave believes it, slot frame [m].
+        slave_sigma: (3,) standard deviations that the slave expects, robot frame [m].
+        turn_share: Share of rolling wheels' turn that skidding leaves, as identified by then.
     """
 
     name: str
@@ -120,6 +119,39 @@ class StageResult:
     slave_error: FloatArray
     slave_sigma: FloatArray
     turn_share: float
+
+
+@dataclasses.dataclass(frozen=True)
+class MissionResult:
+    """What a mission has led to.
+
+    Attributes:
+        success: Whether the slave reports success and the card is truly seated.
+        reason: Why it failed; empty if it did not.
+        seconds: Robot time that it took [s].
+        wall_over_sim: Wall time for each second of robot time.
+        peak: Largest true force on the card during the insertion [N]; NaN where it is not known.
+        across: Place of the card across the slot at the end [m].
+        ahead: Depth of the card in the slot at the end [m].
+        stages: Stages that have ended, in their order.
+        misses: (stops, 2) distance of the master from its station [m] and from its heading [rad]
+            at each stop.
+    """
+
+    success: bool
+    reason: str
+    seconds: float
+    wall_over_sim: float
+    peak: float
+    across: float
+    ahead: float
+    stages: tuple[StageResult, ...]
+    misses: FloatArray
+
+    @property
+    def stage_names(self) -> list[str]:
+        """Names of the stages that have ended, in their order."""
+        return [stage.name for stage in self.stages]
 
 
 class MissionScorer(LoopRecorder):
@@ -196,16 +228,13 @@ def perform(
     mission: Mission,
     recorders: Sequence[LoopRecorder] = (),
     after: Callable[[], None] | None = None,
-) -> dict[str, Any]:
+) -> MissionResult:
     """Run a mission.
 
     Args:
         mission: From `prepared`.
         recorders: Beside the scorer.
         after: Called after each tick.
-
-    Returns:
-        See `run_mission`.
     """
     scorer = MissionScorer(mission)
     team, reason, wall = mission.team, "", float("nan")
@@ -231,22 +260,17 @@ def perform(
     return _result(mission, scorer, reason, wall)
 
 
-def run_mission(trial: MissionTrial) -> dict[str, Any]:
+def run_mission(trial: MissionTrial) -> MissionResult:
     """Run one mission; a job of the sweep.
 
-    Returns:
-        ``success`` (the slave says so and the card is truly seated), ``reason`` if not,
-        ``seconds`` of robot time, ``wall_over_sim``, ``peak`` force on the card during the
-        insertion [N], ``across`` and ``ahead`` of the card in the slot at the end [m], and of each
-        stage the ``stage_names``, ``stage_ends`` [s], ``master_errors``, ``master_sigmas``,
-        ``slave_errors``, ``slave_sigmas`` [m] and ``turn_shares``; ``misses`` (stops, 2), how far
-        from its stand [m] and its heading [rad] the master stood when it stopped.
+    Args:
+        trial: What is tried.
     """
     with prepared(trial) as mission:
         return perform(mission)
 
 
-def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -> dict[str, Any]:
+def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -> MissionResult:
     poses = mission.poses(SLAVE)
     # Of real robots nobody measures the card: then the slave's word alone counts.
     place = (poses["slot"].inv() * poses["card"]).translation if poses else np.full(3, np.nan)
@@ -256,24 +280,17 @@ def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -
     depth = insertion.inserter.config.guide.depth if insertion is not None else np.inf
     seated = not poses or place[1] >= depth - 2e-3 and abs(place[2]) < 0.01  # noqa: PLR2004
     said = insertion is not None and insertion.inserter.stage.value == "done"
-    stages = scorer.stages
-    return {
-        "success": bool(said and seated),
-        "reason": reason,
-        "seconds": mission.connection.clock.time,
-        "wall_over_sim": wall,
-        "peak": scorer.peak,
-        "across": float(place[0]),
-        "ahead": float(place[1]),
-        "stage_names": [stage.name for stage in stages],
-        "stage_ends": [stage.ended for stage in stages],
-        "master_errors": np.array([stage.master_error for stage in stages]),
-        "master_sigmas": np.array([stage.master_sigma for stage in stages]),
-        "slave_errors": np.array([stage.slave_error for stage in stages]),
-        "slave_sigmas": np.array([stage.slave_sigma for stage in stages]),
-        "turn_shares": [stage.turn_share for stage in stages],
-        "misses": np.array(scorer.misses).reshape(-1, 2),
-    }
+    return MissionResult(
+        success=bool(said and seated),
+        reason=reason,
+        seconds=mission.connection.clock.time,
+        wall_over_sim=wall,
+        peak=scorer.peak,
+        across=float(place[0]),
+        ahead=float(place[1]),
+        stages=tuple(scorer.stages),
+        misses=np.array(scorer.misses).reshape(-1, 2),
+    )
 
 
 def _miss(poses: Mapping[str, RigidTransform], station: CameraStation) -> tuple[float, float]:

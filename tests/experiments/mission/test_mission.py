@@ -1,9 +1,9 @@
-"""The mission: what its robots believe, and one run from the drop to the seated card."""
+"""The mission: what its robots believe, and one run from the initial poses to the seated card."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import typing
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,7 @@ from experiments.mission.scene import (
     draw_scene,
     survey,
 )
-from experiments.mission.trial import MissionTrial, run_mission
+from experiments.mission.trial import MissionResult, MissionTrial, StageResult, run_mission
 from models.datasheets import CARD_AND_SLOT
 
 WIDTH = CARD_AND_SLOT.slot_widths[-1]
@@ -86,12 +86,14 @@ def test_ablations_run_unless_it_is_quick_or_said_otherwise() -> None:
     assert Options(without=("none",)).ablations == ()
 
 
-def of_stages(*names: str) -> dict[str, typing.Any]:
+def of_stages(*names: str) -> MissionResult:
     """Make a result in which every stage leaves its name's length as its errors [m]."""
-    lengths = [float(len(name)) for name in names]
-    arrays = ("master_errors", "master_sigmas", "slave_errors", "slave_sigmas")
-    errors = {key: np.array([[length, 0.0, 0.0] for length in lengths]) for key in arrays}
-    return {"stage_names": names, "stage_ends": lengths, "turn_shares": lengths, **errors}
+    stages = []
+    for name in names:
+        length = float(len(name))
+        error = np.array([length, 0.0, 0.0])
+        stages.append(StageResult(name, length, error, error, error, error, length))
+    return MissionResult(True, "", 1.0, 1.0, 2.0, 0.0, 0.0, tuple(stages), np.zeros((0, 2)))
 
 
 def test_a_mission_without_a_map_does_not_count_as_one_that_ended_mapping() -> None:
@@ -102,13 +104,10 @@ def test_a_mission_without_a_map_does_not_count_as_one_that_ended_mapping() -> N
         assert stages_of(results) == ["identify", "find", "meet", "map", "place", "insert"]
         for name in stages_of(results):
             known = after_stage(results, name)
-            assert len(known["ends"]) == sum(name in r["stage_names"] for r in results)
-            assert {float(error[0]) for error in known["slave_errors"]} == {float(len(name))}
+            assert len(known) == sum(name in r.stage_names for r in results)
+            assert {float(ended.slave_error[0]) for ended in known} == {float(len(name))}
     assert stages_of([]) == []
-    assert stage_seconds({"stage_names": ["find", "map"], "stage_ends": [2.0, 5.0]}) == {
-        "find": 2.0,
-        "map": 3.0,
-    }
+    assert stage_seconds(of_stages("map", "place")) == {"map": 3.0, "place": 2.0}
 
 
 def test_an_ablation_is_compared_with_the_whole_mission_of_the_same_seed(
@@ -123,17 +122,19 @@ def test_an_ablation_is_compared_with_the_whole_mission_of_the_same_seed(
 
     def pretend(
         _run: object, jobs: list[MissionTrial], *_: object, label: str
-    ) -> list[dict[str, typing.Any]]:
+    ) -> list[MissionResult]:
         asked.extend(jobs)
         ended = of_stages("identify", "insert")
-        told = {"seconds": 1.0, "wall_over_sim": 1.0, "peak": 2.0, "across": 0.0, "ahead": 0.0}
         near, far = np.array([[0.05, 0.1]] * 2), np.array([[0.08, np.radians(10.0)]] * 3)
         return [
-            {**ended, **told, "reason": "", "success": not job.without or job.seed % 2 == 0,
-             "misses": far if job.without else near,
-             "across": -4e-4 if job.without else 2e-4}
+            dataclasses.replace(
+                ended,
+                success=not job.without or job.seed % 2 == 0,
+                misses=far if job.without else near,
+                across=-4e-4 if job.without else 2e-4,
+            )
             for job in jobs
-        ]  # fmt: skip
+        ]
 
     monkeypatch.setattr(mission, "sweep", pretend)
     output = Output("mission", options := Options(seeds=5, without=("mapping",), out=tmp_path))
@@ -165,41 +166,46 @@ def test_a_mission_ends_with_the_card_in_the_slot() -> None:
     for seed in (1, 2, 3):
         result = run_mission(MissionTrial(seed=seed, scans=(2, 1)))
         _check_any_course(result)
-        if result["success"]:
+        if result.success:
             return
-        reasons.append(result["reason"])
+        reasons.append(result.reason)
     pytest.fail(f"no card was inserted: {reasons}")
 
 
-def _check_any_course(result: dict[str, typing.Any]) -> None:
+def _check_any_course(result: MissionResult) -> None:
     """Hold a mission to what it has to satisfy whatever course it takes."""
     names = ["identify", "find", "meet", "map", "place", "insert"]
-    assert result["stage_names"] == names[: len(result["stage_names"])]
-    assert result["success"] == (result["stage_names"] == names and not result["reason"])
-    assert np.all(np.diff(result["stage_ends"]) > 0.0)
-    assert result["peak"] < 10.0
+    assert result.stage_names == names[: len(result.stage_names)]
+    assert result.success == (result.stage_names == names and not result.reason)
+    assert np.all(np.diff([stage.ended for stage in result.stages]) > 0.0)
+    assert result.peak < 10.0
     # The slot leaves the slave's frame while it inserts.
     for robot, stages in (("master", len(names)), ("slave", names.index("insert"))):
         errors, sigmas = (
-            np.linalg.norm(result[f"{robot}_{what}"], axis=1)[:stages]
-            for what in ("errors", "sigmas")
+            np.array(
+                [np.linalg.norm(getattr(s, f"{robot}_{what}")) for s in result.stages[:stages]]
+            )
+            for what in ("error", "sigma")
         )
         assert np.all(errors < 4.0 * sigmas)
         assert np.all(np.diff(sigmas) <= 1e-9)
-    # Finding the panel and being seen tell more than having been told.
+    # Finding the panel and being seen tell more than the drawing.
     for robot, learns in (("master", "find"), ("slave", "meet")):
         stage = names.index(learns)
-        if stage < len(result["stage_names"]):
-            told, found = np.linalg.norm(result[f"{robot}_sigmas"], axis=1)[[0, stage]]
-            assert found < 0.3 * told
+        if stage < len(result.stage_names):
+            prior, found = (
+                np.linalg.norm(getattr(result.stages[s], f"{robot}_sigma")) for s in (0, stage)
+            )
+            assert found < 0.3 * prior
     # The wheels do scrub: a turn is less than rolling wheels would make.
-    assert result["turn_shares"][:2] == [1.0] * len(result["turn_shares"][:2])
-    assert all(0.4 < share < 0.9 for share in result["turn_shares"][2:])
+    shares = [stage.turn_share for stage in result.stages]
+    assert all(share == 1.0 for share in shares[:2])
+    assert all(0.4 < share < 0.9 for share in shares[2:])
     # It drives on until it has seen that it stands there, or four times; it sees where it stands
     # with the error of a found panel.
-    misses = result["misses"]
+    misses = result.misses
     if len(misses):
-        seen_within = 4.0 * np.linalg.norm(result["master_sigmas"][names.index("find")])
+        seen_within = 4.0 * np.linalg.norm(result.stages[names.index("find")].master_sigma)
         near = [0.05, 0.1]
         assert len(misses) <= 4
         assert len(misses) == 4 or np.all(misses[-1] < near + seen_within)
