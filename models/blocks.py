@@ -12,11 +12,9 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from models.datasheets import CAMERA
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 CAMERA_NAME = "view"
 THICKNESS = 0.02

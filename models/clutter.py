@@ -12,10 +12,10 @@ from collections.abc import Callable
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 STRUT_RADIUS = 0.006
 """Of the two rods that hold the panel up [m]."""

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from models.clutter import NO_BLOCKS, Blocks
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

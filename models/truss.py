@@ -16,7 +16,7 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from models import datasheets
 from models.compose import (
@@ -27,9 +27,9 @@ from models.compose import (
     build_scene,
     compile_scene,
 )
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 
-FloatArray = NDArray[np.float64]
 MASTER, SLAVE = "rover1", "rover2"
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 _SEGMENT_BIT, _ALL_BITS = 2, 3

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.datasheets import CAMERA
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.geometry.pinhole import NO_DISTORTION, DistortedPinhole, Pinhole
 from twin.frustum_culling import cull
-from twin.robot import FloatArray, ImageArray, ImageChannel, RobotError
+from twin.robot import ImageChannel, RobotError
 
 _MAX_SAMPLES = 4  # Software rasterisers offer no more.
 _HIDDEN_GROUP = 4  # Truth markers stand in groups from here on; no camera may see them.

@@ -18,6 +18,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import ARM_MOTOR, CAMERA, ROVER, WHEEL_MOTOR, MotorSheet
+from perception.geometry.arrays import FloatArray
 from twin.camera import camera_model, camera_pose
 from twin.description import (
     ArmDescription,
@@ -29,8 +30,6 @@ from twin.description import (
     WheelDescription,
 )
 from twin.sensors import DATASHEET
-
-FloatArray = NDArray[np.float64]
 
 COVER_SPACING = 0.03
 """Distance between the points that stand for a link's or a body's collision shapes [m]."""

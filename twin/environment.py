@@ -21,8 +21,9 @@ from dm_control.rl import control
 from dm_env import specs
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
+from perception.geometry.arrays import FloatArray
 from twin.describe import describe_placement
-from twin.robot import Command, FloatArray, Observation
+from twin.robot import Command, Observation
 from twin.sensors import DATASHEET, SensorSuite, channel_widths
 from twin.simulation import Simulation
 

@@ -20,10 +20,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 import tyro
 
+from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription
 from twin.layout import default_blueprint
 from twin.loop import LoopRecorder, Tick
-from twin.robot import Channel, FloatArray, Robot, Validity
+from twin.robot import Channel, Robot, Validity
 from twin.scene_mesh import body_mesh
 from twin.screenshot import screenshot
 from twin.sensors import CHANNELS

@@ -16,10 +16,8 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray, ImageArray
 from twin.description import RobotDescription
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")

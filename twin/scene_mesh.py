@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from twin.robot import FloatArray
+from perception.geometry.arrays import FloatArray
 
 _HIDDEN_GROUP = 3  # Collision shapes and truth markers stand in groups from here on.
 _PLANE_HALF_SIZE = 10.0  # Of a plane without bounds [m]

@@ -16,9 +16,10 @@ from typing import Any, NamedTuple, cast
 import numba
 import numpy as np
 
-from twin.robot import MISSING, Channel, FloatArray, Validity
+from perception.geometry.arrays import FloatArray, IntArray
+from twin.robot import MISSING, Channel, Validity
 from twin.sensors import CHANNELS, ChannelSpec, SensorSuite, check_channel
-from twin.wiring import IntArray, SensorWiring, direct, gather
+from twin.wiring import SensorWiring, direct, gather
 
 _TIME_SLACK = 1e-9
 _BLOCK = 64  # ticks of noise drawn, and of readings laid out, at a time

@@ -14,13 +14,13 @@ from typing import Any
 import numba
 import numpy as np
 
+from perception.geometry.arrays import FloatArray
 from twin.description import MotorDescription, RobotDescription
 from twin.robot import (
     NOTHING,
     ArmMode,
     Channel,
     Command,
-    FloatArray,
     Observation,
     RobotError,
     Validity,

@@ -10,16 +10,9 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
+from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription
-from twin.robot import (
-    Channel,
-    Command,
-    FloatArray,
-    Lifecycle,
-    Observation,
-    RobotError,
-    applied_command,
-)
+from twin.robot import Channel, Command, Lifecycle, Observation, RobotError, applied_command
 from twin.sensor_bank import SavedBank, SensorBank
 from twin.sensors import SensorSuite, channel_widths
 from twin.servo import Servo, ServoConfig

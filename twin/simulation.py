@@ -15,10 +15,10 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
+from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig, StereoHead, StereoState, has_stereo
 from twin.describe import describe_rover
 from twin.description import RobotDescription
-from twin.robot import FloatArray
 from twin.sensors import DATASHEET, SensorSuite
 from twin.servo import SERVO_PERIOD, ServoConfig
 from twin.sim_robot import RobotState, SimRobot

@@ -9,13 +9,10 @@ from typing import NamedTuple
 import mujoco
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray, IndexArray
 from twin.description import RobotDescription
-from twin.robot import FloatArray
 from twin.sensors import channel_widths
-
-IntArray = NDArray[np.intp]
 
 _ORIENTATION = "orientation"
 _WRENCH = ("arm_base_force", "arm_base_torque")
@@ -38,7 +35,7 @@ class SensorWiring(NamedTuple):
         lags: Age of the value at a tick by channel name [s].
     """
 
-    wires: IntArray
+    wires: IndexArray
     orientation: int
     missing: tuple[str, ...]
     lags: dict[str, float]
@@ -151,7 +148,7 @@ def tilt(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
 def gather(
     present: FloatArray,
     history: FloatArray,
-    wires: IntArray,
+    wires: IndexArray,
     orientation: int,
     raw: FloatArray,
 ) -> None:

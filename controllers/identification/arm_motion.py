@@ -6,9 +6,8 @@ import dataclasses
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 MODES = ("x", "y", "z")
 

@@ -13,12 +13,10 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from controllers.kinematics.frame_motion import FrameMotion
+from perception.geometry.arrays import FloatArray
 from twin.robot import Observation
-
-FloatArray = NDArray[np.float64]
 
 
 class IdentificationError(ValueError):

@@ -19,14 +19,12 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controllers.identification.arm_motion import RigidArm, Trajectory, mode_axes
 from controllers.identification.parameters import COUNT
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 
 class _Arm(NamedTuple):

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import (
     ArmLimits,
@@ -18,8 +17,7 @@ from controllers.identification.compliant_base import ArmOnMount, BaseState, sim
 from controllers.identification.information import BITS, mutual_information
 from controllers.identification.linear_estimators import regressor
 from controllers.identification.parameters import COUNT, Ranges
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 REPLAN_PERIOD = 0.4
 """Time between two plans [s] (Thesis section 2.6.1)."""

@@ -35,7 +35,6 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from controllers.identification.arm_sensing import (
@@ -47,11 +46,9 @@ from controllers.identification.arm_sensing import (
     read_arm,
 )
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import BoolArray, FloatArray
 from twin.description import RigidBody, RobotDescription
 from twin.robot import ArmMode, Command, Observation, WheelMode
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 def normal_forces(force: FloatArray, moment: FloatArray, wheels: FloatArray) -> FloatArray:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import (
     CONSTANT,
@@ -30,8 +29,7 @@ from controllers.identification.excitation import (
 from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse, regressor
 from controllers.identification.output_error import Estimate, OutputError, Window
 from controllers.identification.parameters import COUNT, Prior
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 EXCITATIONS = ("constant", "random", *CRITERIA)
 

@@ -8,12 +8,10 @@ import math
 import numba
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from controllers.identification.output_error import Estimate
 from controllers.identification.parameters import INERTIA, NAMES, Prior
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 BITS = 10
 """A 10-bit sensor is assumed (Thesis section 2.6.1)."""

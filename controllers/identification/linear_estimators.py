@@ -10,7 +10,6 @@ import dataclasses
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.compliant_base import SIGNALS, ArmOnMount
 from controllers.identification.parameters import (
@@ -20,10 +19,9 @@ from controllers.identification.parameters import (
     Prior,
     from_coordinates,
 )
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 from perception.geometry.se3 import cross_matrix
-
-FloatArray = NDArray[np.float64]
 
 
 class MeasurementError(ValueError):

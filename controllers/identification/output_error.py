@@ -18,7 +18,6 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import Trajectory
 from controllers.identification.compliant_base import CHANNELS, ArmOnMount, BaseState, simulate
@@ -32,8 +31,7 @@ from controllers.identification.parameters import (
     from_coordinates,
     largest_physical_step,
 )
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 CHI_SQUARE_TOLERANCE = 0.01
 """How far chi^2 per measurement may lie from 1 before the fit is refused."""

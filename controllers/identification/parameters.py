@@ -11,9 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 NAMES = (
     "mass",

@@ -16,7 +16,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from controllers.identification.arm_sensing import (
@@ -30,9 +29,8 @@ from controllers.identification.arm_sensing import (
 )
 from controllers.kinematics.rigid_body import COUNT, INERTIA_ELEMENTS, NAMES, wrench_regressor
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

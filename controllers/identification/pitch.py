@@ -17,12 +17,9 @@ import numba
 import numpy as np
 import scipy.linalg
 import scipy.optimize
-from numpy.typing import NDArray
 
 from controllers.identification.information import BITS, mutual_information
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.int_]
+from perception.geometry.arrays import FloatArray, IndexArray
 
 NAMES = ("ixx", "ry", "rz", "b_pitch", "k_pitch")
 UNITS = ("kg m^2", "m", "m", "N m s/rad", "N m/rad")

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import (
     CONSTANT,
@@ -28,11 +27,10 @@ from controllers.identification.pitch import (
     fisher_information,
     predict_tilt,
 )
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 from twin.description import ArmDescription
 from twin.robot import ArmMode, Command, Observation, RobotError
-
-FloatArray = NDArray[np.float64]
 
 EXCITATIONS = ("constant", "random", *CRITERIA)
 

@@ -10,7 +10,7 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.watching import WatchPlan, target_field
@@ -19,9 +19,8 @@ from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.mapped_ground import MappedGround
 from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
 from controllers.placement.task import Lens, Occluder, PlacementError, View
+from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription, StereoHeadDescription
-
-FloatArray = NDArray[np.float64]
 
 NEAREST, FARTHEST = 0.35, 1.2
 """Distances from which a marker can be told [m] (READINGS are of 0.35 to 1.1 m)."""

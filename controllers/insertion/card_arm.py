@@ -6,16 +6,15 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.arm_inverse import GripperInverse
 from controllers.kinematics.frame_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix
 from twin.description import RobotDescription
-
-FloatArray = NDArray[np.float64]
 
 CARD_IN_WRIST = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Columns: across, ahead and normal of the card in the axes of the last link, y forward."""

@@ -14,7 +14,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, to_plane
 from controllers.insertion.guidance import Guidance
@@ -23,10 +22,10 @@ from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
 from controllers.motion.base_motion import level_of
 from controllers.motion.base_tilt import BaseTilt
 from controllers.motion.driving import Odometry, SkidSteer
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
-FloatArray = NDArray[np.float64]
 _ELBOW = 3.0  # Rates beyond are of the other elbow, not of a step [rad/s].
 
 

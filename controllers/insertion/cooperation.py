@@ -18,12 +18,11 @@ import math
 import struct
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.insertion.planar_grip import GripSensor, PlanarArm, Stance
+from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, RobotError
-
-FloatArray = NDArray[np.float64]
 
 MASTER_FORCES = (False, False, True)
 SLAVE_FORCES = (True, False, True)

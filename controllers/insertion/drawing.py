@@ -9,14 +9,11 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.watching import SeenParts
+from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

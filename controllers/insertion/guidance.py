@@ -11,12 +11,10 @@ import dataclasses
 import struct
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.geometry.arrays import FloatArray
 from twin.link import Link
-
-FloatArray = NDArray[np.float64]
 
 KIND = 0x14
 """First byte: format version 1, type 4."""

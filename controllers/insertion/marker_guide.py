@@ -16,14 +16,13 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.watching import SeenParts, WatchPlan, best_angles
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, inverse_covariance
 from perception.markers.bodies import find_bodies
 from perception.markers.ellipses import MarkerExpectation
 from perception.markers.poses import BodyCad, BodyFit, BodyPrior
 from perception.stereo.geometry import StereoGeometry
 from twin.robot import ArmMode, Command, Observation, WheelMode
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

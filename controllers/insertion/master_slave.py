@@ -13,14 +13,14 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.insertion.cooperation import REPORT, SET_POINT, Grip, HybridGrip, decode, encode
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
 from controllers.motion.base_motion import level_of
+from perception.geometry.arrays import FloatArray
 from twin.robot import Command, Observation
 
-FloatArray = NDArray[np.float64]
 Guide = InsertionGuide | StraightInsertion
 
 

@@ -14,13 +14,12 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import level_of
+from perception.geometry.arrays import FloatArray
 from twin.robot import Observation
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

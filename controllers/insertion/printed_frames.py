@@ -11,10 +11,10 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

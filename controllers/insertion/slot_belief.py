@@ -11,13 +11,12 @@ import dataclasses
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guidance import Guidance
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, point_jacobian, transport_covariance
 
-FloatArray = NDArray[np.float64]
 _SIMULTANEOUS = 0.05  # Between images and joint angles that count as of one moment [s].
 
 

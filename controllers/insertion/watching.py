@@ -18,10 +18,10 @@ from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.spatial.occluders import TargetField, expand
 from controllers.placement.spatial.search import rate_positions
 from controllers.placement.task import Exponents, Lens, Occluder, PlacementError, Target
+from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 from perception.stereo.geometry import StereoGeometry
 
-FloatArray = NDArray[np.float64]
 _AS_GOOD = 0.95  # Ratio of ratings that do not matter.
 
 

@@ -16,12 +16,11 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 STRAIGHT = 1e-9
 """Slack of angles [rad] and lengths [m] where rounding must not decide."""

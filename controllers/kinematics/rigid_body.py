@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.kinematics.frame_motion import LinkMotion
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix
 from twin.description import RigidBody
-
-FloatArray = NDArray[np.float64]
 
 NAMES = ("mass", "hx", "hy", "hz", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """Inertial parameters of a body: mass [kg], first moment of mass h [kg m], inertia [kg m^2].

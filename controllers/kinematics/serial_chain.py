@@ -21,9 +21,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.frame_motion import LEVEL, FrameMotion, LinkMotion
 from controllers.kinematics.rigid_body import WEIGHTLESS
+from perception.geometry.arrays import FloatArray
 from twin.description import ArmDescription, JointDescription, RigidBody, RobotDescription
-
-FloatArray = NDArray[np.float64]
 
 
 class ChainArrays(NamedTuple):

@@ -10,10 +10,10 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.voxels.views import (
     PlanningGrid,
     claimed_by_view,
@@ -21,8 +21,6 @@ from perception.voxels.views import (
     view_information,
 )
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 _PATHS = 50
 """Paths checked at once: enough that calls cost little, few enough that little is in vain."""
 Collides = Callable[[FloatArray], BoolArray]

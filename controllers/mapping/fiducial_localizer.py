@@ -15,15 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.localization import CameraPose
+from perception.geometry.arrays import FloatArray, ImageArray, IndexArray
 from perception.registration.fiducial_map import FiducialMap, PosePrior
 from perception.registration.fiducials import FiducialConfig, select_fiducials
 from perception.registration.patch_matching import TrackerConfig, track
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoPoints
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
-IndexArray = NDArray[np.intp]
 
 
 @dataclasses.dataclass(frozen=True)

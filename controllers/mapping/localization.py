@@ -11,16 +11,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import FloatArray, IndexArray
 from perception.geometry.se3 import adjoint, transport_covariance
 from perception.registration.fiducial_map import PosePrior
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
-
 
 SHARED = 12
 """Number of error parameters that all views share: the robot's pose, its head's mounting."""

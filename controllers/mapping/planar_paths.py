@@ -6,11 +6,8 @@ import dataclasses
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 
 ROOT = 2.0**0.5
 

@@ -21,7 +21,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from controllers.mapping.planar_situation import (
@@ -30,6 +29,7 @@ from controllers.mapping.planar_situation import (
     draw_candidates,
     frontier_cells,
 )
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 from perception.planar.beams import fan
 from perception.planar.information import (
     READINGS,
@@ -40,10 +40,6 @@ from perception.planar.information import (
 )
 from perception.planar.map import PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, ray_sums, sector_sums
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 Method: TypeAlias = Literal[
     "random", "raster", "max_new", "min_old", "information", "frontier", "rate"

@@ -5,16 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.mapping.planar_paths import Paths, shortest_paths
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 from perception.planar.beams import Fan, fan
 from perception.planar.map import PlanarMap
 from perception.planar.raycast import RangeSensor
-
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,14 +7,12 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.mapping.messages import PoseMessage, WrenchMessage, unpack
 from controllers.motion.driving import Odometry, SkidSteer
+from perception.geometry.arrays import FloatArray
 from twin.link import Link
 from twin.robot import ArmMode, Command, Observation, WheelMode
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

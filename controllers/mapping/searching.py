@@ -12,14 +12,13 @@ import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import tilt_to_level
+from perception.geometry.arrays import FloatArray
 from perception.registration.target import PossibleMarkers
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.serial_chain import SerialChain
@@ -15,6 +15,7 @@ from controllers.mapping.localization import (
     level_target,
     localize,
 )
+from perception.geometry.arrays import BoolArray, FloatArray, ImageArray
 from perception.geometry.pinhole import Frustum
 from perception.geometry.se3 import transform_points_with_covariance, transport_covariance
 from perception.registration.checks import RegistrationError
@@ -26,10 +27,6 @@ from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoPoints
 from perception.voxels.map import VoxelMap
 from perception.voxels.occupancy import State
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-ImageArray = NDArray[np.uint8]
 
 _KNOWN = 1e-10  # Variance of what a CAD says [m^2].
 _MISFIT = 6.0  # Squared normalised residuals per degree of freedom of markers that do not fit.

@@ -12,7 +12,6 @@ import dataclasses
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.arm_views import ArmViews, Collides, RatedViews, ViewError, ViewRays
@@ -22,16 +21,13 @@ from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_view import MapperConfig, StereoView
 from controllers.motion.arm_move import ArmMove
+from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.registration.target import possible_markers
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher
 from perception.voxels.views import planning_grid
 from twin.description import RobotDescription
 from twin.robot import Command, Observation, WheelMode
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IndexArray = NDArray[np.intp]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-from numpy.typing import NDArray
-
 from controllers.mapping.arm_views import RatedViews, ViewConfig
 from controllers.mapping.fiducial_localizer import Correction, FiducialLocalizerConfig
 from controllers.mapping.localization import CameraPose, LocalizationConfig
 from controllers.mapping.searching import TargetSearchConfig
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.stereo.matching import StereoMatcherConfig, StereoPoints
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 METHODS = ("information", "raster", "random")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.identification.pitch import PitchEstimate, PitchPrior
@@ -15,11 +14,10 @@ from controllers.mission.exchange import Exchange, SlotPose, TurnShare
 from controllers.mission.site import SiteDrawing
 from controllers.motion.base_tilt import TiltAxis, roll_axis
 from controllers.motion.driving import SkidSteer
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, transport_covariance
 from twin.description import RobotDescription
 from twin.robot import Observation, RobotError
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass

@@ -12,14 +12,13 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guidance import GuidanceLink
 from controllers.mapping.stereo_mapper import StereoMapper
+from perception.geometry.arrays import FloatArray
 from twin.link import Link
 
-FloatArray = NDArray[np.float64]
 Message = TypeVar("Message")
 
 

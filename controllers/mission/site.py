@@ -11,14 +11,12 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.drawing import InsertionDrawing
+from perception.geometry.arrays import FloatArray
 from perception.registration.target import TargetCad
 from twin.description import RobotDescription
-
-FloatArray = NDArray[np.float64]
 
 _TILT, _HEIGHT = 0.05, 0.03
 """Standard deviations of a robot's tilt [rad] and height [m] by the ground, before anything is

@@ -12,13 +12,12 @@ from collections.abc import Callable, Mapping
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
+from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, RobotError
 
-FloatArray = NDArray[np.float64]
 Law = Literal["pd", "pd_gravity", "feed_forward"]
 LAWS: tuple[Law, ...] = ("pd", "pd_gravity", "feed_forward")
 

@@ -6,11 +6,9 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass

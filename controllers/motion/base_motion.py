@@ -11,12 +11,10 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.kinematics.frame_motion import LEVEL, FrameMotion, at_rest
+from perception.geometry.arrays import FloatArray
 from twin.robot import Observation
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

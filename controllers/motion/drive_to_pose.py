@@ -13,12 +13,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.motion.driving import Odometry, SkidSteer
+from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
-FloatArray = NDArray[np.float64]
 _CLOSE = 0.1  # Distance below which the direction to the goal says nothing [m].
 _LEAST_TURN = 0.05  # Turning rate below which friction stalls the rover [rad/s].
 

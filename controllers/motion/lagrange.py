@@ -8,15 +8,15 @@ are pitches about x. The printed inputs repeat Q8; they are Q4 to Q9.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.frame_motion import LEVEL
 from controllers.kinematics.rigid_body import WEIGHTLESS
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import FloatArray
 from twin.description import JointDescription, RigidBody
 
-FloatArray = NDArray[np.float64]
 COUNT = 9
 _YAW = 6
 _HERE = RigidTransform.identity()

@@ -16,12 +16,11 @@ from collections.abc import Callable
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.kinematics.frame_motion import FrameMotion
 from controllers.motion.tip_over import Footing
+from perception.geometry.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Path = Callable[[float], tuple[FloatArray, FloatArray, FloatArray]]
 """Angles [rad], rates [rad/s] and accelerations [rad/s^2] of the joints at a time [s]."""
 _HALVINGS = 24  # Halvings of the interval in which the largest squared rate is sought.

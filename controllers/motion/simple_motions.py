@@ -7,11 +7,9 @@ from collections.abc import Mapping
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

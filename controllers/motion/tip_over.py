@@ -11,14 +11,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.kinematics.frame_motion import LEVEL, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix
 from twin.description import RigidBody
-
-FloatArray = NDArray[np.float64]
 
 
 def zero_moment_point(wrench: ArrayLike, height: float = 0.0) -> FloatArray:

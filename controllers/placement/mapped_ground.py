@@ -17,7 +17,8 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.planar_paths import Paths, shortest_paths
 from controllers.placement.spatial.occluders import occluders_of_voxels
-from controllers.placement.task import FloatArray, Occluder
+from controllers.placement.task import Occluder
+from perception.geometry.arrays import FloatArray
 from perception.voxels.map import Surface
 
 

@@ -25,7 +25,8 @@ from controllers.placement.planar.search import (
     view_from,
 )
 from controllers.placement.planar.sight import OCCUPIED_ABOVE, KnownSpace
-from controllers.placement.task import FloatArray, Occluder, PlacementError, View
+from controllers.placement.task import Occluder, PlacementError, View
+from perception.geometry.arrays import FloatArray
 
 EMPTY = 0.04
 """Probability of occupancy of a cell measured empty once, as in the map's own updates."""

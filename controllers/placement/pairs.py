@@ -24,7 +24,8 @@ from controllers.placement.spatial.search import (
     rate_directions,
     rate_positions,
 )
-from controllers.placement.task import FloatArray, Lens, PlacementError, View
+from controllers.placement.task import Lens, PlacementError, View
+from perception.geometry.arrays import FloatArray
 
 SEPARATION = np.deg2rad(30.0)
 """Least angle between the directions in which two cameras see the same target [rad]."""

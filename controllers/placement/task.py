@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 FREE_BELOW = 0.05
 """Probability of occupancy below which a place is free for a camera (Thesis section 4.2.3)."""

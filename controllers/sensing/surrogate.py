@@ -15,13 +15,13 @@ from collections.abc import Mapping
 
 import numpy as np
 import scipy.stats
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.sensing.surrogate_tilt import TiltModel
 from controllers.sensing.surrogate_wrench import Prediction, WrenchModel
+from perception.geometry.arrays import FloatArray
 from twin.robot import Channel, Observation, Validity
 
-FloatArray = NDArray[np.float64]
 WRENCH, TILT = "arm_base_wrench", "inclinometer"
 _FALSE_ALARM = 1e-5
 """Part of the good samples that are taken for bad."""

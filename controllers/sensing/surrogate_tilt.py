@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.motion.base_tilt import TiltAxis, tilting_moments
 from controllers.sensing.surrogate_wrench import Prediction
+from perception.geometry.arrays import FloatArray
 from twin.robot import Observation
 
-FloatArray = NDArray[np.float64]
 _MOMENT_TIME = 0.1  # Time for which an unknown moment stays about the same [s].
 
 

@@ -12,17 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.frame_motion import FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import adjoint, cross_matrix
 from twin.robot import Observation
-
-FloatArray = NDArray[np.float64]
-
 
 _AT_REST = 0.15  # Tachometers of wheels at rest read less [rad/s].
 _SETTLES = 0.5  # Time for which the base still swings when the wheels have stopped [s].

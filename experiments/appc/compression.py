@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import wilcoxon
 
 from experiments.appc.figures import draw_methods, draw_predictors, draw_views
@@ -43,8 +42,7 @@ from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from perception.compression.image_codec import BEST_PREDICTOR, CODERS, METHODS
 from perception.compression.image_predictors import PREDICTORS
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 TABLE_C_1 = (
     (1.000, 1.000, 1.000, 1.000, 1.000),

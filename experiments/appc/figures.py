@@ -6,15 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from experiments.appc.pictures import SIZES, Measured
 from perception.compression.entropy_coding import entropy
 from perception.compression.image_codec import METHODS, coded_bits, compression_ratio
 from perception.compression.image_predictors import residuals
-
-ByteArray = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import ByteArray, FloatArray
 
 SHOWN = (2, 5, 8)
 """Predictors whose residuals are drawn."""

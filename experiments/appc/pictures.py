@@ -13,7 +13,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import skimage
-from numpy.typing import NDArray
 from PIL import Image
 
 from perception.compression.entropy_coding import entropy, mean_word_length
@@ -26,9 +25,7 @@ from perception.compression.image_codec import (
     decompress,
 )
 from perception.compression.image_predictors import PREDICTORS, residuals
-
-ByteArray = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import ByteArray, FloatArray
 
 SIZES = (16, 32, 64, 128, 256)
 """Of the pictures, squares [px]."""

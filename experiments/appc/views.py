@@ -14,7 +14,6 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import rankdata
 
@@ -24,6 +23,7 @@ from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, lo
 from experiments.ch3.stereo.trial import BOX, VOXEL, shared_errors
 from experiments.ch3.stereo.truth import TRUTH_CELL, mapped_share
 from perception.compression.image_codec import image_information
+from perception.geometry.arrays import ByteArray, FloatArray
 from perception.geometry.pinhole import Frustum
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher, StereoPoints
@@ -36,9 +36,6 @@ from perception.voxels.views import (
     planning_grid,
     view_information,
 )
-
-ByteArray = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
 
 MEASURES = (
     "information",

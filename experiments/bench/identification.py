@@ -13,7 +13,6 @@ import time
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import MODES, RigidArm, Trajectory
 from controllers.identification.compliant_base import ArmOnMount, BaseState, simulate
@@ -39,8 +38,7 @@ from experiments.harness.contract import ExperimentError, Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from models.datasheets import TABLE_2_1_TRUTH
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 DURATION = 4.0
 """Of the recording, for both sides [s]; 10 s would take the peer minutes and change no ratio."""

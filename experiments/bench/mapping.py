@@ -24,14 +24,13 @@ from experiments.ch3.stereo.mapping_scene import (
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
+from perception.geometry.arrays import FloatArray
 from perception.geometry.pinhole import Frustum
 from perception.voxels.dense import DenseVoxelMap
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from perception.voxels.occupancy import State, UpdateModel
 from perception.voxels.views import RAYS, view_counts
-
-FloatArray = NDArray[np.float64]
 
 CLOUDS, QUICK_CLOUDS, FINE_CLOUDS = 20, 5, 4
 """OctoMap gets fewer clouds at 5 mm, where each takes it seconds; so do we, for the ratio."""

@@ -6,7 +6,6 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from experiments.bench.markers_figures import draw_steps
@@ -16,12 +15,10 @@ from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.bodies import DETECTORS, MarkerPairs, match_bodies, triangulate
 from perception.markers.ellipses import MarkerExpectation
 from perception.markers.poses import BodyPrior
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 RANGES = (0.35, 0.5, 0.7, 0.9, 1.1)
 """From the cameras to the middle of the markers [m]."""

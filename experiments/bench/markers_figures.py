@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from numpy.typing import NDArray
 
-from perception.markers.ellipses import ImageArray, MarkerExpectation, Markers
+from perception.geometry.arrays import FloatArray, ImageArray
+from perception.markers.ellipses import MarkerExpectation, Markers
 from perception.markers.hough import (
     BELOW_PEAK,
     LEAST_COVERAGE,
@@ -26,8 +27,6 @@ from perception.markers.hough import (
     threshold_level,
 )
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 
 def draw_steps(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import CameraStation, best_camera_station
@@ -27,11 +26,10 @@ from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from models.datasheets import CARD_AND_SLOT
+from perception.geometry.arrays import FloatArray
 from perception.voxels.map import VoxelMap
 from twin.describe import describe_rover
 from twin.description import RobotDescription
-
-FloatArray = NDArray[np.float64]
 
 VIEWS, QUICK_VIEWS = 40, 16
 ROUNDS, QUICK_ROUNDS = 20, 5

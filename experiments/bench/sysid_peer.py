@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import sysid
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controllers.identification.arm_motion import Trajectory, mode_axes
@@ -25,9 +24,8 @@ from controllers.identification.parameters import (
     second_moments,
 )
 from models.compliant_base.build import hold_arm, set_parameters
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 10
 """Physics steps a sample: 0.5 ms, the longest that the stiff compliance bears."""

@@ -13,7 +13,6 @@ from typing import ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from controllers.identification.arm_sensing import IdentificationError
 from controllers.identification.friction import (
@@ -31,10 +30,9 @@ from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.compose import FieldConfig, RobotPlacement
+from perception.geometry.arrays import FloatArray
 from twin.connect import connect
 from twin.describe import describe_rover
-
-FloatArray = NDArray[np.float64]
 
 ROBOT = "rover1"
 FRICTIONS = (0.2, 0.9)

@@ -13,7 +13,6 @@ from typing import ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from controllers.identification.arm_sensing import IdentificationError, SensingConfig
 from controllers.identification.payload import (
@@ -31,6 +30,7 @@ from experiments.harness.sweep import sweep
 from models import datasheets
 from models.compose import FieldConfig, RobotPlacement
 from models.configuration import PayloadConfig as Box
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 from twin.connect import Connection, connect
 from twin.describe import describe_rover
@@ -39,8 +39,6 @@ from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
 from twin.record import Recorder
 from twin.robot import Controller
-
-FloatArray = NDArray[np.float64]
 
 ROBOT = "rover1"
 MASSES = (0.05, 0.3)  # [kg]

@@ -8,14 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_trial import COURSE, STAGES
 from models.datasheets import INCH
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
+from perception.geometry.arrays import FloatArray, ImageArray
 
 COLOURS = {"optimal": "tab:green", "random": "tab:orange"}
 

@@ -10,21 +10,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from PIL import Image
 
 from experiments.ch5.insertion_scene import MASTER, SLAVE
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
 from experiments.ch5.insertion_trial import perform
 from models.card_and_slot.stand import OVERVIEW
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.poses import BodyFit
 from twin.camera import renderer
 from twin.layout import task_blueprint
 from twin.loop import LoopRecorder, Tick
 from twin.record import Recorder
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 SIZE = (640, 480)
 SMALL = (360, 270)

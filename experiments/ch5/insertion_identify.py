@@ -9,15 +9,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.motion.driving import SkidSteer, identify_turn_share
 from models import datasheets
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
+from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, WheelMode
 from twin.simulation import Simulation
-
-FloatArray = NDArray[np.float64]
 
 ROBOT = "rover1"
 DRIVE = 6.0

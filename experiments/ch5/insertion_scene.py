@@ -12,7 +12,6 @@ import functools
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import CameraStation, best_camera_station
@@ -28,10 +27,9 @@ from models.compose import (
     compile_scene,
 )
 from models.datasheets import CARD_AND_SLOT
+from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 from twin.describe import body_pose, describe_rover
-
-FloatArray = NDArray[np.float64]
 
 MASTER, SLAVE = "rover1", "rover2"
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import (
@@ -42,6 +41,7 @@ from experiments.ch5.insertion_scene import (
 )
 from models import datasheets
 from models.compose import FieldConfig, settle
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 from perception.stereo.geometry import StereoGeometry
 from twin.camera import StereoConfig
@@ -50,8 +50,6 @@ from twin.hardware.emulator.modem import virtual_links
 from twin.link import Link
 from twin.robot import Robot
 from twin.simulation import Simulation
-
-FloatArray = NDArray[np.float64]
 
 MAP_PLACE, MAP_TURN = 1.7e-3, 4.5e-3
 """Error of the map: deviations of place [m] and turn [rad] along each axis. `ch3-stereo` measured

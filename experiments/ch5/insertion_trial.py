@@ -9,7 +9,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
@@ -17,8 +16,6 @@ from experiments.ch5.insertion_scene import MASTER, SLAVE, card_in_slot, contact
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
 from twin.clock import SimClock
 from twin.loop import LoopRecorder, Tick, run
-
-FloatArray = NDArray[np.float64]
 
 LIMIT = 90.0
 """Longest trial [s]."""

@@ -7,7 +7,6 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from experiments.ch3.stereo.mapping_scene import head_geometry
@@ -15,12 +14,10 @@ from experiments.ch5.insertion_scene import insertion_drawing
 from models.card_and_slot.build import add_card, add_slot
 from models.compose import FieldConfig, build_scene, compile_scene, load_part
 from models.datasheets import CARD_AND_SLOT
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.ellipses import MarkerExpectation, project_discs
 from perception.markers.poses import BodyCad
 from twin.camera import StereoConfig, StereoRig, camera_pose
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 TABLE_HEIGHT = 0.4  # Of card and slot over the ground [m].
 RANGE_KNOWN = 0.2

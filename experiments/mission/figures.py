@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from experiments.mission.results import after_stage, stages_of
 from experiments.mission.trial import MissionResult
+from perception.geometry.arrays import FloatArray, ImageArray
 
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 COLOURS = {"master": "tab:blue", "slave": "tab:orange"}
 
 

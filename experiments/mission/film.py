@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from controllers.mission.robot_mission import MissionStage
@@ -16,12 +15,11 @@ from controllers.mission.stages.map import MapTogether
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import Mission, MissionResult, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
+from perception.geometry.arrays import ImageArray
 from twin.camera import renderer
 from twin.layout import task_blueprint
 from twin.loop import LoopRecorder, Tick
 from twin.record import Recorder
-
-ImageArray = NDArray[np.uint8]
 
 SIZE = (640, 480)
 _LASTS = {"identify": 13.5, "find": 12.0, "meet": 13.0, "map": 9.0, "place": 22.0, "insert": 20.0}

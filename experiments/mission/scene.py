@@ -12,7 +12,6 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mission.site import MissionRoles, SiteDrawing
@@ -22,8 +21,6 @@ from models.compose import FieldConfig, RobotPlacement, make_model
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
 from twin.describe import describe_rover
-
-FloatArray = NDArray[np.float64]
 
 INITIAL_POSES = {MASTER: (0.82, -0.35, math.pi / 2), SLAVE: (0.0, -0.92, 0.0)}
 """Nominal initial poses of the robots: x, y [m] and yaw [rad], world."""

@@ -8,7 +8,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import CameraStation
@@ -20,13 +19,12 @@ from controllers.placement.task import PlacementError
 from experiments.ch5.insertion_scene import contact_force, insertion_drawing, transform
 from experiments.mission.scene import MASTER, SLAVE, MissionScene, draw_scene, roles, survey
 from models.datasheets import CARD_AND_SLOT
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import point_jacobian
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
 from twin.loop import LoopRecorder, Tick, run
 from twin.robot import RobotError
-
-FloatArray = NDArray[np.float64]
 
 LIMIT = 300.0
 """Longest mission [s]."""

@@ -10,8 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-ByteArray = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import ByteArray
+
 CountArray = NDArray[np.int64]
 
 _BYTES = 256

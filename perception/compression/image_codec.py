@@ -14,7 +14,6 @@ from collections.abc import Callable
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from perception.compression.entropy_coding import (
     CodingError,
@@ -30,8 +29,8 @@ from perception.compression.sequence_coding import (
     run_length_decode,
     run_length_encode,
 )
+from perception.geometry.arrays import ByteArray
 
-ByteArray = NDArray[np.uint8]
 Coder: TypeAlias = Literal["plain", "run_length", "huffman", "lzw"]
 
 METHODS = (*PREDICTORS, 10)

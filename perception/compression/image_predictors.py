@@ -18,9 +18,8 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-ByteArray = NDArray[np.uint8]
+from perception.geometry.arrays import ByteArray
 
 PREDICTORS = (1, 2, 3, 4, 5, 6, 7, 8, 9)
 """The thesis' numbers; 1 predicts nothing."""

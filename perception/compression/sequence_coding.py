@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from perception.compression.entropy_coding import CodingError
+from perception.geometry.arrays import ByteArray
 
-ByteArray = NDArray[np.uint8]
 CodeArray = NDArray[np.uint16]
 
 LZW_BITS = 12

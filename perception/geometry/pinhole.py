@@ -10,9 +10,10 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
+
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 _SMALL = 1e-4  # Angle below which series are used [rad].
 

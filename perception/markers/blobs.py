@@ -14,8 +14,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.ellipses import (
-    ImageArray,
     MarkerExpectation,
     Markers,
     MeasuredEllipses,
@@ -25,8 +25,6 @@ from perception.markers.ellipses import (
     keep_plausible,
 )
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 _BAND = 2.5  # Pixels farther than this outside the first ellipse are left out of the fit [px].
 _ITERATIONS = 12

@@ -16,14 +16,13 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.blobs import detect_blobs
 from perception.markers.ellipses import MarkerExpectation, Markers
 from perception.markers.hough import detect_hough
 from perception.markers.poses import BodyCad, BodyFit, BodyPrior, SeenDiscs, fit_body
 from perception.stereo.geometry import StereoGeometry
 
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 Detector = Callable[
     [NDArray[Any], StereoGeometry, MarkerExpectation, np.random.Generator | None], Markers
 ]

@@ -15,10 +15,8 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 QUARTER_INCH = 0.25 * 0.0254
 """Diameter of the thesis' markers [m] (figure 5-10)."""

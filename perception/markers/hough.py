@@ -20,8 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.ellipses import (
-    ImageArray,
     MarkerExpectation,
     Markers,
     MeasuredEllipses,
@@ -33,8 +33,6 @@ from perception.markers.ellipses import (
     measure_region,
 )
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 MID_GREY = 128
 BELOW_PEAK = 5

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import exp_twist, log_twist
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 _TURNS = 61  # Of the grid about the line through two markers.
 _SCAN = np.linspace(-1.6, 1.6, 2 * _TURNS + 1)  # Turns about it, from a fit [rad].

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.planar.map import FloatArray, IntArray
+from perception.geometry.arrays import FloatArray, IntArray
 
 FULL, TOUCHED, BEYOND = 0, 1, 2
 """How a beam meets a cell: goes through it, touches its corner only, or enters it within the depth

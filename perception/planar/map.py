@@ -11,11 +11,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 from perception.voxels.occupancy import State, UpdateModel, probability
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 FREE_BELOW = 0.05
 """A robot may enter a cell whose probability of occupancy is lower (Thesis 3.2.4 (i))."""

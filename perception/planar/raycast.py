@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 from perception.planar.beams import Beams, Fan, beams
-from perception.planar.map import BoolArray, FloatArray, Grid, IntArray
+from perception.planar.map import Grid
 
 SECTOR_SLACK = 1e-9
 """Directions on the edge of a sector belong to it [rad]."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 FEWEST = 4
 """Fiducials: three fix six degrees of freedom, the fourth says whether they agree."""

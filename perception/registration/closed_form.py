@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix, point_jacobian
 from perception.registration.checks import FEWEST, RegistrationError
 from perception.registration.reprojection import Pose
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 LARGEST_CONDITION = 1e8
 """Of (r r^T): beyond it the points are taken to lie in one plane."""

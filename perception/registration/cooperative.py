@@ -11,9 +11,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.geometry.se3 import transform_points_with_covariance, transport_covariance
 from perception.registration.checks import (
     RegistrationError,
@@ -31,9 +32,6 @@ from perception.registration.reprojection import (
     linearise,
     squared_distances,
 )
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)

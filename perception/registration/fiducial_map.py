@@ -17,10 +17,11 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chdtri  # pyright: ignore[reportMissingTypeStubs]
 
+from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.geometry.se3 import point_jacobian
 from perception.registration.checks import (
     RegistrationError,
@@ -33,9 +34,6 @@ from perception.registration.likelihood import PoseSolution, innovation
 from perception.registration.motion import GATE, Registration, agreeing
 from perception.registration.reprojection import KnownPoints, Pose, Sighting, linearise
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -352,8 +350,6 @@ def _rows(index: IndexArray) -> IndexArray:
     """Return the rows of the covariance that belong to fiducials."""
     return (3 * index[:, None] + np.arange(3)).ravel()
 
-
-BoolArray = NDArray[np.bool_]
 
 CHANCE = 1e-3
 """With which right matches are refused together, as `GATE` refuses each."""

@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import FloatArray, IndexArray
 from perception.registration.checks import RegistrationError, weakness
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import FloatArray
 from perception.registration.checks import RegistrationError
 from perception.registration.reprojection import (
     KnownPoints,
@@ -22,8 +22,6 @@ from perception.registration.reprojection import (
     Sighting,
     linearise,
 )
-
-FloatArray = NDArray[np.float64]
 
 ITERATIONS = 50
 HALVINGS = 12

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.geometry.se3 import point_jacobian
 from perception.registration.checks import (
     FEWEST,
@@ -35,9 +36,6 @@ from perception.registration.reprojection import (
     squared_distances,
 )
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import FloatArray
 from perception.registration.checks import RegistrationError
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.patch_fit import COLUMN_ONLY, EVERYTHING, PatchFit, fit_patch, sample_patch
 
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.float32]
+FloatImage = NDArray[np.float32]
 
 _PEAK = 3  # Radius of a peak of correlation [px]; whatever is as high beyond it is a rival.
 
@@ -167,8 +167,8 @@ def predict(
 
 
 def _place(
-    first: ImageArray,
-    second: ImageArray,
+    first: FloatImage,
+    second: FloatImage,
     start: FloatArray,
     expected: FloatArray,
     warp: FloatArray,
@@ -192,8 +192,8 @@ def _place(
 
 
 def _search(
-    source: ImageArray,
-    target: ImageArray,
+    source: FloatImage,
+    target: FloatImage,
     start: FloatArray,
     expected: FloatArray,
     warp_back: FloatArray,
@@ -234,7 +234,7 @@ def _search(
 
 
 def _disparity(
-    pair: ImageArray, start: FloatArray, config: TrackerConfig
+    pair: FloatImage, start: FloatArray, config: TrackerConfig
 ) -> tuple[float, float] | None:
     """Return disparity and its deviation at (column, row), near an expected one; None if none."""
     half, reach = config.patch // 2, config.disparity_search
@@ -416,7 +416,7 @@ def match_across(
     return Across(found, sigma, correlations)
 
 
-def _smooth(image: NDArray[np.uint8], sigma: float) -> ImageArray:
+def _smooth(image: NDArray[np.uint8], sigma: float) -> FloatImage:
     blurred = cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma)
     return np.asarray(blurred, dtype=np.float32)
 
@@ -483,8 +483,8 @@ def _slopes(by_image: FloatArray, normals: FloatArray) -> FloatArray:
 
 
 def _place_across(
-    first: ImageArray,
-    second: ImageArray,
+    first: FloatImage,
+    second: FloatImage,
     start: FloatArray,
     expected: FloatArray,
     warp: FloatArray,
@@ -510,7 +510,7 @@ def _place_across(
 
 
 def _right_place(
-    pair: Sequence[ImageArray],
+    pair: Sequence[FloatImage],
     place: FloatArray,
     disparity: float,
     slopes: FloatArray,

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import point_jacobian
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclasses.dataclass(frozen=True)

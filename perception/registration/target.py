@@ -14,11 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from perception.geometry.arrays import FloatArray, ImageArray, IndexArray
 from perception.stereo.geometry import StereoGeometry
 
-FloatArray = NDArray[np.float64]
-IndexArray = NDArray[np.intp]
-ImageArray = NDArray[np.uint8]
 _opencv: Any = cv2  # Its stub leaves contours untyped.
 _FEWEST = 3  # Markers that fix a pose.
 

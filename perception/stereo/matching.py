@@ -15,11 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.refinement import refine
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 _STEP = 16  # StereoBM searches multiples of this [px].
 _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))

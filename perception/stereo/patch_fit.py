@@ -9,8 +9,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.float32]
+from perception.geometry.arrays import FloatArray
+
+FloatImage = NDArray[np.float32]
 
 EVERYTHING = np.ones(6, np.bool_)
 """Place (column, row) and distortion (by column, by row of each) are fitted."""
@@ -43,8 +44,8 @@ class PatchFit:
 
 
 def fit_patch(
-    first: ImageArray,
-    second: ImageArray,
+    first: FloatImage,
+    second: FloatImage,
     centre: FloatArray,
     start: FloatArray,
     warp: FloatArray,
@@ -106,7 +107,7 @@ def _judged(
     place: FloatArray,
     warp: FloatArray,
     known: FloatArray,
-    second: ImageArray,
+    second: FloatImage,
     half: int,
     spread: FloatArray,
 ) -> PatchFit | None:
@@ -124,8 +125,8 @@ def _judged(
 
 
 def sample_patch(
-    image: ImageArray, centre: FloatArray, warp: FloatArray, half: int
-) -> ImageArray | None:
+    image: FloatImage, centre: FloatArray, warp: FloatArray, half: int
+) -> FloatImage | None:
     """Return (2 half + 1, 2 half + 1) values at ``centre + warp o``; None beyond the image."""
     sampled = _sampled(image, centre, warp, half)
     if sampled is None:
@@ -135,7 +136,7 @@ def sample_patch(
 
 
 def _sampled(
-    image: ImageArray, centre: FloatArray, warp: FloatArray, half: int
+    image: FloatImage, centre: FloatArray, warp: FloatArray, half: int
 ) -> FloatArray | None:
     """Return (3, n) values and gradients by column and row; None beyond the image."""
     reach = half * np.abs(warp).sum(axis=1)

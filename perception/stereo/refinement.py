@@ -21,7 +21,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,10 +16,9 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from perception.geometry.arrays import FloatArray
 from perception.voxels.grid import MapError, VoxelGrid, checked_points
 from perception.voxels.occupancy import State, UpdateModel, log_odds, probability
-
-FloatArray = NDArray[np.float64]
 
 MOST_CELLS = 2**29
 """Of a grid, or of a scan's box: 2 GB of log-odds, 0.5 GB of marks."""

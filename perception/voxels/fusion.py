@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray
 from perception.voxels.bricks import (
     DROPPED,
     KERNEL,
@@ -36,8 +36,6 @@ from perception.voxels.bricks import (
     whole,
 )
 from perception.voxels.scan import FLAT, NO_POINT, TILE, Camera, Scan
-
-FloatArray = NDArray[np.float64]
 
 BARELY_MEASURED = -1
 """Log-odds of a voxel just before a surface: measured, hardly decided."""

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 LARGEST_KEY = 2**15
 """Cells from the world's origin on, per axis; OctoMap's limit too."""

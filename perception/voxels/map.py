@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import FloatArray
 from perception.geometry.pinhole import Frustum
 from perception.voxels.bricks import (
     BLOCKS,
@@ -57,8 +58,6 @@ from perception.voxels.scan import (
     fill_scan,
     window_of,
 )
-
-FloatArray = NDArray[np.float64]
 
 VOXEL_MODEL = UpdateModel(hit=0.85, miss=0.18, lowest=0.01, highest=0.99)
 """Free space ends well before a surface, so that one look says much: two make a voxel P < 0.05."""

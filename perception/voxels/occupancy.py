@@ -10,9 +10,9 @@ import dataclasses
 import enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 
 class State(enum.IntEnum):

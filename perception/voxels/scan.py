@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import FloatArray
 from perception.geometry.pinhole import Frustum
 from perception.voxels.bricks import KERNEL, whole
-
-FloatArray = NDArray[np.float64]
 
 TILE = 8
 """Pixels along a tile; each has one surface normal."""

@@ -25,13 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from perception.geometry.arrays import FloatArray
 from perception.geometry.pinhole import Frustum
 from perception.voxels.bricks import KERNEL, SIDE, whole
 from perception.voxels.map import VoxelMap
 from perception.voxels.occupancy import State
 from perception.voxels.scan import Camera, camera_of
-
-FloatArray = NDArray[np.float64]
 
 UNKNOWN, OCCUPIED = int(State.UNKNOWN), int(State.OCCUPIED)
 TICKS = 2.0**40

@@ -10,8 +10,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription
 from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
 from twin.hardware.board_set import BoardSet
@@ -19,10 +19,8 @@ from twin.hardware.calibration.calibration import Calibration
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Status
 from twin.hardware.serial_link import LinkError, at_rest
-from twin.robot import AXES, NOTHING, Command, FloatArray, Lifecycle, Observation, RobotError
+from twin.robot import AXES, NOTHING, Command, Lifecycle, Observation, RobotError
 from twin.servo import Servo, ServoConfig
-
-IntArray = NDArray[np.int64]
 
 # The boards themselves do not stop for a battery that is low or high; the robot does.
 _STOPPING = Status(0xFFFF) | Status.MAIN_VOLTAGE_LOW_WARNING | Status.MAIN_VOLTAGE_HIGH_WARNING

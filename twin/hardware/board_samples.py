@@ -9,11 +9,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration.calibration import AngleSensor, Calibration
 from twin.hardware.roboclaw import codec
 from twin.hardware.serial_link import LinkError
-from twin.robot import MISSING, Channel, FloatArray, Observation, Validity
+from twin.robot import MISSING, Channel, Observation, Validity
 
 ARM = slice(4, 8)
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import IntArray
 from twin.hardware.analogue.firmata import AnalogueBoard
 from twin.hardware.calibration.calibration import Calibration
 from twin.hardware.cameras.camera import StereoCapture
@@ -18,8 +18,6 @@ from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import BoardCommand, Status
 from twin.hardware.serial_link import LinkError
 from twin.robot import Channel
-
-IntArray = NDArray[np.int64]
 
 _CURRENT_UNIT = 0.01  # [A]
 _VOLTAGE_UNIT = 0.1  # [V]

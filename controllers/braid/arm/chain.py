@@ -8,7 +8,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from controllers.braid.arm.stage import STATES, FloatArray, IntArray
+from controllers.braid.arm.stage import STATES
+from perception.geometry.arrays import FloatArray, IntArray
 
 MAX_ENUMERATED = 7
 """Stages whose words are all listed at most (2 million)."""

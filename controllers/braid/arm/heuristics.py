@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 from controllers.braid.arm.chain import compose, relative
-from controllers.braid.arm.stage import FloatArray
+from perception.geometry.arrays import FloatArray
 
 _CHANGED = 3
 """Greatest number of legs that are exchanged at once."""

@@ -17,7 +17,8 @@ from controllers.braid.arm.lattice_walk import TailShape, WalkEffort, describe_t
 from controllers.braid.arm.meeting import first_clear, improve_free_stages, meet, search_clear
 from controllers.braid.arm.obstacles import LinkCheck, free_words
 from controllers.braid.arm.pose_tree import PoseTree, build_tree, nearest
-from controllers.braid.arm.stage import FloatArray, IntArray, StageGeometry, state_poses
+from controllers.braid.arm.stage import StageGeometry, state_poses
+from perception.geometry.arrays import FloatArray, IntArray
 
 TAIL = 6
 """Stages whose words are kept in a tree; the stages before them are enumerated."""

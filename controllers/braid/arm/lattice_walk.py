@@ -17,7 +17,8 @@ import numpy as np
 
 from controllers.braid.arm.chain import compose, relative
 from controllers.braid.arm.pose_tree import nearest
-from controllers.braid.arm.stage import STATES, FloatArray
+from controllers.braid.arm.stage import STATES
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import write_near_log
 
 LATTICE_SHARE = 1.0 / 14.0

@@ -17,7 +17,8 @@ import numpy as np
 from controllers.braid.arm.chain import all_words, compose, forward, relative
 from controllers.braid.arm.obstacles import LinkCheck
 from controllers.braid.arm.pose_tree import PoseTree, gather, nearest
-from controllers.braid.arm.stage import STATES, FloatArray, IntArray
+from controllers.braid.arm.stage import STATES
+from perception.geometry.arrays import FloatArray, IntArray
 
 _SCOUTS = 64
 """Number of first halves of which one is tried before the others, for a bound."""

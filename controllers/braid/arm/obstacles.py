@@ -20,14 +20,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from controllers.braid.arm.chain import MAX_ENUMERATED, compose, forward, identity
-from controllers.braid.arm.stage import (
-    STATES,
-    FloatArray,
-    IntArray,
-    StageGeometry,
-    rim_joints,
-    state_poses,
-)
+from controllers.braid.arm.stage import STATES, StageGeometry, rim_joints, state_poses
+from perception.geometry.arrays import FloatArray, IntArray
 from perception.voxels.map import VoxelMap
 
 Occupancy = Callable[[FloatArray], FloatArray]

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from controllers.braid.arm.stage import FloatArray, IntArray
+from perception.geometry.arrays import FloatArray, IntArray
 
 LEAF = 12
 """Poses in a leaf at most."""

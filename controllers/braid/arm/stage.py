@@ -15,10 +15,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from perception.geometry.arrays import FloatArray
 
 LEGS, STATES = 3, 8
 _BEARINGS = np.radians([-90.0, 30.0, 150.0])

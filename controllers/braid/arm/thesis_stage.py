@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from controllers.braid.arm.stage import LEGS, FloatArray
+from controllers.braid.arm.stage import LEGS
+from perception.geometry.arrays import FloatArray
 
 _STEPS, _TOLERANCE = 50, 1e-13
 _STEP = 1e-6

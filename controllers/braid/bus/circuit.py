@@ -30,13 +30,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from controllers.braid.bus.code import (
-    DEFAULT_TIMING,
-    AddressCode,
-    BoolArray,
-    PulseTiming,
-    check_word,
-)
+from controllers.braid.bus.code import DEFAULT_TIMING, AddressCode, PulseTiming, check_word
 from controllers.braid.bus.decoder_chips import (
     BusModel,
     BusState,
@@ -48,8 +42,7 @@ from controllers.braid.bus.decoder_chips import (
     run_chips,
 )
 from controllers.braid.bus.trains import Train, sampled_segments
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import BoolArray, FloatArray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,9 +18,9 @@ import dataclasses
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-BoolArray = NDArray[np.bool_]
+from perception.geometry.arrays import BoolArray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,11 +6,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 
 PULSES, FLAG = range(2)
 """Rows of the two detectors: of the address pulses, and of the flag."""

@@ -14,7 +14,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.braid.arm.stage import LEGS, STATES, FloatArray, IntArray
+from controllers.braid.arm.stage import LEGS, STATES
+from perception.geometry.arrays import FloatArray, IntArray
 
 EXTEND, RETRACT = 0, 1
 """Places of a leg's bundles in the last axis of `WireDrive.levels`."""

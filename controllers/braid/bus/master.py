@@ -25,12 +25,12 @@ from numpy.typing import ArrayLike
 from controllers.braid.bus.circuit import PowerBus
 from controllers.braid.bus.code import (
     AddressCode,
-    BoolArray,
     check_word,
     rewriting_commands,
     shortest_commands,
 )
 from controllers.braid.bus.trains import Disturbance, Train, trains_of
+from perception.geometry.arrays import BoolArray
 
 
 @dataclasses.dataclass(frozen=True)

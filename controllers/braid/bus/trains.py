@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.braid.bus.code import AddressCode, PulseTiming
+from perception.geometry.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 FaultKind = Literal["missed", "extra", "missed_flag"]
 
 FAULT_KINDS: tuple[FaultKind, ...] = ("missed", "extra", "missed_flag")

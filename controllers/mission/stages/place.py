@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import CameraStation, best_camera_station, camera_arm
@@ -20,11 +19,10 @@ from controllers.mission.stages.find import eyes
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.drive_to_pose import DriveToPose
 from controllers.placement.mapped_ground import MappedGround
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
-
-FloatArray = NDArray[np.float64]
 
 _NEAR_STATION = (0.06, 0.12)  # From the station [m] and its heading [rad] where it will do.
 _MOST_DRIVES = 4  # Until it is there, or stays where it is.

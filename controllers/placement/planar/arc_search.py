@@ -21,13 +21,8 @@ from controllers.placement.planar.field import (
     grow_blocked,
     nearest_and_farthest,
 )
-from controllers.placement.task import (
-    FREE_BELOW,
-    FloatArray,
-    RatingTerms,
-    rate_view,
-    sharpness,
-)
+from controllers.placement.task import FREE_BELOW, RatingTerms, rate_view, sharpness
+from perception.geometry.arrays import FloatArray
 
 UNKNOWN = 0.5
 """Probability of occupancy outside the map."""

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.placement.task import FloatArray
+from perception.geometry.arrays import FloatArray
 
 CONTACT = 1e-9
 """Distance to a hull's edge, over the hull's reach, up to which a target lies on the edge."""

@@ -23,7 +23,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from controllers.placement.planar.field import HullCorners
 from controllers.placement.planar.sight import OCCUPIED_ABOVE, KnownSpace, own_cells
-from controllers.placement.task import FloatArray, Occluder, Target
+from controllers.placement.task import Occluder, Target
+from perception.geometry.arrays import FloatArray
 
 Cells = NDArray[np.int64]
 

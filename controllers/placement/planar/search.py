@@ -30,7 +30,6 @@ from controllers.placement.planar.sight import KnownSpace
 from controllers.placement.task import (
     FREE_BELOW,
     Exponents,
-    FloatArray,
     Lens,
     Occluder,
     PlacementError,
@@ -39,6 +38,7 @@ from controllers.placement.task import (
     rating_terms,
     resolution,
 )
+from perception.geometry.arrays import FloatArray
 
 FEWEST_DIRECTIONS = 4
 EDGE_ON = 1e-12

@@ -16,7 +16,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.placement.task import FloatArray, Target
+from controllers.placement.task import Target
+from perception.geometry.arrays import FloatArray
 
 OCCUPIED_ABOVE = 0.5
 """Probability of occupancy above which a cell hides what is behind it."""

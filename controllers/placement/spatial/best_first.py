@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.placement.spatial.field import signed_cap
-from controllers.placement.task import FREE_BELOW, FloatArray, rate_view, sharpness
-
-IntArray = NDArray[np.int64]
+from controllers.placement.task import FREE_BELOW, rate_view, sharpness
+from perception.geometry.arrays import FloatArray, IntArray
 
 MAX_LEVEL = 8
 _SAFE = 1.0 + 1e-12  # Keeps a bound above what it bounds in spite of rounding.

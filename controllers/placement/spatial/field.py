@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controllers.placement.spatial.occluders import TargetField
-from controllers.placement.task import FloatArray
+from perception.geometry.arrays import FloatArray
 
 _INSIDE = 1e-8
 """Distance outside of a plane up to which a point counts as on it [m]."""

@@ -17,12 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.ndimage
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
-from controllers.placement.task import FloatArray, Occluder, PlacementError, Target
-
-IntArray = NDArray[np.int64]
+from controllers.placement.task import Occluder, PlacementError, Target
+from perception.geometry.arrays import FloatArray, IntArray
 
 _FLAT = 1e-9
 """Thickness of a hull over its size below which the hull is flat."""

@@ -23,7 +23,6 @@ from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.task import (
     FREE_BELOW,
     Exponents,
-    FloatArray,
     Lens,
     PlacementError,
     RatingTerms,
@@ -31,6 +30,7 @@ from controllers.placement.task import (
     rating_terms,
     resolution,
 )
+from perception.geometry.arrays import FloatArray
 
 Accept = Callable[[View], bool]
 """Tells whether a view can be taken, for instance reached by an arm."""

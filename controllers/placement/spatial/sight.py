@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
-from controllers.placement.task import FloatArray, Occluder, Target
+from controllers.placement.task import Occluder, Target
+from perception.geometry.arrays import FloatArray
 
 _FLAT = 1e-9
 """Extent of points over their size below which they have one dimension less."""

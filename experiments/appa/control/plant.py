@@ -6,17 +6,16 @@ import dataclasses
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.lagrange import NineCoordinates
 from models import datasheets
 from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part, make_model
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 from twin.describe import describe
 from twin.description import RigidBody
 
-FloatArray = NDArray[np.float64]
 PLAIN = FieldConfig(texture_pixels=16)
 """Flat ground with a small texture: quick to compile."""
 MOUNT = np.array(datasheets.ROVER.arm_mount)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmControlConfig, ArmController, Law, Reference
@@ -13,10 +12,10 @@ from controllers.motion.base_motion import BaseFilterConfig
 from experiments.appa.control.plant import MOUNT, sprung_rover
 from models import datasheets
 from models.compose import ARM_JOINTS, settle
+from perception.geometry.arrays import FloatArray
 from twin.describe import describe
 from twin.simulation import Simulation
 
-FloatArray = NDArray[np.float64]
 ROBOT = "rover1"
 PERIOD = 0.01
 HOME = np.array(datasheets.ARM.home)

@@ -6,7 +6,6 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from controllers.kinematics.frame_motion import at_rest
@@ -24,9 +23,8 @@ from models.compose import (
     compile_scene,
     settle,
 )
+from perception.geometry.arrays import FloatArray
 from twin.describe import describe, describe_rover
-
-FloatArray = NDArray[np.float64]
 
 
 class TipScene:

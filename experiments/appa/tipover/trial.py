@@ -6,15 +6,14 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.motion.guarded_swing import HELD, GuardedSwing, GuardedSwingConfig
 from controllers.motion.tip_over import Sweep
 from experiments.appa.control.trial import PERIOD, ROBOT, arm_config
 from experiments.appa.tipover.scene import TipScene
+from perception.geometry.arrays import FloatArray
 from twin.simulation import Simulation
 
-FloatArray = NDArray[np.float64]
 FOLDED = np.array([0.0, 2.2, -2.4, 0.2])
 """Joint angles in which the load is nearest to the rover, but for the yaw [rad]."""
 WAIT, AFTER = 0.5, 1.5

@@ -8,8 +8,8 @@ import threading
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray
 from twin.hardware.calibration.motors import ADDRESSES
 from twin.hardware.connect_boards import BUS_BAUD
 from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
@@ -18,8 +18,6 @@ from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import FULL_DUTY, BoardCommand
 from twin.hardware.serial_link import LinkError, SerialLink
-
-FloatArray = NDArray[np.float64]
 
 
 class _Shafts:

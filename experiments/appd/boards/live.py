@@ -10,13 +10,13 @@ import time
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
 from controllers.motion.simple_motions import WaveMotion
 from experiments.appd.boards.trial import PERIOD, ROBOT
 from experiments.ch2.rover.trial import known_swinging_arm
 from models.compose import RobotPlacement
+from perception.geometry.arrays import FloatArray
 from twin.clock import WallClock
 from twin.connect import LineConfig, connect
 from twin.hardware.board_robot import BoardRobot
@@ -36,7 +36,6 @@ from twin.robot import Channel, Command, Observation, RobotError
 
 SINKING = 1.5  # [s] until the arm, without power, lies still and can be homed
 
-FloatArray = NDArray[np.float64]
 _QUESTION = bytes(6)
 
 

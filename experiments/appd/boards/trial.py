@@ -10,10 +10,10 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.harness.contract import ExperimentError
 from models.compose import RobotPlacement
+from perception.geometry.arrays import FloatArray
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.calibration.motors import ADDRESSES
 from twin.hardware.connect_boards import emulated_wiring, watched, wired_robot
@@ -22,8 +22,6 @@ from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import LinkError
 from twin.robot import ArmMode, Command, Lifecycle, RobotError, WheelMode
-
-FloatArray = NDArray[np.float64]
 
 ROBOT = "rover1"
 HOST_FAULTS = ("controller_hang", "host_killed", "nan_command")

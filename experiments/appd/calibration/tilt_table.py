@@ -16,6 +16,7 @@ import numpy as np
 from models import datasheets
 from models.compose import FieldConfig, RobotPlacement
 from models.datasheets import DEGREE
+from perception.geometry.arrays import FloatArray
 from twin.connect import connect
 from twin.hardware.calibration.calibration import (
     AnalogueCalibration,
@@ -24,7 +25,7 @@ from twin.hardware.calibration.calibration import (
     read_calibration,
 )
 from twin.hardware.calibration.tilt_fit import Sample, Weighing, sample
-from twin.robot import ArmMode, Command, FloatArray, Observation
+from twin.robot import ArmMode, Command, Observation
 from twin.simulation import Simulation
 from twin.wiring import tilt as tilt_of_orientation
 

@@ -8,20 +8,18 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.mapping.pose_sharing import PoseSharing, SharingConfig
 from controllers.motion.driving import SkidSteer
 from models.compose import FieldConfig, RobotPlacement
 from models.datasheets import ROVER
+from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, LineConfig, connect
 from twin.hardware.emulator.modem import ModemConfig
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 from twin.record import Recorder
-
-FloatArray = NDArray[np.float64]
 
 ROBOTS = ("rover1", "rover2")
 SEND_PERIOD = SharingConfig.send_period

@@ -6,16 +6,14 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.harness.intervals import Distribution
+from perception.geometry.arrays import FloatArray
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.channel import BITS_PER_BYTE
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
 from twin.link import Outcome, Polled
-
-FloatArray = NDArray[np.float64]
 
 LINKS = ("handshake", "framed")
 FATES = ("intact", "wrong", "vanished", "given_up")

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from controllers.braid.arm.inverse import METHODS
 from experiments.appe.arm.inverse_trial import (
@@ -34,7 +33,6 @@ from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, sweep
 
-FloatArray = NDArray[np.float64]
 Results = dict[str, Solved]
 
 STAGES = (5, 10, 20)

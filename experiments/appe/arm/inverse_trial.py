@@ -14,9 +14,8 @@ from controllers.braid.arm.chain import chain_pose, forward
 from controllers.braid.arm.heuristics import exchange_from_random
 from controllers.braid.arm.inverse import EXACT_LIMIT, METHODS, BinaryArm, WordSolution, solve
 from controllers.braid.arm.obstacles import LinkCheck, VoxelObstacles, body_points
-from controllers.braid.arm.stage import IntArray, StageGeometry, stage_pose
-
-FloatArray = NDArray[np.float64]
+from controllers.braid.arm.stage import StageGeometry, stage_pose
+from perception.geometry.arrays import FloatArray, IntArray
 
 KINDS = ("reachable", "random", "planted")
 """Targets: of random leg lengths, these places with uniform orientations, of random words."""

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from controllers.braid.arm.chain import all_words, count_poses, forward, reduced_count
 from controllers.braid.arm.flexure import (
@@ -32,8 +31,7 @@ from controllers.braid.arm.thesis_stage import thesis_stage_pose
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 MAX_STAGES = 6
 EXACT = 1e-12

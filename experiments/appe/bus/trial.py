@@ -17,8 +17,7 @@ from controllers.braid.bus.trains import (
     OneFault,
     RandomFaults,
 )
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 ACTUATORS = 15  # Five stages, as the thesis built.
 PROTOCOLS = ("thesis", "parity", "repeat", "correct")

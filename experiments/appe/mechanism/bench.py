@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from controllers.braid.arm.chain import chain_pose
-from controllers.braid.arm.stage import LEGS, RADIAL, IntArray, StageGeometry, stage_pose
+from controllers.braid.arm.stage import LEGS, RADIAL, StageGeometry, stage_pose
 from controllers.braid.bus.drive import WireDrive, word_bits
 from models.braid.build import BENCH, BraidConfig, build_bench
 from models.datasheets import BRAID, MUSCLE_WIRE
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray, IntArray
 
 GEOMETRY = StageGeometry(BRAID.radius, BRAID.short, BRAID.long)
 TICK = 0.01

@@ -9,13 +9,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from controllers.braid.arm.stage import STATES, IntArray
+from controllers.braid.arm.stage import STATES
 from experiments.appe.mechanism.bench import BraidBench, make_bench
 from experiments.appe.mechanism.trial import SagRun, SagTrial
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
+from perception.geometry.arrays import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 ARMS = ((0, 0, 0, 0, 0), (7, 7, 7, 7, 7), (1, 1, 1, 1, 1), (6, 6, 1, 1, 6), (2, 4, 3, 5, 1))

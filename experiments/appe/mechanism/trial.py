@@ -6,15 +6,13 @@ import dataclasses
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
-from controllers.braid.arm.stage import STATES, IntArray
+from controllers.braid.arm.stage import STATES
 from controllers.braid.bus.drive import EXTEND, RETRACT, DriveConfig, WireDrive, word_bits
 from experiments.appe.mechanism.bench import TICK, BraidBench, ideal_tip, make_bench
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray, IntArray
 
 SETTLE = 1.0
 """Rest before an arm is measured [s]."""

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from experiments.appe.placement.trial import REST, PlacementTrial, prepare
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 
 def draw_views(trial: PlacementTrial) -> Figure:

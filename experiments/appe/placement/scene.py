@@ -6,7 +6,6 @@ import dataclasses
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from experiments.appe.mechanism.bench import BraidBench
@@ -14,10 +13,8 @@ from models.blocks import Block
 from models.braid.build import BraidConfig, build_rover
 from models.compose import FLAT, RobotPlacement
 from models.datasheets import CAMERA
+from perception.geometry.arrays import FloatArray, ImageArray
 from twin.camera import camera_model, camera_pose
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 ROVER = "rover1/"
 CAMERA_NAME = f"{ROVER}stereo_left"

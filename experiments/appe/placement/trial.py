@@ -6,14 +6,13 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.braid.arm.chain import all_words, forward
 from controllers.braid.arm.inverse import BinaryArm, InverseConfig, solve
 from controllers.braid.arm.obstacles import LinkCheck
-from controllers.braid.arm.stage import STATES, IntArray
+from controllers.braid.arm.stage import STATES
 from controllers.braid.bus.drive import WireDrive, word_bits
 from controllers.placement.spatial.occluders import TargetField, expand
 from controllers.placement.spatial.search import (
@@ -41,8 +40,7 @@ from experiments.ch4.spatial.blocks import (
 from experiments.ch4.spatial.placement_scene import head_lens
 from experiments.ch4.spatial.search import disc
 from models.blocks import Block
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray, IntArray
 
 WEIGHT = 0.1
 """What a radian of the camera's direction is worth [m]: half its field of view is 36 mm."""

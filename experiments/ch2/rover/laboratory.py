@@ -12,13 +12,11 @@ import functools
 import mujoco
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 
 from models.compose import FLAT, RobotPlacement, load_part, make_model, settle
 from models.datasheets import ROVER
+from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
-
-FloatArray = NDArray[np.float64]
 
 LOAD = 1.0  # [N] or [N m]: tilts the rover by less than 0.2 degrees
 _STEP = 0.00025  # [s]: at 1 ms the inertia would read 1 % too high

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.information import mutual_information
 from controllers.identification.pitch import (
@@ -24,11 +23,10 @@ from controllers.identification.rover_identifier import (
     SwingingArm,
 )
 from models.compose import FLAT, RobotPlacement, make_model
+from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, connect
 from twin.loop import LoopRecorder, Tick, run
 from twin.simulation import Simulation
-
-FloatArray = NDArray[np.float64]
 
 ROBOT = "rover1"
 

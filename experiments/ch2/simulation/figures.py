@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import MODES
 from controllers.identification.excitation import REPLAN_PERIOD
@@ -20,8 +19,7 @@ from experiments.ch2.simulation.results import (
 )
 from experiments.ch2.simulation.trial import PlantIdentification
 from experiments.harness.output import Output
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 COLOURS = {"ours": "#1b6ca8", "kalman": "#c2571a", "pseudo_inverse": "#7a7a7a"}
 EXCITATION_COLOURS = {"constant": "#c2571a", "information": "#1b6ca8"}

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import Trajectory, mode_axes
 from controllers.identification.compliant_base import CHANNELS
 from controllers.identification.parameters import NAMES, inertia_tensor
 from models.compliant_base.build import compile_plant
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 NOISE_FRACTION = 0.1
 """White noise of up to 10 % of the maximum sensed value (Thesis section 2.6.1)."""

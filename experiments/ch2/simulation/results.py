@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -19,8 +18,8 @@ from models.datasheets import (
     TABLE_2_1_TRUTH,
     TABLE_2_1_VARIABLE,
 )
+from perception.geometry.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Group = tuple[str, str]
 """Noise and excitation."""
 Results = dict[Group, list[PlantIdentification]]

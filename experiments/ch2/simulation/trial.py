@@ -7,7 +7,6 @@ import functools
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import CONSTANT, MODES, ArmLimits, ArmState, swing
 from controllers.identification.excitation import REPLAN_PERIOD
@@ -16,8 +15,7 @@ from controllers.identification.information import mutual_information
 from controllers.identification.parameters import NAMES, Ranges, from_mapping
 from experiments.ch2.simulation.plant import NOISE_FRACTION, Plant
 from experiments.ch2.simulation.truths import average_error
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 DURATION = 10.0
 TIME_STEP = 0.005

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.excitation import parameter_scale
 from controllers.identification.parameters import (
@@ -23,8 +22,8 @@ from controllers.identification.parameters import (
 )
 from experiments.harness.contract import OptionError
 from models.datasheets import TABLE_2_1_TRUTH
+from perception.geometry.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Truth = tuple[float, ...]
 
 TABLE_TRUTH: Truth = tuple(TABLE_2_1_TRUTH[name] for name in NAMES)

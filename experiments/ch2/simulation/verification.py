@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.identification.arm_motion import (
     CONSTANT,
@@ -38,8 +37,8 @@ from experiments.ch2.simulation.truths import TABLE_TRUTH, Truth
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.geometry.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Outputs = dict[str, FloatArray]
 
 WINDOW_STEPS = round(REPLAN_PERIOD / TIME_STEP)

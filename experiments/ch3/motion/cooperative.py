@@ -24,6 +24,7 @@ from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.clutter import MARKERS
+from perception.geometry.arrays import FloatArray
 from perception.registration.cooperative import (
     RelativePose,
     SharedPoints,
@@ -33,8 +34,6 @@ from perception.registration.cooperative import (
 )
 from perception.registration.motion import RegistrationError
 from perception.registration.reprojection import Sighting
-
-FloatArray = NDArray[np.float64]
 
 DISTANCE = 1.1  # From either left camera to the middle of what both look at [m]
 SPREAD = 0.2  # Points are as far from that along each axis at most [m].

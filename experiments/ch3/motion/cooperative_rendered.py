@@ -22,6 +22,7 @@ from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.geometry.arrays import FloatArray
 from perception.registration.cooperative import (
     RelativePose,
     SharedPoints,
@@ -35,8 +36,6 @@ from perception.registration.reprojection import Sighting
 from perception.registration.target import SeenTarget, find_target
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher
-
-FloatArray = NDArray[np.float64]
 
 MARKER_SIGMA = (0.1, 0.1, 0.05)
 """Deviations of a marker's column, row and disparity [px]."""

@@ -10,9 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.ch3.motion.scores import Followed
-
-FloatArray = NDArray[np.float64]
-
+from perception.geometry.arrays import FloatArray
 
 Groups = Mapping[str, Sequence[Followed]]
 

@@ -23,11 +23,10 @@ from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CAMERA
+from perception.geometry.arrays import FloatArray
 from perception.registration.fiducial_map import FiducialMap
 from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 STEPS = 30
 REPORTED = (1, 5, 15, 30)

@@ -23,13 +23,12 @@ from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.geometry.arrays import FloatArray
 from perception.registration.fiducial_map import FiducialMap
 from perception.registration.fiducials import FiducialConfig, select_fiducials
 from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
 from perception.registration.patch_matching import Tracks, track
 from perception.stereo.matching import StereoMatcher
-
-FloatArray = NDArray[np.float64]
 
 STEPS = 15
 REPORTED = (1, 5, 15)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Wedge
-from numpy.typing import NDArray
 
 from experiments.ch3.planar.trial import PlanarTrial, build_world
+from perception.geometry.arrays import FloatArray
 from perception.planar.beams import fan
 from perception.planar.information import READINGS, KnownGround, new_information
 from perception.planar.map import Grid, PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, scan
-
-FloatArray = NDArray[np.float64]
 
 HEADINGS = 24
 

@@ -19,12 +19,11 @@ from controllers.mapping.planar_planner import (
     make_team,
 )
 from experiments.ch3.planar.worlds import World, image_world, indoor_world, unstructured_world
+from perception.geometry.arrays import FloatArray, IntArray
 from perception.planar.information import Reading
-from perception.planar.map import IntArray, PlanarMap
+from perception.planar.map import PlanarMap
 from perception.planar.raycast import RangeSensor, scan
 from perception.voxels.occupancy import State
-
-FloatArray = NDArray[np.float64]
 
 TARGET = 0.9
 """Fraction mapped at which a run has got there."""

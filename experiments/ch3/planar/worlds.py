@@ -10,7 +10,8 @@ import numpy as np
 from scipy import ndimage
 
 from experiments.harness.contract import OptionError
-from perception.planar.map import BoolArray, Grid
+from perception.geometry.arrays import BoolArray
+from perception.planar.map import Grid
 
 UNSTRUCTURED_OBSTACLES = (22, 30)
 """Fewest and most obstacles of an unstructured world."""

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from controllers.mapping.stereo_view import StereoView
 from experiments.ch3.stereo.scene import StereoScene, left_name, look_at
+from perception.geometry.arrays import FloatArray
 from perception.stereo.geometry import StereoGeometry
 from twin.camera import renderer
 
-FloatArray = NDArray[np.float64]
 _COLOURS = {"information": "tab:blue", "raster": "tab:orange", "random": "tab:green"}
 _PANORAMA = (720, 300)
 """Columns over all azimuths, rows from 75 degrees below the horizon to 75 above."""

@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.datasheets import CAMERA
+from perception.geometry.arrays import FloatArray
 from perception.stereo.geometry import StereoGeometry
-
-FloatArray = NDArray[np.float64]
 
 WIDTH, HEIGHT = 320, 240
 PIXEL_SIGMA = (0.05, 0.05, 0.044)

@@ -19,10 +19,9 @@ from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.geometry.arrays import FloatArray
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
-
-FloatArray = NDArray[np.float64]
 
 RANGES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # From the rig to where it looks [m]
 EDGES = np.geomspace(0.35, 2.0, 9)  # Of the bins of depth [m]

@@ -26,11 +26,9 @@ from models.compose import (
     load_part,
     settle,
 )
+from perception.geometry.arrays import FloatArray, ImageArray
 from perception.stereo.geometry import StereoGeometry
 from twin.camera import StereoConfig, StereoRig, camera_model, camera_pose
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
 
 RIG = "rig"
 """Name of the free stereo head."""

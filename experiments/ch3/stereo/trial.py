@@ -16,6 +16,7 @@ from controllers.mapping.stereo_view import MapperConfig, StereoView
 from experiments.ch3.stereo.figures import panorama
 from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
 from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
+from perception.geometry.arrays import FloatArray
 from perception.registration.target import TargetCad
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
@@ -25,8 +26,6 @@ from twin.describe import camera_in_world, describe
 from twin.description import RobotDescription
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
-
-FloatArray = NDArray[np.float64]
 
 VOXEL = 0.005
 """[m]"""

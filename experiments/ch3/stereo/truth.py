@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.stereo_view import StereoView
 from experiments.ch3.stereo.scene import StereoScene
+from perception.geometry.arrays import FloatArray
 from perception.voxels.map import Surface, VoxelMap
-
-FloatArray = NDArray[np.float64]
 
 TRUTH_VIEWS = 60
 TRUTH_CELL = 0.02  # [m]

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES, FloatArray
+from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES
 from experiments.ch4.montecarlo.trial import (
     PERIODS,
     PLACEMENTS,
@@ -23,6 +23,7 @@ from experiments.ch4.montecarlo.trial import (
     worlds,
 )
 from experiments.harness.intervals import fraction
+from perception.geometry.arrays import FloatArray
 
 COLOURS = {"optimal": "tab:blue", "random": "tab:orange", "fixed": "tab:red"}
 SHOWN = 1

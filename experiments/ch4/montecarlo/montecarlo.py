@@ -69,7 +69,7 @@ from numpy.typing import NDArray
 from experiments.ch4.montecarlo.figures import SHOWN, table_figure, way_figure
 from experiments.ch4.montecarlo.orderings import cell_name, compare_all, second_chance
 from experiments.ch4.montecarlo.record import record_test
-from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES, FloatArray
+from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES
 from experiments.ch4.montecarlo.trial import (
     FIXED,
     PLACEMENTS,
@@ -82,6 +82,7 @@ from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, sweep
+from perception.geometry.arrays import FloatArray
 
 TESTS, QUICK_TESTS = 300, 100
 CHUNK = 25

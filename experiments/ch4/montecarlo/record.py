@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from experiments.ch4.montecarlo.figures import SHOWN
-from experiments.ch4.montecarlo.scenario import SCENARIO, FloatArray
+from experiments.ch4.montecarlo.scenario import SCENARIO
 from experiments.ch4.montecarlo.trial import (
     PERIODS,
     PLACEMENTS,
@@ -20,6 +20,7 @@ from experiments.ch4.montecarlo.trial import (
     guide,
     worlds,
 )
+from perception.geometry.arrays import FloatArray
 from twin.layout import content_alone
 
 BLUE, GREEN, RED, PURPLE, GREY = (

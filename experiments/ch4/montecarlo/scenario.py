@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from controllers.placement.planar.sight import separated
 from models.datasheets import CAMERA, INCH
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 DENSITIES = (5, 20, 35)  # [%] of the work space, table 4-1
 TOLERANCES = (20, 10, 1)  # [%] of the object's width, table 4-1

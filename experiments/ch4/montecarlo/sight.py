@@ -12,7 +12,8 @@ import numba
 import numpy as np
 
 from controllers.placement.planar.sight import separated
-from experiments.ch4.montecarlo.scenario import FloatArray, Scenario
+from experiments.ch4.montecarlo.scenario import Scenario
+from perception.geometry.arrays import FloatArray
 
 # The compiler's decorator has no types.
 _njit: Any = numba.njit(cache=True)

@@ -29,7 +29,6 @@ from experiments.ch4.montecarlo.scenario import (
     DENSITIES,
     SCENARIO,
     SIDES,
-    FloatArray,
     Scenario,
     draw_world,
 )
@@ -40,6 +39,7 @@ from experiments.ch4.montecarlo.sight import (
     sighting_variance,
 )
 from experiments.harness.sweep import concatenated
+from perception.geometry.arrays import FloatArray
 
 PLACEMENTS = ("optimal", "random", "fixed")
 OPTIMAL, RANDOM, FIXED = range(3)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial.best_first import direction_tree
@@ -29,9 +28,8 @@ from models.blocks import (
     place_camera,
 )
 from models.datasheets import CAMERA
-from twin.camera import ImageArray, renderer
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray, ImageArray
+from twin.camera import renderer
 
 SIGMA = 1e-3
 """Standard deviation of a block's place along x and y, as the planner knows it [m]."""

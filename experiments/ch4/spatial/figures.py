@@ -23,8 +23,7 @@ from experiments.ch4.spatial.blocks import BlocksView
 from experiments.ch4.spatial.search import SpatialSearch, SpatialSearchTrial
 from models.blocks import Arrangement
 from models.datasheets import CAMERA, INCH
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 _COLOURS = ("#bf7330", "#4073b3", "#599959", "#b3a64d")
 

@@ -7,7 +7,6 @@ the noise of stereo; the rovers are left out of it, as mapping robots leave each
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.placement.task import Lens, Target
 from experiments.ch3.stereo.mapping_scene import PIXEL_SIGMA
@@ -16,8 +15,6 @@ from models.datasheets import CAMERA, INCH
 from perception.geometry.pinhole import Frustum
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap
-
-FloatArray = NDArray[np.float64]
 
 BOX = ((-1.5, -1.5, -0.2), (1.5, 1.5, 0.9))
 """Corners of the map [m], world."""

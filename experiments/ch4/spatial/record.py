@@ -19,9 +19,8 @@ from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.task import View
 from models.blocks import Block
 from models.datasheets import CAMERA
+from perception.geometry.arrays import FloatArray
 from twin.layout import scene_view, side_by_side
-
-FloatArray = NDArray[np.float64]
 
 _QUALITY = 80
 

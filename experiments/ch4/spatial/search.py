@@ -26,8 +26,7 @@ from controllers.placement.spatial.search import (
 from controllers.placement.spatial.sight import sees_all
 from controllers.placement.task import Lens, Occluder, PlacementError, Target, View
 from models.datasheets import CAMERA, INCH
-
-FloatArray = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 LENS = Lens(CAMERA.field_of_view[0], CAMERA.width, 5.0 * INCH, 24.0 * INCH)
 """Nearest distance in focus as the thesis' answer of 5 inches says; the farthest is a choice."""

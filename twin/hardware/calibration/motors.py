@@ -8,8 +8,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from perception.geometry.arrays import FloatArray, IntArray
 from twin.hardware.calibration.section import (
     CalibrationError,
     Section,
@@ -18,9 +19,8 @@ from twin.hardware.calibration.section import (
     require_positive,
 )
 from twin.hardware.roboclaw.codec import FULL_DUTY
-from twin.robot import ARM_JOINTS, AXES, WHEELS, FloatArray
+from twin.robot import ARM_JOINTS, AXES, WHEELS
 
-IntArray = NDArray[np.int64]
 ADDRESSES: Final = (0x80, 0x81, 0x82, 0x83)
 """Of the motor boards on the bus."""
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.robot import FloatArray
+from perception.geometry.arrays import FloatArray
 
 
 class CalibrationError(ValueError):

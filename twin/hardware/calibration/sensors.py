@@ -8,12 +8,11 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from perception.geometry.arrays import FloatArray, IntArray
 from twin.hardware.calibration.section import Section, read_only, require, require_positive
-from twin.robot import FloatArray
 
-IntArray = NDArray[np.int64]
 ANALOGUE_PINS: Final = 16
 """Analogue inputs that an analogue board may have."""
 

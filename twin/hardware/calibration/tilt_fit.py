@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twin.robot import FloatArray
+from perception.geometry.arrays import FloatArray
 
 _SAG_ROUNDS = 4
 

@@ -18,9 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from perception.geometry.arrays import ImageArray
 from twin.hardware.cameras import frames
 from twin.hardware.serial_link import LinkError
-from twin.robot import Channel, ImageArray, ImageChannel, Validity
+from twin.robot import Channel, ImageChannel, Validity
 
 Source: TypeAlias = int | str | Path
 _STOP_TIME = 2.0  # [s] A capture that hangs is left behind after this.

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from perception.geometry.arrays import ImageArray
 from twin.hardware.serial_link import LinkError
-from twin.robot import ImageArray, RobotError
+from twin.robot import RobotError
 
 SUFFIX = ".frames"
 _MAGIC, _VERSION = b"FTFRAMES", 2

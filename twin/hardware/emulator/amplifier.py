@@ -15,13 +15,12 @@ import math
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from models.datasheets import ARM_MOTOR, POWER_STAGE, PULSE_CLOCK, WHEEL_MOTOR, MotorSheet
-from twin.robot import FloatArray
+from perception.geometry.arrays import FloatArray, IntArray
 
 PulseLaw = Literal["linear", "rc"]
-IntArray = NDArray[np.int64]
 
 
 def motor_constant(sheet: MotorSheet) -> float:

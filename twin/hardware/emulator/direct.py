@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import IntArray
 from twin.hardware.board_set import BoardState
 from twin.hardware.emulator.rover import EmulatedRover
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Status
 from twin.robot import Channel
-
-IntArray = NDArray[np.int64]
 
 
 class DirectBoards:

@@ -6,8 +6,8 @@ import multiprocessing
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 
+from perception.geometry.arrays import FloatArray, ImageArray
 from twin.camera import StereoHead
-from twin.robot import FloatArray, ImageArray
 
 _HEADS: dict[str, StereoHead] = {}
 """In the drawing process: the robots' stereo heads."""

@@ -10,6 +10,7 @@ from typing import cast
 
 import numpy as np
 
+from perception.geometry.arrays import ImageArray
 from twin.hardware.cameras.frames import SUFFIX, FrameWriter
 from twin.hardware.emulator.faults import (
     CameraFault,
@@ -24,7 +25,6 @@ from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
 from twin.hardware.emulator.rover import EmulatedRover
 from twin.hardware.roboclaw.codec import Status
-from twin.robot import ImageArray
 
 LOOPBACK = "127.0.0.1"
 _SLACK = 1e-9  # [s]

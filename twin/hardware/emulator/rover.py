@@ -6,8 +6,8 @@ import dataclasses
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from perception.geometry.arrays import FloatArray, IntArray
 from perception.geometry.pinhole import Pinhole
 from twin.camera import camera_model
 from twin.hardware.calibration.calibration import Calibration
@@ -18,11 +18,9 @@ from twin.hardware.emulator.amplifier import (
     motor_current,
     motor_volts,
 )
-from twin.robot import AXES, Channel, Command, FloatArray
+from twin.robot import AXES, Channel, Command
 from twin.sensors import DATASHEET, IDEAL, ChannelSpec, SensorSuite
 from twin.sim_robot import SimRobot
-
-IntArray = NDArray[np.int64]
 
 _TILT = DATASHEET.channels["inclinometer"]
 ANALOGUE_SENSORS = SensorSuite(

@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from perception.geometry.arrays import FloatArray
 from twin.hardware.serial_link import LinkError
-from twin.robot import FloatArray
 
 PORT = 49152
 HEADER = 0x1234
