@@ -93,7 +93,7 @@ class CardArm:
 
         Args:
             place: (3,) of the middle of the leading edge [m], robot frame.
-            pitch: Of the card's forward axis [rad].
+            pitch: Pitch of the card's forward axis [rad].
             near: (4,) the angles now; the nearest solution is taken.
 
         Returns:

@@ -45,16 +45,16 @@ class CardInserterConfig:
     """How the slave moves.
 
     Attributes:
-        guide: Of the insertion by force.
-        belief: Of where the slot is.
-        reach: Of the card's edge before the robot's origin where the arm is at ease [m].
-        stand_off: Of the card before the mouth when vision hands over to force [m].
-        speed: Of the wheels, at most [m/s].
-        slowing: Of the wheels before their place, speed over distance [1/s].
+        guide: Configuration of the force-guided insertion.
+        belief: Configuration of the slot's pose estimate.
+        reach: Distance of the card's edge ahead of the robot in the arm's easy range [m].
+        stand_off: Card's distance before the mouth when vision hands over to force [m].
+        speed: Largest speed of the wheels [m/s].
+        slowing: Gain by which the wheels slow near their place, speed over distance [1/s].
         turn: Turning rate of the robot, at most [rad/s].
-        card_speed: Of the card by the arm [m/s].
+        card_speed: Speed at which the arm moves the card [m/s].
         card_turn: Its turning rate [rad/s].
-        near: Of the robot to its place, where the wheels stop [m].
+        near: Distance of the robot to its place at which the wheels stop [m].
         look_ahead: Over which the robot steers onto the slot's line [m].
         aligned: Across and ahead [m] and turn [rad] within which the card stands before the slot.
         looks: How many looks in a row have to say so.
@@ -65,7 +65,7 @@ class CardInserterConfig:
         lost: Age of the last look after which it gives up [s].
         first: Time without a first look after which it gives up [s]; until then nothing moves.
         settle: Time over which the wrench is tared [s].
-        force_limit: Of the contact force at which everything stops [N].
+        force_limit: Contact force at which everything stops [N].
         timeout: For the whole task [s].
         period: Servo tick [s].
     """
@@ -149,8 +149,8 @@ class CardInserter:
         """Take what was measured and heard, and return the next command.
 
         Args:
-            seen: Of the slave.
-            looks: Of the master, as they came over the radio since the last step.
+            seen: Observation of the slave.
+            looks: Guidance of the master that came over the radio since the last step.
         """
         config = self.config
         self._time += config.period

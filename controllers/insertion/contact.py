@@ -54,7 +54,7 @@ class CardInSlot:
         card_width: Across the card.
         card_length: Along the insertion.
         slot_width: Between the walls.
-        slot_depth: Of the walls.
+        slot_depth: Depth of the walls.
         wall: Width of the faces beside the mouth.
         friction: Between card and slot.
     """
@@ -243,7 +243,7 @@ def contact_point(shape: CardInSlot, wrench: Floats) -> Floats:
     below 45 deg.
 
     Args:
-        shape: Of the card.
+        shape: Width and length of the card.
         wrench: (3,) [N, N, N m].
 
     Returns:

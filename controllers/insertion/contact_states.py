@@ -67,8 +67,8 @@ class StateEstimate:
     Attributes:
         state: 1 to 6.
         side: 1 as in `contact.STATES`, -1 for the mirror image.
-        cost: Of the chosen hypothesis: squared distances, whitened.
-        margin: By how much the best other state costs more.
+        cost: Cost of the chosen hypothesis: squared distances, whitened.
+        margin: Cost of the best other state less that of the chosen one.
         pose: (3,) believed pose, moved so that the features meet.
     """
 
@@ -91,7 +91,7 @@ def classify(
     Args:
         shape: Of card and slot.
         wrench: (3,) what the slot puts on the card, card's frame [N, N, N m].
-        noise: Of the wrench.
+        noise: Standard deviations of the wrench's noise.
         pose: (3,) believed pose of the card in the slot's frame [m, m, rad].
         covariance: (3, 3) of the pose.
 

@@ -33,7 +33,7 @@ class Guidance:
     """One look of the master.
 
     Attributes:
-        time: Of the images [s].
+        time: Time stamp of the images [s].
         card_seen: Whether the card was seen in them.
         slot_seen: Whether the slot was.
         transform_slot_to_card: The slot from the card; None if the card was not seen.

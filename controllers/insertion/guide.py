@@ -49,7 +49,7 @@ class GuideConfig:
         stiffness: Of hand, arm and base along an axis, as identified [N/m].
         depth: Where the card is seated [m].
         period: Between two wrenches [s].
-        speed: Of the insertion in free motion [m/s].
+        speed: Speed of the insertion in free motion [m/s].
         slide_speed: Along the face [m/s].
         push: Force held against the face [N].
         deadband: Force that nothing gives way to [N].

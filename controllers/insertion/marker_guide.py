@@ -32,7 +32,7 @@ class MarkerGuideConfig:
     Attributes:
         card: Markers of the card.
         slot: Markers of the slot.
-        diameter: Of a marker [m].
+        diameter: Diameter of a marker [m].
         plan: How the camera is placed; None leaves it where it is.
         detector: Name in `perception.markers.bodies.DETECTORS`.
         turned: Deviation of the card's attitude from the slot's, before it is seen [rad].
@@ -74,7 +74,7 @@ class MarkerGuide:
         Args:
             config: How it looks.
             arm: With the camera.
-            geometry: Of the stereo pair.
+            geometry: Geometry of the stereo pair.
             slot: The transform from the slot to the robot and its covariance (6, 6).
             card: The transform from the card to the robot, roughly.
             angles: (4,) of the joints where the camera shall be [rad], until a better place is
@@ -112,7 +112,7 @@ class MarkerGuide:
         """Take what was measured; return the next command, and guidance after each new pair.
 
         Args:
-            seen: Of the master.
+            seen: Observation of the master.
         """
         if not (seen.arm_angles.usable and np.isfinite(seen.arm_angles.value).all()):
             return Command(), None

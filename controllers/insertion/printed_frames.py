@@ -45,7 +45,7 @@ def three_points(pose: RigidTransform, length: float = 1.0) -> FloatArray:
 
     Args:
         pose: The transform from the body to the camera.
-        length: Of the axes [m].
+        length: Length of the axes [m].
     """
     return np.asarray(pose.apply(length * np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1]])), dtype=float)
 

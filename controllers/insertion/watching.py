@@ -76,8 +76,8 @@ class ArmChoice:
 
     Attributes:
         angles: (4,) of the joints [rad].
-        rating: Of the view there; 0 if none shows everything.
-        rating_now: Of the view from the angles that were asked about.
+        rating: Rating of the view there; 0 if none shows everything.
+        rating_now: Rating of the view from the angles that were asked about.
     """
 
     angles: FloatArray
@@ -126,8 +126,8 @@ def best_angles(
     Args:
         plan: What is tried.
         parts: Where card and slot are, robot frame.
-        arm: Of the robot that looks.
-        geometry: Of its pair.
+        arm: Arm of the robot that looks.
+        geometry: Geometry of its stereo pair.
         now: (4,) angles to compare with [rad].
     """
     for whole in (True, False):
@@ -183,7 +183,7 @@ def in_both_images(
     Args:
         cameras: From the left camera to the points' frame.
         points: [m].
-        geometry: Of the pair.
+        geometry: Geometry of the stereo pair.
         border: Kept free [px].
     """
     rotations = cameras.rotation.as_matrix()

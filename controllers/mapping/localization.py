@@ -27,11 +27,11 @@ class LocalizationConfig:
     """Standard deviations behind the camera pose that arm and inclinometer give.
 
     Attributes:
-        tilt: Of the base's measured tilt about each axis [rad]: the inclinometer's noise.
-        yaw: Of the base's yaw on its springs [rad].
-        place: Of the base's position on its springs along each axis [m].
-        mount_turn: Of the head's mounting about each axis [rad].
-        mount_place: Of the head's mounting along each axis [m].
+        tilt: Deviation of the measured tilt about each axis [rad]: the inclinometer's noise.
+        yaw: Deviation of the base's yaw on its springs [rad].
+        place: Deviation of the base's position on its springs along each axis [m].
+        mount_turn: Deviation of the head's mounting about each axis [rad].
+        mount_place: Deviation of the head's mounting along each axis [m].
     """
 
     tilt: float = 0.001

@@ -36,7 +36,7 @@ class PoseMessage:
 
     Attributes:
         robot: Number of the robot, 0 to 255.
-        time: Of the pose, robot time [s], within 24 days, in steps of 1 ms.
+        time: Robot time of the pose [s], within 24 days, in steps of 1 ms.
         position: x, y, z [m], world, within 32.7 m, in steps of 1 mm.
         attitude: Pitch, roll and yaw about x, y and z [rad], modulo a turn, in steps of pi / 2^15.
         deviation: Standard deviation of the position [m], up to 65.5 m, in steps of 1 mm.
@@ -73,7 +73,7 @@ class WrenchMessage:
 
     Attributes:
         robot: Number of the robot, 0 to 255.
-        time: Of the sample, robot time [s], within 24 days, in steps of 1 ms.
+        time: Robot time of the sample [s], within 24 days, in steps of 1 ms.
         force: [N], arm base frame, within 327 N, in steps of 0.01 N.
         moment: [N m], about the arm base frame, within 32.7 N m, in steps of 0.001 N m.
     """
@@ -104,7 +104,7 @@ class MapDelta:
 
     Attributes:
         robot: Number of the robot, 0 to 255.
-        revision: Of the map, 0 to 65535: all messages of one change carry the same.
+        revision: Map revision, 0 to 65535: all messages of one change carry the same.
         remaining: Voxels of this change that later messages bring; 0 in the last one.
         voxels: (n,) indices, uint32.
         occupancies: (n,) occupancy, uint8.
@@ -131,7 +131,7 @@ def pack_map_change(
 
     Args:
         robot: Number of the robot, 0 to 255.
-        revision: Of the map, 0 to 65535.
+        revision: Map revision, 0 to 65535.
         voxels: (n,) indices, 0 to 2^32 - 1; n up to 65535, 0 for no message at all.
         occupancies: (n,) occupancy of each, 0 to 255.
         limit: Longest message [bytes].

@@ -84,7 +84,7 @@ def draw_views(
     """Draw what each measure's choice brought, and how its ranks agree with what views bring.
 
     Args:
-        names: Of the measures.
+        names: Names of the measures.
         share: (S, M) of the best view's gain, by scene.
         correlation: (S, M) of ranks.
         drawn: (S,) share of a view drawn at random.

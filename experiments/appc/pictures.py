@@ -79,7 +79,7 @@ class NoiseTrial:
     """Pictures of noise; a job of the sweep.
 
     Attributes:
-        seed: Of the noise.
+        seed: Seed of the noise.
         count: Of pictures of each size.
     """
 

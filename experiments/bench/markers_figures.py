@@ -36,7 +36,7 @@ def draw_steps(
 
     Args:
         image: (H, W) uint8.
-        geometry: Of the camera.
+        geometry: Geometry of the camera.
         expected: Sizes and range of the markers.
         found: What `detect_hough` found in it, at least one.
 

@@ -85,8 +85,8 @@ def probe(
     """Jerk an arm on some ground, and return what was estimated.
 
     Args:
-        friction: Of the ground.
-        seed: Of the sensor noise.
+        friction: Friction coefficient of the ground.
+        seed: Seed of the sensor noise.
         effort: Key of `EFFORTS`.
         robot: Which robot.
         record: File for a recording, if any.

@@ -141,9 +141,9 @@ def identify(
 
     Args:
         box: What it holds.
-        seed: Of the sensor noise.
+        seed: Seed of the sensor noise.
         robot: Which robot.
-        duration: Of the swing [s].
+        duration: Duration of the swing [s].
         record: File for a recording, if any.
 
     Raises:

@@ -23,7 +23,7 @@ def record_insertion(width: float, course: NDArray[np.float64], path: Path) -> N
     """Write one insertion: slot, card, wrench and phase; lengths in mm, y downward in the view.
 
     Args:
-        width: Of the slot [m].
+        width: Width of the slot [m].
         course: (n, 11) as `ch5_contact_trial.run_insertion` returns it.
         path: File to write.
     """

@@ -47,7 +47,7 @@ class StateJob:
 
     Attributes:
         state: 1 to 6.
-        width: Of the slot [m].
+        width: Width of the slot [m].
         seed: Of poses, loads and noise.
         poses: How many different ones.
         samples: Noisy wrenches of each.
@@ -65,7 +65,7 @@ class InsertionJob:
     """One insertion.
 
     Attributes:
-        width: Of the slot [m].
+        width: Width of the slot [m].
         ring: Which third of the widest misalignment, 1 to 3.
         guided: By force, or straight ahead.
         seed: Of misalignment and noise; both ways of insertion get the same.

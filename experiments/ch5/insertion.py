@@ -52,7 +52,7 @@ class Options(contract.Options):
     """Options of ch5-insertion.
 
     Attributes:
-        detector: Of the markers: blob, or tht for the thesis' own.
+        detector: Marker detector: blob, or tht for the thesis' own.
         parts: Which parts to run: table, impossible, noise, faults (unless said, all).
     """
 

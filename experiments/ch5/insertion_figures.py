@@ -26,7 +26,7 @@ def draw_table(
 
     Args:
         shares: Fractions with intervals by placement and width.
-        widths: Of the slots [m].
+        widths: Widths of the slots [m].
         thesis: Its fractions by placement.
     """
     figure = Figure(figsize=(6.5, 4.0))
@@ -105,7 +105,7 @@ def draw_course(course: FloatArray, title: str) -> Figure:
 
     Args:
         course: (n, k) rows of `COURSE`.
-        title: Of the figure.
+        title: Title of the figure.
     """
     columns = {name: course[:, index] for index, name in enumerate(COURSE)}
     time, stage = columns["time"], columns["stage"]

@@ -34,7 +34,7 @@ def identify_slip(seed: int) -> tuple[float, float]:
     """Return the share of a turn that skidding leaves, and its standard deviation.
 
     Args:
-        seed: Of the sensors.
+        seed: Seed of the sensors' noise.
     """
     model = make_model(FieldConfig(texture_pixels=16), [RobotPlacement(ROBOT, stereo=False)])
     simulation = Simulation(model, [ROBOT], seed=seed, data=settle(model))

@@ -69,9 +69,9 @@ class InsertionTrial:
         width: Between the slot's walls [m].
         optimal: Whether the camera is placed optimally, or at random.
         seed: Of field, starts, errors and noise; both placements get the same.
-        turn_share: Of the slave's steering, as identified.
-        noise_db: Of the cameras.
-        detector: Of the markers.
+        turn_share: Share of a turn that the slave's skidding leaves, as identified.
+        noise_db: Signal-to-noise ratio of the cameras [dB].
+        detector: Name of the marker detector.
         fault: Name of a `Fault` that happens; empty for none.
         trace: Keep the course.
     """

@@ -49,8 +49,8 @@ class Scorer(LoopRecorder):
         whole: Pairs in which card and slot were seen.
         course: Rows of `COURSE`.
         finite: Whether all commands were finite and all states too.
-        nees: Of each pose that the master sent, its squared error over what its covariance says,
-            for each of the six degrees of freedom; 1 on average if the covariance is right.
+        nees: Normalized squared error of each pose that the master sent, per degree of freedom; 1
+            on average if the covariance is right.
     """
 
     def __init__(self, setting: Setting, trace: bool) -> None:

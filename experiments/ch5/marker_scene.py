@@ -32,8 +32,8 @@ class MarkerView:
         pair: (2, H, W) uint8.
         bodies: Card and slot to the left camera.
         ellipses: (2, 4, 5) of the card's, then the slot's markers, as they truly are.
-        distance: Of the view [m].
-        slant: Of the view [deg].
+        distance: Distance of the view [m].
+        slant: Angle of the view with the faces' normal [deg].
     """
 
     pair: ImageArray
@@ -47,7 +47,7 @@ def marker_cads(width: float) -> tuple[BodyCad, BodyCad]:
     """Return the CAD of the card and of a slot, whichever way up they are.
 
     Args:
-        width: Of the slot [m].
+        width: Width of the slot [m].
     """
     drawing = insertion_drawing(width)
     return BodyCad(drawing.card.points), BodyCad(drawing.slot.points)
@@ -65,8 +65,8 @@ class MarkerScene:
         """Build.
 
         Args:
-            rng: Of the views and of the noise.
-            noise_db: Of the images.
+            rng: Random generator for views and noise.
+            noise_db: Signal-to-noise ratio of the images [dB].
         """
         self.width = CARD_AND_SLOT.slot_widths[1]
         self.geometry = head_geometry()

@@ -25,7 +25,7 @@ class Element:
     """A table or figure of the thesis.
 
     Attributes:
-        name: As the thesis calls it, for instance "Figure 3-26".
+        name: Name in the thesis, for instance "Figure 3-26".
         what: What it shows.
         shown_by: Experiments whose results show it, or that deal with the matter.
         also: Names of pictures and tables that show it under another name.

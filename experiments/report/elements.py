@@ -19,7 +19,7 @@ def element_table(
     """Return the section on all elements.
 
     Args:
-        elements: Of the thesis.
+        elements: Elements of the thesis.
         results: Those that the page shows.
         known: Names of all experiments of this version.
     """

@@ -23,7 +23,7 @@ def table(headings: Sequence[str], rows: str) -> str:
     """Return a table in a box that scrolls by itself.
 
     Args:
-        headings: Of the columns; may be empty.
+        headings: Headings of the columns; may be empty.
         rows: HTML of the rows.
     """
     heads = "".join(f"<th>{escape(heading)}</th>" for heading in headings)

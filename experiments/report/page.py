@@ -68,7 +68,7 @@ def section(result: Result, thesis: Sequence[Element]) -> str:
     """Return one experiment's section.
 
     Args:
-        result: Of the experiment.
+        result: Result of the experiment.
         thesis: All elements of the thesis, for the captions.
     """
     element = f'<p class="element">{escape(result.thesis_element)}</p>'

@@ -41,7 +41,7 @@ class Flexure:
     """A hinge milled as a thin strip.
 
     Attributes:
-        length: Of the strip that bends [m].
+        length: Length of the strip that bends [m].
         width: Along the hinge's axis [m].
         thickness: t [m].
     """

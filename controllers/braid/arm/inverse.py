@@ -32,7 +32,7 @@ class InverseConfig:
 
     Attributes:
         weight: w of the cost [m].
-        genetic: Of the genetic search.
+        genetic: Settings of the genetic search.
         restarts: Random words that the exchange heuristic begins from.
         neighbourhoods: (stages set free, how often) in order, for the large-neighbourhood search.
             The last `TAIL` stages are always free, so (3, 80) looks through 80 x 8^9 words.
@@ -91,7 +91,7 @@ class WordTable:
     Attributes:
         words: (m, k) states.
         poses: (m, 12) poses.
-        tree: Of the poses.
+        tree: KD-tree of the poses.
     """
 
     words: IntArray

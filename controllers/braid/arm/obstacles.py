@@ -37,7 +37,7 @@ class VoxelObstacles:
 
     Attributes:
         centres: (k, 3) middles of the cubes [m] in the arm's base frame; kept in order of z.
-        side: Of a cube [m].
+        side: Edge length of a cube [m].
         margin: That the arm's legs and discs keep besides, for instance half their thickness [m].
     """
 
@@ -77,7 +77,7 @@ def occupied_voxels(
     are NaN there.
 
     Args:
-        voxels: As the mapping keeps it.
+        voxels: Voxel map with the occupied voxels.
         transform_base_to_world: Where the arm stands in the map.
         margin: As in `VoxelObstacles`.
     """

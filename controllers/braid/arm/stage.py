@@ -32,7 +32,7 @@ class StageGeometry:
     """Sizes of a stage.
 
     Attributes:
-        radius: Of the joints' circle on both discs [m].
+        radius: Radius of the joints' circle on both discs [m].
         short: Length of a leg whose actuator is off [m].
         long: Length of a leg whose actuator is on [m].
     """
@@ -74,7 +74,7 @@ def stage_pose(lengths: FloatArray, radius: float) -> FloatArray:
 
     Args:
         lengths: (..., 3) leg lengths [m].
-        radius: Of the joints' circle [m].
+        radius: Radius of the joints' circle [m].
 
     Returns:
         (..., 12) pose of the platform in the base frame.
@@ -106,7 +106,7 @@ def closure_residual(pose: FloatArray, lengths: FloatArray, radius: float) -> Fl
     Args:
         pose: (..., 12) platform in base.
         lengths: (..., 3) leg lengths [m].
-        radius: Of the joints' circle [m].
+        radius: Radius of the joints' circle [m].
 
     Returns:
         (..., 6): error of each leg's length, and what each leg sticks out of its radial plane.

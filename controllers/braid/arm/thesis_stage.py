@@ -30,7 +30,7 @@ def thesis_stage_pose(lengths: FloatArray, radius: float) -> FloatArray:
 
     Args:
         lengths: (..., 3) leg lengths [m].
-        radius: Of the joints' circle [m].
+        radius: Radius of the joints' circle [m].
 
     Returns:
         (..., 12) pose of the platform in the base frame, as `stage.stage_pose`.

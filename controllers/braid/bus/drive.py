@@ -66,7 +66,7 @@ class WireDrive:
 
     Attributes:
         word: (n,) states that the arm has, or will have after this change.
-        duration: Of the change under way, cooling included [s].
+        duration: Duration of the change under way, cooling included [s].
         groups: m arrays (k, 2), stage and leg of what is heated together, in order.
     """
 

@@ -150,7 +150,7 @@ def sampled_segments(
 
     Args:
         trains: What is sent, one after another.
-        timing: Of the master.
+        timing: Pulse timing of the master.
         sample: Time of one sample [s].
 
     Returns:

@@ -30,7 +30,7 @@ class DirectionTree:
     Attributes:
         centres: (N, 3) unit vectors, z along the target's normal.
         radii: (N,) largest angle from the centre to a point of the triangle [rad].
-        level: Of the last triangles; the first four have level 0.
+        level: Level of the last triangles; the first four have level 0.
         first_leaf: Number of the first triangle of the last level.
     """
 

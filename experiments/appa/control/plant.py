@@ -115,7 +115,7 @@ def sprung_rover(stiffness: float) -> mujoco.MjModel:
     """Return the rover on springs of another stiffness, with the dampers that it has.
 
     Args:
-        stiffness: Of the bare rover in pitch [N m/rad]; the springs follow from eq. A-1 and carry
+        stiffness: Pitch stiffness of the bare rover [N m/rad]; by eq. A-1 the springs also carry
             the bare rover level.
     """
     model = make_model(PLAIN, [RobotPlacement("rover1")])

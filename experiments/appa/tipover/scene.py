@@ -44,7 +44,7 @@ class TipScene:
         Args:
             load: Mass in the gripper [kg].
             folded: (4,) joint angles at rest [rad].
-            slope: Of the ground [rad].
+            slope: Slope of the ground [rad].
             downhill: Where it falls to, from the plane's x axis [rad].
         """
         robot = RobotPlacement(ROBOT, centre_locked=True, payload=PayloadConfig(load))

@@ -45,8 +45,8 @@ class TrussBench:
         """Build it, at rest with the segment held.
 
         Args:
-            offset: Of the stage along s [m].
-            tilt: Of the stage, in the plan frame [rad].
+            offset: Offset of the stage along s [m].
+            tilt: Tilt of the stage, in the plan frame [rad].
         """
         height = TRUSS.seated_height + LIFT
         self.model = make_truss(height, start_angles(height), offset, tilt)

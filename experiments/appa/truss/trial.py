@@ -69,7 +69,7 @@ class TrussTrial:
 
     Attributes:
         way: Of `WAYS`.
-        share: Of the widest misalignment asked for; signs, and sizes from half of it, are drawn.
+        share: Share of the widest misalignment; signs, and sizes from half of it, are drawn.
         seed: Of misalignments, sensors and radio; all ways get the same.
         traced: Whether courses are kept.
         byte_errors: Probability that the radio hits a byte.

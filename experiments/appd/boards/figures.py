@@ -31,8 +31,8 @@ def draw_stops(times: Mapping[str, Sequence[float]], bound: float) -> Figure:
     """Draw, for each fault, how long after it the last axis was driven.
 
     Args:
-        times: Of the trials, by fault [s]; infinite ones are drawn beyond the bound.
-        bound: By which all must have stopped [s].
+        times: Times to a stop by fault [s]; infinite ones are drawn beyond the bound.
+        bound: Time by which all must have stopped [s].
     """
     figure = Figure(figsize=(9, 0.4 * len(times) + 1.5))
     axes = figure.add_subplot()

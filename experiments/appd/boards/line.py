@@ -46,7 +46,7 @@ class DamagedLine:
         shafts: By address.
         boards: By address.
         line: Counts what it damaged.
-        port: Of the host.
+        port: Serial port of the host.
     """
 
     def __init__(self, rate: float, rng: np.random.Generator) -> None:

@@ -55,7 +55,7 @@ class Batch:
 
     Attributes:
         kinds: What happens in each, of `KINDS`.
-        seed: Of the time, the board, the motion and all noise.
+        seed: Seed of the time, the board, the motion and all noise.
     """
 
     kinds: tuple[str, ...]

@@ -46,7 +46,7 @@ class TiltTable:
 
         Args:
             simulation: With one rover on flat ground.
-            name: Of the rover.
+            name: Name of the rover.
         """
         self._simulation = simulation
         self._robot = simulation.robots[name]

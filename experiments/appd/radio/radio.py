@@ -54,7 +54,7 @@ class Options(contract.SimulatedOptions):
     """Options of the radio experiment.
 
     Attributes:
-        delay: Of the modems, one way [s]; the framed link's advantage grows with it.
+        delay: Delay of the modems, one way [s]; the framed link's advantage grows with it.
     """
 
     delay: float = 0.005

@@ -58,7 +58,7 @@ class Options(contract.Options):
     """Options of appe-inverse.
 
     Attributes:
-        targets: Of each kind and number of stages (unless said, 1000; with --quick, 20).
+        targets: Number for each kind and number of stages (default 1000; with --quick, 20).
     """
 
     targets: int | None = None

@@ -33,9 +33,9 @@ class TargetTrial:
     """Targets of one kind for one arm.
 
     Attributes:
-        stages: Of the arm.
+        stages: Number of the arm's stages.
         kind: One of `KINDS`.
-        seed: Of the targets and searches.
+        seed: Seed of the targets and searches.
         count: Targets.
     """
 
@@ -50,7 +50,7 @@ class ClearTrial:
     """Scenes with obstacles in the way of five stages.
 
     Attributes:
-        seed: Of the scenes.
+        seed: Seed of the scenes.
         count: Scenes.
         voxels: Whether the obstacles are told as a map's occupied voxels.
     """

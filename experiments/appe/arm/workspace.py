@@ -48,7 +48,7 @@ class Options(contract.Options):
     """Options of appe-workspace.
 
     Attributes:
-        stages: Of the arm.
+        stages: Number of the arm's stages.
         extension: How much longer a leg is when its actuator is on, in radii.
     """
 

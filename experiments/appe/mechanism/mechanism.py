@@ -54,7 +54,7 @@ class Options(contract.Options):
     """Options of appe-mechanism.
 
     Attributes:
-        stages: Of the arm that is driven through random words.
+        stages: Number of stages of the arm that is driven through random words.
         words: Random words (unless said, 200; with --quick, 16).
         at_once: Legs that are heated together; all legs of the arm unless said.
     """

@@ -26,8 +26,8 @@ class SagTrial:
     """An arm under its weight, put into words.
 
     Attributes:
-        stages: Of the arm.
-        seed: Of the words.
+        stages: Number of the arm's stages.
+        seed: Seed of the words.
         words: Drawn at random, besides the eight of equal stages.
         head: Whether it carries the stereo head.
     """
@@ -43,8 +43,8 @@ class WordTrial:
     """Random words that an arm is driven to, one after the other.
 
     Attributes:
-        stages: Of the arm.
-        seed: Of the words.
+        stages: Number of the arm's stages.
+        seed: Seed of the words.
         words: How many.
         at_once: Legs that are heated together.
     """

@@ -67,7 +67,7 @@ class RoverView:
         bench: Physics.
         transform_base_to_world: Of BRAID's base, the rover at rest with all legs short.
         transform_camera_to_tip: Where the left camera is on the last platform.
-        intrinsics: Of the left camera.
+        intrinsics: Intrinsics of the left camera.
     """
 
     def __init__(self, setting: PlacementSetting, stages: int) -> None:

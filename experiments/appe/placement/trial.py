@@ -60,7 +60,7 @@ class PlacementTrial:
     """One setting.
 
     Attributes:
-        seed: Of all of it.
+        seed: Seed of the scene and of the search.
         stages: Of BRAID, up to 5: their words are all listed.
     """
 
@@ -75,7 +75,7 @@ class Plan:
     Attributes:
         view: The placement that it stands for.
         word: (n,) states.
-        transform_camera_to_world: By the kinematics.
+        transform_camera_to_world: From the camera to the world, by the kinematics.
         tries: Placements that were offered until this one.
     """
 

@@ -106,7 +106,7 @@ def _pendulum_inertia(height: float) -> float:
     """Hang the stiffened rover from a pivot and time its swing, on the model alone.
 
     Args:
-        height: Of the centre of gravity above the ground [m].
+        height: Height of the centre of gravity above the ground [m].
 
     Returns:
         Inertia about the ground line [kg m^2], less the weighed wheels' share, which the pendulum

@@ -155,7 +155,7 @@ def fitted(run: Swings, outputs: Outputs, generator: np.random.Generator) -> Est
     Args:
         run: How the arms moved.
         outputs: Noise-free samples of each mode.
-        generator: Of the noise.
+        generator: Random generator for the noise.
     """
     bound = NOISE_FRACTION * fixed_scale(TABLE_TRUTH)
     fit = OutputError(run.arms)
@@ -246,7 +246,7 @@ def verify(options: Options, output: Output) -> None:
     """Measure and check what does not depend on the trials.
 
     Args:
-        options: Of the run.
+        options: Options of the run.
         output: Where the metrics and checks go.
     """
     configs = [(case, options.seed) for case in CASES]

@@ -65,7 +65,7 @@ def make_world(occupied: BoolArray, generator: np.random.Generator, cell: float 
 
     Args:
         occupied: (rows, columns) obstacles.
-        generator: Of the start, evenly drawn in the largest connected region.
+        generator: Draws the start evenly in the largest connected region.
         cell: Side of a cell [m].
 
     Raises:
@@ -235,7 +235,7 @@ def image_world(path: Path, seed: int, cell: float = 0.5) -> World:
 
     Args:
         path: Picture in any format that OpenCV reads; its top is the world's far side.
-        seed: Of the start.
+        seed: Seed of the start.
         cell: Side of a cell [m].
 
     Raises:

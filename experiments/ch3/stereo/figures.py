@@ -77,7 +77,7 @@ def panorama(views: Sequence[StereoView], geometry: StereoGeometry) -> FloatArra
 
     Args:
         views: Views whose camera pose is known.
-        geometry: Of the cameras.
+        geometry: Geometry of the cameras.
     """
     width, height = _PANORAMA
     canvas = np.full((height, width), np.nan)

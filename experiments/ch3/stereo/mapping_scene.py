@@ -39,7 +39,7 @@ class Scene:
 
         Args:
             generator: Source of randomness.
-            radius: Of the disc that holds their centres [m].
+            radius: Radius of the disc that holds their centres [m].
         """
         where = _in_disc(generator, 8, radius)
         size = generator.uniform(0.04, 0.12, 4)

@@ -42,7 +42,7 @@ class ScoredView:
     Attributes:
         depths: (n,) true depth [m].
         predicted: (n,) deviation of the depth by our covariance [m].
-        errors: Of the disparity by method, (n,) each [px]; NaN where that method has none.
+        errors: Disparity errors by method, (n,) each [px]; NaN where that method has none.
         matched: Fraction of the image's pixels where each method has a disparity.
         bare: Number of points of ours that were drawn for scoring and show no surface at all.
     """

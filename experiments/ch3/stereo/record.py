@@ -55,7 +55,7 @@ class MapRecorder:
         Args:
             mapper: With the map after it.
             view: The view.
-            share: Of the true surface that is mapped by now.
+            share: Share of the true surface that is mapped by now.
         """
         self._count += 1
         self._stream.reset_time()

@@ -80,7 +80,7 @@ def draw_layout(seed: int) -> tuple[PanelConfig, tuple[RobotPlacement, RobotPlac
     The rovers stand about 1.1 m from the panel on either side of where it faces, and look at it.
 
     Args:
-        seed: Of the scene.
+        seed: Seed of the scene.
     """
     rng = np.random.default_rng(np.random.SeedSequence((seed, 1)))
     x, y = np.array([0.0, 0.35]) + rng.uniform(-0.08, 0.08, 2)
@@ -207,7 +207,7 @@ class StereoScene:
         """Return what a robot's stereo head or the free rig sees.
 
         Args:
-            name: Of the robot, or `RIG`.
+            name: Name of the robot, or `RIG`.
 
         Raises:
             ValueError: If there is no such robot.
@@ -221,7 +221,7 @@ class StereoScene:
         """Return the depth of what a left camera sees, exactly, by casting rays.
 
         Args:
-            name: Of the robot, or `RIG`; the scene as it stands now.
+            name: Name of the robot, or `RIG`; the scene as it stands now.
             pixels: (N, 2) column, row [px].
 
         Returns:

@@ -43,7 +43,7 @@ class MappingTrial:
     """One run.
 
     Attributes:
-        seed: Of the scene and of all noise.
+        seed: Seed of the scene and of all noise.
         method: How views are chosen.
         scans: Number of views of each robot.
         shown: Whether the result has what its figures need.

@@ -30,7 +30,7 @@ class Comparison:
         worse: Name of the other.
         wins: Tests in which only the first succeeded.
         losses: Tests in which only the second did.
-        p_value: Of the sign test (McNemar's, exact), both sides.
+        p_value: Two-sided p of the exact sign test (McNemar's).
     """
 
     kind: str

@@ -32,7 +32,7 @@ def record_test(seed: int, path: Path) -> None:
     """Write one test with all placements: obstacles, object, camera and sightings over time.
 
     Args:
-        seed: Of the test.
+        seed: Seed of the test.
         path: File to write.
     """
     chance = draw_chance(seed)

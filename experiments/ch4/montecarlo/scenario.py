@@ -31,12 +31,12 @@ class Scenario(NamedTuple):
     """Numbers of one scenario, in the form that compiled code takes.
 
     Attributes:
-        side: Of the square work space [m].
+        side: Side of the square work space [m].
         cell: Side of a cell of the map [m].
         smallest: Radius of the smallest obstacle's circle [m].
         largest: Radius of the largest obstacle's circle [m].
-        width: Of the object [m].
-        length: Of the object [m].
+        width: Width of the object [m].
+        length: Length of the object [m].
         start: Gap between object and goal at first [m].
         speed: Highest speed of the object [m/s].
         gain: Its speed over its gap [1/s].
@@ -49,7 +49,7 @@ class Scenario(NamedTuple):
         pixel: Standard deviation of a marker's column [px].
         disparity: Standard deviation of a marker's disparity [px].
         focal: Focal length [px].
-        baseline: Of the stereo pair [m].
+        baseline: Baseline of the stereo pair [m].
         field_of_view: Field of view [rad].
         pixel_per_metre: `task.Lens.pixel_per_metre` of the same camera [m/m].
         near: Nearest distance in focus [m].

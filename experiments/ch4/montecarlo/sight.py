@@ -68,7 +68,7 @@ def sighting_variance(
         camera: Its place [m].
         target: 0 primary, 1 secondary.
         gap: Between the markers [m].
-        error: Of the object's place across the slot [m].
+        error: Error of the object's place across the slot [m].
 
     Returns:
         The variance; 0 if a marker is not seen.

@@ -63,8 +63,8 @@ class MotionTrial:
     """One approach of the panel; a job of the sweep.
 
     Attributes:
-        seed: Of the site, the scans and all errors.
-        factor: Of the hysteresis.
+        seed: Seed of the site, the scans and all errors.
+        factor: Hysteresis factor.
     """
 
     seed: int
@@ -76,9 +76,9 @@ class Moment:
     """What an observer of an approach is shown after each step.
 
     Attributes:
-        step: Of the approach.
+        step: Number of the approach's step.
         task: Targets, occluders and map as believed.
-        view: Of the camera; None where nothing is seen.
+        view: View of the camera; None where nothing is seen.
         moved: Whether the camera had to move.
         panel: (4, 2) corners where the panel truly is [m].
         believed: Where it is believed to be.

@@ -32,7 +32,7 @@ def record_approach(site: MappedSite, moments: Sequence[Moment], path: Path) -> 
 
     Args:
         site: The mapped site.
-        moments: Of the approach.
+        moments: Moments of the approach.
         path: File to write.
     """
     stream = rr.RecordingStream("fieldtwin")

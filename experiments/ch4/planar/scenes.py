@@ -48,7 +48,7 @@ def face(name: str, place: tuple[float, float], direction: float, error: float =
     Args:
         name: Its name.
         place: Its middle [m].
-        direction: Of its normal from the x axis [rad].
+        direction: Direction of its normal from the x axis [rad].
         error: Its relation_error [m].
     """
     normal = np.array([math.cos(direction), math.sin(direction)])
@@ -137,7 +137,7 @@ def work_site(panel: NDArray[np.float64], seed: int) -> tuple[World, NDArray[np.
 
     Args:
         panel: (K, 2) corners of the moving object where it begins [m].
-        seed: Of the obstacles.
+        seed: Seed of the obstacles.
 
     Returns:
         The world with the panel, and (rows, columns) its obstacles without.

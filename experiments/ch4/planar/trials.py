@@ -40,7 +40,7 @@ class PlanarSearchTrial:
 
     Attributes:
         density: Share of the area that is covered.
-        seed: Of the scenes.
+        seed: Seed of the scenes.
         scenes: How many.
         rings: Distances of candidates.
         directions: Directions of candidates.

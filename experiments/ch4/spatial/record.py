@@ -35,7 +35,7 @@ def record_placement(
     Args:
         path: File to write, ``.rrd``.
         field: The target with its expanded hulls.
-        blocks: As the planner believes them.
+        blocks: Blocks as the planner estimates them.
         cloud: (N, 3) places [m], world, and (N,) their ratings.
         views: The chosen one first; each is a step of the recording, the chosen one its last.
         images: (height, width, 3) what they see.
