@@ -191,7 +191,7 @@ def test_host_does_not_wait_for_ever_for_a_pair(monkeypatch, tmp_path):
 
 
 def test_emulator_draws_no_pair_that_its_host_does_not_read(tmp_path):
-    scene = SceneConfig((RobotPlacement(ROBOT),), FIELD, 3, 0.0, stereo=StereoConfig(rate=50.0))
+    scene = SceneConfig((RobotPlacement(ROBOT),), FIELD, 3, stereo=StereoConfig(rate=50.0))
     emulator = Emulator(scene, 0.0, [], tmp_path)
     try:
         counted, render = [], renderer().render
