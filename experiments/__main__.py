@@ -1,7 +1,5 @@
 """Command line: ``python -m experiments [NAME [options]]``."""
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import os

@@ -4,8 +4,6 @@ The world's origin is the middle of the first hole, in the work-piece's upper fa
 holes are painted: dark discs that stand out of the face by a hair.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -4,8 +4,6 @@ The panel stands for the solar panel that the thesis' robots set up. Its frame, 
 is given, lies in the middle of its face: x right and y up as one looks at the face, z out of it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

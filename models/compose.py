@@ -3,8 +3,6 @@
 Each robot's names get its own name and a slash in front: ``rover1/chassis``, ``rover1/shoulder``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

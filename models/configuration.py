@@ -1,7 +1,5 @@
 """What may be asked of a scene: the field, the robots on it and what they carry."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """Noise textures of the field, as materials of a scene."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Make the pictures of the model folders again: ``python -m models.render_pictures``."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from pathlib import Path

@@ -3,8 +3,6 @@
 Points are in the world frame, z up, the field centred on the origin; lengths in metres.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -8,8 +8,6 @@ Segment frame: world axes when it hangs level; origin in the middle of the web's
 is the leading edge. Stage frame: origin in the middle of the mouth.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Final

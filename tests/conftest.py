@@ -4,8 +4,6 @@
 random takes another course, as it would on another processor, and every test must hold on it too.
 """
 
-from __future__ import annotations
-
 import collections
 import json
 import shutil

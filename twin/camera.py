@@ -4,8 +4,6 @@ A camera frame has x to the right, y down and z forward along the view, as image
 centres stand at whole numbers.
 """
 
-from __future__ import annotations
-
 import atexit
 import dataclasses
 import importlib

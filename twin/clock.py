@@ -1,7 +1,5 @@
 """Clocks that pace a loop: simulated time, which steps the scene, and wall time."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """From a word on the command line to robots that can be driven."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -91,7 +89,7 @@ class Connection:
             if self.simulation is not None:
                 self.simulation.close()
 
-    def __enter__(self) -> Connection:
+    def __enter__(self) -> "Connection":
         return self
 
     def __exit__(

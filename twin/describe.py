@@ -5,8 +5,6 @@ be given here. `describe` reads any rover of the scenes' naming, `describe_rover
 rover as its drawings have it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

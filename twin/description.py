@@ -6,8 +6,6 @@ is disconnected. Frames: the robot frame is that of the chassis, x to the right,
 view.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Frustum culling: leaves out of a scene what a camera does not see, before the driver gets it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mujoco

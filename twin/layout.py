@@ -1,7 +1,5 @@
 """How the rerun viewer shows a run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import rerun.blueprint as rrb

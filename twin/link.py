@@ -4,8 +4,6 @@
 time as the robots' observations. Nothing here waits: a controller calls `poll` once a tick.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 MESSAGE_LIMIT = 64

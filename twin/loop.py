@@ -1,7 +1,5 @@
 """The loop: observe, decide, command, record, wait; the same for every kind of robot."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence

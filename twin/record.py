@@ -4,8 +4,6 @@ Everything goes to a file, in columns of half a second, so that recording costs 
 interrupted run keeps what it had. ``python -m twin.record screenshot RUN.rrd OUT.png`` shows one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 import types
@@ -115,7 +113,7 @@ class Recorder(LoopRecorder):
         if simulation is not None:
             self._write_scene(simulation)
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> "Recorder":
         return self
 
     def __exit__(

@@ -4,8 +4,6 @@ Body frame of a rover: x to the right, y forward, z up (Thesis fig. 2-2), so tha
 yaw are rotations about x, y and z.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math
@@ -106,7 +104,7 @@ class ImageChannel(Channel):
     __slots__ = ()
 
     @classmethod
-    def deferred(cls, make: Callable[[], ImageArray], stamp: float) -> ImageChannel:
+    def deferred(cls, make: Callable[[], ImageArray], stamp: float) -> "ImageChannel":
         """Return a measured pair.
 
         Args:
@@ -121,10 +119,10 @@ class ImageChannel(Channel):
         held: DeferredImages | NDArray[np.generic] = self[0]
         return held.read() if isinstance(held, DeferredImages) else held
 
-    def __copy__(self) -> ImageChannel:
+    def __copy__(self) -> "ImageChannel":
         return self
 
-    def __deepcopy__(self, memo: object) -> ImageChannel:
+    def __deepcopy__(self, memo: object) -> "ImageChannel":
         return self
 
     def __reduce__(self) -> tuple[type[Channel], tuple[object, ...]]:

@@ -3,8 +3,6 @@
 # trimesh types its makers in part only.
 # pyright: reportUnknownMemberType=false
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

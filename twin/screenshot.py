@@ -1,7 +1,5 @@
 """A picture of the rerun viewer without a screen, for reports and the README."""
 
-from __future__ import annotations
-
 import socket
 import sys
 import time

@@ -5,8 +5,6 @@ with dropout, and delay, in this order. A channel that has nothing to say is mis
 it never reads zero instead.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

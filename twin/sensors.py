@@ -1,7 +1,5 @@
 """What a robot's sensors are: the specification of each channel, and suites of them."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping
@@ -118,7 +116,7 @@ class SensorSuite:
         for channel in self.channels:
             check_channel(channel)
 
-    def with_channel(self, channel: str, **changes: Any) -> SensorSuite:
+    def with_channel(self, channel: str, **changes: Any) -> "SensorSuite":
         """Return a copy in which one channel's specification has other fields.
 
         Args:

@@ -5,8 +5,6 @@ shaft; an effort, a rate or a position is reached through the inverse of this li
 proportional-integral loop on what was measured.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -51,7 +49,7 @@ class ServoConfig:
     position_gain: float = 15.0
 
     @classmethod
-    def of(cls, robot: RobotDescription) -> ServoConfig:
+    def of(cls, robot: RobotDescription) -> "ServoConfig":
         """Return the usual gains for a robot's motors as drawn."""
         wheels = len(robot.wheels)
         return cls(robot.motors[:wheels], robot.motors[wheels:])

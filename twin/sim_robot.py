@@ -1,7 +1,5 @@
 """A robot of the contract over a MuJoCo scene."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable

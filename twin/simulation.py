@@ -6,8 +6,6 @@ steps, and the first half of the next one. Force and acceleration sensors come o
 whole step, one physics step earlier, and carry that time stamp.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Which of a scene's MuJoCo sensors are wired to which channels of a robot."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

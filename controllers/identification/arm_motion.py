@@ -1,7 +1,5 @@
 """How the arm swings: rod geometry of the three modes, and excitation within the arm's limits."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numba
@@ -93,7 +91,7 @@ class Trajectory:
     acceleration: FloatArray
     jerk: FloatArray
 
-    def then(self, other: Trajectory) -> Trajectory:
+    def then(self, other: "Trajectory") -> "Trajectory":
         """Return this window followed by `other`, which starts where this one ends."""
         return Trajectory(
             self.time_step,

@@ -6,8 +6,6 @@ taken out afterwards, by one filter that goes over both sides of the equation, m
 predicted wrench alike, and biases neither.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -12,8 +12,6 @@ them in registers, where small arrays would cost an allocation each. `p` is alwa
 vector (22,) in the order of `parameters.NAMES`; vectors are in the base frame unless stated.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import NamedTuple
 
@@ -324,7 +322,7 @@ class BaseState:
     velocity_sensitivity: FloatArray
 
     @classmethod
-    def at_rest(cls) -> BaseState:
+    def at_rest(cls) -> "BaseState":
         """Return the static rest."""
         return cls(np.zeros(6), np.zeros(6), np.zeros((6, COUNT)), np.zeros((6, COUNT)))
 
@@ -348,7 +346,7 @@ class ArmOnMount:
     rest_angle: float
 
     @classmethod
-    def of(cls, arm: RigidArm, mode: str, rest_angle: float = np.pi / 4) -> ArmOnMount:
+    def of(cls, arm: RigidArm, mode: str, rest_angle: float = np.pi / 4) -> "ArmOnMount":
         """Hold `arm` in `mode` (see `mode_axes`)."""
         axis, rotation = mode_axes(mode)
         inertia = rotation @ np.diag(arm.inertia) @ rotation.T

@@ -1,7 +1,5 @@
 """Choice of the arm's next excitation: thesis criterion and its peers, by Levenberg-Marquardt."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 
@@ -56,12 +54,12 @@ class Forecast:
     information: FloatArray
     regressor_square: FloatArray
 
-    def __add__(self, other: Forecast) -> Forecast:
+    def __add__(self, other: "Forecast") -> "Forecast":
         return Forecast(
             self.information + other.information, self.regressor_square + other.regressor_square
         )
 
-    def __sub__(self, other: Forecast) -> Forecast:
+    def __sub__(self, other: "Forecast") -> "Forecast":
         return Forecast(
             self.information - other.information, self.regressor_square - other.regressor_square
         )

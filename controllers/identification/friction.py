@@ -29,8 +29,6 @@ filter at least: from fewer samples the median is chance. The lower bound, for a
 the greatest u with all wheels loaded less a margin for the overshoot.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 
@@ -121,7 +119,7 @@ class KnownBase:
     wheels: FloatArray
 
     @classmethod
-    def of_robot(cls, robot: RobotDescription) -> KnownBase:
+    def of_robot(cls, robot: RobotDescription) -> "KnownBase":
         """Return the base of a rover with four wheels, as drawn.
 
         Args:

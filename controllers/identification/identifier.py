@@ -1,7 +1,5 @@
 """On-line identification: what one window measures decides how the arm swings in the next."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Mapping

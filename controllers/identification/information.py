@@ -1,7 +1,5 @@
 """How well each parameter is known: mutual information in bits, observability, identifiability."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

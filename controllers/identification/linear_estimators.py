@@ -4,8 +4,6 @@ A x = F is linear in the 22 unknowns x. It is solved by the pseudo-inverse and b
 filter.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numba
@@ -155,7 +153,7 @@ class KalmanFilter:
     covariance: FloatArray
 
     @classmethod
-    def from_prior(cls, prior: Prior) -> KalmanFilter:
+    def from_prior(cls, prior: Prior) -> "KalmanFilter":
         """Start from the same guess as every other estimator here."""
         guess = from_coordinates(prior.mean())
         sigma = np.abs(guess) * np.expm1(prior.log_sigma)

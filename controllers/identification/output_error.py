@@ -11,8 +11,6 @@ along which it gives a noticeable share of the information; all others are as th
 them (maximum likelihood). There it could no longer sharpen the fit, only pull it towards the guess.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence

@@ -4,8 +4,6 @@ Frame II sits at the base's centre of gravity, x right, y forward, z up; pitch, 
 about x, y and z (Thesis fig. 2-2). Inertia entries are elements of the tensor.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 

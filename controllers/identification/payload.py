@@ -10,8 +10,6 @@ in the same weights.
 Only sensors of the physical rover are used: neither accelerometer, nor gyro, nor heading.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

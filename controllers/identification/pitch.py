@@ -8,8 +8,6 @@ On wheels that neither slip nor roll a base does not pitch about its centre of g
 line near the ground: the inertia is about that line, and (ry, rz) leads from it to the arm.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

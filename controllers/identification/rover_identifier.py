@@ -1,7 +1,5 @@
 """A controller that swings a rover's arm and identifies how the rover pitches under it."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Mapping
@@ -60,7 +58,7 @@ class SwingingArm:
     shoulder: tuple[float, float]
 
     @classmethod
-    def of(cls, arm: ArmDescription) -> SwingingArm:
+    def of(cls, arm: ArmDescription) -> "SwingingArm":
         """Return what swings about the second joint of an arm as drawn, stretched at angle zero."""
         _, *swinging = arm.joints
         place = swinging[0].transform_link_to_parent

@@ -4,8 +4,6 @@ A camera station is a place on the ground with a posture of the arm, for the mid
 (Thesis section 4.2.3). Places are given in the ground frame of an `InsertionDrawing`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The card at the end of the slave's arm: where it is, how it is moved, and what touches it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

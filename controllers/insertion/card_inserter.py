@@ -6,8 +6,6 @@ the arm is at ease, while it is still far. Close to the slot the wheels stand, a
 moves (thesis section 5.1: vision guides in classical visual servo control).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

@@ -14,8 +14,6 @@ The thesis prints equations for 1 to 5; its state 5 has the second normal on the
 needs a slot narrower than the card: we read f_y2 / f_x2 = tan(theta), the side. 6 is unprinted.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

@@ -9,8 +9,6 @@ Assumed: rigid shapes known from CAD, dry friction of a known coefficient, plana
 and that there is a contact at all.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

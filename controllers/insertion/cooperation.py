@@ -11,8 +11,6 @@ A position is reached by the servo, a force by moving the servo's target in prop
 missing of it: the suspension, the arm and the grip are the spring (Thesis eq. A-1).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import struct

@@ -5,8 +5,6 @@ marked faces (Thesis section 5.2). The ground frame lies on level ground below t
 slot's mouth, with z up and y into the slot.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 from scipy.spatial.transform import RigidTransform

@@ -4,8 +4,6 @@ A message of 60 bytes, so that one frame of the radio carries it: time, what was
 steps of 20 um and 0.1 mrad, and its covariance's 21 numbers in half precision.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import struct

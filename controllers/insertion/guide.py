@@ -12,8 +12,6 @@ y into the slot. It needs no vision once it has begun.
 - Inside a deadband nothing gives way, so that noise does not make the card drift.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

@@ -5,8 +5,6 @@ shows it. What a look does not show is left to that belief. Its camera goes wher
 seen best of all places within the arm's reach (chapter 4), anew as the card comes nearer.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -5,8 +5,6 @@ insertion guide move the plan in the direction of least resistance. The slave fo
 that the radio brings. Neither sees the other's joints, nor where the stage truly is.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

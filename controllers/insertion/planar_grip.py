@@ -8,8 +8,6 @@ A robot has no sensor in its hand. What the gripper puts on the world is what th
 arm reads, less what the arm itself asks for (surrogate sensing, Thesis figure A-8).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -5,8 +5,6 @@ it Euler angles cannot be subtracted, and those of eq. 5-1 are not even the fact
 control uses the rigid transform from slot to card (`controllers.insertion.guidance`) instead.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

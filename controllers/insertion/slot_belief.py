@@ -5,8 +5,6 @@ images were taken; between them the slot stands still in the frame of dead recko
 the uncertainty that grows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections import deque
 

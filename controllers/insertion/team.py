@@ -3,8 +3,6 @@
 Each robot's part sees its own observations alone; guidance passes by radio (Thesis section 5.1).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

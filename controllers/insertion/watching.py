@@ -4,8 +4,6 @@ The target is the region between card and slot with the markers of both (thesis 
 all of them must be in both images, and what carries the card must not hide them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -8,8 +8,6 @@ there, so that from a fixed base only views in a plane can be had: `standing_vie
 the pitch of its forward axis, as many numbers as there are joints: `GripperInverse`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any, NamedTuple
@@ -51,7 +49,7 @@ class ArmGeometry:
     limits: FloatArray
 
     @classmethod
-    def of(cls, arm: SerialChain) -> ArmGeometry:
+    def of(cls, arm: SerialChain) -> "ArmGeometry":
         """Read an arm's numbers.
 
         Raises:

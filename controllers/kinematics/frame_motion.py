@@ -1,7 +1,5 @@
 """How a frame moves, as an accelerometer and a gyro fixed in it would read."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -27,7 +25,7 @@ class FrameMotion:
     angular_velocity: FloatArray
     angular_acceleration: FloatArray
 
-    def at(self, place: ArrayLike) -> FrameMotion:
+    def at(self, place: ArrayLike) -> "FrameMotion":
         """Return the motion of another point of the same rigid body, at one sample.
 
         Args:

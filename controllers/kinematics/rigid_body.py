@@ -1,7 +1,5 @@
 """The ten inertial parameters of a rigid body, and the wrench on it that is linear in them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from controllers.kinematics.frame_motion import LinkMotion

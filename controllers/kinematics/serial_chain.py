@@ -8,8 +8,6 @@ of H. Vectors of a joint are in the frame of the link that it moves. What takes 
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any, NamedTuple
@@ -110,7 +108,7 @@ class SerialChain:
     @classmethod
     def from_description(
         cls, arm: ArmDescription, transform_tool_to_link: RigidTransform | None = None
-    ) -> SerialChain:
+    ) -> "SerialChain":
         """Return the chain of an arm as drawn.
 
         Args:
@@ -128,7 +126,7 @@ class SerialChain:
         )
 
     @classmethod
-    def of_robot(cls, robot: RobotDescription) -> SerialChain:
+    def of_robot(cls, robot: RobotDescription) -> "SerialChain":
         """Return the chain of a robot's arm, with the left camera of its stereo head as the tool.
 
         Args:

@@ -4,8 +4,6 @@ Thesis section 3.2.4: a candidate must be free of collision (P < 0.05) and reach
 of collision, and is rated by RF = (NI - K (d / D)^n) (1 - P) (eq. 3-15).
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

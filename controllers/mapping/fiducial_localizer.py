@@ -6,8 +6,6 @@ together, and the map of fiducials is improved. Each view adds new ones. The map
 errors that all views of a robot share, for no number of views averages those away.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

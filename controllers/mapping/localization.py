@@ -6,8 +6,6 @@ all robots that see the target share it (Thesis section 3.2.2). While the arm mo
 on its springs; the inclinometer measures how far, and its error enters the camera's covariance.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -4,8 +4,6 @@ The first byte is the format's version and the message's type; numbers are big-e
 fixed steps, so that both ends round alike.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import struct

@@ -1,7 +1,5 @@
 """Shortest collision-free paths on the known-free cells of a planar map."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numba

@@ -13,8 +13,6 @@ costs a trip of its own.
 Several vision systems choose in rounds, each for itself or claiming what it will see.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The map as a planner believes it, paths on it, and cells to look from."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A rover that drives, dead-reckons, and exchanges pose and wrench with another by radio."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -6,8 +6,6 @@ space which is free when the robot is set down, for nothing else is known to be 
 of a leaning robot turns against the lean, lest it look at the ground or into the sky.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

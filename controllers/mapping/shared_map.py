@@ -1,7 +1,5 @@
 """The map that robots share, and how a view enters it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform

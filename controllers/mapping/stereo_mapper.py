@@ -6,8 +6,6 @@ by the scene itself (3.2.5), and it chooses its next view (3.2.4) while the othe
 cells that a chosen view is about to see are claimed, so that no other robot looks there.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 

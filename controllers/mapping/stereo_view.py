@@ -1,7 +1,5 @@
 """Configuration of mapping with stereo heads on arms, and the record of each view taken."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from controllers.mapping.arm_views import RatedViews, ViewConfig

@@ -1,7 +1,5 @@
 """What one robot of a mission believes: drawn, then measured or received, stage by stage."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -50,7 +48,7 @@ class MissionBelief:
     @classmethod
     def initial(
         cls, robot: RobotDescription, partner: RobotDescription, site: SiteDrawing
-    ) -> MissionBelief:
+    ) -> "MissionBelief":
         """Return what a robot believes at the start, by the drawing alone.
 
         Args:

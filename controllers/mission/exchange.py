@@ -5,8 +5,6 @@ a radio: of each kind of message the newest that a robot has posted can be read.
 stepped one after the other, so that the second reads what the first posts in the same tick.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import TypeVar

@@ -3,8 +3,6 @@
 A stage ends when both robots have done their parts of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Protocol
 

@@ -4,8 +4,6 @@ Places are given in the ground frame: on level ground below the middle of the sl
 y into the slot.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

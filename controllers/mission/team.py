@@ -1,7 +1,5 @@
 """Both rovers of a mission, each with its own part, joined by an exchange."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Mapping
 

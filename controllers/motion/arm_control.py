@@ -5,8 +5,6 @@ base's motion asks of the joints, F d'' + f d' of eq. A-4. Efforts go out throug
 contract; the servo turns them into duty.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Literal

@@ -1,7 +1,5 @@
 """Motion of an arm to a posture, and whether a stereo pair was taken there at rest."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -5,8 +5,6 @@ it is a delayed positive feedback, which grows on a base stiffer than soft. A fi
 that loop; the longer it is, the less of a soft base's swing it still follows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -4,8 +4,6 @@ The suspension that chapter 2 identifies, fed forward: what stands still in the 
 robot's frame when the arm reaches out, by what stiffness and levers say (Thesis eq. 2-1 at rest).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -46,7 +44,7 @@ class TiltAxis:
                 raise ValueError(f"tilt model {name}: got {value}, needs a positive number")
 
     @classmethod
-    def of(cls, parameters: ArrayLike) -> TiltAxis:
+    def of(cls, parameters: ArrayLike) -> "TiltAxis":
         """Return the axis that `PitchEstimate.parameters` (5,) describe."""
         inertia, ry, rz, damping, stiffness = np.asarray(parameters, dtype=float).tolist()
         return cls(inertia, damping, stiffness, (ry, rz))

@@ -5,8 +5,6 @@ lose more than the distance to it. The rover backs off first then, and comes for
 goal's heading.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

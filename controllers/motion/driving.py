@@ -5,8 +5,6 @@ rolling wheels would make of their speeds. The share depends on ground and load:
 a drive (`identify_turn_share`), not known.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

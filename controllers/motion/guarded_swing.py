@@ -4,8 +4,6 @@ The guard plans the swing slower as a whole before it begins (`tip_over.guard`),
 tick while it runs (`online_guard.OnlineGuard`), or is absent, for comparison.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ of its suspension, and the arm. The thesis' x is forward and its y up: here y an
 are pitches about x. The printed inputs repeat Q8; they are Q4 to Q9.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform

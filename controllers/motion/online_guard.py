@@ -8,8 +8,6 @@ from which the arm can still come to rest with all edges kept; forwards the guar
 that allows. The base's tilt is taken as measured, anew every tick.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

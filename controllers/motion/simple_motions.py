@@ -1,7 +1,5 @@
 """Simple motions of all axes, for timing the loop and for exercising boards and sensors."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from typing import cast

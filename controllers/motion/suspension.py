@@ -5,8 +5,6 @@ divide a moment by the finite angle atan(dy / dz) of a displacement; for small a
 sum of stiffness times lever squared, which is what stands here. The same sum reduces dampers.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -6,8 +6,6 @@ pull, and the rover stands. The printed equation treats particles; a link of fin
 the change of its own angular momentum, which stands here as its moment.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

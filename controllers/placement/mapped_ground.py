@@ -5,8 +5,6 @@ its middle; it cannot be where several surface points lie within the disc, and u
 as free. Paths go from cell to cell of a grid.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 
@@ -99,7 +97,7 @@ class MappedGround:
         cells = np.unique(np.floor(self.points[near] / how.voxel), axis=0)
         return occluders_of_voxels((cells + 0.5) * how.voxel, how.voxel, name="mapped")
 
-    def paths_from(self, start: ArrayLike) -> GroundPaths:
+    def paths_from(self, start: ArrayLike) -> "GroundPaths":
         """Return where a rover can drive to from a place (2,) [m], ground frame.
 
         What the map has within the rover's own disc there is none: the rover stands there.

@@ -5,8 +5,6 @@ is measured by fitting the CAD to the points seen of it, and the CAD at that pos
 pose's uncertainty, is put back. Then the camera is placed again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

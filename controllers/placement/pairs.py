@@ -6,8 +6,6 @@ it. Two cameras on the same target must look at it from directions far enough ap
 pairs of candidates the one with the largest product of ratings is returned.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple

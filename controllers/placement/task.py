@@ -4,8 +4,6 @@ The same on the plane (two coordinates) and in space (three). The camera is the 
 principal node of its lens and always looks straight at the target.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import NamedTuple
 

@@ -7,8 +7,6 @@ arm that touches nothing gives the tilt. When its surrogate has become too unsur
 long, the task has to stop, and the reason is given.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

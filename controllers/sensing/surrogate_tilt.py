@@ -3,8 +3,6 @@
 Thesis figure 5-6 and chapter 1: the inclinometer's surrogate. `surrogate` says when to use it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -4,8 +4,6 @@ It follows from how the arm moves and, where the motors' efforts are known, from
 `surrogate` says when to use it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import NamedTuple

@@ -5,8 +5,6 @@ rendered in the field of chapter 3 and on noise. Then the measure that the thesi
 the entropy of a picture coded by method 5, chooses views beside the measure of chapter 3.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Figure C-2, what predictors leave of pictures, and how well measures of views did."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

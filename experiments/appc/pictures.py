@@ -4,8 +4,6 @@ They are all pictures bundled with scikit-image that have at least 256 pixels ea
 rendered in the field of chapter 3. Each is taken whole, as grey levels, and averaged to size.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -58,7 +56,7 @@ class Measured:
     outside: int
 
     @classmethod
-    def joined(cls, parts: Sequence[Measured]) -> Measured:
+    def joined(cls, parts: "Sequence[Measured]") -> "Measured":
         """Return all pictures of several measurements."""
         return cls(
             np.concatenate([part.ratios for part in parts], axis=1),
@@ -68,7 +66,7 @@ class Measured:
             sum(part.outside for part in parts),
         )
 
-    def some(self, which: Sequence[int]) -> Measured:
+    def some(self, which: Sequence[int]) -> "Measured":
         """Return the ratios of some of the pictures; what was counted stays with the whole."""
         index = list(which)
         return Measured(self.ratios[:, index], self.coded[:, index], 0, 0, 0)

@@ -7,8 +7,6 @@ really takes there. The last is not known before the head has gone there: it is 
 entropy of pictures could do. All are held against the true surface that each view then maps.
 """
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """``python -m experiments bench``: what the project costs beside a named peer, in the same run."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

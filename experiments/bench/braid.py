@@ -1,7 +1,5 @@
 """Exact inverse kinematics of a binary arm beside brute force over all of its words."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from controllers.braid.arm.inverse import BinaryArm, solve

@@ -1,7 +1,5 @@
 """The nine predictors beside one difference of the same picture by NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from experiments.appc.pictures import SIZES, bundled_pictures, resampled

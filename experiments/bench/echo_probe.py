@@ -1,7 +1,5 @@
 """A process that sends back what it hears: the least that boards behind a port can cost."""
 
-from __future__ import annotations
-
 import select
 import sys
 

@@ -6,8 +6,6 @@ So the plant is integrated more finely here than on either side; what sharing th
 peer is measured beside it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Mapping
@@ -94,7 +92,7 @@ class Recording:
         outputs = self.outputs
         return {mode: np.concatenate([part[mode] for part in outputs]) for mode in MODES}
 
-    def integrated(self, substeps: int) -> Recording:
+    def integrated(self, substeps: int) -> "Recording":
         """Return the same motions and noise, the plant taking so many steps a sample."""
         plants = _plants(substeps)
         clean = [
@@ -103,7 +101,7 @@ class Recording:
         ]
         return dataclasses.replace(self, clean=clean)
 
-    def without_noise(self) -> Recording:
+    def without_noise(self) -> "Recording":
         """Return the same, with what the sensors add left out."""
         still = [{mode: np.zeros_like(y) for mode, y in part.items()} for part in self.clean]
         return dataclasses.replace(self, noise=still)

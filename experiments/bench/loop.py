@@ -1,7 +1,5 @@
 """What the loop costs beside bare physics: contract, sensors and servos of two rovers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import mujoco

@@ -1,7 +1,5 @@
 """Both marker detectors beside OpenCV's circles, and the poses that come out, on rendered pairs."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """Figures 5-5, 5-7, 5-8, 5-9 and 5-10: the steps of the thesis' marker detector on one image."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from matplotlib.axes import Axes

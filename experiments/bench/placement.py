@@ -1,7 +1,5 @@
 """Choosing a camera station anew on a 1 cm map of the scene of chapter 3, and its search."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

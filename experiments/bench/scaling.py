@@ -1,7 +1,5 @@
 """How the cost grows: with robots, with finer voxels, with stages, and with processes."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence

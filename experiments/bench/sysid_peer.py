@@ -1,7 +1,5 @@
 """The chapter 2 plant as ``mujoco.sysid`` identifies it: MuJoCo's own toolbox, as a peer."""
 
-from __future__ import annotations
-
 import io
 import time
 from collections.abc import Mapping

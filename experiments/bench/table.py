@@ -1,7 +1,5 @@
 """``python -m experiments bench-table``: the table of docs/benchmarks.md, from metrics.json."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from collections.abc import Mapping, Sequence

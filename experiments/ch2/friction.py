@@ -5,8 +5,6 @@ gently, where mostly a lower bound can be given. The controller sees the arm's e
 force/torque sensor, the inclinometer and the tachometers only; the truth is for scoring alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import ClassVar

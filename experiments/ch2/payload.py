@@ -4,8 +4,6 @@ Each seed draws a box, its mass and its place in the grip; the controller swings
 observations only. The truth is used for scoring alone.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ The card sits in a compliant hand at the slot (`models/card_and_slot`). Nothing 
 gets the wrench with 2 % noise and the sensor's own, and starts up to 4 mm and 6 deg off.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The bench of ch5-contact: a card on a compliant hand at a slot, and what truly touches."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

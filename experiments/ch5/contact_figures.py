@@ -1,7 +1,5 @@
 """Figures of ch5-contact: the six states, the contact point's error, success and forces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """An insertion as a recording for the rerun viewer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

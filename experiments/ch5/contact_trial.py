@@ -1,7 +1,5 @@
 """The jobs of ch5-contact: contact states pressed and classified, and insertions."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

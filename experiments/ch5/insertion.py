@@ -5,8 +5,6 @@ nothing else. Trials are paired by their seeds: both placements get the same gro
 of the map and noise. Four parts: Table 5-1, what must fail, ten times the camera noise, and faults.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

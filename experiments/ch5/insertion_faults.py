@@ -1,7 +1,5 @@
 """What may go wrong in an insertion, put between the robots and their controllers."""
 
-from __future__ import annotations
-
 import enum
 import functools
 from collections.abc import Callable, Mapping

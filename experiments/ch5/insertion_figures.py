@@ -1,7 +1,5 @@
 """Figures of ch5-insertion: Table 5-1, and figures 5-11 to 5-14."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

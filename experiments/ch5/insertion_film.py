@@ -1,7 +1,5 @@
 """The film of an insertion: pictures, a recording for the rerun viewer, a GIF."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

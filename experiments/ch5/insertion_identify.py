@@ -4,8 +4,6 @@ The share of a turn that skidding leaves is identified on flat ground, by the he
 what rolling wheels would turn.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

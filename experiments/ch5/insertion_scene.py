@@ -5,8 +5,6 @@ slot look along +x, where the master stands. So the insertion's plane is the upr
 slave's arm, in which it can move the card across, ahead and in pitch (thesis assumption 1).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 

@@ -1,7 +1,5 @@
 """The setting of ``ch5-insertion``: scene, robots, what they believe, and their controllers."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """One insertion of ``ch5-insertion``, and what the scorer alone may see."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Card and slot with their markers over a field, seen by a free stereo head, with the truth."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """``python -m experiments calibrate``: a person calibrates a real robot's inclinometer (D-1)."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import datetime

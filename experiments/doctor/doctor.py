@@ -1,7 +1,5 @@
 """``python -m experiments doctor``: is everything here that the experiments need?"""
 
-from __future__ import annotations
-
 import ctypes
 import dataclasses
 import importlib.metadata

@@ -1,7 +1,5 @@
 """One test frame, rendered in a process of its own: a broken driver may kill it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """``doctor --robot``: is a robot on its boards well, before anything moves?"""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import time

@@ -1,7 +1,5 @@
 """All experiments and commands by name; modules are imported only when asked for."""
 
-from __future__ import annotations
-
 from experiments.harness.contract import Experiment
 
 _ALL: tuple[Experiment, ...] = (

@@ -1,7 +1,5 @@
 """Options from the command line, and errors from them in one line."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

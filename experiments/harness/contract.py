@@ -1,7 +1,5 @@
 """What every experiment shares: its options, its entry in the catalogue and its errors."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 from collections.abc import Callable
@@ -127,7 +125,7 @@ class Experiment:
     thesis: str
     module: str
 
-    def load(self) -> tuple[type[Options], Callable[[Any, Output], None]]:
+    def load(self) -> "tuple[type[Options], Callable[[Any, Output], None]]":
         """Import the module and return its options type and its run function.
 
         Raises:

@@ -1,7 +1,5 @@
 """Medians and fractions with their 95 % intervals, in the form that metrics.json holds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an experiment leaves behind: metrics, checks, figures, tables and how it was run."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import enum
@@ -90,7 +88,7 @@ class Output:
             {"name": name, "value": plain(value), "bound": plain(bound), "ok": bool(ok)}
         )
 
-    def figure(self, name: str, figure: Figure) -> Path:
+    def figure(self, name: str, figure: "Figure") -> Path:
         """Write a figure to figures/NAME.png, clear it, and return where it will be.
 
         Args:

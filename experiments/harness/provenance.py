@@ -1,7 +1,5 @@
 """With what a run was made: versions, commit, processor and its linear algebra."""
 
-from __future__ import annotations
-
 import datetime
 import importlib.metadata
 import os

@@ -1,7 +1,5 @@
 """The result of a run on the terminal."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rich.console import Console

@@ -1,7 +1,5 @@
 """One function run over many configurations, in parallel, each result kept as it arrives."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import enum

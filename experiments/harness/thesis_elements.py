@@ -3,8 +3,6 @@
 Both are data: ``thesis_elements.toml`` and ``shortfall_reasons.toml`` beside this file.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import fnmatch
 import re

@@ -1,7 +1,5 @@
 """Processor time of a function, alone or against another in the same run."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

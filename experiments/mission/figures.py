@@ -1,7 +1,5 @@
 """Figures of ``mission``: how it went, what was known when, and what each stage is worth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A mission on film: stages told as they pass, pictures, and a recording for the rerun viewer."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

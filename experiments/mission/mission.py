@@ -8,8 +8,6 @@ feeds forward how its arm will lean it on the springs (chapter 5). Each stage us
 before it have estimated. The ablation leaves a stage out.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

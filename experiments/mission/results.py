@@ -1,7 +1,5 @@
 """Results of several missions by stage; a mission without a map has one stage less."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from experiments.mission.trial import MissionResult, StageResult

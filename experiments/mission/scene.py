@@ -5,8 +5,6 @@ to one site whose drawing the robots have. They begin some centimetres and degre
 nominal initial poses.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """One mission, from the initial poses to the seated card, and what the truth says of it."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

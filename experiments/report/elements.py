@@ -1,7 +1,5 @@
 """Every table and figure of the thesis: where it is shown in the page, or why it is not."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from html import escape
 from typing import TYPE_CHECKING
@@ -14,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def element_table(
-    elements: Sequence[Element], results: Sequence[Result], known: Collection[str]
+    elements: Sequence[Element], results: "Sequence[Result]", known: Collection[str]
 ) -> str:
     """Return the section on all elements.
 
@@ -39,7 +37,7 @@ def element_table(
     )
 
 
-def places(element: Element, results: Sequence[Result]) -> list[tuple[str, str]]:
+def places(element: Element, results: "Sequence[Result]") -> list[tuple[str, str]]:
     """Return experiment and file name (without ending) of all that shows an element."""
     return [
         (result.name, stem)
@@ -60,7 +58,7 @@ def captions(elements: Sequence[Element], experiment: str, stem: str) -> str:
     return "; ".join(found)
 
 
-def _state(element: Element, results: Sequence[Result], known: Collection[str]) -> str:
+def _state(element: Element, results: "Sequence[Result]", known: Collection[str]) -> str:
     there = {result.name for result in results}
     if element.why_not:
         names = [link(name, name) for name in element.shown_by if name in there]

@@ -1,7 +1,5 @@
 """What falls short of its bar and what differs from the thesis, with the reasons."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -19,7 +17,7 @@ UNKNOWN = "The cause is not known."
 QUICK = "A quick run, smaller than what the bar is for."
 
 
-def shortfalls(results: Sequence[Result], reasons: Sequence[Reason]) -> str:
+def shortfalls(results: "Sequence[Result]", reasons: Sequence[Reason]) -> str:
     """Return the section on what falls short."""
     checks = [(result, check) for result in results for check in result.metrics["checks"]]
     failed = [(result, check) for result, check in checks if not check["ok"]]
@@ -42,7 +40,7 @@ def shortfalls(results: Sequence[Result], reasons: Sequence[Reason]) -> str:
     )
 
 
-def differences(results: Sequence[Result], reasons: Sequence[Reason]) -> str:
+def differences(results: "Sequence[Result]", reasons: Sequence[Reason]) -> str:
     """Return the section on figures that are not the thesis'; empty without any to compare."""
     parts: list[str] = []
     compared = differing = 0
@@ -81,7 +79,7 @@ def agrees(ours: Any, thesis: Any) -> bool:
     return low - slack <= thesis <= high + slack
 
 
-def _apart(result: Result, keys: Sequence[str], reasons: Sequence[Reason]) -> str:
+def _apart(result: "Result", keys: Sequence[str], reasons: Sequence[Reason]) -> str:
     """Return one experiment's figures that differ, grouped by the reason."""
     measured, thesis = result.metrics["measured"], result.metrics["thesis"]
     groups: dict[str, list[str]] = {}
@@ -102,7 +100,7 @@ def _apart(result: Result, keys: Sequence[str], reasons: Sequence[Reason]) -> st
     return "".join(parts)
 
 
-def _why(reasons: Sequence[Reason], result: Result, name: str) -> str:
+def _why(reasons: Sequence[Reason], result: "Result", name: str) -> str:
     known = why(reasons, result.name, name)
     if known:
         return known

@@ -1,7 +1,5 @@
 """Pieces of HTML that all parts of the report are made of."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from html import escape
@@ -74,7 +72,7 @@ def anchor(experiment: str, stem: str) -> str:
     return f"{experiment}/{stem}"
 
 
-def command(result: Result) -> str:
+def command(result: "Result") -> str:
     """Return the command that makes a result, without what only says where and on what.
 
     Results of versions that did not keep their command tell its common options.

@@ -1,7 +1,5 @@
 """Pictures as the report holds them: smaller than the files, and still sharp in print."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import io

@@ -1,7 +1,5 @@
 """The HTML of the report: plain HTML and CSS, every picture inside, no scripts."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Collection, Sequence
 from html import escape
@@ -29,7 +27,7 @@ PARTS = {
 }
 
 
-def page(results: Sequence[Result], known: Collection[str]) -> str:
+def page(results: "Sequence[Result]", known: Collection[str]) -> str:
     """Return the whole page.
 
     Args:
@@ -64,7 +62,7 @@ def page(results: Sequence[Result], known: Collection[str]) -> str:
     )
 
 
-def section(result: Result, thesis: Sequence[Element]) -> str:
+def section(result: "Result", thesis: Sequence[Element]) -> str:
     """Return one experiment's section.
 
     Args:
@@ -87,7 +85,7 @@ def section(result: Result, thesis: Sequence[Element]) -> str:
     )
 
 
-def comparison(result: Result) -> str:
+def comparison(result: "Result") -> str:
     """Return the thesis' values beside ours, and all other metrics folded."""
     measured, thesis = result.metrics["measured"], result.metrics["thesis"]
     rows = "".join(metric_row(key, measured.get(key), thesis[key]) for key in thesis)
@@ -118,7 +116,7 @@ def metric_row(key: str, ours: Any, thesis: Any) -> str:
     return f"<tr{kind}><td>{escape(key)}</td>{numbers(cells)}</tr>"
 
 
-def checks(result: Result) -> str:
+def checks(result: "Result") -> str:
     """Return the checks of one experiment; those that hold are folded where they are many."""
     held, failed = (
         [check for check in result.metrics["checks"] if bool(check["ok"]) == ok]
@@ -138,7 +136,7 @@ def _check_table(checks: Sequence[dict[str, Any]], kind: str, text: str) -> str:
     return table(("check", "ours", "bound", ""), rows)
 
 
-def figures(result: Result, thesis: Sequence[Element]) -> str:
+def figures(result: "Result", thesis: Sequence[Element]) -> str:
     """Return all pictures, embedded, those of the thesis first."""
     named = [(captions(thesis, result.name, path.stem), path) for path in result.figures]
     images = "".join(
@@ -148,7 +146,7 @@ def figures(result: Result, thesis: Sequence[Element]) -> str:
     return f'<div class="figures">{images}</div>' if images else ""
 
 
-def _figure(result: Result, path: Path, caption: str) -> str:
+def _figure(result: "Result", path: Path, caption: str) -> str:
     try:
         picture = embed(path)
     except OSError as error:
@@ -161,7 +159,7 @@ def _figure(result: Result, path: Path, caption: str) -> str:
     )
 
 
-def table_file(result: Result, path: Path, thesis: Sequence[Element]) -> str:
+def table_file(result: "Result", path: Path, thesis: Sequence[Element]) -> str:
     """Return a CSV table, folded unless it is one of the thesis; long ones are cut, and say so."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
@@ -190,7 +188,7 @@ def _short(cell: str) -> str:
         return cell
 
 
-def provenance(result: Result) -> str:
+def provenance(result: "Result") -> str:
     """Return how the result was made, folded; not where on the disk."""
     options = {f"option {key}": value for key, value in result.config.items() if key != "out"}
     versions = {f"{name} version": text for name, text in result.run.get("versions", {}).items()}

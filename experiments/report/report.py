@@ -1,7 +1,5 @@
 """``python -m experiments report``: all results in one self-contained page."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -14,8 +14,6 @@ longer); actuators ``stage{k}_leg{j}_extend`` and ``_retract``; sensor ``stage{k
 Sites ``braid_base`` and ``stage{k}`` are the frames of `controllers.braid.arm.stage`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

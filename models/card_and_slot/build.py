@@ -1,7 +1,5 @@
 """Build card and slot for any slot width, and a bench where a compliant hand holds the card."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

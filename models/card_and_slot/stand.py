@@ -5,8 +5,6 @@ slot look along +x. So the insertion's plane is the upright plane of an arm that
 which it can move the card across, ahead and in pitch (thesis section 5.2, assumption 1).
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Compile the simplified plant of chapter 2 for any parameter set and arm mode."""
 
-from __future__ import annotations
-
 import pathlib
 from collections.abc import Mapping
 

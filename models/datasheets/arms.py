@@ -1,7 +1,5 @@
 """The rover's arm, and the rod that stands for it in the simulation study of chapter 2."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

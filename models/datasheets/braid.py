@@ -1,7 +1,5 @@
 """BRAID and the muscle wires that switch it (Thesis appendix E)."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Final

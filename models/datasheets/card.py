@@ -1,7 +1,5 @@
 """The computer card, the slot that it goes into, and the hand that holds it."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

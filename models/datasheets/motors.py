@@ -1,7 +1,5 @@
 """Motors of wheels and arm joints, and the electronics that drive them."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

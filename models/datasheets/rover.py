@@ -1,7 +1,5 @@
 """The rover without its arm."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Final
 

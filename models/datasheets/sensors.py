@@ -1,7 +1,5 @@
 """Cameras, inclinometers and the force/torque sensor."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Parameters that the thesis prints, true and identified (Tables 2-1 and 2-2)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final

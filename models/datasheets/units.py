@@ -1,7 +1,5 @@
 """Units that the data sheets are written in."""
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

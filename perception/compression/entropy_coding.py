@@ -1,7 +1,5 @@
 """Shannon entropy of bytes, and Huffman's code that comes within a bit of it (appendix C.3)."""
 
-from __future__ import annotations
-
 import heapq
 import struct
 from typing import Any

@@ -7,8 +7,6 @@ ratio of the entropy before and after is how well the prediction fits; what is l
 the information that an image truly holds, for which the thesis proposes method 5.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from typing import Literal, TypeAlias, get_args

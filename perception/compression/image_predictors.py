@@ -12,8 +12,6 @@ Quotients are rounded down and residuals taken modulo 256, so that a residual is
 nothing is lost. Pixels without the neighbours that a method asks for keep their value.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

@@ -1,7 +1,5 @@
 """Codes of sequences of bytes: runs of zeros, and LZW (Thesis appendix C.2, C.4, figure C-1)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

@@ -1,7 +1,5 @@
 """The acceleration of free fall."""
 
-from __future__ import annotations
-
 from typing import Final
 
 GRAVITY: Final = 9.81

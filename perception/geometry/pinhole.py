@@ -4,8 +4,6 @@ A camera frame has x to the right, y down and z forward along the view; pixel ce
 numbers, and pixels need not be square.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -125,7 +123,7 @@ class Frustum(Pinhole):
         if not 0.0 < self.near < self.far < math.inf:
             raise ValueError(f"{self}: expected 0 < near < far, both finite")
 
-    def resized(self, width: int, height: int) -> Frustum:
+    def resized(self, width: int, height: int) -> "Frustum":
         """Return the same field of view with another number of pixels."""
         across, down = width / self.width, height / self.height
         return dataclasses.replace(

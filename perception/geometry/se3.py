@@ -9,8 +9,6 @@ in the frame that it transforms into (Thesis eq. 3-9, 3-20).
 down.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numba

@@ -4,8 +4,6 @@ The fit models what each pixel should hold if an ellipse of one grey level lies 
 covariance follows from the pixels' noise, and its residuals tell what is no ellipse.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

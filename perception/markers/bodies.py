@@ -5,8 +5,6 @@ a fitted ellipse. What they find is matched between the images and with the dist
 which rejects what is no marker of card or slot (thesis sections 5.1 to 5.3).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence

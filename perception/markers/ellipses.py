@@ -5,8 +5,6 @@ An ellipse is (column, row, Suu, Suv, Svv): its centre [px] and the symmetric ma
 its semi-axes. A disc's grey levels have the second moments S/4, plus 1/12 for the pixels' squares.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any, NamedTuple
@@ -63,7 +61,7 @@ class MarkerExpectation:
             raise ValueError(f"marker sampling: got {self.sampling}, needs 0 to below 1")
 
     @property
-    def pixels(self) -> PixelNoise:
+    def pixels(self) -> "PixelNoise":
         """Noise of the pixels."""
         return PixelNoise(self.noise, self.sampling)
 
@@ -207,7 +205,7 @@ class MeasuredEllipses(NamedTuple):
     contrasts: FloatArray
     misfits: FloatArray
 
-    def first(self, count: int) -> MeasuredEllipses:
+    def first(self, count: int) -> "MeasuredEllipses":
         """Return the first of them."""
         return MeasuredEllipses(*(values[:count] for values in self))
 

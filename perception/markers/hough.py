@@ -10,8 +10,6 @@ marker go before the filters: of some 200 bright spots of textured ground a doze
 Hough transform is as much quicker.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -5,8 +5,6 @@ it: a disc foreshortens, and a slanted one is not as wide in the left image as i
 tells to which side it leans. Both are weak for a small marker seen head on; the covariance says so.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, NamedTuple
 

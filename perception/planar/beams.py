@@ -6,8 +6,6 @@ directions; each crossed cell stands for the area (r2^2 - r1^2) dtheta / 2 of it
 wedge.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import NamedTuple

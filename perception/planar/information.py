@@ -9,8 +9,6 @@ place of numbers of cells, so that a heading's value is a sliding sum over one f
 - ``entropy``: binary entropy of each undecided cell, times its area.
 """
 
-from __future__ import annotations
-
 from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numba

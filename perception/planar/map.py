@@ -4,8 +4,6 @@ Row r, column c is the square from ``cell * (c, r)`` to ``cell * (c + 1, r + 1)`
 column, y with the row.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lines of sight on a planar grid: what a range scan sees, and how much a view would cover."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any, NamedTuple

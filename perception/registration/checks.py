@@ -1,7 +1,5 @@
 """What a registration can be made from: finite, seen by both eyes, and enough of it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

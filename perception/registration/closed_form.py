@@ -4,8 +4,6 @@ All take the fiducials' points before and after the motion, each in the left cam
 time, and return the pose of the camera after the motion in the frame before it.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -6,8 +6,6 @@ is the frame. Covariances of transforms are those of xi in
 ``true = RigidTransform.from_exp_coords(xi) * estimate``.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -11,8 +11,6 @@ views share: of the robot's place, of how the head is mounted. The shared ones a
 state, as the fiducials are: taken as new in each view they would average away, though they stay.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 
@@ -115,7 +113,7 @@ class FiducialMap:
         self.offsets, self._joint = np.append(self.offsets, np.zeros(count)), grown
         return np.arange(first, first + count)
 
-    def expected(self, prior: PosePrior) -> tuple[RigidTransform, FloatArray]:
+    def expected(self, prior: "PosePrior") -> tuple[RigidTransform, FloatArray]:
         """Return where a camera is, by what earlier looks say of the offsets, and (6, 6) of it.
 
         Args:
@@ -132,7 +130,7 @@ class FiducialMap:
 
     def observe_from(
         self,
-        prior: PosePrior,
+        prior: "PosePrior",
         numbers: Sequence[int] | IndexArray,
         image_points: ArrayLike,
         *,
@@ -327,7 +325,7 @@ class FiducialMap:
         )
         return index, seen, spread, fresh, new_spread
 
-    def _check_offsets(self, prior: PosePrior) -> None:
+    def _check_offsets(self, prior: "PosePrior") -> None:
         if prior.by_offsets.shape != (6, len(prior.offsets)):
             raise RegistrationError(
                 f"by_offsets of shape {prior.by_offsets.shape}: expected (6, {len(prior.offsets)})"

@@ -7,8 +7,6 @@ axes, to a given accuracy for the image noise. And its depth contrast draws to w
 hides another, whose images move apart: so the patch that is tracked must lie on one surface.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -54,7 +52,7 @@ def select_fiducials(
     certainties: ArrayLike | None = None,
     taken: ArrayLike | None = None,
     next_view: RigidTransform | None = None,
-    config: FiducialConfig | None = None,
+    config: "FiducialConfig | None" = None,
 ) -> Selection:
     """Choose fiducials among measured points by eq. 3-21.
 
@@ -112,7 +110,7 @@ def select_fiducials(
 
 
 def _certainties(
-    points: FloatArray, given: ArrayLike | None, geometry: StereoGeometry, config: FiducialConfig
+    points: FloatArray, given: ArrayLike | None, geometry: StereoGeometry, config: "FiducialConfig"
 ) -> FloatArray:
     if given is not None:
         certain = np.asarray(given, dtype=float)
@@ -127,7 +125,7 @@ def _certainties(
 
 
 def _inside(
-    seen: FloatArray, geometry: StereoGeometry, config: FiducialConfig
+    seen: FloatArray, geometry: StereoGeometry, config: "FiducialConfig"
 ) -> NDArray[np.bool_]:
     """Say which lie so that the whole patch is in both images."""
     margin = config.patch // 2 + 1
@@ -136,7 +134,7 @@ def _inside(
     return inside & (row >= margin) & (row < geometry.height - margin)
 
 
-def _best_of_cells(seen: FloatArray, score: FloatArray, config: FiducialConfig) -> IndexArray:
+def _best_of_cells(seen: FloatArray, score: FloatArray, config: "FiducialConfig") -> IndexArray:
     """Return which points score best in their square of the image."""
     order = np.argsort(-score, kind="stable")
     squares = np.floor(seen[order, :2] / config.cell).astype(np.intp)
@@ -145,7 +143,7 @@ def _best_of_cells(seen: FloatArray, score: FloatArray, config: FiducialConfig) 
 
 
 def _spaced(
-    pixels: FloatArray, ratings: FloatArray, taken: FloatArray, config: FiducialConfig
+    pixels: FloatArray, ratings: FloatArray, taken: FloatArray, config: "FiducialConfig"
 ) -> IndexArray:
     """Pick the best one by one; each pick lowers the ratings about it."""
     left = ratings.copy()

@@ -6,8 +6,6 @@ correlated. `solve_relative` fits the pose of a second camera relative to a firs
 known beforehand, and gives the covariance of all points together.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

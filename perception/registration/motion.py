@@ -5,8 +5,6 @@ camera. Wrong matches are those that do not agree on one pose with the others (`
 Covariances of transforms are as in `perception.geometry.se3`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math
@@ -91,7 +89,7 @@ class _Pair:
         first, second = (self.geometry.covariance(p, self.sigma) for p in self.points)
         return first, second
 
-    def chosen(self, chosen: BoolArray) -> _Pair:
+    def chosen(self, chosen: BoolArray) -> "_Pair":
         return _Pair(self.before[chosen], self.after[chosen], self.sigma[chosen], self.geometry)
 
     def known(self) -> KnownPoints:

@@ -6,8 +6,6 @@ refines it. `track` follows fiducials from one view to the next; `match_across` 
 another robot's view, from far aside, where the slant of the surface matters as well.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ What is known of the fiducials beforehand is Gaussian: their image points in an 
 their places in a map.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -56,7 +54,7 @@ class KnownPoints:
             return (self.covariance @ weights[..., None])[..., 0]
         return (self.covariance @ weights.ravel()).reshape(-1, 3)
 
-    def chosen(self, chosen: NDArray[np.bool_]) -> KnownPoints:
+    def chosen(self, chosen: NDArray[np.bool_]) -> "KnownPoints":
         """Return some of them."""
         if self.covariance.ndim == 3:
             return KnownPoints(self.coordinates[chosen], self.covariance[chosen], self.geometry)
@@ -79,7 +77,7 @@ class Sighting:
     sigma: FloatArray
     geometry: StereoGeometry
 
-    def chosen(self, chosen: NDArray[np.bool_]) -> Sighting:
+    def chosen(self, chosen: NDArray[np.bool_]) -> "Sighting":
         """Return some of them."""
         return Sighting(self.image_points[chosen], self.sigma[chosen], self.geometry)
 
@@ -101,7 +99,7 @@ class Pose:
     translation: FloatArray
 
     @classmethod
-    def of(cls, transform: RigidTransform) -> Pose:
+    def of(cls, transform: RigidTransform) -> "Pose":
         """Return a transform's parts."""
         return cls(transform.rotation.as_matrix(), np.asarray(transform.translation))
 
@@ -109,7 +107,7 @@ class Pose:
         """Return it as a transform; one pose only."""
         return RigidTransform.from_components(self.translation, Rotation.from_matrix(self.rotation))
 
-    def moved(self, xi: FloatArray) -> Pose:
+    def moved(self, xi: FloatArray) -> "Pose":
         """Return it moved by small xi (..., 6), in the frame of the known points."""
         turn = Rotation.from_rotvec(xi[..., :3].reshape(-1, 3)).as_matrix()
         turn = turn.reshape(self.rotation.shape)

@@ -4,8 +4,6 @@ Thesis section 3.2.2: the target gives the robots a common frame. Rings are foun
 triangulated, and matched with the CAD by the distances between them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any

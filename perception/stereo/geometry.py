@@ -3,8 +3,6 @@
 The frame is that of the left camera, as in `perception.geometry.pinhole`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

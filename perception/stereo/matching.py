@@ -5,8 +5,6 @@ pixels on slanted ground; a least-squares fit of the two images removes it and s
 disparity is. What stands next to a jump of disparity is rejected or told to be uncertain.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

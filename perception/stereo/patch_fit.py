@@ -1,7 +1,5 @@
 """A patch of one image fitted to another by least squares: place, affine distortion, brightness."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -11,8 +11,6 @@ certain the disparity is, and its residual betrays windows that hold no one surf
 # pyright: reportUnknownParameterType=false, reportMissingParameterType=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import NamedTuple

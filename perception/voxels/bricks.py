@@ -9,8 +9,6 @@ those that surfaces pass through also hold which surface estimate stands in whic
 # pyright: reportUnknownParameterType=false, reportReturnType=false
 # pyright: reportIncompatibleMethodOverride=false
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numba

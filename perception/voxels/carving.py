@@ -4,8 +4,6 @@
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportUnknownParameterType=false, reportArgumentType=false
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -10,8 +10,6 @@ one, which stands in the voxel where it then lies. Covariances are packed as xx,
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportUnknownParameterType=false, reportArgumentType=false
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """A box of voxels, and what points and settings must be before they touch a map."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -4,8 +4,6 @@ A cell that was never measured is kept apart from one that was measured and is u
 have a probability of 0.5, but only the first is worth a look.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 

@@ -14,8 +14,6 @@ outweighs every surface.
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportUnknownParameterType=false, reportArgumentType=false
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any, NamedTuple

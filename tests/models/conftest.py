@@ -1,7 +1,5 @@
 """Scenes that several test files share; compiled once."""
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("MUJOCO_GL", "egl")

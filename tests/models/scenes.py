@@ -1,7 +1,5 @@
 """Compiled scenes and what tests read off them."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

@@ -1,7 +1,5 @@
 """BRAID carries the datasheet's numbers, its detents are double wells, its wires heat and cool."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

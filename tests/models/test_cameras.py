@@ -1,7 +1,5 @@
 """Where a known point appears in each camera's picture."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

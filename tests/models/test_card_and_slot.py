@@ -1,7 +1,5 @@
 """Card, slot and hand carry the datasheet's numbers and behave as it says."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Blocks and the panel: where they stand, what they keep clear, and that they are opt-in."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -1,7 +1,5 @@
 """The compiled plant of chapter 2 carries Table 2-1's values, rests, and reads what it should."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Scenes: names, errors, seeds, ground."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

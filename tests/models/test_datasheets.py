@@ -1,7 +1,5 @@
 """The thesis' numbers, and that the compiled parts carry them."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

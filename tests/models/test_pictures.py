@@ -1,7 +1,5 @@
 """The ground's texture, and the pictures of the model folders."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Masses, motors and suspension of the compiled rover."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The truss scene is as wide, as heavy and as still as it should be."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

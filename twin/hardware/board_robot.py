@@ -1,7 +1,5 @@
 """A robot of the contract over motor boards, an analogue board and a force/torque sensor."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Counts of the boards, sampled in turn and kept with their age."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

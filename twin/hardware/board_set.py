@@ -1,7 +1,5 @@
 """All boards of one robot as one device, and the same over their real wires."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Protocol

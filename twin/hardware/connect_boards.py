@@ -1,7 +1,5 @@
 """Robots over boards, from the words that say where the boards are."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import datetime
@@ -74,7 +72,7 @@ class Wiring:
     patient: bool = False
 
     @classmethod
-    def parse(cls, words: str) -> Wiring:
+    def parse(cls, words: str) -> "Wiring":
         """Return the wiring that stands behind ``serial:``.
 
         Args:
@@ -128,7 +126,7 @@ class Wiring:
         )
 
     @classmethod
-    def parse_all(cls, words: str) -> tuple[Wiring, ...]:
+    def parse_all(cls, words: str) -> "tuple[Wiring, ...]":
         """Return the wirings of several robots.
 
         Args:

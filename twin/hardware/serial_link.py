@@ -1,7 +1,5 @@
 """A serial port with deadlines, and what may go wrong on it."""
 
-from __future__ import annotations
-
 import os
 import select
 import time

@@ -3,8 +3,6 @@
 A word is (n,) states of 0 to 7, base first. Poses are rows of 12 as in `stage`.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Flexure hinges: how far a leg may bend before its material tires (Thesis eqs. E-1, E-2)."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -6,8 +6,6 @@ the thesis gives only the name. This one keeps the best word, lets the better of
 breed, crosses at one place and flips each leg with a chance of one in the number of legs.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ What is minimised is ``cost^2 = |dp|^2 + w^2 |dR|_F^2 / 2`` of the tip; for smal
 ``|dp|^2 + w^2 a^2``. The weight w [m] says what a radian is worth.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

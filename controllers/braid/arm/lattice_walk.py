@@ -8,8 +8,6 @@ stages leave the last ones a pose whose tilt is on their lattice, and which is o
 them, the best last stages come much nearer. The walk looks for such first stages.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba

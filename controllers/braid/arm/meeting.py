@@ -6,8 +6,6 @@ one tree that serves all targets. The best so far bounds every later look. Among
 candidates are taken in the order of their cost until one is clear.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 

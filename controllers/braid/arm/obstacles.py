@@ -10,8 +10,6 @@ A stage hangs on those before it only, so a beginning that touches rules out all
 with it. Words that swap straight stages reach one pose with different bodies: here both count.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

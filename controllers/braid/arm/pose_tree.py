@@ -5,8 +5,6 @@ poses lie near few dimensions of them: the tree is built in their principal axes
 tight and most comparisons end early.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba

@@ -10,8 +10,6 @@ Frames: z along the stage, leg 1 at -y, leg 2 at +x +y, leg 3 at -x +y (thesis f
 A pose is a row of 12: the platform's position in the base frame, then its rotation row by row.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -11,8 +11,6 @@ extension. In the other states E-16 and E-17 lack terms in theta_x theta_y and t
 takes leg 3 for both: there x and y are 6e-4 r and 1.0e-2 r off, the disc's normal 5e-6 and 3e-4.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from controllers.braid.arm.stage import LEGS

@@ -21,8 +21,6 @@ the TTL threshold (1.3 V). What it leaves open is decided here:
 Each chip has its own component values, so that chips can disagree.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

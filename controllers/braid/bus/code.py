@@ -12,8 +12,6 @@ The thesis leaves open whether a train toggles an actuator or sets it ("the actu
 toggling", "triggered into either binary state"); both are here.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Samples of the power line through every decoder chip (Thesis section E.4), compiled."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numba

@@ -6,8 +6,6 @@ power at once, from the tip to the base: what is switched later then carries a s
 the next word the wires must cool, or they would still pull against their antagonists.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

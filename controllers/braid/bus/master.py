@@ -15,8 +15,6 @@ actuator and skips the right one, and no one knows. Three protocols do better:
 - "correct": addresses four apart; each decoder mends one missed or extra pulse in a train.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable
 

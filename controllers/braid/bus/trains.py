@@ -1,7 +1,5 @@
 """Pulse trains as the master puts them on the power line, and the faults that befall them (E.4)."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from typing import Literal

@@ -1,7 +1,5 @@
 """Stage ``find``, chapter 3: the master searches for the panel, and maps what it sees meanwhile."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from controllers.insertion.camera_station import camera_arm

@@ -1,7 +1,5 @@
 """Stage ``identify``, chapter 2: a rover swings its arm and finds how it pitches on its springs."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from controllers.identification.rover_identifier import (

@@ -1,7 +1,5 @@
 """Stage ``insert``, chapter 5: the master guides, the slave inserts the card."""
 
-from __future__ import annotations
-
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import camera_arm

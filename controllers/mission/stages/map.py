@@ -1,7 +1,5 @@
 """Stage ``map``, chapter 3: both rovers map the place, each leaving to the other what it sees."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from controllers.insertion.camera_station import camera_arm
@@ -39,7 +37,7 @@ class MapTogether:
         exchange: Exchange,
         scans: int,
         rng: np.random.Generator,
-    ) -> MapTogether:
+    ) -> "MapTogether":
         """Let both robots go on with the map that one has begun.
 
         Args:

@@ -4,8 +4,6 @@ The slave turns to and fro before the master's camera and hears how far it truly
 know where the other is, and the slave what skidding leaves of its turns, without a compass.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

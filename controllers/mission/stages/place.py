@@ -4,8 +4,6 @@ The place is chosen by the map; having come there by dead reckoning, the master 
 again. That says how far dead reckoning has missed; if it is too far, the master drives on.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A stage in which a robot keeps its arm at home and waits for the other."""
 
-from __future__ import annotations
-
 from controllers.mission.belief import MissionBelief
 from controllers.motion.arm_move import ArmMove
 from twin.robot import Command, Observation

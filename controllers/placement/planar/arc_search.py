@@ -6,8 +6,6 @@ direction from the normal [rad], distance [m], free cap [rad] and occupancy; the
 ``floor`` if no candidate rates higher.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

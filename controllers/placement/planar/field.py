@@ -5,8 +5,6 @@ within r, projected from the target: an interval of directions that only grows w
 outwards, intervals are only added.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ convex, for instance the wall of a room, would hide what stands free in it. So a
 across its longer side until its cells fill most of their hull.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

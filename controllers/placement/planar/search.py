@@ -4,8 +4,6 @@
 no pose sees a target, the error says why.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Sequence

@@ -6,8 +6,6 @@ separating axes; on a map by following lines of sight from cell to cell. It meas
 the occluders gives up (figure 4-6).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -5,8 +5,6 @@ triangles of the last level stand for their centres: those are the directions th
 The rest is compiled.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Any, NamedTuple

@@ -6,8 +6,6 @@ part is bounded by the silhouette's edges within the ball (arcs of great circles
 in which the ball cuts the front faces. The nearest point of each has a closed form.
 """
 
-from __future__ import annotations
-
 import numba
 import numpy as np
 from numpy.typing import ArrayLike

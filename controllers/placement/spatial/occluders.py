@@ -8,8 +8,6 @@ the target's reference point misses every hull.
 # trimesh types its shapes in part only.
 # pyright: reportUnknownMemberType=false
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

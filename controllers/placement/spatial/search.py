@@ -6,8 +6,6 @@ of triangles, best bound first; it yields the candidates in the order of their r
 first one is the optimum of all of them. Cameras anywhere are rated one by one (eq. 4-1).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import heapq
 from collections.abc import Callable, Iterator, Sequence
@@ -108,7 +106,7 @@ class SpatialTask:
         if not self.fields:
             raise ValueError("no target: give at least one")
 
-    def prepared(self) -> list[_PreparedTarget]:
+    def prepared(self) -> "list[_PreparedTarget]":
         """Return each target's candidates, ready to be rated."""
         tree, config, lens = direction_tree(self.config.level), self.config, self.lens
         rings = np.geomspace(lens.near, lens.far, config.rings)

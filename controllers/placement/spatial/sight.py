@@ -7,8 +7,6 @@ the products of an edge of each (separating axis theorem). So the answer is exac
 occluders; it measures what expanding the occluders gives up (Thesis figure 4-6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ reference while the base is pushed; the feed-forward also as measured and with a
 nine-coordinate model (eqs A-2, A-3) is compared with MuJoCo, and its ranks are computed.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

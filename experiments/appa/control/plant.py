@@ -1,7 +1,5 @@
 """Plants of ``appa-control``: the nine coordinates in MuJoCo, and rovers on other springs."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

@@ -1,7 +1,5 @@
 """One run of ``appa-control``: the arm follows its reference while its base is pushed."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures of ``appa-tipover``: the zero-moment point over the footprint, and what guards allow."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from matplotlib.figure import Figure

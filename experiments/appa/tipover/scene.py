@@ -1,7 +1,5 @@
 """The rover of ``appa-tipover`` on its slope: what a guard knows of it, and what is true."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

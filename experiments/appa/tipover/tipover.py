@@ -5,8 +5,6 @@ as a guard plans it that slows it as a whole before it begins, and as a guard le
 The zero-moment point of eq. A-5 is compared with MuJoCo's centre of pressure all the while.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One run of ``appa-tipover``: the arm swings a load, guarded or not, and the ground tells."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """The scene of ``appa-truss`` at rest, and what is true in it."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

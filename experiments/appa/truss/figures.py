@@ -1,7 +1,5 @@
 """Figures of ``appa-truss``: a run over time as the thesis shows it, and forces by misalignment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One run of ``appa-truss``: two rovers carry a segment to a truss stage and insert it."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -6,8 +6,6 @@ elsewhere than the map says. Compared are the hybrid control, the same without i
 grips hold positions; the insertion still gives way), and the hybrid grips without guidance.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

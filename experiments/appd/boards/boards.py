@@ -6,8 +6,6 @@ the same controller with and without wires are measured besides; figure D-3 is d
 emulated amplifier.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

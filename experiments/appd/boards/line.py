@@ -1,7 +1,5 @@
 """A damaged serial line to motor boards: how long calls take, and whether a value is wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 import select
 import threading
@@ -60,7 +58,7 @@ class DamagedLine:
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
-    def __enter__(self) -> DamagedLine:
+    def __enter__(self) -> "DamagedLine":
         self._thread.start()
         return self
 

@@ -1,7 +1,5 @@
 """The rover on boards beside the same rover without wires, and in real time at 100 Hz."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import subprocess

@@ -3,8 +3,6 @@
 The truth are the duty codes that drive the eight motors, read at the emulator beside the wires.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable

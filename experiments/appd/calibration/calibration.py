@@ -4,8 +4,6 @@ The emulated inclinometers have Table D-1's constants, which the procedure must 
 voltages after a 10-bit converter and the force/torque sensor, never the tilt itself.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

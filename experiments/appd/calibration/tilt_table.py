@@ -5,8 +5,6 @@ or falls while it turns; gravity stays as it is. That is the same statics as tur
 the robot's own inclinometer stays right. What is measured goes through the robot's sensors only.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Two rovers drive and share their poses over the emulated radio."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Mapping

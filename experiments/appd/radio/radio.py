@@ -6,8 +6,6 @@ the modems delay; the framed link hardly is. In the end two rovers drive and tel
 they are.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """One trial of ``appd-radio``: messages one way over an emulated radio, in virtual time."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

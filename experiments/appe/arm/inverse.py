@@ -6,8 +6,6 @@ drawn uniformly, as the thesis seems to have them, are shown beside: hardly any 
 they measure the draw rather than the search. All lengths are in radii of the discs.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

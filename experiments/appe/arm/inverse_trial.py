@@ -1,7 +1,5 @@
 """Targets of a binary arm, each solved by every method; scenes with obstacles."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Set

@@ -4,8 +4,6 @@ Figure E-5, the stage's residual and symmetry, the thesis' repaired equations be
 and the flexures that the joints' angles ask for (E-1, E-2). All lengths are in radii of the discs.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -5,8 +5,6 @@ given rates are sent by the thesis' protocol and by three that withstand a misse
 buffer is held against the RC variant, which the thesis tested too and found less reliable.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """One trial of ``appe-bus``: words sent over a sampled bus, and what became of them."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

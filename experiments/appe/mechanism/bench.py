@@ -1,7 +1,5 @@
 """BRAID's mechanism, simulated: put into a word, driven to another, measured."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray

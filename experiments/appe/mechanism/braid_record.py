@@ -1,7 +1,5 @@
 """BRAID's bodies, wires and detents in a recording for the rerun viewer."""
 
-from __future__ import annotations
-
 import rerun as rr
 
 from experiments.appe.mechanism.bench import BraidBench

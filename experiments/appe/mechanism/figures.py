@@ -1,7 +1,5 @@
 """Figures of ``appe-mechanism``: states, arms, a leg that switches, and sag."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import mujoco

@@ -8,8 +8,6 @@
 4. Random words of five stages that carry the head: bits that come out wrong, and speed.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

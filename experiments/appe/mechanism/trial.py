@@ -1,7 +1,5 @@
 """Jobs of ``appe-mechanism``: single stages, arms under their weight, words in a row."""
 
-from __future__ import annotations
-
 import dataclasses
 import time
 

@@ -1,7 +1,5 @@
 """Figures of ``appe-placement``: a setting before and after, and what is seen in all of them."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 

@@ -6,8 +6,6 @@ its picture. The best one that the inverse kinematics stands for, links clear of
 driven in physics by the muscle wires, and what the camera then sees is rendered.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

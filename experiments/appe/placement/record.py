@@ -1,7 +1,5 @@
 """A placement that BRAID carries out, as a recording for the rerun viewer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

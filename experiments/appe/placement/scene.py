@@ -1,7 +1,5 @@
 """A rover with BRAID before a target that blocks hide: the scene, and what its camera sees."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

@@ -1,7 +1,5 @@
 """A camera is placed (chapter 4), BRAID is driven there, and what is seen is rendered."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Figures 2-9 to 2-12: arm motion, inclinometer reading and convergence on the rover."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -5,8 +5,6 @@ a second-order equation, inertia by that response and by a pendulum. All without
 share the force/torque sensor measures.
 """
 
-from __future__ import annotations
-
 import functools
 
 import mujoco

@@ -1,7 +1,5 @@
 """A moving picture of the rover: ``python -m experiments.ch2.rover.movie OUT.gif``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

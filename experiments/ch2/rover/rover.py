@@ -1,7 +1,5 @@
 """Table 2-2: the complete rover identifies how it pitches, by inclinometer and arm wrench alone."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

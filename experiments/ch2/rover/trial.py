@@ -1,7 +1,5 @@
 """One identification of the complete rover through the robot contract."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

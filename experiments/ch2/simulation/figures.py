@@ -1,7 +1,5 @@
 """Figures 2-4 to 2-7 of the thesis, and an overview of the errors."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure

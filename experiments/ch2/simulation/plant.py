@@ -1,7 +1,5 @@
 """The chapter 2 plant in MuJoCo, and the noise on what is measured of it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import mujoco

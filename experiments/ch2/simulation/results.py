@@ -1,7 +1,5 @@
 """What ch2-simulation reports: metrics, checks against the bars, and Table 2-1 beside ours."""
 
-from __future__ import annotations
-
 import numpy as np
 from rich import box
 from rich.console import Console

@@ -5,8 +5,6 @@ estimates the 22 parameters in three ways. Every excitation is run on the same n
 that differences between excitations are paired.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

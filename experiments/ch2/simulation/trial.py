@@ -1,7 +1,5 @@
 """One identification of the simplified plant: one truth, one excitation, one noise, one seed."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """True parameter sets of the simplified plant: Table 2-1's, a user's own, or random ones."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

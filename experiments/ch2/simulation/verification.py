@@ -1,7 +1,5 @@
 """Is the plant what its equations say, and what can no estimator tell from its data?"""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 

@@ -4,8 +4,6 @@ Geometry alone here: two robots look from either side at points and a target abo
 their image points are drawn with noise. `cooperative_rendered` does the same on pictures.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

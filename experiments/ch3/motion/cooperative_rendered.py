@@ -6,8 +6,6 @@ their surroundings distorted as the surface about them, fitted to the first robo
 it. The truth puts the arms where the panel is in view, and scores.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

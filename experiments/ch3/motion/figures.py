@@ -1,7 +1,5 @@
 """Figures 3-23 and 3-24, tracked fiducials and accumulated error, and cooperative stereo's."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -6,8 +6,6 @@ fiducials at every step, as the thesis did; the map of persistent fiducials regi
 what stays in view, so that its error should stop growing.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

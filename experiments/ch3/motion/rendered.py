@@ -5,8 +5,6 @@ What the arm's joints say of a motion is wrong by some millimetres and tenths of
 starts the search. The true poses serve to score.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

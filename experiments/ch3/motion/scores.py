@@ -1,7 +1,5 @@
 """Errors of points and poses, and how they compare with their own covariances."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Two small worked pictures: how Gaussians are merged (3-6), how a view is evaluated (3-8)."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Wedge

@@ -1,7 +1,5 @@
 """Figures 3-12 to 3-21: worlds, curves with their bands, paths and maps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

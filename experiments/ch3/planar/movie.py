@@ -1,7 +1,5 @@
 """A moving picture of a map growing: ``python -m experiments.ch3.planar.movie OUT.gif``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -6,8 +6,6 @@ map is shared at once, robots are points. The fraction mapped counts the cells t
 somewhere that can be reached.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path

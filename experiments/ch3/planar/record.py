@@ -1,7 +1,5 @@
 """A planar mapping run as a recording for the rerun viewer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Each round every robot chooses a pose, goes there and scans (75 deg, 10 m). Coop
 what they are about to see; independent ones choose for themselves on the common map.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

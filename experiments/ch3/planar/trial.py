@@ -1,7 +1,5 @@
 """One simulated mapping run: a world, one or more robots, and a method."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import time

@@ -1,7 +1,5 @@
 """Worlds to map: an unstructured field, an indoor floor, or a picture (figures 3-12, 3-19)."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Figures 3-22 and 3-25 to 3-27: the scene, how its map grows, and what was seen and mapped."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

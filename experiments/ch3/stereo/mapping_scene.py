@@ -1,7 +1,5 @@
 """A scene of analytic shapes, seen by a noisy range camera: mapping with a truth in closed form."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -34,7 +32,7 @@ class Scene:
     boxes: FloatArray
 
     @classmethod
-    def random(cls, generator: np.random.Generator, radius: float = 0.45) -> Scene:
+    def random(cls, generator: np.random.Generator, radius: float = 0.45) -> "Scene":
         """Scatter four spheres and four boxes around the origin.
 
         Args:

@@ -4,8 +4,6 @@ A free rig looks at the cluttered scenes from 0.35 to 2 m, and the rovers' arms 
 rest. Every matched point is held against the exact depth of its pixel.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """A stereo mapping run as a recording for the rerun viewer: the map grows view by view."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import TracebackType
 
@@ -37,7 +35,7 @@ class MapRecorder:
         self._rng = np.random.default_rng(0)
         self._count = 0
 
-    def __enter__(self) -> MapRecorder:
+    def __enter__(self) -> "MapRecorder":
         return self
 
     def __exit__(

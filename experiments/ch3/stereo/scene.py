@@ -5,8 +5,6 @@ without dynamics, or from a free rig that can be put anywhere. The true camera p
 depth come with them; they are for scoring alone.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ by triangulating together. The truth only scores. Mapping drives robots, simulat
 emulated boards; the other three parts set cameras or draw points themselves, and need none.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, ClassVar

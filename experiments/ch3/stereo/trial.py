@@ -1,7 +1,5 @@
 """One scene of ``ch3-stereo``, mapped by two rovers; the truth only scores."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 

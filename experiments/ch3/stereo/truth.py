@@ -1,7 +1,5 @@
 """The truth of a scene, which scores what ``ch3-stereo`` mapped and is used for nothing else."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import mujoco

@@ -1,7 +1,5 @@
 """Figures of ``ch4-montecarlo``: the table as a picture, and one test."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

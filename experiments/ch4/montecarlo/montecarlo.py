@@ -58,8 +58,6 @@ All placements, tolerances and targets share each test's world, errors and draws
 is a sparser one with more obstacles.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -3,8 +3,6 @@
 Tests are paired by their seeds, so two cells are compared by the tests in which they differ.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

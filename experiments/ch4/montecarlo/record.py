@@ -1,7 +1,5 @@
 """One test of ``ch4-montecarlo`` as a recording for the rerun viewer."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

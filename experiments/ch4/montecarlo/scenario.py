@@ -4,8 +4,6 @@ The goal is the origin; the slot lies along x and faces y. Obstacles are hexagon
 where a camera can be: in a free place that can be reached.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

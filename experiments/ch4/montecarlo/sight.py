@@ -3,8 +3,6 @@
 Places are those of `ch4_montecarlo_scenario`: the goal is the origin, the slot faces y.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

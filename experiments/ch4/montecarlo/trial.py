@@ -4,8 +4,6 @@
 a test is the same whoever runs it, beside whichever others.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time

@@ -1,7 +1,5 @@
 """Figures 4-6, 4-8, 4-10 and 4-11, how fast the searches are, and the film."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from pathlib import Path

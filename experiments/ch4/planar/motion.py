@@ -5,8 +5,6 @@ Then at every step the carrier moves by its command and an error, the camera mea
 pose where it sees any of it, the panel is put back into the map, and the camera is placed again.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import time

@@ -4,8 +4,6 @@ The exact search is compared with rating every candidate, hulls with exact sight
 watches a panel of known shape on its way to the target, with hysteresis and without.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ The thesis' worlds are 100 x 100 with the primary target at (50, 50) and the sec
 (50, 75); a unit is taken as a metre, as in chapter 3's worlds.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

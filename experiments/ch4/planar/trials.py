@@ -1,7 +1,5 @@
 """What ``ch4-planar`` repeats over random scenes: the searches, and the cost of hulls."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -5,8 +5,6 @@ deviations of it. What a camera truly sees of the hole is counted in rendered im
 scene: the hole's pixels with the blocks there, over those with the blocks taken away.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 

@@ -3,8 +3,6 @@
 # matplotlib's 3-D axes are typed as plain ones.
 # pyright: reportAttributeAccessIssue=false
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from typing import Any

@@ -4,8 +4,6 @@ The map is of depths cast into the compiled scene from a free stereo head all ab
 the noise of stereo; the rovers are left out of it, as mapping robots leave each other out.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from controllers.placement.task import Lens, Target

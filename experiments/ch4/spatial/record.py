@@ -1,7 +1,5 @@
 """A camera placement in space as a recording for the rerun viewer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

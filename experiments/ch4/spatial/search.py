@@ -4,8 +4,6 @@ Solids of all kinds stand about a round target. In every second scene places for
 partly unknown or doubtful, as in a map.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from typing import Any

@@ -11,8 +11,6 @@ is given, the rating is optimised in space, and the camera's view from there is 
 4. Two cameras placed at once.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

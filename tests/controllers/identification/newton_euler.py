@@ -1,7 +1,5 @@
 """Newton and Euler for the arm on the base, written anew: nothing of the tested code is used."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation

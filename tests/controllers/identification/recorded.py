@@ -1,7 +1,5 @@
 """Data of the chapter 2 plant that several tests share: motions, MuJoCo's outputs, noise."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arm stays within its limits, whatever is asked of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.signal

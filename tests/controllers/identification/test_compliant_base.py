@@ -1,7 +1,5 @@
 """Our model of the plant against MuJoCo, an independent integration and finite differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The planner: its criteria, its derivatives, and that its plans are better than their start."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Planning and estimating in turn, against the plant in MuJoCo."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Mutual information against quadrature and closed form; observability against known systems."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg

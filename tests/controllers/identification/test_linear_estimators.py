@@ -1,7 +1,5 @@
 """Pseudo-inverse and Kalman filter: right where A is exact, over-confident where it is measured."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Our estimator: right, calibrated, and honest about what the data do not say."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The 22 parameters: what is refused, the prior's derivatives, and the way to stay physical."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

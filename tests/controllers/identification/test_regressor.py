@@ -1,7 +1,5 @@
 """A x = F against MuJoCo, and that the printed equations do not fit what the sensors give."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

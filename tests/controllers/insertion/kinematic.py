@@ -3,8 +3,6 @@
 On springs it leans under its arm, at once.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Flat scenes of the insertion, where what is true can be set."""
 
-from __future__ import annotations
-
 import functools
 
 import mujoco

@@ -1,7 +1,5 @@
 """Where the card is and what touches it, against MuJoCo."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

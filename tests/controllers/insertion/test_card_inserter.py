@@ -1,7 +1,5 @@
 """The slave brings the card in by looks and force, and stands still when it must."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """Geometry and wrenches of the six contact states, against brute force and differences."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

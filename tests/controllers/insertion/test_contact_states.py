@@ -1,7 +1,5 @@
 """Constructed contacts are named from their wrench and a believed pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

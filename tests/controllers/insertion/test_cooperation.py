@@ -1,7 +1,5 @@
 """Grips in the plane, hybrid control, and what master and slave do without each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform

@@ -1,7 +1,5 @@
 """What the master tells arrives as it was told, to its steps, or not at all."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

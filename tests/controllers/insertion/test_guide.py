@@ -1,7 +1,5 @@
 """What the guide does with wrenches: gives way, ignores noise, draws back, stops."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Of rendered pairs the master tells what is true within its covariance, or that it saw nothing."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

@@ -1,7 +1,5 @@
 """What the pair's forces, rates and messages amount to, in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Euler angles as printed agree with the rigid transform in the plane, and nowhere else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation

@@ -1,7 +1,5 @@
 """The slave's belief is the least-squares one, however late the looks come."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

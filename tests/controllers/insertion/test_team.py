@@ -1,7 +1,5 @@
 """The team of the insertion goes on when the master was mistaken."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The master's camera goes where MuJoCo's rays reach all markers; no better place is left out."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

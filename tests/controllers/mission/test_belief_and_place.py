@@ -1,7 +1,5 @@
 """What a robot of the mission believes, where its camera is placed by the map, and how it waits."""
 
-from __future__ import annotations
-
 import math
 import types
 import typing

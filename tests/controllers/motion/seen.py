@@ -1,7 +1,5 @@
 """Observations made by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from twin.robot import MISSING, Channel, Observation, Validity

@@ -1,7 +1,5 @@
 """An arm on its way to a look: straight, in time, and a pair counts only from rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """How a base leans under its arm, against MuJoCo."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

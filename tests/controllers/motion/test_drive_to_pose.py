@@ -1,7 +1,5 @@
 """A rover goes to a pose: held against the pose that an independent integration arrives at."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

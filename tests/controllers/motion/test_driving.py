@@ -1,7 +1,5 @@
 """Wheel speeds and motion belong together, and dead reckoning goes where geometry says."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Appendix C: Table C-1 on real pictures, and pictures that a map expects."""
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("MUJOCO_GL", "egl")

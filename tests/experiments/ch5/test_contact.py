@@ -1,7 +1,5 @@
 """The bench presses the states that geometry constructs, and force guides the card in."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

@@ -1,7 +1,5 @@
 """Whole insertions in physics: what must succeed, what must stop, and what is written."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

@@ -1,7 +1,5 @@
 """Each fault changes what it says, when it says, and nothing else."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The scene of the insertion is as the thesis has it, and cameras are placed as told."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

@@ -1,7 +1,5 @@
 """Without anything to see the robots stand still: their controllers know no truth."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

@@ -1,7 +1,5 @@
 """The mission: what its robots believe, and one run from the initial poses to the seated card."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

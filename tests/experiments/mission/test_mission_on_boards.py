@@ -1,7 +1,5 @@
 """The mission on two rovers that are opened by their boards' ports."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Stereo pairs of planes whose disparities are known exactly."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from perception.stereo.geometry import StereoGeometry

@@ -1,7 +1,5 @@
 """Disparities, points and their covariance, on pictures whose disparities are known."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -15,8 +15,6 @@ rate of StandardFirmata, three pins take 5 ms and the bridge's latency twice; on
 latency timer at 1 ms.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import time

@@ -1,7 +1,5 @@
 """Messages of the Firmata protocol as bytes, and back; no device is touched here."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ client reads numbers through the one, an emulated board makes them through the o
 and back errs by half a count at most.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import json

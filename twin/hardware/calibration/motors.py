@@ -1,7 +1,5 @@
 """Motors and encoders: counts and duty codes of the boards into SI units and back."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

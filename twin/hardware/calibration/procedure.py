@@ -4,8 +4,6 @@
 prints. `run_procedure` lends it a voice and ears, which a test can replace.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import math

@@ -1,7 +1,5 @@
 """What every section of a calibration shares."""
 
-from __future__ import annotations
-
 import dataclasses
 import datetime
 import math

@@ -1,7 +1,5 @@
 """Analogue inputs, inclinometer and force/torque sensor: counts into SI units and back."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

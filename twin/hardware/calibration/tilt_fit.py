@@ -13,8 +13,6 @@ Tilts are pitch and roll as in `twin.robot.Observation`. The reference is the fo
 frame: a misalignment between the two sensors becomes part of the zero angle voltages.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ camera is unplugged) and the control loop must not; the newest pair is kept. Fil
 rate. Images are as the cameras give them: rectification is not done here.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import threading

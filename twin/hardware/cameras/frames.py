@@ -6,8 +6,6 @@ host writes the number of the pair that it wants, the emulator draws that pair a
 number beside the images. Who knows the file's name reads it, one host at a time.
 """
 
-from __future__ import annotations
-
 import time
 from collections import OrderedDict
 from collections.abc import Callable

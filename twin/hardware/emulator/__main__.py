@@ -5,8 +5,6 @@ Without ``--realtime`` the physics stand still until a line on the standard inpu
 repeat. Every line is answered by one line.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

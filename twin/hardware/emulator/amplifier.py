@@ -8,8 +8,6 @@ shorts the motor (sign/magnitude drive), so current flows through two of its swi
 All functions are pure and take the eight motors, or any other shape, at once.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Final, Literal

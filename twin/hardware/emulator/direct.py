@@ -1,7 +1,5 @@
 """Boards without wires: the same counts as the emulated ones, with nothing that could fail."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

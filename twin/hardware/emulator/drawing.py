@@ -1,7 +1,5 @@
 """Stereo pairs drawn by a process of their own, so that emulated boards answer meanwhile."""
 
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor

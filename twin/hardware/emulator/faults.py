@@ -1,7 +1,5 @@
 """What goes wrong on an emulated line, by chance or at a given time."""
 
-from __future__ import annotations
-
 import collections
 import dataclasses
 import enum

@@ -4,8 +4,6 @@ What it answers follows the StandardFirmata sketch of Firmata 2.5: so does what 
 damaged input, such as a system-exclusive message that goes on until its end byte comes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from twin.hardware.analogue.firmata_codec import (

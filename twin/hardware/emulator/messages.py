@@ -1,7 +1,5 @@
 """What an emulator and the program that steers it say to each other, as JSON."""
 
-from __future__ import annotations
-
 from typing import TypedDict
 
 

@@ -4,8 +4,6 @@ The same lines carry bytes in virtual time within one process (`VirtualModems`),
 radio takes seconds, and in real time between two pseudo-terminals (`PtyModems`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import select
@@ -130,7 +128,7 @@ class Line:
 class VirtualChannel:
     """One computer's line to its modem, in virtual time."""
 
-    def __init__(self, modems: VirtualModems, out: Line, into: Line) -> None:
+    def __init__(self, modems: "VirtualModems", out: Line, into: Line) -> None:
         """Send on `out` and receive from `into`, by the clock of `modems`."""
         self._modems = modems
         self._out = out
@@ -227,7 +225,7 @@ class PtyModems:
             for end in self._ends:
                 end.close()
 
-    def __enter__(self) -> PtyModems:
+    def __enter__(self) -> "PtyModems":
         return self
 
     def __exit__(

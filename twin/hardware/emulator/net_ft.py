@@ -1,7 +1,5 @@
 """An ATI Net F/T's raw data transfer (RDT): answers datagrams; sockets are the caller's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 
 from twin.hardware.force_torque.net_ft import (

@@ -1,7 +1,5 @@
 """Where emulated devices are reached: pseudo-terminals, which no network sees."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

@@ -1,7 +1,5 @@
 """Emulated boards in a process of their own, and its clock."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """The boards of one emulated robot on their lines, with their faults."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import Callable, Collection, Hashable, Sequence
 from concurrent.futures import Future

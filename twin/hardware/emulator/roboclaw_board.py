@@ -1,7 +1,5 @@
 """RoboClaw boards that share one emulated serial line."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import struct

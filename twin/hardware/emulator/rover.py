@@ -1,7 +1,5 @@
 """What the boards of one emulated rover are wired to: amplifier, motors, encoders, sensors."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import mujoco

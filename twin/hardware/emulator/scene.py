@@ -1,7 +1,5 @@
 """The physics behind emulated boards: one scene, its rovers, and a tick."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Mapping
@@ -61,7 +59,7 @@ class SceneConfig:
         return json.dumps(table)
 
     @classmethod
-    def from_json(cls, words: str) -> SceneConfig:
+    def from_json(cls, words: str) -> "SceneConfig":
         """Return the scene that `to_json` gave in words."""
         table = json.loads(words)
         field, stereo = _tuples(table["field"]), table["stereo"]

@@ -11,8 +11,6 @@ of silence it was away for 0.2 s more, after 1 s for another; its `latest_sample
 and by default it goes on after a restart of the sensor, which has lost its bias.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import select
 import socket

@@ -1,7 +1,5 @@
 """The line between a computer and its radio modem, on a serial port or in virtual time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Protocol

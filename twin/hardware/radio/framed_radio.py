@@ -7,8 +7,6 @@ Nothing here waits: `poll` is called in the servo loop, takes what came and send
 has room for.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import deque

@@ -7,8 +7,6 @@ names none. Like the original it has no checksum, no escaping, no sequence numbe
 an unexpected byte (it is passed over). Only deadlines are added, so that every call ends.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

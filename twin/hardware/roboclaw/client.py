@@ -6,8 +6,6 @@ encoders without a sign. Here a value counts only when its checksum fits, and ev
 `BusTiming.call`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import time
 from collections.abc import Callable

@@ -5,8 +5,6 @@ without a checksum, answered by ``payload crc`` in which the checksum also cover
 command: the answer to another question never passes for this one's. All numbers are big-endian.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 import struct
@@ -145,7 +143,7 @@ class Status(enum.IntFlag):
     TEMPERATURE_2_WARNING = 0x200000
 
     @property
-    def errors(self) -> Status:
+    def errors(self) -> "Status":
         """The bits that must stop the robot."""
         return self & Status(0xFFFF)
 

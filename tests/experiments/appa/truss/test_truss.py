@@ -1,7 +1,5 @@
 """``appa-truss``: its truth, its sensors, and the insertion end to end."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

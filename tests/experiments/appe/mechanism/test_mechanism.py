@@ -1,7 +1,5 @@
 """The simulated mechanism settles where the exact kinematics say, and switches as it is told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A placement is carried out by BRAID on a rover, and the camera then sees the target."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Cooperative stereo: the drawn runs, what is stored, and one rendered scene."""
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("MUJOCO_GL", "egl")

@@ -1,7 +1,5 @@
 """The cluttered stereo scene: its truth, its pictures, and what stereo makes of them."""
 
-from __future__ import annotations
-
 import os
 
 os.environ.setdefault("MUJOCO_GL", "egl")
