@@ -2,12 +2,18 @@
 
 import dataclasses
 import json
+import sys
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
+from types import FrameType
 
 import numpy as np
 import pytest
 
+import experiments
 from controllers.mission.site import SiteDrawing
+from controllers.mission.team import MissionTeam
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from experiments.mission import mission
@@ -24,7 +30,9 @@ from experiments.mission.scene import (
 )
 from experiments.mission.trial import MissionResult, MissionTrial, StageResult, run_mission
 from models.datasheets import CARD_AND_SLOT
+from twin.robot import Observation
 
+STAGES = ["identify", "find", "meet", "map", "place", "insert"]
 WIDTH = CARD_AND_SLOT.slot_widths[-1]
 
 
@@ -156,23 +164,53 @@ def test_an_ablation_is_compared_with_the_whole_mission_of_the_same_seed(
     assert measured["mcnemar_p/without_mapping"] == pytest.approx(min(1.0, 2 * 0.5**odd))
 
 
+@pytest.fixture
+def called(monkeypatch: pytest.MonkeyPatch) -> dict[str, Counter[str]]:
+    """Files whose functions run between observations and commands, at each stage's first ticks."""
+    step, called = MissionTeam.step, {}
+
+    def profiled(team: MissionTeam, observations: Mapping[str, Observation]) -> object:
+        files = called.setdefault(team.master.stage.name, Counter())
+        files["ticks"] += 1
+        if files["ticks"] > 20:
+            return step(team, observations)
+
+        def note(frame: FrameType, event: str, _: object) -> None:
+            if event == "call":
+                files[frame.f_code.co_filename] += 1
+
+        sys.setprofile(note)
+        try:
+            return step(team, observations)
+        finally:
+            sys.setprofile(None)
+
+    monkeypatch.setattr(MissionTeam, "step", profiled)
+    return called
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
-def test_a_mission_ends_with_the_card_in_the_slot() -> None:
+def test_a_mission_ends_with_the_card_in_the_slot(called: dict[str, Counter[str]]) -> None:
     """On each processor it takes another course; a second and third one are for mishaps."""
     reasons = []
     for seed in (1, 2, 3):
         result = run_mission(MissionTrial(seed=seed, scans=(2, 1)))
         _check_any_course(result)
         if result.success:
-            return
+            break
         reasons.append(result.reason)
-    pytest.fail(f"no card was inserted: {reasons}")
+    else:
+        pytest.fail(f"no card was inserted: {reasons}")
+    assert list(called) == STAGES
+    for stage, files in called.items():
+        assert any("/controllers/mission/stages/" in file for file in files), stage
+        assert [file for file in files if file.startswith(experiments.__path__[0])] == [], stage
 
 
 def _check_any_course(result: MissionResult) -> None:
     """Hold a mission to what it has to satisfy whatever course it takes."""
-    names = ["identify", "find", "meet", "map", "place", "insert"]
+    names = STAGES
     assert result.stage_names == names[: len(result.stage_names)]
     assert result.success == (result.stage_names == names and not result.reason)
     assert np.all(np.diff([stage.ended for stage in result.stages]) > 0.0)
