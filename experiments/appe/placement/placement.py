@@ -23,7 +23,8 @@ SETTINGS, QUICK_SETTINGS = 24, 3
 MOST_STAGES = 5
 SEEN = 0.98
 """Bar of the target's visible part, as `ch4-stereo` has it."""
-_KEYS = ("place_mm", "turn_deg", "off_mm", "off_deg", "tries", "pixels")
+MEASURED = ("place_mm", "turn_deg", "off_mm", "off_deg", "tries", "pixels")
+"""Fields of a `PlacedCamera` that are measured and listed for each setting."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +80,7 @@ def run(options: Options, output: Output) -> None:
     output.measure(
         "all_seen_fraction/random_words", fraction(int((random >= SEEN).sum()), len(random))
     )
-    for key in _KEYS:
+    for key in MEASURED:
         output.measure(key, distribution([getattr(r, key) for *_, r in placed]))
     wrong = sum(r.wrong for *_, r in placed)
     output.measure("wrong_bits", wrong)
@@ -88,11 +89,11 @@ def run(options: Options, output: Output) -> None:
     output.check("least part of the target seen", least, f">= {SEEN:g}", least >= SEEN)
     rows = [
         [t.seed, at_home, r.seen, float(np.mean(r.random)), r.wrong,
-         "".join(str(int(s)) for s in r.word), *(getattr(r, key) for key in _KEYS)]
+         "".join(str(int(s)) for s in r.word), *(getattr(r, key) for key in MEASURED)]
         for t, at_home, r in placed
     ]  # fmt: skip
     columns = ("seed", "seen from home", "seen", "mean seen by random words", "wrong bits", "word",
-               *_KEYS)  # fmt: skip
+               *MEASURED)  # fmt: skip
     output.table("settings", columns, rows)
     output.figure("views", draw_views(placed[0][0]))
     output.figure("seen", draw_settings(home, seen, random))

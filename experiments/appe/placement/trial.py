@@ -211,6 +211,7 @@ class PlacedCamera:
 
     Attributes:
         seen: Visible share of the target.
+        pixels: Number of the target's pixels if nothing hid it.
         random: (n,) visible share from random words.
         wrong: Number of wrong bits.
         tries: Number of placements tried.
@@ -222,6 +223,7 @@ class PlacedCamera:
     """
 
     seen: float
+    pixels: float
     random: FloatArray
     wrong: int
     tries: int
@@ -259,7 +261,7 @@ def run_placement(trial: PlacementTrial) -> PlacementRun:
     bench.drive(drive)
     bench.step(REST)
     wrong = int(np.count_nonzero(bench.bits() != word_bits(plan.word)))
-    seen, _ = scene.seen()
+    seen, pixels = scene.seen()
     error = plan.transform_camera_to_world.inv() * scene.transform_camera_to_world()
     wish = plan.view.position - plan.transform_camera_to_world.translation
     aim = bench.data.geom("target").xpos - plan.transform_camera_to_world.translation
@@ -273,6 +275,7 @@ def run_placement(trial: PlacementTrial) -> PlacementRun:
         random.append(scene.seen()[0])
     placed = PlacedCamera(
         seen=seen,
+        pixels=pixels,
         random=np.array(random),
         wrong=wrong,
         tries=plan.tries,

@@ -1,13 +1,16 @@
 """A placement is carried out by BRAID on a rover, and the camera then sees the target."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
 
-from experiments.appe.placement.placement import Options
+from experiments.appe.placement.placement import MEASURED, Options
 from experiments.appe.placement.scene import PlacementSetting, draw_setting
 from experiments.appe.placement.trial import (
     BraidPlanner,
+    PlacedCamera,
     PlacementTrial,
     RoverView,
     look_at,
@@ -66,6 +69,10 @@ def test_a_hidden_target_is_seen_after_braid_has_gone_to_its_word():
     assert result.placed.wrong == 0
     assert result.placed.seen > 0.9
     assert result.placed.turn_deg < 5.0
+
+
+def test_all_that_is_measured_of_a_setting_is_in_its_result():
+    assert set(MEASURED) <= {field.name for field in dataclasses.fields(PlacedCamera)}
 
 
 @pytest.mark.parametrize("stages", [0, 6])
