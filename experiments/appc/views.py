@@ -17,7 +17,7 @@ from scipy.stats import rankdata
 
 from controllers.mapping.stereo_view import MapperConfig
 from experiments.appc.pictures import Measured, measure_whole, resampled
-from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
 from experiments.ch3.stereo.trial import BOX, VOXEL, shared_errors
 from experiments.ch3.stereo.truth import TRUTH_CELL, mapped_share
 from perception.compression.image_codec import image_information
@@ -112,7 +112,7 @@ class ViewComparison:
 
 def compare_views(trial: ViewTrial) -> ViewComparison:
     """Rate views of a scene and map with each; a job of the sweep."""
-    scene = StereoScene(StereoSceneConfig(seed=trial.seed))
+    scene = StereoScene(seed=trial.seed)
     how = MapperConfig()
     rng = np.random.default_rng((trial.seed, 7))
     taken, images, truth = _take(scene, trial.views, how, rng)

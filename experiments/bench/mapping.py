@@ -9,16 +9,16 @@ import numpy as np
 import pyoctomap
 from numpy.typing import NDArray
 
-from experiments.ch3.stereo.mapping_scene import (
+from experiments.bench.mapping_scene import (
     HEIGHT,
     MAX_DEPTH,
     WIDTH,
     Cloud,
     Scene,
-    head_geometry,
     random_view,
     see,
 )
+from experiments.ch3.stereo.scene import HEAD
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
@@ -77,7 +77,7 @@ def bench_mapping(options: Options, output: Output) -> None:
 
 def frustum() -> Frustum:
     """Return the field of view of the clouds."""
-    view = Frustum(*head_geometry().intrinsics, near=0.1, far=MAX_DEPTH + 0.1)
+    view = Frustum(*HEAD.intrinsics, near=0.1, far=MAX_DEPTH + 0.1)
     return view.resized(WIDTH, HEIGHT)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from experiments.bench.markers_figures import draw_steps
-from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch3.stereo.scene import HEAD
 from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
@@ -33,11 +33,10 @@ _FAR = 3.0  # Farther off, a detection is another thing [px].
 
 def hough_peer(image: ImageArray, view: MarkerView) -> FloatArray:
     """Return (N, 2) centres [px] by ``cv2.HoughCircles``, on square pixels and with known radii."""
-    geometry = head_geometry()
-    stretch = geometry.fy / geometry.fx
-    size = round(geometry.width * stretch), geometry.height
+    stretch = HEAD.fy / HEAD.fx
+    size = round(HEAD.width * stretch), HEAD.height
     wide = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
-    least, most = expectation(view.distance).radii(geometry)
+    least, most = expectation(view.distance).radii(HEAD)
     circles = cv2.HoughCircles(
         wide, cv2.HOUGH_GRADIENT, 1.0, 4.0 * least, param1=150.0, param2=8.0,
         minRadius=max(1, int(0.5 * least)), maxRadius=math.ceil(most) + 1,
@@ -45,7 +44,7 @@ def hough_peer(image: ImageArray, view: MarkerView) -> FloatArray:
     if circles is None:
         return np.empty((0, 2))
     found = np.asarray(circles, dtype=float).reshape(-1, 3)[:, :2]
-    return (found + 0.5) * [geometry.width / size[0], 1.0] - 0.5
+    return (found + 0.5) * [HEAD.width / size[0], 1.0] - 0.5
 
 
 def centre_errors(centres: FloatArray, truth: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from controllers.placement.spatial.search import (
     best_view_of_all,
 )
 from controllers.placement.task import PlacementError, Target, View
-from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
+from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch4.spatial.placement_scene import add_view, head_lens, map_scene, panel_targets
 from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.harness.contract import Options
@@ -46,7 +46,7 @@ def bench_placement(options: Options, output: Output) -> None:
     """
     seed = options.job_seeds(1, 1)[0]
     rng = np.random.default_rng(seed)
-    scene = StereoScene(StereoSceneConfig(seed=seed, texture_pixels=64))
+    scene = StereoScene(seed=seed, texture_pixels=64)
     voxels = map_scene(scene, QUICK_VIEWS if options.quick else VIEWS, rng)
     _replans(voxels, scene, rng, QUICK_ROUNDS if options.quick else ROUNDS, output)
     for target in panel_targets(scene):

@@ -12,7 +12,7 @@ from controllers.motion.simple_motions import DriveAndHold
 from experiments.appe.arm.inverse_trial import draw_targets
 from experiments.bench.loop import WHEEL_SPEED
 from experiments.bench.mapping import FINE_BOX, MEMORY, frustum
-from experiments.ch3.stereo.mapping_scene import Cloud, Scene, random_view, see
+from experiments.bench.mapping_scene import Cloud, Scene, random_view, see
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output

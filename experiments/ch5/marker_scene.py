@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from experiments.ch3.stereo.mapping_scene import head_geometry
+from experiments.ch3.stereo.scene import HEAD
 from experiments.ch5.insertion_scene import insertion_drawing
 from models.card_and_slot.build import add_card, add_slot
 from models.compose import FieldConfig, build_scene, compile_scene, load_part
@@ -67,7 +67,7 @@ class MarkerScene:
             noise_db: Signal-to-noise ratio of the images [dB].
         """
         self.width = CARD_AND_SLOT.slot_widths[1]
-        self.geometry = head_geometry()
+        self.geometry = HEAD
         self.cads = marker_cads(self.width)
         self._rng = rng
         seed = int(rng.integers(2**31))

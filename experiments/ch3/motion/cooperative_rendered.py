@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.motion.scores import joint_nees, rms, single_nees
-from experiments.ch3.stereo.scene import CapturedPair, StereoScene, StereoSceneConfig
+from experiments.ch3.stereo.scene import CapturedPair, StereoScene
 from experiments.ch3.stereo.trial import target_cad
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
@@ -70,19 +70,6 @@ class RenderedErrors:
     matches: FloatArray
 
 
-@dataclasses.dataclass(frozen=True)
-class RenderedScene:
-    """One scene to render.
-
-    Attributes:
-        seed: Random seed of scene, postures and noise.
-        scene: The scene, but for its seed.
-    """
-
-    seed: int
-    scene: StereoSceneConfig = StereoSceneConfig()
-
-
 @dataclasses.dataclass
 class RenderedPair:
     """One rendered scene, triangulated in every way that succeeds.
@@ -133,8 +120,9 @@ def measure_rendered(options: contract.Options, output: Output) -> RenderedError
         options: ``quick`` takes 1 scene instead of 8.
         output: Receives what matching and the target are worth; errors are returned.
     """
-    configs = [RenderedScene(seed) for seed in options.job_seeds(8, 1)]
-    results = sweep(triangulate_rendered, configs, options, output, label="cooperative scenes")
+    results = sweep(
+        triangulate_rendered, options.job_seeds(8, 1), options, output, label="cooperative scenes"
+    )
     found = sum(r.matched for r in results)
     sought = sum(r.sought for r in results)
     output.measure("cooperative_matched_fraction", fraction(found, max(sought, 1)))
@@ -167,10 +155,10 @@ def measure_rendered(options: contract.Options, output: Output) -> RenderedError
     )
 
 
-def triangulate_rendered(trial: RenderedScene) -> RenderedPair:
+def triangulate_rendered(seed: int) -> RenderedPair:
     """Render both robots' views of a scene and triangulate in every way; a job of the sweep."""
-    scene = StereoScene(dataclasses.replace(trial.scene, seed=trial.seed))
-    rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 62)))
+    scene = StereoScene(seed)
+    rng = np.random.default_rng(np.random.SeedSequence((seed, 62)))
     for name in scene.robot_names:
         face_panel(scene, name, rng)
     views = [scene.capture(name) for name in scene.robot_names]
@@ -230,7 +218,7 @@ def face_panel(scene: StereoScene, name: str, rng: np.random.Generator) -> None:
         if best is None or score < best[0]:
             best = (score, angles)
     if best is None:
-        raise RuntimeError(f"no posture of {name} shows the panel in scene {scene.config.seed}")
+        raise RuntimeError(f"no posture of {name} shows the panel in scene {scene.seed}")
     scene.set_joints(name, best[1])
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from experiments.ch3.motion.figures import tracking_figure
 from experiments.ch3.motion.motion import PERSISTENT, RANGES, ArmMotion
 from experiments.ch3.motion.scores import Followed, millimetres, normalised_error
-from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
@@ -67,13 +67,11 @@ class RenderedTrial:
         seed: Random seed of scene and motion.
         range: Mean distance of what is seen, a key of `RANGES`.
         steps: Number of motions.
-        scene: The scene, but for its seed.
     """
 
     seed: int
     range: str
     steps: int = STEPS
-    scene: StereoSceneConfig = StereoSceneConfig()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -188,7 +186,7 @@ def follow_rendered(trial: RenderedTrial) -> RenderedRun:
 
 def _views(trial: RenderedTrial) -> tuple[list[_View], StereoScene]:
     """Move the free head about a random place before the panel."""
-    scene = StereoScene(dataclasses.replace(trial.scene, seed=trial.seed))
+    scene = StereoScene(trial.seed)
     rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 324)))
     distance = RANGES[trial.range]
     first = _first_pose(scene, distance, rng)
@@ -232,7 +230,7 @@ def _first_pose(scene: StereoScene, distance: float, rng: np.random.Generator) -
             continue
         if abs(float(np.mean(depths)) / distance - 1.0) < RANGE_TOLERANCE:
             return pose
-    raise ExperimentError(f"scene {scene.config.seed}: no view of it is {distance} m away")
+    raise ExperimentError(f"scene {scene.seed}: no view of it is {distance} m away")
 
 
 def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> Followed:

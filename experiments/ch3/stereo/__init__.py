@@ -6,5 +6,4 @@
 - `noise`: the depth noise of the stereo heads (eq. 3-6).
 - `trial`: one scene mapped by two rovers.
 - `figures`, `record`: figures and a recording.
-- `mapping_scene`: analytic shapes with a closed-form truth, for benchmarks and tests.
 """

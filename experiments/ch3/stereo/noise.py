@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
@@ -104,7 +104,7 @@ class SceneNoise:
 
 def measure_scene(trial: StereoNoiseTrial) -> SceneNoise:
     """Score the stereo of one scene; a job of the sweep."""
-    scene = StereoScene(StereoSceneConfig(trial.seed))
+    scene = StereoScene(trial.seed)
     matcher = StereoMatcher(scene.geometry)
     rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 3)))
     names = [RIG] * len(trial.ranges) + list(scene.robot_names)
@@ -159,7 +159,7 @@ def place_rig(scene: StereoScene, distance: float, rng: np.random.Generator) -> 
         depths = scene.true_depths(RIG, grid)
         if np.nanmin(depths) > 0.6 * distance:
             return
-    raise RuntimeError(f"no open view from {distance} m in scene {scene.config.seed}")
+    raise RuntimeError(f"no open view from {distance} m in scene {scene.seed}")
 
 
 def score_view(

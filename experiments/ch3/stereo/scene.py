@@ -1,8 +1,8 @@
 """Scene of ``ch3-stereo``: two rovers with stereo heads before a panel among rocks and blocks.
 
-Everything is drawn from a seed. Pairs come from the cameras on the arms, whose joints are set
-without dynamics, or from a free rig that can be put anywhere. The true camera pose and the true
-depth come with them; they are for scoring alone.
+A seed determines the whole scene. Pairs come from the cameras on the arms, whose joints are set
+without dynamics, or from a free rig with any pose. The true camera pose and the true depth are for
+scoring alone.
 """
 
 import dataclasses
@@ -24,58 +24,42 @@ from models.compose import (
     load_part,
     settle,
 )
+from models.datasheets import CAMERA
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.stereo.geometry import StereoGeometry
 from twin.camera import StereoConfig, StereoRig, camera_model, camera_pose
 
 RIG = "rig"
 """Name of the free stereo head."""
-FIELD_SIZE = (3.2, 3.2)  # [m]
 TEXTURE_TILE = 0.5
 """Edge of the ground's noise tile [m]: a match one tile away lies outside the search up to 3 m."""
-_ROUND = (48, 32)  # Facets of a drawn ellipsoid: it is within 0.1 mm of the true one.
-_SEEN = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)  # Groups of geoms that cameras see.
-
-
-@dataclasses.dataclass(frozen=True)
-class StereoSceneConfig:
-    """How much stands in a scene.
-
-    Attributes:
-        seed: Of everything that is drawn.
-        rocks: Number of rocks drawn.
-        blocks: Number of blocks drawn.
-        texture_pixels: Edge of the textures; a power of two. Less than 2048 is too coarse for
-            stereo at arm's length.
-        stereo: How the cameras see.
-    """
-
-    seed: int = 0
-    rocks: int = 320
-    blocks: int = 30
-    texture_pixels: int = 2048
-    stereo: StereoConfig = dataclasses.field(default_factory=StereoConfig)
+SHOWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
+"""Whether cameras show each group of geoms."""
+_ARM_BODIES = ("turret", "upper_arm", "forearm", "wrist", "stereo_head")
+HEAD = StereoGeometry(*CAMERA.pinhole.intrinsics, CAMERA.baseline)
+"""Geometry of the stereo head by its datasheet."""
+PIXEL_SIGMA = (0.05, 0.05, 0.044)
+"""Standard deviations of the head's columns, rows and disparities [px]; the last was measured on
+noise-textured ground, the others stand for the lens' calibration."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CapturedPair:
-    """What a stereo head saw, and from where.
+    """A stereo pair and the true pose of its left camera.
 
     Attributes:
-        pair: (2, height, width) uint8, left and right.
+        pair: (2, height, width) uint8, left and right image.
         transform_camera_to_world: True pose of the left camera (x right, y down, z forward).
-        joints: (4,) angles of the arm [rad]; NaN for the free rig.
     """
 
     pair: ImageArray
     transform_camera_to_world: RigidTransform
-    joints: FloatArray
 
 
 def draw_layout(seed: int) -> tuple[PanelConfig, tuple[RobotPlacement, RobotPlacement]]:
-    """Draw where the panel and the two rovers stand.
+    """Draw the poses of the panel and of the two rovers.
 
-    The rovers stand about 1.1 m from the panel on either side of where it faces, and look at it.
+    The rovers face the panel from about 1.1 m away, on either side of the direction that it faces.
 
     Args:
         seed: Seed of the scene.
@@ -95,46 +79,44 @@ def draw_layout(seed: int) -> tuple[PanelConfig, tuple[RobotPlacement, RobotPlac
 
 
 class StereoScene:
-    """A compiled scene at rest, whose arms can be set and whose cameras can be read.
+    """A compiled scene at rest, with settable arms and readable cameras.
+
+    Args:
+        seed: Random seed of the scene and of the images' noise.
+        texture_pixels: Edge of the textures [px]; a power of two. Less than 2048 is too coarse for
+            stereo at arm's length.
 
     Attributes:
-        config: What was asked for.
-        field: The field.
-        robots: The two rovers; `robot_names` are theirs.
-        model: The compiled scene.
-        data: Its state.
-        geometry: Of every stereo pair.
+        seed: Random seed of the scene and of the images' noise.
+        panel: CAD and true pose of the panel.
+        field: Ground with panel, rocks and blocks.
+        robots: Names and poses of the two rovers.
+        model: Compiled scene.
+        data: State of the scene.
+        geometry: Geometry of every stereo pair.
     """
 
-    def __init__(self, config: StereoSceneConfig) -> None:
-        """Draw, compile and let the rovers come to rest.
-
-        Args:
-            config: Seed and contents.
-        """
-        self.config = config
-        panel, self.robots = draw_layout(config.seed)
+    def __init__(self, seed: int, texture_pixels: int = 2048) -> None:
+        self.seed = seed
+        self.panel, self.robots = draw_layout(seed)
         self.field = FieldConfig(
-            size=FIELD_SIZE,
-            rocks=config.rocks,
-            blocks=config.blocks,
-            seed=config.seed,
-            texture_pixels=config.texture_pixels,
+            size=(3.2, 3.2),
+            rocks=320,
+            blocks=30,
+            seed=seed,
+            texture_pixels=texture_pixels,
             texture_tile=TEXTURE_TILE,
-            panel=panel,
+            panel=self.panel,
         )
         scene = build_scene(self.field, self.robots)
         _add_free_rig(scene)
         self.model = compile_scene(scene)
-        quality = self.model.vis.quality
-        quality.numslices, quality.numstacks = _ROUND
+        # Facets of a drawn ellipsoid: it is within 0.1 mm of the true one.
+        self.model.vis.quality.numslices, self.model.vis.quality.numstacks = 48, 32
         self.data = settle(self.model)
-        streams = np.random.SeedSequence((config.seed, 2)).spawn(len(self.robots) + 1)
+        streams = np.random.SeedSequence((seed, 2)).spawn(len(self.robots) + 1)
         self._rigs = {
-            name: (
-                StereoRig(self.model, f"{name}/", config.stereo),
-                np.random.default_rng(stream),
-            )
+            name: (StereoRig(self.model, f"{name}/", StereoConfig()), np.random.default_rng(stream))
             for name, stream in zip((*self.robot_names, RIG), streams, strict=True)
         }
         left = camera_model(self.model, f"{RIG}/stereo_left")
@@ -145,12 +127,6 @@ class StereoScene:
     def robot_names(self) -> tuple[str, ...]:
         """Names of the robots."""
         return tuple(robot.name for robot in self.robots)
-
-    @property
-    def panel(self) -> PanelConfig:
-        """The panel's CAD, and where it truly stands."""
-        assert self.field.panel is not None
-        return self.field.panel
 
     @property
     def transform_panel_to_world(self) -> RigidTransform:
@@ -167,7 +143,7 @@ class StereoScene:
         return np.array([self.data.joint(name).qpos[0] for name in _joints(robot)])
 
     def set_joints(self, robot: str, angles: ArrayLike) -> None:
-        """Put an arm somewhere, without dynamics; the base stays where it is.
+        """Set an arm's joints without dynamics; the base does not move.
 
         Args:
             robot: Name of the robot.
@@ -186,10 +162,11 @@ class StereoScene:
         mujoco.mj_forward(self.model, self.data)
 
     def set_rig(self, transform_camera_to_world: RigidTransform) -> None:
-        """Put the left camera of the free rig somewhere."""
+        """Set the pose of the free rig by that of its left camera."""
         mount = self.model.camera(left_name())
-        camera_in_head = _camera_transform(mount.mat0, mount.pos)
-        head = transform_camera_to_world * camera_in_head.inv()
+        # MuJoCo's cameras look along -z with y up.
+        axes = mount.mat0.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
+        head = transform_camera_to_world * _transform(axes, mount.pos).inv()
         index = self.model.body(RIG).mocapid[0]
         self.data.mocap_pos[index] = head.translation
         self.data.mocap_quat[index] = head.rotation.as_quat(scalar_first=True)
@@ -202,7 +179,7 @@ class StereoScene:
         return _transform(rotation, translation)
 
     def capture(self, name: str) -> CapturedPair:
-        """Return what a robot's stereo head or the free rig sees.
+        """Take a pair with a robot's stereo head or the free rig.
 
         Args:
             name: Name of the robot, or `RIG`.
@@ -211,24 +188,23 @@ class StereoScene:
             ValueError: If there is no such robot.
         """
         pose = self.transform_camera_to_world(name)
-        joints = np.full(4, np.nan) if name == RIG else self.joints(name)
         rig, rng = self._rigs[name]
-        return CapturedPair(rig.capture(self.data, (rng, rng)), pose, joints)
+        return CapturedPair(rig.capture(self.data, (rng, rng)), pose)
 
     def true_depths(self, name: str, pixels: ArrayLike) -> FloatArray:
-        """Return the depth of what a left camera sees, exactly, by casting rays.
+        """Return the exact depths of pixels of a left camera, by casting rays.
 
         Args:
-            name: Name of the robot, or `RIG`; the scene as it stands now.
+            name: Name of the robot, or `RIG`.
             pixels: (N, 2) column, row [px].
 
         Returns:
-            (N,) along the optical axis [m]; NaN where there is only sky.
+            (N,) depth along the optical axis [m]; NaN where there is only sky.
         """
         return self.true_hits(name, pixels)[0]
 
     def true_hits(self, name: str, pixels: ArrayLike) -> tuple[FloatArray, NDArray[np.int32]]:
-        """Return (N,) depths as `true_depths`, and (N,) indices of the geoms that are seen."""
+        """Return (N,) depths as `true_depths`, and (N,) indices of the geoms in view."""
         pose = self.transform_camera_to_world(name)
         image = np.asarray(pixels, dtype=float).reshape(-1, 2)
         rays = self.geometry.rays(image)
@@ -240,14 +216,13 @@ class StereoScene:
         # One by one: mj_multiRay is faster but loses geoms (2 % of the rays here, MuJoCo 3.17).
         for index, direction in enumerate(directions):
             distances[index] = mujoco.mj_ray(
-                self.model, self.data, origin, direction, _SEEN, 1, own_head, geom
+                self.model, self.data, origin, direction, SHOWN_GROUPS, 1, own_head, geom
             )
             geoms[index] = geom[0]
         return np.where(geoms >= 0, distances / lengths, np.nan), geoms
 
     def arm_touches(self, robot: str) -> bool:
-        """Return whether an arm, as it stands now, is in contact with anything; truth."""
-        self._check_name(robot)
+        """Return whether an arm is in contact with anything now; truth."""
         arm = {self.model.body(f"{robot}/{body}").id for body in _ARM_BODIES}
         bodies = self.model.geom_bodyid[self.data.contact.geom]
         return bool(np.isin(bodies, list(arm)).any())
@@ -256,9 +231,6 @@ class StereoScene:
         if name not in (*self.robot_names, RIG):
             valid = ", ".join((*self.robot_names, RIG))
             raise ValueError(f"the scene has no stereo head {name!r}; it has: {valid}")
-
-
-_ARM_BODIES = ("turret", "upper_arm", "forearm", "wrist", "stereo_head")
 
 
 def left_name(name: str = RIG) -> str:
@@ -270,8 +242,8 @@ def look_at(eye: ArrayLike, target: ArrayLike) -> RigidTransform:
     """Return the pose of a camera whose rows are level and whose axis meets a point.
 
     Args:
-        eye: (3,) where the camera stands [m], world.
-        target: (3,) where it looks [m], world; not straight above or below.
+        eye: (3,) position of the camera [m], world.
+        target: (3,) point on the optical axis [m], world; not straight above or below the eye.
     """
     start, end = np.asarray(eye, dtype=float), np.asarray(target, dtype=float)
     ahead = (end - start) / np.linalg.norm(end - start)
@@ -291,13 +263,8 @@ def _transform(rotation: ArrayLike, translation: ArrayLike) -> RigidTransform:
     return RigidTransform.from_matrix(matrix)
 
 
-def _camera_transform(rotation: ArrayLike, translation: ArrayLike) -> RigidTransform:
-    """Return a pose of MuJoCo's camera frame (y up, looking along -z) as that of ours."""
-    return _transform(np.reshape(rotation, (3, 3)) @ np.diag([1.0, -1.0, -1.0]), translation)
-
-
 def _add_free_rig(scene: mujoco.MjSpec) -> None:
-    """Add a stereo head without housings, on a body that can be put anywhere."""
+    """Add a stereo head without housings, on a mocap body."""
     head = load_part("stereo_head")
     for geom in list(head.geoms):
         head.delete(geom)

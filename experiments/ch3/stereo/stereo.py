@@ -20,7 +20,7 @@ from experiments.ch3.motion.rendered import measure_rendered_motion
 from experiments.ch3.stereo.figures import growth_figure, points_figure, scene_figure, views_figure
 from experiments.ch3.stereo.noise import measure_noise
 from experiments.ch3.stereo.record import MapRecorder
-from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
+from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch3.stereo.trial import MappingRun, MappingTrial, map_scene, run_trial
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError, OptionError
@@ -172,7 +172,7 @@ def _aligned(curves: Sequence[np.ndarray], scans: int) -> np.ndarray:
 
 def _show(runs: Mapping[str, MappingRun], seed: int, output: Output) -> None:
     """Draw one scene as it is, and as it was seen and mapped by each method."""
-    output.figure("figure_3-22", scene_figure(StereoScene(StereoSceneConfig(seed=seed))))
+    output.figure("figure_3-22", scene_figure(StereoScene(seed=seed)))
     for method, name in FIGURE.items():
         shown = runs[method].shown
         assert shown is not None

@@ -12,7 +12,7 @@ from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.mapping.stereo_view import MapperConfig, StereoView
 from experiments.ch3.stereo.figures import panorama
-from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
+from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
 from perception.geometry.arrays import FloatArray
 from perception.registration.target import TargetCad
@@ -166,7 +166,7 @@ def map_scene(
         on_view: Called after each view with the mapper, the view and the share of the true surface
             that is mapped by now, for recording.
     """
-    scene = StereoScene(StereoSceneConfig(seed=trial.seed))
+    scene = StereoScene(seed=trial.seed)
     how = MapperConfig(method=trial.method, scans=trial.scans)
     truth = true_surface(scene, how.reach, np.random.default_rng((trial.seed, 3)))
     mount, plan = (np.random.default_rng((trial.seed, k)) for k in (4, 5))

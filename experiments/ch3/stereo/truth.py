@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.stereo_view import StereoView
-from experiments.ch3.stereo.scene import StereoScene
+from experiments.ch3.stereo.scene import SHOWN_GROUPS, StereoScene
 from perception.geometry.arrays import FloatArray
 from perception.voxels.map import Surface, VoxelMap
 
@@ -24,7 +24,6 @@ LOST = 0.04
 """An estimate farther from the true surface is counted apart: it belongs to another one [m]."""
 _CUBE = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)).reshape(3, -1).T
 _AROUND = _CUBE[_CUBE.any(axis=1)] / np.linalg.norm(_CUBE[_CUBE.any(axis=1)], axis=1)[:, None]
-_SEEN = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
 
 
 def true_surface(
@@ -147,5 +146,7 @@ def _nearest(scene: StereoScene, point: FloatArray) -> tuple[float, FloatArray]:
 def _hit(scene: StereoScene, start: FloatArray, direction: FloatArray) -> tuple[float, FloatArray]:
     """Return depth [m] and normal (3,) of the true surface along a ray; infinity if none."""
     geom, normal = np.array([-1], np.int32), np.zeros(3)
-    depth = mujoco.mj_ray(scene.model, scene.data, start, direction, _SEEN, 1, -1, geom, normal)
+    depth = mujoco.mj_ray(
+        scene.model, scene.data, start, direction, SHOWN_GROUPS, 1, -1, geom, normal
+    )
     return (depth, normal) if depth >= 0.0 else (np.inf, direction)

@@ -7,8 +7,7 @@ the noise of stereo; the rovers are left out of it, as mapping robots leave each
 import numpy as np
 
 from controllers.placement.task import Lens, Target
-from experiments.ch3.stereo.mapping_scene import PIXEL_SIGMA
-from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
+from experiments.ch3.stereo.scene import PIXEL_SIGMA, RIG, StereoScene, look_at
 from models.datasheets import CAMERA, INCH
 from perception.geometry.pinhole import Frustum
 from perception.voxels.grid import VoxelGrid

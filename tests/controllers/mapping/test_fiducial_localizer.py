@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.fiducial_localizer import FiducialLocalizer
-from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
 from perception.registration.fiducial_map import PosePrior
 from perception.stereo.matching import StereoMatcher
 
@@ -15,7 +15,7 @@ GUESS = np.diag([0.005, 0.005, 0.005, 0.004, 0.004, 0.004]) ** 2
 
 @pytest.fixture(scope="module")
 def scene() -> StereoScene:
-    return StereoScene(StereoSceneConfig(seed=3))
+    return StereoScene(seed=3)
 
 
 @pytest.fixture(scope="module")

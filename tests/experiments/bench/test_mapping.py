@@ -8,7 +8,7 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.bench.mapping import exact_map, octomap, octomap_counts, recall
-from experiments.ch3.stereo.mapping_scene import GROUND, MAX_DEPTH, Scene, random_view, see
+from experiments.bench.mapping_scene import GROUND, MAX_DEPTH, Scene, random_view, see
 from perception.voxels.occupancy import State
 
 

@@ -7,13 +7,13 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.bench.placement import ground_below
-from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
+from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch4.spatial.placement_scene import head_lens, map_scene, panel_targets
 from perception.voxels.occupancy import State
 
 
 def test_map_of_the_scene_has_its_surfaces_and_no_rovers():
-    scene = StereoScene(StereoSceneConfig(seed=0, texture_pixels=64))
+    scene = StereoScene(seed=0, texture_pixels=64)
     voxels = map_scene(scene, 2, np.random.default_rng(0), resolution=0.02)
     cells, _ = voxels.occupied_cells()
     centres = voxels.grid.centres(cells)
@@ -26,7 +26,7 @@ def test_map_of_the_scene_has_its_surfaces_and_no_rovers():
 
 
 def test_targets_are_the_panel_s_markers():
-    scene = StereoScene(StereoSceneConfig(seed=0, texture_pixels=64))
+    scene = StereoScene(seed=0, texture_pixels=64)
     for target in panel_targets(scene):
         assert np.linalg.norm(target.outline, axis=1).min() > 0.018
         np.testing.assert_allclose(target.outline @ target.normal, 0.0, atol=1e-12)
@@ -47,7 +47,7 @@ def test_stations_are_found_on_the_map_and_the_search_is_exact(tmp_path):
 
 
 def test_ground_below_a_target_faces_as_it_does():
-    target = panel_targets(StereoScene(StereoSceneConfig(seed=0, texture_pixels=64)))[0]
+    target = panel_targets(StereoScene(seed=0, texture_pixels=64))[0]
     ground = ground_below(target)
     x, y, z = ground.inv().apply(np.array(target.position))
     assert (x, y) == pytest.approx((0.0, 0.0)) and z == pytest.approx(target.position[2])

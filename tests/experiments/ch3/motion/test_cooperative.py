@@ -22,7 +22,6 @@ from experiments.ch3.motion.cooperative import (
 )
 from experiments.ch3.motion.cooperative_rendered import (
     RenderedPair,
-    RenderedScene,
     triangulate_rendered,
 )
 from experiments.harness.contract import Options
@@ -76,7 +75,7 @@ def test_failures_are_counted_and_checks_made(tmp_path):
 
 @pytest.fixture(scope="module")
 def rendered() -> RenderedPair:
-    return triangulate_rendered(RenderedScene(4))
+    return triangulate_rendered(4)
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from experiments.ch3.stereo.noise import (
     report,
     robust_sigma,
 )
-from experiments.ch3.stereo.scene import RIG, StereoScene, StereoSceneConfig, draw_layout, look_at
+from experiments.ch3.stereo.scene import RIG, StereoScene, draw_layout, look_at
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from models.datasheets import CAMERA
@@ -30,7 +30,7 @@ EYE = look_at([-0.45, -0.35, 0.35], [0.0, 0.35, 0.1])
 
 @pytest.fixture(scope="module")
 def scene() -> StereoScene:
-    return StereoScene(StereoSceneConfig(3, texture_pixels=1024))
+    return StereoScene(3, texture_pixels=1024)
 
 
 def test_geometry_is_that_of_the_datasheet(scene):

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from controllers.mapping.stereo_view import MapperConfig
 from experiments.__main__ import main
-from experiments.ch3.stereo.scene import StereoScene, StereoSceneConfig
+from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch3.stereo.trial import MappingTrial, map_scene
 from experiments.ch3.stereo.truth import mapped_share, surface_errors, true_surface
 from perception.voxels.grid import VoxelGrid
@@ -19,7 +19,7 @@ from perception.voxels.occupancy import State
 
 @pytest.fixture(scope="module")
 def scene() -> StereoScene:
-    return StereoScene(StereoSceneConfig(seed=3, texture_pixels=64))
+    return StereoScene(seed=3, texture_pixels=64)
 
 
 @pytest.mark.slow

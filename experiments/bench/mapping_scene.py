@@ -3,16 +3,12 @@
 import dataclasses
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
-from models.datasheets import CAMERA
+from experiments.ch3.stereo.scene import HEAD, PIXEL_SIGMA, look_at
 from perception.geometry.arrays import FloatArray
-from perception.stereo.geometry import StereoGeometry
 
 WIDTH, HEIGHT = 320, 240
-PIXEL_SIGMA = (0.05, 0.05, 0.044)
-"""Deviations of column, row and disparity [px of the head]; the last was measured on noise-textured
-ground, the others stand for the lens' calibration."""
 MAX_DEPTH = 1.6
 """Points farther away are left out [m], as a stereo rig does."""
 GROUND = 0.0033
@@ -107,20 +103,6 @@ class Cloud:
     truth: FloatArray
 
 
-def head_geometry() -> StereoGeometry:
-    """Return the stereo head's geometry at its full resolution."""
-    return StereoGeometry(*CAMERA.pinhole.intrinsics, CAMERA.baseline)
-
-
-def look_at(position: FloatArray, target: FloatArray) -> RigidTransform:
-    """Return a camera's pose that sees the target in the centre, upright."""
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    axes = np.column_stack([right, np.cross(forward, right), forward])
-    return RigidTransform.from_components(position, Rotation.from_matrix(axes))
-
-
 def random_view(generator: np.random.Generator) -> RigidTransform:
     """Return a view of the scene's middle from a ring around it."""
     angle = generator.uniform(0.0, 2.0 * np.pi)
@@ -140,15 +122,14 @@ def see(scene: Scene, pose: RigidTransform, generator: np.random.Generator) -> C
         pose: Camera to world.
         generator: Source of the noise.
     """
-    head = head_geometry()
-    rays = head.rays(head.pixel_grid(WIDTH, HEIGHT)).reshape(-1, 3)
+    rays = HEAD.rays(HEAD.pixel_grid(WIDTH, HEIGHT)).reshape(-1, 3)
     depth = scene.cast(pose.translation, pose.rotation.apply(rays))
     seen = depth < MAX_DEPTH
     true = rays[seen] * depth[seen, None]
     sigma = np.array(PIXEL_SIGMA)
-    noisy = head.points(head.project(true) + sigma * generator.standard_normal(true.shape))
+    noisy = HEAD.points(HEAD.project(true) + sigma * generator.standard_normal(true.shape))
     turn = pose.rotation.as_matrix()
-    covariances = np.ascontiguousarray(turn @ head.covariance(noisy, sigma) @ turn.T)
+    covariances = np.ascontiguousarray(turn @ HEAD.covariance(noisy, sigma) @ turn.T)
     points = np.ascontiguousarray(pose.apply(noisy))
     return Cloud(pose, points, covariances, pose.apply(true))
 
