@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from controllers.insertion.guide import Phase
 from experiments.ch5.contact_bench import shape_of
 from experiments.ch5.contact_figures import card_outline, wall_outlines
+from experiments.harness.recording import recording
 from twin.layout import side_by_side
 
 GREEN, GREY = (40, 150, 80), (120, 120, 120)
@@ -26,31 +27,26 @@ def record_insertion(width: float, course: NDArray[np.float64], path: Path) -> N
         path: File to write.
     """
     shape = shape_of(width)
-    stream = rr.RecordingStream("fieldtwin")
-    stream.save(path)
-    stream.send_blueprint(
-        side_by_side(
-            rrb.Spatial2DView(origin="slot", name="Card and slot [mm]"),
-            rrb.Vertical(
-                rrb.TimeSeriesView(origin="curves/force", name="Contact force [N]"),
-                rrb.TimeSeriesView(origin="curves/moment", name="Moment [N m]"),
-                rrb.TextLogView(origin="phase", name="Phase"),
-            ),
-        )
+    layout = side_by_side(
+        rrb.Spatial2DView(origin="slot", name="Card and slot [mm]"),
+        rrb.Vertical(
+            rrb.TimeSeriesView(origin="curves/force", name="Contact force [N]"),
+            rrb.TimeSeriesView(origin="curves/moment", name="Moment [N m]"),
+            rrb.TextLogView(origin="phase", name="Phase"),
+        ),
     )
-    flip = np.array([1e3, -1e3])
-    walls = [wall * flip for wall in wall_outlines(shape)]
-    stream.log("slot", rr.LineStrips2D(walls, colors=[GREY]), static=True)
-    phase = -1
-    for row in course[::EVERY]:
-        stream.set_time("sim_time", duration=float(row[0]))
-        outline = card_outline(shape, row[4:7]) * flip
-        stream.log("slot/card", rr.LineStrips2D([outline], colors=[GREEN]))
-        stream.log("curves/force/across", rr.Scalars(row[7]))
-        stream.log("curves/force/along", rr.Scalars(row[8]))
-        stream.log("curves/moment", rr.Scalars(row[9]))
-        if int(row[10]) != phase:
-            phase = int(row[10])
-            stream.log("phase", rr.TextLog(list(Phase)[phase].value))
-    stream.flush()
-    stream.disconnect()
+    with recording(path, layout) as stream:
+        flip = np.array([1e3, -1e3])
+        walls = [wall * flip for wall in wall_outlines(shape)]
+        stream.log("slot", rr.LineStrips2D(walls, colors=[GREY]), static=True)
+        phase = -1
+        for row in course[::EVERY]:
+            stream.set_time("sim_time", duration=float(row[0]))
+            outline = card_outline(shape, row[4:7]) * flip
+            stream.log("slot/card", rr.LineStrips2D([outline], colors=[GREEN]))
+            stream.log("curves/force/across", rr.Scalars(row[7]))
+            stream.log("curves/force/along", rr.Scalars(row[8]))
+            stream.log("curves/moment", rr.Scalars(row[9]))
+            if int(row[10]) != phase:
+                phase = int(row[10])
+                stream.log("phase", rr.TextLog(list(Phase)[phase].value))

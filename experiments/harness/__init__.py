@@ -6,6 +6,7 @@
 - `sweep`: one function over many configurations, in parallel and resumable.
 - `output`: metrics, checks, figures and tables of a run.
 - `intervals`: medians and fractions with their 95 % intervals.
+- `recording`: recordings for the rerun viewer.
 - `timing`: processor time of a function.
 - `provenance`: versions, commit and processor of a run.
 - `summary`: the result of a run on the terminal.

@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from experiments.ch3.planar.figures import shades
 from experiments.ch3.planar.trial import PlanarRun, PlanarTrial, Round, build_world, run_trial
+from experiments.harness.recording import recording, viridis
 from perception.planar.map import Grid
 from perception.planar.raycast import RangeSensor
 from twin.layout import side_by_side
@@ -35,13 +35,8 @@ def record_trial(trial: PlanarTrial, path: Path) -> PlanarRun:
         What the run returned.
     """
     world = build_world(trial)
-    stream = rr.RecordingStream("fieldtwin")
-    stream.save(path)
-    stream.send_blueprint(blueprint())
-    result = run_trial(trial, world, lambda shown: _log(stream, trial.sensor, world.grid, shown))
-    stream.flush()
-    stream.disconnect()
-    return result
+    with recording(path, blueprint()) as stream:
+        return run_trial(trial, world, lambda shown: _log(stream, trial.sensor, world.grid, shown))
 
 
 def blueprint() -> rrb.Blueprint:
@@ -106,4 +101,4 @@ def _rating_colours(ratings: NDArray[np.float64]) -> NDArray[np.uint8]:
     if finite.any():
         low, high = ratings[finite].min(), ratings[finite].max()
         scaled[finite] = (ratings[finite] - low) / max(high - low, 1e-12)
-    return (255 * np.asarray(matplotlib.colormaps["viridis"](scaled))[:, :3]).astype(np.uint8)
+    return viridis(scaled)
