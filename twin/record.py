@@ -10,6 +10,7 @@ import types
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Protocol
 
 import cv2
 import mujoco
@@ -18,7 +19,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 import tyro
 
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import FloatArray, ImageArray
 from twin.description import RobotDescription
 from twin.layout import default_blueprint
 from twin.loop import LoopRecorder, Tick
@@ -26,7 +27,6 @@ from twin.robot import Channel, Robot, Validity
 from twin.scene_mesh import body_mesh
 from twin.screenshot import screenshot
 from twin.sensors import CHANNELS
-from twin.simulation import Simulation
 
 _XYZ = ("x", "y", "z")
 _COMPONENTS: Mapping[str, Sequence[str]] = {
@@ -69,6 +69,18 @@ class _Curve:
     values: list[FloatArray] = dataclasses.field(default_factory=list[FloatArray])
 
 
+class RecordedScene(Protocol):
+    """A simulated scene, as far as a recorder reads it.
+
+    Attributes:
+        model: Compiled model of the scene.
+        data: State of the scene.
+    """
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
+
 class Recorder(LoopRecorder):
     """Writes a run to a file; an argument of `twin.loop.run`.
 
@@ -79,7 +91,7 @@ class Recorder(LoopRecorder):
         self,
         path: Path | str,
         robots: Mapping[str, Robot] = types.MappingProxyType({}),
-        simulation: Simulation | None = None,
+        simulation: RecordedScene | None = None,
         blueprint: rrb.Blueprint | None = None,
         config: RecorderConfig | None = None,
     ) -> None:
@@ -195,6 +207,18 @@ class Recorder(LoopRecorder):
         """Add a line to a log, at the latest tick's time."""
         self._stream.send_columns(path, self._now(), rr.TextLog.columns(text=[text]))
 
+    def log_image(self, path: str, image: ImageArray) -> None:
+        """Add an image, compressed, at the latest tick's time.
+
+        Args:
+            path: Entity, such as ``camera``.
+            image: (height, width) grey levels, or (height, width, 3) blue, green and red.
+        """
+        quality = [int(cv2.IMWRITE_JPEG_QUALITY), self._config.jpeg_quality]
+        _, data = cv2.imencode(".jpg", image, quality)
+        packed = rr.EncodedImage.columns(blob=[data.tobytes()], media_type=["image/jpeg"])
+        self._stream.send_columns(path, self._now(), packed)
+
     def log_marks(self, path: str, pixels: FloatArray, radius: float = 6.0) -> None:
         """Mark pixels of an image, at the latest tick's time; none takes older marks away.
 
@@ -264,11 +288,8 @@ class Recorder(LoopRecorder):
             return
         self._seen[f"{robot}/stereo"] = stereo.stamp
         self._next_image[robot] = self._time + 1.0 / self._config.image_rate
-        quality = [int(cv2.IMWRITE_JPEG_QUALITY), self._config.jpeg_quality]
         for side, image in zip(("left", "right"), stereo.value):
-            _, data = cv2.imencode(".jpg", np.asarray(image, dtype=np.uint8), quality)
-            packed = rr.EncodedImage.columns(blob=[data.tobytes()], media_type=["image/jpeg"])
-            self._stream.send_columns(f"{robot}/stereo/{side}", self._now(), packed)
+            self.log_image(f"{robot}/stereo/{side}", np.asarray(image, dtype=np.uint8))
 
     def _take_bodies(self) -> None:
         if self._simulation is None:
@@ -277,7 +298,7 @@ class Recorder(LoopRecorder):
         for body, path in self._moving:
             self._append(path, np.concatenate([data.xpos[body], data.xquat[body]]))
 
-    def _write_scene(self, simulation: Simulation) -> None:
+    def _write_scene(self, simulation: RecordedScene) -> None:
         """Write each body's mesh once, and the pose of those that never move."""
         model, data = simulation.model, simulation.data
         self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
