@@ -12,8 +12,9 @@ if sys.platform == "linux":
     os.environ.setdefault("MUJOCO_GL", "egl")
 
 from experiments.harness import catalogue
+from experiments.harness.catalogue import Experiment
 from experiments.harness.command_line import BAD_OPTIONS, complain, parse
-from experiments.harness.contract import Experiment, ExperimentError, OptionError
+from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.output import Output
 from experiments.harness.summary import print_summary
 
@@ -45,12 +46,9 @@ def main(
         if name not in experiments:
             raise OptionError(_unknown(name, [*experiments, *catalogue.COMMANDS]))
         run_experiment(experiments[name], rest)
-    except OptionError as error:
+    except (OptionError, ExperimentError) as error:
         complain(error)
-        return BAD_OPTIONS
-    except ExperimentError as error:
-        complain(error)
-        return FAILURE
+        return BAD_OPTIONS if isinstance(error, OptionError) else FAILURE
     except KeyboardInterrupt:
         complain("interrupted; --resume goes on with what a sweep has finished")
         return INTERRUPTED
@@ -88,14 +86,13 @@ def print_list(experiments: Mapping[str, Experiment]) -> None:
     lines = [(each.name, f"{each.summary} [{each.thesis}]") for each in experiments.values()]
     lines += [(name, summary) for name, (_, summary) in catalogue.COMMANDS.items()]
     width = max((len(name) for name, _ in lines), default=0)
-    print("usage: python -m experiments NAME [options]   (NAME --help tells its options)\n")
+    print("usage: python -m experiments NAME [options]   (NAME --help lists its options)\n")
     for name, text in lines:
         print(f"{name:{width}}  {text}")
 
 
 def _unknown(name: str, names: Sequence[str]) -> str:
-    close = difflib.get_close_matches(name, names, n=1)
-    hint = f" (did you mean {close[0]}?)" if close else ""
+    hint = "".join(f" (did you mean {each}?)" for each in difflib.get_close_matches(name, names, 1))
     return f"unknown experiment {name!r}{hint}; there are {', '.join(names)}"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.summary import format_metric
-from experiments.report.report import Result, read_result
+from experiments.report.results import Result, read_result
 
 BEGIN, END = "<!-- bench-table -->", "<!-- end of bench-table -->"
 

@@ -4,28 +4,22 @@ import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from controllers.insertion.contact import CardInSlot, Touch, turn
+from controllers.insertion.contact import STATES, CardInSlot, Touch, turn
 from models.card_and_slot.build import compile_bench
 from models.datasheets import CARD_AND_SLOT, HAND
-
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 NEAR = 5e-4
 """Distance within which a contact is at a corner [m]; the solver's overlap stays below 0.1 mm."""
 LEAST_SHARE = 0.05
 """A contact with less of the largest force does not count."""
 
-_STATES: dict[frozenset[tuple[Touch, int]], tuple[int, int]] = {
-    frozenset({(Touch.EDGE, s)}): (1, s) for s in (-1, 1)
+_NAMED: dict[frozenset[tuple[Touch | None, int]], tuple[int, int]] = {
+    frozenset((touch, side * sign) for touch, sign in contacts): (state, side)
+    for state, contacts in STATES.items()
+    for side in (-1, 1)
 }
-for _s in (-1, 1):
-    _STATES[frozenset({(Touch.SIDE, _s)})] = (2, _s)
-    _STATES[frozenset({(Touch.FACE, _s)})] = (3, _s)
-    _STATES[frozenset({(Touch.EDGE, _s), (Touch.SIDE, -_s)})] = (4, _s)
-    _STATES[frozenset({(Touch.WALL, _s), (Touch.SIDE, -_s)})] = (5, _s)
-    _STATES[frozenset({(Touch.WALL, _s)})] = (6, _s)
 
 
 def shape_of(width: float) -> CardInSlot:
@@ -40,74 +34,62 @@ class Bench:
     """One slot with the card in the hand; poses are planar, in the slot's frame."""
 
     def __init__(self, width: float) -> None:
-        """Build it with a slot of the given width [m]."""
-        self.width = width
-        self.model = compile_bench(width)
+        """Build the bench with a slot of the given width [m]."""
+        self.width, self.model = width, compile_bench(width)
         self.data = mujoco.MjData(self.model)
         self._wrench = np.zeros(6)
 
-    def command(self, pose: Floats) -> None:
+    def command(self, pose: FloatArray) -> None:
         """Move the hand's carrier: (3,) [m, m, rad]."""
         self.data.mocap_pos[0] = [pose[0], pose[1], 0.0]
         half = pose[2] / 2.0
         self.data.mocap_quat[0] = [math.cos(half), 0.0, 0.0, math.sin(half)]
 
     def step(self, seconds: float) -> float:
-        """Go on for a time [s] and return the largest contact force on the way [N]."""
+        """Advance by a time [s] and return the largest contact force meanwhile [N]."""
         largest = 0.0
         for _ in range(max(1, round(seconds / self.model.opt.timestep))):
             mujoco.mj_step(self.model, self.data)
             if self.data.ncon:
-                force = self.contact_wrench()
-                largest = max(largest, math.hypot(force[0], force[1]))
+                largest = max(largest, math.hypot(*self.contact_wrench()[:2]))
         return largest
 
     @property
-    def pose(self) -> Floats:
+    def pose(self) -> FloatArray:
         """True pose of the card (3,)."""
         body = self.data.body("card")
-        matrix = body.xmat
-        return np.array([body.xpos[0], body.xpos[1], math.atan2(matrix[3], matrix[0])])
+        return np.array([*body.xpos[:2], math.atan2(body.xmat[3], body.xmat[0])])
 
     @property
-    def sensed(self) -> Floats:
+    def sensed(self) -> FloatArray:
         """(3,) what the slot puts on the card as the hand's sensor has it, without noise."""
-        values = self.data.sensordata
-        return -np.array([values[0], values[1], values[5]])
+        return -self.data.sensordata[[0, 1, 5]]
 
-    def contact_wrench(self) -> Floats:
+    def contact_wrench(self) -> FloatArray:
         """(3,) what the contacts truly put on the card, card's frame."""
-        total = np.zeros(3)
-        pose = self.pose
-        rotation = turn(pose[2])
+        total, pose = np.zeros(3), self.pose
         for point, force in self._contacts():
-            lever = point - pose[:2]
-            moment = lever[0] * force[1] - lever[1] * force[0]
-            total += [*(rotation.T @ force), moment]
+            x, y = point - pose[:2]
+            total += [*(turn(pose[2]).T @ force), x * force[1] - y * force[0]]
         return total
 
-    def touched(self) -> list[Floats]:
+    def touched(self) -> list[FloatArray]:
         """Return where contacts press on the card, (2,) each, card's frame [m]."""
         pose = self.pose
         return [turn(pose[2]).T @ (point - pose[:2]) for point, _ in self._contacts()]
 
     def true_state(self) -> tuple[int, int]:
         """Return state and side by MuJoCo's contacts; (0, 0) if they are none of the six."""
-        found = list(self._contacts())
-        if not found:
-            return 0, 0
-        largest = max(np.linalg.norm(force) for _, force in found)
-        pairs: set[tuple[Touch, int]] = set()
-        for point, force in found:
-            if np.linalg.norm(force) < LEAST_SHARE * largest:
-                continue
-            touch = self._touch(point)
-            if touch is None:
-                return 0, 0
-            pairs.add((touch, 1 if point[0] > 0.0 else -1))
-        return _STATES.get(frozenset(pairs), (0, 0))
+        found = [(point, np.linalg.norm(force)) for point, force in self._contacts()]
+        least = LEAST_SHARE * max((force for _, force in found), default=0.0)
+        pairs = {
+            (self._touch(point), 1 if point[0] > 0.0 else -1)
+            for point, force in found
+            if force >= least
+        }
+        return _NAMED.get(frozenset(pairs), (0, 0))
 
-    def _touch(self, point: Floats) -> Touch | None:
+    def _touch(self, point: FloatArray) -> Touch | None:
         """Return which features meet at a point of the slot's frame; None where it is unclear."""
         pose = self.pose
         own = turn(pose[2]).T @ (point - pose[:2])
@@ -120,12 +102,10 @@ class Bench:
             return Touch.EDGE if behind else Touch.SIDE if beside else None
         return Touch.FACE if abs(point[1]) < NEAR else Touch.WALL
 
-    def _contacts(self) -> list[tuple[Floats, Floats]]:
+    def _contacts(self) -> list[tuple[FloatArray, FloatArray]]:
         """Points and forces on the card, (2,) each, slot's frame."""
-        result = []
-        plate = self.model.geom("card_plate").id
-        for index in range(self.data.ncon):
-            contact = self.data.contact[index]
+        result, plate = [], self.model.geom("card_plate").id
+        for index, contact in enumerate(self.data.contact):
             mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
             force = contact.frame.reshape(3, 3).T @ self._wrench[:3]
             sign = 1.0 if contact.geom[1] == plate else -1.0
@@ -133,7 +113,7 @@ class Bench:
         return result
 
 
-def press(bench: Bench, pose: Floats, wrench: Floats, seconds: float = 0.25) -> None:
+def press(bench: Bench, pose: FloatArray, wrench: FloatArray, seconds: float = 0.25) -> None:
     """Hold the card at a pose so that the hand's springs balance a wrench.
 
     Args:
@@ -143,9 +123,8 @@ def press(bench: Bench, pose: Floats, wrench: Floats, seconds: float = 0.25) -> 
         seconds: To come to rest [s].
     """
     force = turn(pose[2]) @ wrench[:2]
-    offset = np.array([*(-force / HAND.stiffness), -wrench[2] / HAND.turn_stiffness])
+    command = pose - [*(force / HAND.stiffness), wrench[2] / HAND.turn_stiffness]
     mujoco.mj_resetData(bench.model, bench.data)
-    command = pose + offset
     bench.command(command)
     # The hand's joints turn with the carrier.
     bench.data.qpos[:2] = turn(command[2]).T @ (pose[:2] - command[:2])

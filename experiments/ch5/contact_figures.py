@@ -2,19 +2,17 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from controllers.insertion.contact import CardInSlot, contacts_of, pose_in_state, turn
 from controllers.insertion.guide import Phase
 from experiments.ch5.contact_bench import shape_of
+from experiments.ch5.contact_trial import InsertionResult
 from models.datasheets import DEGREE, INCH
-
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 CAPTIONS = {
     1: "mouth corner on leading edge",
@@ -26,17 +24,17 @@ CAPTIONS = {
 }
 
 
-def card_outline(shape: CardInSlot, pose: Floats) -> Floats:
+def card_outline(shape: CardInSlot, pose: FloatArray) -> FloatArray:
     """Return the card's closed outline (5, 2) in the slot's frame [m]."""
     half, length = shape.card_width / 2.0, shape.card_length
     corners = np.array([[-half, 0], [half, 0], [half, -length], [-half, -length], [-half, 0]])
     return corners @ turn(pose[2]).T + pose[:2]
 
 
-def wall_outlines(shape: CardInSlot) -> list[Floats]:
+def wall_outlines(shape: CardInSlot) -> list[FloatArray]:
     """Return the closed outlines (5, 2) of both walls, slot's frame [m]."""
-    inner, outer = shape.slot_width / 2.0, shape.slot_width / 2.0 + shape.wall
-    depth = shape.slot_depth
+    inner, depth = shape.slot_width / 2.0, shape.slot_depth
+    outer = inner + shape.wall
     right = np.array([[inner, 0], [outer, 0], [outer, depth], [inner, depth], [inner, 0]])
     return [right * [-1, 1], right]
 
@@ -57,7 +55,7 @@ def draw_states(width: float) -> Figure:
     return figure
 
 
-def _draw_state(axes: Axes, shape: CardInSlot, pose: Floats, state: int) -> None:
+def _draw_state(axes: Axes, shape: CardInSlot, pose: FloatArray, state: int) -> None:
     for wall in wall_outlines(shape):
         axes.fill(*(1e3 * wall.T), color="0.75")
     axes.fill(*(1e3 * card_outline(shape, pose).T), color="tab:green", alpha=0.35)
@@ -73,20 +71,20 @@ def _draw_state(axes: Axes, shape: CardInSlot, pose: Floats, state: int) -> None
     axes.set_title(f"State {state}: {CAPTIONS[state]}", fontsize=9)
 
 
-def draw_location(noises: Sequence[float], located: Mapping[int, Floats]) -> Figure:
+def draw_location(noises: Sequence[float], located: Mapping[int, FloatArray]) -> Figure:
     """Draw the error of the contact point against sensor noise (Thesis figure A-7).
 
     Args:
-        noises: Fractions of the force.
+        noises: Standard deviations of the noise, fraction of the force.
         located: (noises, n) errors [mm] by state.
     """
     figure = Figure(figsize=(6.5, 4.2))
     axes = figure.add_subplot()
     percent = 100.0 * np.asarray(noises)
     for index, (state, errors) in enumerate(located.items()):
-        colour = f"C{index}"
-        axes.plot(percent, np.median(errors, axis=1), "o-", color=colour, label=f"state {state}")
-        axes.plot(percent, np.percentile(errors, 95, axis=1), ":", color=colour)
+        middle, high = np.percentile(errors, [50, 95], axis=1)
+        axes.plot(percent, middle, "o-", color=f"C{index}", label=f"state {state}")
+        axes.plot(percent, high, ":", color=f"C{index}")
     axes.set(xlabel="sensor noise [% of the force]", ylabel="error of the contact point [mm]")
     axes.set_title("median, dotted the 95th percentile; 3 and 6 touch at a corner", fontsize=9)
     axes.grid(alpha=0.3)
@@ -95,23 +93,23 @@ def draw_location(noises: Sequence[float], located: Mapping[int, Floats]) -> Fig
 
 
 def draw_success(
-    cells: Mapping[tuple[str, float, int], Sequence[Mapping[str, Any]]],
+    cells: Mapping[tuple[str, float, int], Sequence[InsertionResult]],
     widths: Sequence[float],
     rings: Sequence[int],
 ) -> Figure:
     """Draw success and largest force over misalignment, for every slot."""
     figure = Figure(figsize=(10, 4.2))
-    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
+    left, right = figure.subplots(1, 2)
     for index, width in enumerate(widths):
-        for way, style in (("guided", "o-"), ("unguided", "s--")):
+        for method, style in (("guided", "o-"), ("unguided", "s--")):
             # Beside each other, since many are equal.
-            places = np.array(rings) + 0.05 * (2 * index + (way == "unguided") - len(widths) + 0.5)
-            chosen = [cells[way, width, ring] for ring in rings]
-            label = f'{width / INCH:g}" {way}'
-            share = [np.mean([r["success"] for r in cell]) for cell in chosen]
-            force = [max(r["peak"] for r in cell) for cell in chosen]
-            left.plot(places, share, style, color=f"C{index}", label=label)
-            right.plot(places, force, style, color=f"C{index}", label=label)
+            shift = 0.05 * (2 * index + (method == "unguided") - len(widths) + 0.5)
+            chosen = [cells[method, width, ring] for ring in rings]
+            share = [np.mean([r.success for r in cell]) for cell in chosen]
+            force = [max(r.peak for r in cell) for cell in chosen]
+            for axes, values in ((left, share), (right, force)):
+                label = f'{width / INCH:g}" {method}'
+                axes.plot(np.array(rings) + shift, values, style, color=f"C{index}", label=label)
     left.set(ylabel="success", ylim=(-0.05, 1.05))
     right.set(ylabel="largest contact force [N]")
     for axes in (left, right):
@@ -122,37 +120,31 @@ def draw_success(
     return figure
 
 
-def draw_courses(courses: Mapping[str, Floats]) -> Figure:
-    """Draw pose and forces of one misalignment over time, a column for each way.
+def draw_courses(courses: Mapping[str, FloatArray]) -> Figure:
+    """Draw pose and forces of one misalignment over time, a column for each method.
 
     Args:
-        courses: (n, 11) each, as `ch5_contact_trial.run_insertion` returns it.
+        courses: (n, 11) by method, as `InsertionResult.course`.
     """
     figure = Figure(figsize=(11, 7))
-    for column, (way, course) in enumerate(courses.items()):
-        time = course[:, 0]
+    panels = figure.subplots(3, len(courses), sharex=True, sharey="row", squeeze=False)
+    for (upper, middle, lower), (method, course) in zip(panels.T, courses.items()):
         ending = list(Phase)[int(course[-1, 10])].value
-        upper = figure.add_subplot(3, 2, 1 + column)
-        upper.set_title(f"{way}: {ending}", fontsize=10)
-        upper.plot(time, 1e3 * course[:, 4], label="across [mm]")
-        upper.plot(time, 1e3 * course[:, 5], label="depth [mm]")
-        upper.plot(time, np.degrees(course[:, 6]), label="tilt [deg]")
-        upper.legend(fontsize=8)
-        middle = figure.add_subplot(3, 2, 3 + column)
-        middle.plot(time, course[:, 7], label="F across")
-        middle.plot(time, course[:, 8], label="F along")
+        upper.set_title(f"{method}: {ending}", fontsize=10)
+        across, depth, tilt, *forces, moment = course[:, 4:10].T
+        for axes, label, values in (
+            (upper, "across [mm]", 1e3 * across),
+            (upper, "depth [mm]", 1e3 * depth),
+            (upper, "tilt [deg]", np.degrees(tilt)),
+            (middle, "F across", forces[0]),
+            (middle, "F along", forces[1]),
+            (lower, "moment", moment),
+        ):
+            axes.plot(course[:, 0], values, label=label)
         middle.set(ylabel="force on the card [N]")
-        middle.legend(fontsize=8)
-        lower = figure.add_subplot(3, 2, 5 + column)
-        lower.plot(time, course[:, 9], color="tab:purple")
-        lower.set(ylabel="moment [N m]", xlabel="time [s]")
+        lower.set(ylabel="moment [N m]", xlabel="time [s]", xlim=(0.0, None))
         for axes in (upper, middle, lower):
             axes.grid(alpha=0.3)
-    for row in range(3):  # the same scale for all ways
-        panels = figure.axes[row::3]
-        limits = np.array([axes.get_ylim() for axes in panels])
-        last = max(axes.get_xlim()[1] for axes in panels)
-        for axes in panels:
-            axes.set(xlim=(0.0, last), ylim=(limits[:, 0].min(), limits[:, 1].max()))
+            axes.legend(fontsize=8)
     figure.subplots_adjust(hspace=0.25, wspace=0.25)
     return figure

@@ -2,12 +2,11 @@
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.insertion.contact import (
+    STATES,
     CardInSlot,
     contact_point,
     contacts_of,
@@ -18,8 +17,7 @@ from controllers.insertion.contact_states import WrenchNoise, classify
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
 from experiments.ch5.contact_bench import Bench, press, shape_of
 from models.datasheets import CARD_AND_SLOT, DEGREE, FORCE_TORQUE, HAND
-
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 NOISES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.10)
 """Sensor noise of figure A-7, fraction of the force."""
@@ -27,14 +25,19 @@ CLASSIFIED_NOISES = (0.05, 0.10)
 """Besides `NOISE`, at which states are classified."""
 NOISE = 0.02
 POSE_SIGMA = 0.5
-"""Standard deviation of the believed pose [mm and deg]; the eye at half a metre does as well."""
+"""Standard deviation of the pose estimate [mm and deg], as of the stereo head at half a metre."""
 OTHER_SIGMAS = (1.0, 2.0, 4.0)
+LEVELS = (
+    *((noise, POSE_SIGMA) for noise in CLASSIFIED_NOISES),
+    *((NOISE, sigma) for sigma in OTHER_SIGMAS),
+)
+"""Noise of the force and standard deviation of the pose at which states are classified besides."""
 OFFSET, TILT = 4e-3, 6.0 * DEGREE
 """Widest misalignment."""
 RINGS = (1, 2, 3)
 """Thirds of the widest misalignment."""
 STAND_OFF = 0.015
-"""Of the leading edge before the mouth at the start [m]."""
+"""Distance of the leading edge before the mouth at the start [m]."""
 LIMIT = 50.0
 """Longest insertion [s]."""
 
@@ -46,9 +49,9 @@ class StateJob:
     Attributes:
         state: 1 to 6.
         width: Width of the slot [m].
-        seed: Of poses, loads and noise.
-        poses: How many different ones.
-        samples: Noisy wrenches of each.
+        seed: Seed of poses, loads and noise.
+        poses: Number of different poses.
+        samples: Number of noisy wrenches at each pose.
     """
 
     state: int
@@ -65,9 +68,9 @@ class InsertionJob:
     Attributes:
         width: Width of the slot [m].
         ring: Which third of the widest misalignment, 1 to 3.
-        guided: By force, or straight ahead.
-        seed: Of misalignment and noise; both ways of insertion get the same.
-        trace: Return the course as well.
+        guided: Whether force guides the insertion; if not it goes straight ahead.
+        seed: Seed of misalignment and noise, the same for both methods of insertion.
+        trace: Whether the result holds the course.
     """
 
     width: float
@@ -77,22 +80,63 @@ class InsertionJob:
     trace: bool = False
 
 
-def run_states(job: StateJob) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class StatesResult:
+    """How well the contact states of one job were classified.
+
+    Attributes:
+        classified: (6,) how often each state was named at 2 % noise.
+        by_noise: (2,) fractions right at `CLASSIFIED_NOISES`.
+        by_sigma: (3,) fractions right at `OTHER_SIGMAS`.
+        location_mm: (6, n) errors of the contact point at `NOISES`; empty for two contacts.
+        drawn: Number of poses that were drawn.
+        off_mm: Largest distance of the pressed card from the constructed pose.
+    """
+
+    classified: FloatArray
+    by_noise: FloatArray
+    by_sigma: FloatArray
+    location_mm: FloatArray
+    drawn: int
+    off_mm: float
+
+
+@dataclasses.dataclass(frozen=True)
+class InsertionResult:
+    """How an insertion ended.
+
+    Attributes:
+        success: Whether the guide reports success and the card is truly within 1 mm of the depth.
+        peak: Largest true contact force [N].
+        seconds: Duration [s].
+        reason: Why it failed; empty if it did not.
+        tries: How often the insertion was begun again.
+        offset: Misalignment across [m].
+        tilt: Misalignment of the angle [rad].
+        finite: Whether the final state was finite.
+        course: (n, 11) time, command, true pose, true contact wrench and phase; empty without
+            `InsertionJob.trace`.
+    """
+
+    success: bool
+    peak: float
+    seconds: float
+    reason: str
+    tries: int
+    offset: float
+    tilt: float
+    finite: bool
+    course: FloatArray
+
+
+def run_states(job: StateJob) -> StatesResult:
     """Press the card into a state again and again, and classify what the hand feels.
 
     Truth is what touches in MuJoCo; poses where other features came to touch are drawn again.
-
-    Returns:
-        ``classified`` (6,) how often each state was named at 2 % noise; ``by_noise`` and
-        ``by_sigma`` fractions right; ``location_mm`` (noises, n) errors of the contact point, of
-        one-contact states; ``drawn`` how many poses it took; ``off_mm`` the largest distance of the
-        pressed card from the constructed pose.
     """
     rng = np.random.default_rng([job.seed, job.state, round(job.width * 1e6)])
     bench, shape = Bench(job.width), shape_of(job.width)
-    named = np.zeros(6, dtype=int)
-    by_noise = np.zeros(len(CLASSIFIED_NOISES))
-    by_sigma = np.zeros(len(OTHER_SIGMAS))
+    named, right = np.zeros(6, dtype=int), np.zeros(len(LEVELS))
     located: list[list[float]] = [[] for _ in NOISES]
     drawn, off = 0, 0.0
     for _ in range(job.poses):
@@ -106,31 +150,21 @@ def run_states(job: StateJob) -> dict[str, Any]:
         true, load = bench.pose, bench.sensed
         off = max(off, float(np.linalg.norm(true[:2] - pose[:2])))
         for _ in range(job.samples):
-            named[_named(shape, load, true, NOISE, POSE_SIGMA, rng) - 1] += 1
-        for index, noise in enumerate(CLASSIFIED_NOISES):
-            right = _named(shape, load, true, noise, POSE_SIGMA, rng) == job.state
-            by_noise[index] += right / job.poses
-        for index, sigma in enumerate(OTHER_SIGMAS):
-            right = _named(shape, load, true, NOISE, sigma, rng) == job.state
-            by_sigma[index] += right / job.poses
-        if job.state not in (4, 5):
+            named[_named(shape, load, true, (NOISE, POSE_SIGMA), rng) - 1] += 1
+        for index, level in enumerate(LEVELS):
+            right[index] += (_named(shape, load, true, level, rng) == job.state) / job.poses
+        if len(STATES[job.state]) == 1:
             point = bench.touched()[0]
-            for index, noise in enumerate(NOISES):
+            for errors, noise in zip(located, NOISES):
                 for _ in range(job.samples):
                     felt = _felt(load, WrenchNoise(noise), rng)
                     error = np.linalg.norm(contact_point(shape, felt) - point)
-                    located[index].append(1e3 * float(error))
-    return {
-        "classified": named,
-        "by_noise": by_noise,
-        "by_sigma": by_sigma,
-        "location_mm": np.array(located),
-        "drawn": drawn,
-        "off_mm": 1e3 * off,
-    }
+                    errors.append(1e3 * float(error))
+    by_noise, by_sigma = np.split(right, [len(CLASSIFIED_NOISES)])
+    return StatesResult(named, by_noise, by_sigma, np.array(located), drawn, 1e3 * off)
 
 
-def draw_pose(shape: CardInSlot, state: int, side: int, rng: np.random.Generator) -> Floats:
+def draw_pose(shape: CardInSlot, state: int, side: int, rng: np.random.Generator) -> FloatArray:
     """Draw a constructed pose of a state: tilts and places where it exists."""
     steepest = math.acos(shape.card_width / shape.slot_width)
     while True:
@@ -147,8 +181,8 @@ def draw_pose(shape: CardInSlot, state: int, side: int, rng: np.random.Generator
 
 
 def _draw_load(
-    shape: CardInSlot, pose: Floats, state: int, side: int, rng: np.random.Generator
-) -> Floats:
+    shape: CardInSlot, pose: FloatArray, state: int, side: int, rng: np.random.Generator
+) -> FloatArray:
     """Draw a wrench of 1 to 3 N at each contact, up to 90 % of the friction either way."""
     contacts = contacts_of(shape, pose, state, side)
     shares: list[float] = []
@@ -158,40 +192,31 @@ def _draw_load(
     return wrench_cone(contacts, shape.friction) @ shares
 
 
-def _felt(load: Floats, noise: WrenchNoise, rng: np.random.Generator) -> Floats:
+def _felt(load: FloatArray, noise: WrenchNoise, rng: np.random.Generator) -> FloatArray:
     return load + rng.normal(size=3) * noise.sigma(load)
 
 
 def _named(
     shape: CardInSlot,
-    load: Floats,
-    pose: Floats,
-    noise: float,
-    sigma: float,
+    load: FloatArray,
+    pose: FloatArray,
+    level: tuple[float, float],
     rng: np.random.Generator,
 ) -> int:
-    """Return the state that one noisy wrench and one believed pose tell of."""
-    sensor = WrenchNoise(noise)
-    sigmas = sigma * np.array([1e-3, 1e-3, DEGREE])
+    """Return the state that a noisy wrench and a pose estimate show, at one of `LEVELS`."""
+    sensor, sigmas = WrenchNoise(level[0]), level[1] * np.array([1e-3, 1e-3, DEGREE])
     believed = pose + rng.normal(size=3) * sigmas
     return classify(shape, _felt(load, sensor, rng), sensor, believed, np.diag(sigmas**2)).state
 
 
-def run_insertion(job: InsertionJob) -> dict[str, Any]:
-    """Insert the card once from a drawn misalignment.
-
-    Returns:
-        ``success`` (the card is truly seated, within 1 mm of the depth), ``peak`` true contact
-        force [N], ``seconds``, ``reason`` of a failure, ``tries``, ``offset`` [m] and ``tilt``
-        [rad]; with ``trace`` also ``course`` (n, 11): time, command, true pose, true contact
-        wrench, phase.
-    """
+def run_insertion(job: InsertionJob) -> InsertionResult:
+    """Insert the card once from a drawn misalignment."""
     rng = np.random.default_rng([job.seed, job.ring, round(job.width * 1e6)])
     low, high = (job.ring - 1) / len(RINGS), job.ring / len(RINGS)
     sizes = rng.uniform(low, high, 2) * rng.choice([-1.0, 1.0], 2)
     wrong = np.array([sizes[0] * OFFSET, 0.0, sizes[1] * TILT])
-    bench = Bench(job.width)
-    config = guide_config()
+    bench, sheet = Bench(job.width), CARD_AND_SLOT
+    config = GuideConfig(sheet.card_width, sheet.friction, HAND.stiffness)
     start = np.array([0.0, -STAND_OFF, 0.0])
     guide = (InsertionGuide if job.guided else StraightInsertion)(config, start)
     sensor = WrenchNoise(NOISE, FORCE_TORQUE.force_noise, FORCE_TORQUE.torque_noise)
@@ -207,21 +232,14 @@ def run_insertion(job: InsertionJob) -> dict[str, Any]:
             course.append([*row, phase])
         if guide.over:
             break
-    seated = bench.pose[1] >= config.depth - 1e-3
-    result: dict[str, Any] = {
-        "success": bool(guide.phase is Phase.DONE and seated),
-        "peak": peak,
-        "seconds": bench.data.time,
-        "reason": guide.reason,
-        "tries": guide.tries,
-        "offset": wrong[0],
-        "tilt": wrong[2],
-        "finite": bool(np.all(np.isfinite(bench.data.qpos))),
-    }
-    return result | ({"course": np.array(course)} if job.trace else {})
-
-
-def guide_config() -> GuideConfig:
-    """Return what the guide knows of card, friction and hand."""
-    sheet = CARD_AND_SLOT
-    return GuideConfig(sheet.card_width, sheet.friction, HAND.stiffness)
+    return InsertionResult(
+        success=bool(guide.phase is Phase.DONE and bench.pose[1] >= config.depth - 1e-3),
+        peak=peak,
+        seconds=bench.data.time,
+        reason=guide.reason,
+        tries=guide.tries,
+        offset=wrong[0],
+        tilt=wrong[2],
+        finite=bool(np.all(np.isfinite(bench.data.qpos))),
+        course=np.array(course),
+    )

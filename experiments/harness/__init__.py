@@ -1,10 +1,10 @@
 """What all experiments share.
 
-- `contract`: options, the catalogue's entries and errors.
+- `contract`: options and errors.
 - `catalogue`: all experiments and commands by name.
 - `command_line`: options from the command line.
-- `sweep`: one function over many configurations, in parallel and resumable.
 - `output`: metrics, checks, figures and tables of a run.
+- `sweep`: one function over many configurations, in parallel and resumable.
 - `intervals`: medians and fractions with their 95 % intervals.
 - `recording`: recordings for the rerun viewer.
 - `timing`: processor time of a function.

@@ -1,6 +1,39 @@
-"""All experiments and commands by name; modules are imported only when asked for."""
+"""All experiments and commands by name; modules are imported only when needed."""
 
-from experiments.harness.contract import Experiment
+import dataclasses
+import importlib
+from collections.abc import Callable
+from typing import Any
+
+from experiments.harness.contract import Options
+from experiments.harness.output import Output
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """An experiment's entry in the catalogue.
+
+    The module holds a frozen dataclass ``Options``, derived from `Options`, and a function
+    ``run(options, output)``. It is imported only when the experiment is needed, so that the list
+    of experiments appears at once.
+
+    Attributes:
+        name: Name on the command line and of the result folder.
+        summary: One line for the list.
+        thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
+        module: Import path of the module.
+    """
+
+    name: str
+    summary: str
+    thesis: str
+    module: str
+
+    def load(self) -> tuple[type[Options], Callable[[Any, Output], None]]:
+        """Import the module and return its options type and its run function."""
+        module = importlib.import_module(self.module)
+        return module.Options, module.run
+
 
 _ALL: tuple[Experiment, ...] = (
     Experiment(

@@ -1,24 +1,19 @@
-"""What every experiment shares: its options, its entry in the catalogue and its errors."""
+"""What every experiment shares: its options and its errors."""
 
 import dataclasses
-import importlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import tyro
 
-if TYPE_CHECKING:
-    from experiments.harness.output import Output
-
 
 class ExperimentError(RuntimeError):
-    """The experiment cannot go on; told in one line, exit status 1."""
+    """The experiment cannot continue; reported in one line, exit status 1."""
 
 
 class OptionError(ValueError):
-    """An option, or a file that an option names, is bad; told in one line, exit status 2."""
+    """An option, or a file that an option names, is bad; reported in one line, exit status 2."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,10 +56,8 @@ class Options:
                 raise OptionError(f"--{name}: expected at least 1, got {value}")
         if self.seed < 0:
             raise OptionError(f"--seed: expected 0 or more, got {self.seed}")
-        if self.backend == "dask" and self.scheduler is None:
-            raise OptionError("--backend dask: give the cluster's address with --scheduler")
-        if self.backend != "dask" and self.scheduler is not None:
-            raise OptionError("--scheduler: only used with --backend dask")
+        if (self.backend == "dask") != (self.scheduler is not None):
+            raise OptionError("--scheduler: needed with --backend dask, and only used with it")
 
     def job_seeds(self, full: int, quick: int) -> list[int]:
         """Return one seed for each repetition, all derived from ``seed``.
@@ -103,39 +96,3 @@ class SimulatedOptions(Options):
                 f"--robot {self.robot}: what this experiment sets is known of simulated robots "
                 f"only; available: {', '.join(self.targets)}"
             )
-
-
-@dataclasses.dataclass(frozen=True)
-class Experiment:
-    """An experiment's entry in the catalogue.
-
-    The module holds a frozen dataclass ``Options``, derived from `Options`, and a function
-    ``run(options, output)``. It is imported only when the experiment is asked for, so that the
-    list of experiments appears at once.
-
-    Attributes:
-        name: Name on the command line and of the result folder.
-        summary: One line for the list.
-        thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
-        module: Import path of the module.
-    """
-
-    name: str
-    summary: str
-    thesis: str
-    module: str
-
-    def load(self) -> "tuple[type[Options], Callable[[Any, Output], None]]":
-        """Import the module and return its options type and its run function.
-
-        Raises:
-            TypeError: If the module lacks one of them.
-        """
-        module = importlib.import_module(self.module)
-        options_type = getattr(module, "Options", None)
-        run: Any = getattr(module, "run", None)
-        if not (isinstance(options_type, type) and issubclass(options_type, Options)):
-            raise TypeError(f"{self.module}: no class Options that extends contract.Options")
-        if run is None:
-            raise TypeError(f"{self.module}: no function run(options, output)")
-        return options_type, run

@@ -70,14 +70,23 @@ def fraction(successes: int, n: int) -> Distribution:
     }
 
 
+def success_fraction(successes: Iterable[bool]) -> Distribution:
+    """Return `fraction` of runs.
+
+    Args:
+        successes: Whether each run succeeded.
+    """
+    flags = list(successes)
+    return fraction(sum(flags), len(flags))
+
+
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> float:
     """Return the exact two-sided p of McNemar's test for paired successes.
 
     Args:
         first: Whether each run of one kind succeeded.
-        second: The same of the other kind, in the same order.
+        second: Whether each run of the other kind succeeded, in the same order.
     """
-    only_first = sum(a and not b for a, b in zip(first, second, strict=True))
-    only_second = sum(b and not a for a, b in zip(first, second, strict=True))
-    told = only_first + only_second
-    return float(stats.binomtest(only_first, told, 0.5).pvalue) if told else 1.0
+    pairs = list(zip(first, second, strict=True))
+    only_first, differ = sum(a and not b for a, b in pairs), sum(a != b for a, b in pairs)
+    return float(stats.binomtest(only_first, differ, 0.5).pvalue) if differ else 1.0

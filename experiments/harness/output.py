@@ -151,13 +151,16 @@ class Output:
 
     def finish(self) -> None:
         """Write metrics.json, config.json and run.json and move all results into place."""
-        config = {"experiment": self._name, **plain(self._options)}
-        write_json(self.file("config.json"), config)
+        names = {entry.name for entry in self._staging.iterdir()}
         run = provenance.describe_run(time.monotonic() - self._start)
-        names = {entry.name for entry in self._staging.iterdir()} | {"run.json", "metrics.json"}
-        about = {"command": self._command, **run, "files": sorted(names)}
-        write_json(self.file("run.json"), about)
-        write_json(self.file("metrics.json"), self.metrics())
+        contents = {
+            "config.json": {"experiment": self._name, **plain(self._options)},
+            "run.json": {"command": self._command, **run},
+            "metrics.json": self.metrics(),
+        }
+        contents["run.json"]["files"] = sorted(names | set(contents))
+        for name, value in contents.items():
+            self.file(name).write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
         for name in dict.fromkeys((*REPLACED, *_files_of(self.directory / "run.json"))):
             _remove(self.directory / name)
         for entry in sorted(self._staging.iterdir(), key=lambda path: path.name == "metrics.json"):
@@ -186,17 +189,17 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if isinstance(value, float) and not np.isfinite(value):
         return None
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
     if isinstance(value, Path):
         return str(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
     raise TypeError(f"{type(value).__name__} has no form in JSON: {value!r}")
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write plain values to a JSON file that is never seen half written."""
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file that no reader finds half written."""
     partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    partial.write_bytes(content)
     os.replace(partial, path)
 
 

@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from experiments.harness.contract import Experiment
+from experiments.harness.catalogue import Experiment
 from experiments.harness.output import Output
 
 

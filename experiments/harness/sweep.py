@@ -5,8 +5,8 @@ import dataclasses
 import enum
 import hashlib
 import importlib
+import io
 import json
-import os
 import types
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from experiments.harness.contract import ExperimentError, Options
-from experiments.harness.output import Output, plain
+from experiments.harness.output import Output, plain, write_whole
 
 Config = TypeVar("Config")
 Result = TypeVar("Result")
@@ -96,9 +96,8 @@ def _results(
         return
     calls = (joblib.delayed(_job)(function, key, config) for key, config in pending.items())
     with _backend(options):
-        count = min(options.jobs or joblib.cpu_count(), len(pending))
-        if options.backend == "dask":
-            count = options.jobs or -1
+        local = min(options.jobs or joblib.cpu_count(), len(pending))
+        count = options.jobs or -1 if options.backend == "dask" else local
         parallel: Any = joblib.Parallel(n_jobs=count, return_as="generator_unordered")
         yield from parallel(calls)
 
@@ -134,13 +133,8 @@ def _backend(options: Options) -> Iterator[None]:
 
 
 def _progress() -> Progress:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-    )
-    return Progress(*columns, console=Console(stderr=True))
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    return Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True))
 
 
 def _job_key(function: Callable[..., Any], config: Any) -> str:
@@ -153,10 +147,9 @@ def _write(path: Path, config: Any, result: Any) -> None:
     """Write one job: its arrays as they are, all else as JSON text; never half written."""
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"config": plain(config), "result": _stored(result, arrays)})
-    partial = path.with_name(f".{path.name}.partial")
-    with partial.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, json=np.array(text), **arrays)
-    os.replace(partial, path)
+    stream = io.BytesIO()
+    np.savez(stream, allow_pickle=False, json=np.array(text), **arrays)
+    write_whole(path, stream.getvalue())
 
 
 def _read(path: Path, kind: Any) -> tuple[Any] | None:
@@ -167,6 +160,10 @@ def _read(path: Path, kind: Any) -> tuple[Any] | None:
             return (_restored(result, kind, {name: stored[name] for name in stored.files}),)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None
+    except TypeError as error:
+        raise ExperimentError(
+            f"{path}: of a version with other results ({error}); run again without --resume"
+        ) from None
 
 
 def _stored(value: Any, arrays: dict[str, np.ndarray]) -> Any:
@@ -199,10 +196,11 @@ def _restored(value: Any, kind: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     if isinstance(kind, type) and (dataclasses.is_dataclass(kind) or hasattr(kind, "_fields")):
         hints = get_type_hints(kind)
         items = value if isinstance(value, dict) else dict(zip(hints, value))
-        return kind(**{name: _restored(item, hints[name], arrays) for name, item in items.items()})
+        return kind(
+            **{name: _restored(item, hints.get(name), arrays) for name, item in items.items()}
+        )
     if isinstance(value, dict):
-        item_kind = kinds[1] if kinds else Any
-        return {key: _restored(item, item_kind, arrays) for key, item in value.items()}
+        return {key: _restored(item, (*kinds, Any, Any)[1], arrays) for key, item in value.items()}
     if isinstance(value, list):
         same = not kinds or len(kinds) == 1 or kinds[1] is Ellipsis
         each = [kinds[0] if kinds else Any] * len(value) if same else kinds

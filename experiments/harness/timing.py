@@ -11,18 +11,13 @@ def repeat(work: Callable[[], object], rounds: int) -> Distribution:
 
     Args:
         work: What is measured.
-        rounds: How often.
+        rounds: Number of timed calls.
 
     Returns:
         Processor time of this process [s].
     """
     work()
-    times: list[float] = []
-    for _ in range(rounds):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return distribution(times)
+    return distribution([_timed(work) for _ in range(rounds)])
 
 
 def compare(
@@ -48,12 +43,17 @@ def compare(
     for index in range(rounds):
         order = ("ours", "peer") if index % 2 == 0 else ("peer", "ours")
         for name in order:
-            start = time.process_time()
-            functions[name]()
-            times[name].append(time.process_time() - start)
+            times[name].append(_timed(functions[name]))
     ratios = [a / b for a, b in zip(times["ours"], times["peer"])]
     return {
         "ours_s": distribution(times["ours"]),
         "peer_s": distribution(times["peer"]),
         "ratio": distribution(ratios),
     }
+
+
+def _timed(work: Callable[[], object]) -> float:
+    """Return the processor time of a call [s]."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start

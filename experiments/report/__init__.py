@@ -1,6 +1,7 @@
 """``python -m experiments report``: all results in one self-contained page.
 
-- `report`: gathers the results and writes the page.
+- `report`: writes the page.
+- `results`: result folders as read.
 - `page`: the page's parts.
 - `elements`: every table and figure of the thesis, and where it is shown.
 - `findings`: what falls short of its bar, and why.

@@ -2,17 +2,14 @@
 
 from collections.abc import Collection, Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
 from experiments.harness.thesis_elements import Element
 from experiments.report.html import anchor, link, table
-
-if TYPE_CHECKING:
-    from experiments.report.report import Result
+from experiments.report.results import Result
 
 
 def element_table(
-    elements: Sequence[Element], results: "Sequence[Result]", known: Collection[str]
+    elements: Sequence[Element], results: Sequence[Result], known: Collection[str]
 ) -> str:
     """Return the section on all elements.
 
@@ -37,7 +34,7 @@ def element_table(
     )
 
 
-def places(element: Element, results: "Sequence[Result]") -> list[tuple[str, str]]:
+def places(element: Element, results: Sequence[Result]) -> list[tuple[str, str]]:
     """Return experiment and file name (without ending) of all that shows an element."""
     return [
         (result.name, stem)
@@ -58,7 +55,7 @@ def captions(elements: Sequence[Element], experiment: str, stem: str) -> str:
     return "; ".join(found)
 
 
-def _state(element: Element, results: "Sequence[Result]", known: Collection[str]) -> str:
+def _state(element: Element, results: Sequence[Result], known: Collection[str]) -> str:
     there = {result.name for result in results}
     if element.why_not:
         names = [link(name, name) for name in element.shown_by if name in there]

@@ -2,14 +2,12 @@
 
 from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from experiments.harness.summary import format_metric
 from experiments.harness.thesis_elements import Reason, why
 from experiments.report.html import check_cells, folded, link, numbers, table
-
-if TYPE_CHECKING:
-    from experiments.report.report import Result
+from experiments.report.results import Result
 
 TOLERANCE = 0.01
 """Ours agrees if the thesis' figure is in its interval, or this part of itself off it."""
@@ -17,7 +15,7 @@ UNKNOWN = "The cause is not known."
 QUICK = "A quick run, smaller than what the bar is for."
 
 
-def shortfalls(results: "Sequence[Result]", reasons: Sequence[Reason]) -> str:
+def shortfalls(results: Sequence[Result], reasons: Sequence[Reason]) -> str:
     """Return the section on what falls short."""
     checks = [(result, check) for result in results for check in result.metrics["checks"]]
     failed = [(result, check) for result, check in checks if not check["ok"]]
@@ -40,7 +38,7 @@ def shortfalls(results: "Sequence[Result]", reasons: Sequence[Reason]) -> str:
     )
 
 
-def differences(results: "Sequence[Result]", reasons: Sequence[Reason]) -> str:
+def differences(results: Sequence[Result], reasons: Sequence[Reason]) -> str:
     """Return the section on figures that are not the thesis'; empty without any to compare."""
     parts: list[str] = []
     compared = differing = 0
@@ -68,18 +66,14 @@ def agrees(ours: Any, thesis: Any) -> bool:
         ours: A value, or a distribution.
         thesis: The thesis' value.
     """
-    if isinstance(ours, dict):
-        bounds = ours.get("low"), ours.get("high")
-    else:
-        bounds = ours, ours
-    low, high = bounds
-    if not all(_is_number(value) for value in (low, high, thesis)):
+    low, high = (ours.get("low"), ours.get("high")) if isinstance(ours, dict) else (ours, ours)
+    if not all(isinstance(each, int | float) for each in (low, high, thesis)):
         return ours == thesis
     slack = TOLERANCE * abs(thesis)
     return low - slack <= thesis <= high + slack
 
 
-def _apart(result: "Result", keys: Sequence[str], reasons: Sequence[Reason]) -> str:
+def _apart(result: Result, keys: Sequence[str], reasons: Sequence[Reason]) -> str:
     """Return one experiment's figures that differ, grouped by the reason."""
     measured, thesis = result.metrics["measured"], result.metrics["thesis"]
     groups: dict[str, list[str]] = {}
@@ -100,12 +94,6 @@ def _apart(result: "Result", keys: Sequence[str], reasons: Sequence[Reason]) -> 
     return "".join(parts)
 
 
-def _why(reasons: Sequence[Reason], result: "Result", name: str) -> str:
-    known = why(reasons, result.name, name)
-    if known:
-        return known
-    return QUICK if result.config.get("quick") else UNKNOWN
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _why(reasons: Sequence[Reason], result: Result, name: str) -> str:
+    excuse = QUICK if result.config.get("quick") else UNKNOWN
+    return why(reasons, result.name, name) or excuse

@@ -3,12 +3,10 @@
 import shlex
 from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from experiments.harness.summary import format_number
-
-if TYPE_CHECKING:
-    from experiments.report.report import Result
+from experiments.report.results import Result
 
 LONG = 24  # characters of a cell; longer ones are broken into lines
 LONGEST = 200  # characters; what is longer is cut, the files have it all
@@ -72,7 +70,7 @@ def anchor(experiment: str, stem: str) -> str:
     return f"{experiment}/{stem}"
 
 
-def command(result: "Result") -> str:
+def command(result: Result) -> str:
     """Return the command that makes a result, without what only says where and on what.
 
     Results of versions that did not keep their command tell its common options.

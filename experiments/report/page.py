@@ -4,7 +4,7 @@ import csv
 from collections.abc import Collection, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from experiments.harness.contract import ExperimentError
 from experiments.harness.summary import format_metric, format_number
@@ -13,10 +13,8 @@ from experiments.report.elements import captions, element_table
 from experiments.report.findings import agrees, differences, shortfalls
 from experiments.report.html import anchor, check_cells, command, folded, link, numbers, table
 from experiments.report.images import embed
+from experiments.report.results import Result
 from experiments.report.style import STYLE
-
-if TYPE_CHECKING:
-    from experiments.report.report import Result
 
 FEW = 10  # checks that are not folded
 ROWS_SHOWN = 60  # of a CSV table; the file has them all
@@ -27,7 +25,7 @@ PARTS = {
 }
 
 
-def page(results: "Sequence[Result]", known: Collection[str]) -> str:
+def page(results: Sequence[Result], known: Collection[str]) -> str:
     """Return the whole page.
 
     Args:
@@ -38,17 +36,12 @@ def page(results: "Sequence[Result]", known: Collection[str]) -> str:
         ExperimentError: If a picture or table is damaged.
     """
     thesis, excuses = elements(), reasons()
-    parts = "".join(
-        (
-            shortfalls(results, excuses),
-            differences(results, excuses),
-            element_table(thesis, results, known),
-        )
-    )
+    parts = shortfalls(results, excuses) + differences(results, excuses)
+    parts += element_table(thesis, results, known)
     sections = "".join(section(result, thesis) for result in results)
-    entries = {**{name: text for name, text in PARTS.items() if f'id="{name}"' in parts}}
-    entries.update((result.name, result.name) for result in results)
-    contents = "".join(f"<li>{link(name, text)}</li>" for name, text in entries.items())
+    entries = [(name, text) for name, text in PARTS.items() if f'id="{name}"' in parts]
+    entries += [(result.name, result.name) for result in results]
+    contents = "".join(f"<li>{link(name, text)}</li>" for name, text in entries)
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -62,7 +55,7 @@ def page(results: "Sequence[Result]", known: Collection[str]) -> str:
     )
 
 
-def section(result: "Result", thesis: Sequence[Element]) -> str:
+def section(result: Result, thesis: Sequence[Element]) -> str:
     """Return one experiment's section.
 
     Args:
@@ -85,7 +78,7 @@ def section(result: "Result", thesis: Sequence[Element]) -> str:
     )
 
 
-def comparison(result: "Result") -> str:
+def comparison(result: Result) -> str:
     """Return the thesis' values beside ours, and all other metrics folded."""
     measured, thesis = result.metrics["measured"], result.metrics["thesis"]
     rows = "".join(metric_row(key, measured.get(key), thesis[key]) for key in thesis)
@@ -116,7 +109,7 @@ def metric_row(key: str, ours: Any, thesis: Any) -> str:
     return f"<tr{kind}><td>{escape(key)}</td>{numbers(cells)}</tr>"
 
 
-def checks(result: "Result") -> str:
+def checks(result: Result) -> str:
     """Return the checks of one experiment; those that hold are folded where they are many."""
     held, failed = (
         [check for check in result.metrics["checks"] if bool(check["ok"]) == ok]
@@ -136,7 +129,7 @@ def _check_table(checks: Sequence[dict[str, Any]], kind: str, text: str) -> str:
     return table(("check", "ours", "bound", ""), rows)
 
 
-def figures(result: "Result", thesis: Sequence[Element]) -> str:
+def figures(result: Result, thesis: Sequence[Element]) -> str:
     """Return all pictures, embedded, those of the thesis first."""
     named = [(captions(thesis, result.name, path.stem), path) for path in result.figures]
     images = "".join(
@@ -146,7 +139,7 @@ def figures(result: "Result", thesis: Sequence[Element]) -> str:
     return f'<div class="figures">{images}</div>' if images else ""
 
 
-def _figure(result: "Result", path: Path, caption: str) -> str:
+def _figure(result: Result, path: Path, caption: str) -> str:
     try:
         picture = embed(path)
     except OSError as error:
@@ -159,7 +152,7 @@ def _figure(result: "Result", path: Path, caption: str) -> str:
     )
 
 
-def table_file(result: "Result", path: Path, thesis: Sequence[Element]) -> str:
+def table_file(result: Result, path: Path, thesis: Sequence[Element]) -> str:
     """Return a CSV table, folded unless it is one of the thesis; long ones are cut, and say so."""
     try:
         with path.open(newline="", encoding="utf-8") as stream:
@@ -188,7 +181,7 @@ def _short(cell: str) -> str:
         return cell
 
 
-def provenance(result: "Result") -> str:
+def provenance(result: Result) -> str:
     """Return how the result was made, folded; not where on the disk."""
     options = {f"option {key}": value for key, value in result.config.items() if key != "out"}
     versions = {f"{name} version": text for name, text in result.run.get("versions", {}).items()}

@@ -1,16 +1,15 @@
 """``python -m experiments report``: all results in one self-contained page."""
 
 import dataclasses
-import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from experiments.harness import catalogue
 from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError
+from experiments.harness.output import write_whole
 from experiments.report.page import page
+from experiments.report.results import read_results
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,31 +23,6 @@ class ReportOptions:
     out: Path = Path("results")
 
 
-@dataclasses.dataclass(frozen=True)
-class Result:
-    """One result folder as read.
-
-    Attributes:
-        name: Name of the experiment.
-        title: Its summary; its name if it is not in the catalogue.
-        thesis_element: What it reproduces; empty if it is not in the catalogue.
-        metrics: Contents of metrics.json.
-        config: Contents of config.json.
-        run: Contents of run.json.
-        figures: PNG files.
-        tables: CSV files.
-    """
-
-    name: str
-    title: str
-    thesis_element: str
-    metrics: dict[str, Any]
-    config: dict[str, Any]
-    run: dict[str, Any]
-    figures: tuple[Path, ...]
-    tables: tuple[Path, ...]
-
-
 def main(arguments: Sequence[str]) -> int:
     """Write the report and print where it is; return 0.
 
@@ -56,8 +30,7 @@ def main(arguments: Sequence[str]) -> int:
         ExperimentError: If there are no results, or one cannot be read.
     """
     options = parse(ReportOptions, "report", "Gather all results in one page.", arguments)
-    path = write_report(options.out)
-    print(path)
+    print(write_report(options.out))
     return 0
 
 
@@ -71,48 +44,5 @@ def write_report(out: Path) -> Path:
     if not results:
         raise ExperimentError(f"no results in {out}: run an experiment first")
     path = out / "report.html"
-    partial = out / ".report.html.partial"
-    partial.write_text(page(results, catalogue.EXPERIMENTS), encoding="utf-8")
-    os.replace(partial, path)
+    write_whole(path, page(results, catalogue.EXPERIMENTS).encode())
     return path
-
-
-def read_results(out: Path) -> list[Result]:
-    """Return all complete results of a folder: those of the catalogue in its order, then others."""
-    order = {name: index for index, name in enumerate(catalogue.EXPERIMENTS)}
-    folders = [path.parent for path in out.glob("*/metrics.json")]
-    folders.sort(key=lambda folder: (order.get(folder.name, len(order)), folder.name))
-    return [read_result(folder) for folder in folders]
-
-
-def read_result(folder: Path) -> Result:
-    """Read one result folder.
-
-    Raises:
-        ExperimentError: If a file is missing or damaged.
-    """
-    entry = catalogue.EXPERIMENTS.get(folder.name)
-    contents = {name: _read_json(folder / f"{name}.json") for name in ("metrics", "config", "run")}
-    for part, kind in (("measured", dict), ("thesis", dict), ("checks", list)):
-        if not isinstance(contents["metrics"].get(part), kind):
-            raise ExperimentError(f"{folder / 'metrics.json'}: {part!r} is missing or no {kind}")
-    return Result(
-        name=folder.name,
-        title=entry.summary if entry else folder.name,
-        thesis_element=entry.thesis if entry else "",
-        metrics=contents["metrics"],
-        config=contents["config"],
-        run=contents["run"],
-        figures=tuple(sorted((folder / "figures").glob("*.png"))),
-        tables=tuple(sorted((folder / "tables").glob("*.csv"))),
-    )
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        contents = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ExperimentError(f"{path}: cannot be read ({error})") from None
-    if not isinstance(contents, dict):
-        raise ExperimentError(f"{path}: holds no object")
-    return contents

@@ -42,28 +42,28 @@ def test_a_card_that_touches_nothing_is_in_no_state():
 
 def test_states_of_one_job_are_counted():
     result = run_states(StateJob(3, MEDIUM, 1, poses=2, samples=2))
-    assert result["classified"].sum() == 4
-    assert result["location_mm"].shape == (6, 4)
-    assert result["location_mm"][0].max() < 0.2
+    assert result.classified.sum() == 4
+    assert result.location_mm.shape == (6, 4)
+    assert result.location_mm[0].max() < 0.2
 
 
 def test_force_guides_the_card_in_where_straight_ahead_fails():
     by_force = run_insertion(InsertionJob(HARD, 3, True, 7))
     straight = run_insertion(InsertionJob(HARD, 3, False, 7))
-    assert by_force["offset"] == straight["offset"]
+    assert by_force.offset == straight.offset
     # It does get as far as the slot's face, and presses on it.
-    assert by_force["success"] and not straight["success"] and straight["reason"] == "force"
-    assert by_force["peak"] < 5.0
-    assert straight["peak"] < 10.0
+    assert by_force.success and not straight.success and straight.reason == "force"
+    assert by_force.peak < 5.0
+    assert straight.peak < 10.0
 
 
 @pytest.mark.slow
 def test_a_slot_narrower_than_the_card_is_given_up_with_little_force():
     result = run_insertion(InsertionJob(ch5_contact.IMPOSSIBLE, 1, True, 3, trace=True))
-    assert not result["success"] and result["finite"]
-    assert result["peak"] < 5.0
-    assert result["reason"]
-    assert np.all(np.isfinite(result["course"]))
+    assert not result.success and result.finite
+    assert result.peak < 5.0
+    assert result.reason
+    assert np.all(np.isfinite(result.course))
 
 
 @pytest.mark.slow

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.report.report import read_results, write_report
+from experiments.report.report import write_report
+from experiments.report.results import read_results
 from tests.experiments.report import browser
 from tests.experiments.report.browser_report import sound_pictures
 

@@ -1,3 +1,4 @@
+import dataclasses
 import importlib
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from experiments.harness import sweep as sweep_module
 from experiments.harness.contract import ExperimentError, Options
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from tests.experiments.harness.tiny import draw
+from tests.experiments.harness.tiny import Part, draw
 
 
 def configs(folder, count, fatal=-1):
@@ -62,6 +63,21 @@ def test_resume_ignores_other_configurations_and_damaged_files(tmp_path):
     before = calls(tmp_path)
     go(tmp_path, configs(tmp_path, 3), jobs=1, resume=True)
     assert calls(tmp_path) - before == 3
+
+
+def test_resuming_results_of_another_shape_says_so_in_one_line(tmp_path, monkeypatch):
+    go(tmp_path, configs(tmp_path, 1), jobs=1)
+    for other in (Renamed, Part):
+        monkeypatch.setitem(draw.__annotations__, "return", other)
+        with pytest.raises(ExperimentError, match=r"\.npz: .*run again without --resume"):
+            go(tmp_path, configs(tmp_path, 1), jobs=1, resume=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class Renamed:
+    """A result of another version: no field is missing or the same."""
+
+    total: float = 0.0
 
 
 def test_a_lost_result_is_named_and_not_left_out(tmp_path, monkeypatch):

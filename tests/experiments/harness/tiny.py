@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 
 from experiments.__main__ import main
 from experiments.harness import contract
-from experiments.harness.contract import Experiment, ExperimentError, OptionError
+from experiments.harness.catalogue import Experiment
+from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.sweep import sweep
 

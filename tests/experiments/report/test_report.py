@@ -10,7 +10,8 @@ from experiments.harness.thesis_elements import Reason
 from experiments.report.findings import agrees, differences
 from experiments.report.html import command
 from experiments.report.images import WIDTH, embed
-from experiments.report.report import read_result, write_report
+from experiments.report.report import write_report
+from experiments.report.results import read_result
 from tests.experiments.harness.tiny import CATALOGUE
 from tests.experiments.report import browser
 from tests.experiments.report.browser_report import sound_pictures
