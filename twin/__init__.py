@@ -7,10 +7,10 @@ In reading order:
 - `connect`: robots from a word on the command line.
 - `loop`, `clock`: observe, decide, command, wait.
 - `describe`: descriptions from a model as drawn.
-- `simulation`, `sim_robot`: a MuJoCo scene stepped for several robots.
-- `servo`: commands into motor duty; `sensors`, `sensor_bank`, `wiring`: measurements with noise.
-- `camera`, `frustum_culling`: stereo heads, drawn when a pair is read.
-- `record`, `layout`, `scene_mesh`, `screenshot`: recordings for the rerun viewer.
+- `simulation`: a MuJoCo scene and its robots, stepped together.
+- `servo`: commands into motor duty; `sensors`, `sensor_bank`: measurements with noise.
+- `camera`: stereo heads, drawn when a pair is read.
+- `record`, `layout`, `scene_mesh`: recordings and pictures for the rerun viewer.
 - `environment`: the same scene for dm_control.
 - `hardware`: robots over real and emulated boards (thesis appendix D).
 """

@@ -1,14 +1,15 @@
-"""Cameras of a scene: their intrinsics, the stereo rig, and the process' one off-screen renderer.
+"""Cameras of a scene: intrinsics, stereo rig, frustum culling and the one off-screen renderer.
 
 A camera frame has x to the right, y down and z forward along the view, as images have it; pixel
-centres stand at whole numbers.
+centres lie at whole numbers.
 """
 
 import atexit
 import dataclasses
+import functools
 import importlib
 import os
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import mujoco
@@ -18,11 +19,10 @@ from numpy.typing import NDArray
 from models.datasheets import CAMERA
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.geometry.pinhole import NO_DISTORTION, DistortedPinhole, Pinhole
-from twin.frustum_culling import cull
 from twin.robot import ImageChannel, RobotError
 
 _MAX_SAMPLES = 4  # Software rasterisers offer no more.
-_HIDDEN_GROUP = 4  # Truth markers stand in groups from here on; no camera may see them.
+_HIDDEN_GROUP = 4  # First group of the truth markers, which no camera may show.
 _POSITIONS = mujoco.mjtState.mjSTATE_QPOS | (
     mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )
@@ -33,7 +33,27 @@ _PLACING = (
     mujoco.mj_flex,
     mujoco.mj_tendon,
 )
-"""What computes, from joint and mocap positions, where everything that is drawn stands."""
+"""Stages of MuJoCo that compute the poses of all that is drawn from joint and mocap positions."""
+
+
+def named_index(model: mujoco.MjModel, kind: Literal["actuator", "camera"], name: str) -> int:
+    """Return the index of an element of a scene.
+
+    Args:
+        model: Compiled scene.
+        kind: Kind of the element.
+        name: Name of the element.
+
+    Raises:
+        ValueError: If there is no such element.
+    """
+    count, element = {"actuator": (model.nu, model.actuator), "camera": (model.ncam, model.camera)}[
+        kind
+    ]
+    names = [element(index).name for index in range(count)]
+    if name not in names:
+        raise ValueError(f"the scene has no {kind} {name!r}; it has: {', '.join(names) or 'none'}")
+    return names.index(name)
 
 
 def camera_model(model: mujoco.MjModel, name: str) -> Pinhole:
@@ -46,10 +66,7 @@ def camera_model(model: mujoco.MjModel, name: str) -> Pinhole:
     Raises:
         ValueError: If there is no such camera or it has no sensor size.
     """
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
-    if index < 0:
-        valid = ", ".join(model.camera(i).name for i in range(model.ncam)) or "none"
-        raise ValueError(f"the scene has no camera {name!r}; it has: {valid}")
+    index = named_index(model, "camera", name)
     width, height = (int(n) for n in model.cam_resolution[index])
     size = model.cam_sensorsize[index]
     if not np.all(size > 0.0):
@@ -87,6 +104,7 @@ class Renderer:
         self._option.sitegroup[:] = 0
         self._option.geomgroup[_HIDDEN_GROUP:] = 0
         self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
 
     def render(
         self, model: mujoco.MjModel, data: mujoco.MjData, camera: str, width: int, height: int
@@ -94,8 +112,8 @@ class Renderer:
         """Return (height, width, 3) uint8, red, green and blue.
 
         Args:
-            model: The scene.
-            data: Its state, after positions were computed.
+            model: Compiled scene.
+            data: State of the scene, after positions were computed.
             camera: Name of a camera of the scene.
             width: Columns [px].
             height: Rows [px].
@@ -106,13 +124,8 @@ class Renderer:
         """
         if os.getpid() != self._process:
             raise RuntimeError("this process was forked after rendering; start it by spawning")
-        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
-        if index < 0:
-            valid = ", ".join(model.camera(i).name for i in range(model.ncam)) or "none"
-            raise ValueError(f"the scene has no camera {camera!r}; it has: {valid}")
+        self._camera.fixedcamid = named_index(model, "camera", camera)
         self._prepare(model, width, height)
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        self._camera.fixedcamid = index
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(
             model, data, self._option, None, self._camera, everything, self._scene
@@ -177,19 +190,50 @@ def _make_gl(width: int, height: int) -> Any:
         ) from error
 
 
-_owned: list[Renderer] = []
+def cull(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) -> None:
+    """Take the geoms that lie wholly outside the view frustum out of a scene.
+
+    The driver would work through their faces and throw them away; the image is the same.
+
+    Args:
+        scene: Scene made by `mujoco.mjv_updateScene`; the type of the culled geoms becomes none.
+        model: Compiled scene.
+        data: State of the scene.
+        aspect: Columns over rows of the image, for a camera that is given by its field of view.
+    """
+    eye = scene.camera[0]
+    # MuJoCo keeps two eyes, the camera's own distance apart; the image is that from between them.
+    middle = 0.5 * (np.array(eye.pos, dtype=float) + np.array(scene.camera[1].pos, dtype=float))
+    forward, up = np.array(eye.forward, dtype=float), np.array(eye.up, dtype=float)
+    to_camera = np.column_stack([np.cross(forward, up), up, forward])
+    across, above, ahead = ((data.geom_xpos - middle) @ to_camera).T
+    half = eye.frustum_width or 0.5 * aspect * (eye.frustum_top - eye.frustum_bottom)
+    radius = model.geom_rbound
+    unseen = ahead < -radius
+    for offset, low, high in (
+        (across, eye.frustum_center - half, eye.frustum_center + half),
+        (above, eye.frustum_bottom, eye.frustum_top),
+    ):
+        # Distances from the two planes through the camera and the image's edges.
+        for slope, side in ((low / eye.frustum_near, -1.0), (high / eye.frustum_near, 1.0)):
+            unseen |= side * (offset - slope * ahead) > radius * np.hypot(1.0, slope)
+    # A plane has no end, and no radius.
+    unseen &= radius > 0.0
+    nothing, geom = int(mujoco.mjtGeom.mjGEOM_NONE), int(mujoco.mjtObj.mjOBJ_GEOM)
+    for drawn in scene.geoms[: scene.ngeom]:
+        if drawn.objtype == geom and unseen[drawn.objid]:
+            drawn.type = nothing
 
 
+@functools.cache
 def renderer() -> Renderer:
     """Return the process' only renderer; it is closed when the process ends."""
-    if not _owned:
-        _owned.append(Renderer())
-    return _owned[0]
+    return Renderer()
 
 
 @dataclasses.dataclass(frozen=True)
 class StereoConfig:
-    """How the stereo pair sees.
+    """Rate, noise and lenses of a stereo pair.
 
     Attributes:
         rate: Pairs per second [Hz].
@@ -224,23 +268,13 @@ class StereoState(NamedTuple):
     frame: int
 
 
-def has_stereo(model: mujoco.MjModel, prefix: str) -> bool:
-    """Say whether a robot has cameras.
-
-    Args:
-        model: The scene.
-        prefix: Prefix of the robot's names in the scene.
-    """
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, f"{prefix}stereo_left") >= 0
-
-
 class StereoRig:
     """Two cameras that are drawn together.
 
     Args:
-        model: The scene.
-        prefix: What the cameras' names begin with, before stereo_left and stereo_right.
-        config: How they see.
+        model: Compiled scene.
+        prefix: Prefix of the cameras' names, before stereo_left and stereo_right.
+        config: Noise and lenses of the cameras.
 
     Raises:
         ValueError: If a camera is missing or the two differ in size.
@@ -262,7 +296,7 @@ class StereoRig:
         """Return (2, height, width) uint8, left and right, read-only.
 
         Args:
-            data: The scene's state, after positions were computed.
+            data: State of the scene, after positions were computed.
             noise: Random generators for the noise of the left and of the right image; may be one.
         """
         first = self.cameras[0]
@@ -285,18 +319,19 @@ class StereoRig:
 
 
 class StereoHead:
-    """The stereo pairs of one robot of a simulation, drawn when they are read.
+    """Stereo pairs of one robot of a simulation, drawn when they are read.
 
     A pair keeps the scene's positions at which it was taken. Its noise is that of its number: who
     reads which pairs, and when, changes no pixel.
 
     Args:
-        model: The scene.
-        prefix: What the robot's names begin with.
-        config: How its cameras see.
-        seed: Seed of the image noise, this head's own; each eye and frame has a child of it.
+        model: Compiled scene.
+        prefix: Prefix of the robot's names in the scene.
+        config: Rate, noise and lenses of the cameras.
+        seed: Seed of this head's image noise; each eye and frame has a child of it.
 
     Attributes:
+        state: Complete state; may be set to one that was read before.
         latest: Positions, number and time [s] of the newest pair, for `draw`.
     """
 
@@ -310,16 +345,16 @@ class StereoHead:
         self._rig = StereoRig(model, prefix, config)
         self._model, self._seed = model, seed
         self._period = 1.0 / config.rate
-        self._next = StereoState(0.0, 0)
+        self.state = StereoState(0.0, 0)
         self.latest = np.empty(0), 0, 0.0
         self._closed = False
 
     def poll(self, data: mujoco.MjData, time: float) -> ImageChannel | None:
         """Return a new pair if one is due at `time` [s], else None."""
-        due, frame = self._next
+        due, frame = self.state
         if time < due - 1e-9:
             return None
-        self._next = StereoState(max(due + self._period, time), frame + 1)
+        self.state = StereoState(max(due + self._period, time), frame + 1)
         positions = np.empty(mujoco.mj_stateSize(self._model, _POSITIONS))
         mujoco.mj_getState(self._model, data, positions, _POSITIONS)
         self.latest = positions, frame, time
@@ -347,16 +382,8 @@ class StereoHead:
         )
         return self._rig.capture(data, (np.random.default_rng(left), np.random.default_rng(right)))
 
-    def save(self) -> StereoState:
-        """Return the complete state."""
-        return self._next
-
-    def restore(self, state: StereoState) -> None:
-        """Go back to a saved state."""
-        self._next = state
-
     def close(self) -> None:
-        """Let pairs that were not read be read no more."""
+        """Refuse from now on to draw pairs that were not read."""
         self._closed = True
 
 

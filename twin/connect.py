@@ -9,7 +9,7 @@ import numpy as np
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
 from twin.camera import StereoConfig
-from twin.clock import Clock, SimClock, TickClock, WallClock
+from twin.clock import Clock, WallClock
 from twin.describe import describe_placement
 from twin.hardware.connect_boards import (
     Wiring,
@@ -160,7 +160,7 @@ def _connect_simulation(scene: SceneConfig, suite: SensorSuite) -> Connection:
         seed=scene.seed,
         data=settle(model, SETTLING),
     )
-    return Connection(simulation.robots, SimClock(simulation), simulation)
+    return Connection(simulation.robots, simulation, simulation)
 
 
 def _connect_quantised(config: SceneConfig) -> Connection:
@@ -169,7 +169,7 @@ def _connect_quantised(config: SceneConfig) -> Connection:
     resources = contextlib.ExitStack()
     for robot in robots.values():
         resources.callback(robot.close)
-    return Connection(robots, TickClock(scene), scene.simulation, resources=resources)
+    return Connection(robots, scene, scene.simulation, resources=resources)
 
 
 def _connect_emulated(config: SceneConfig, bus_faults: float) -> Connection:
@@ -180,7 +180,7 @@ def _connect_emulated(config: SceneConfig, bus_faults: float) -> Connection:
         for robot in robots.values():
             opening.callback(robot.close)
         resources = opening.pop_all()
-    return Connection(robots, TickClock(emulator), None, emulator, resources=resources)
+    return Connection(robots, emulator, None, emulator, resources=resources)
 
 
 def _connect_wires(wirings: Sequence[Wiring]) -> Connection:

@@ -40,19 +40,17 @@ class LoopRecorder:
 
 @dataclasses.dataclass(frozen=True)
 class RunSummary:
-    """What a run took.
+    """Length of a run.
 
     Attributes:
-        steps: Servo ticks done.
-        duration: Robot time passed [s].
-        wall: Wall time passed [s].
-        misses: Deadlines missed.
+        steps: Number of servo ticks.
+        duration: Robot time that passed [s].
+        wall: Wall time that passed [s].
     """
 
     steps: int
     duration: float
     wall: float
-    misses: int
 
 
 def run(
@@ -83,7 +81,7 @@ def run(
         RobotError: If a robot fails; what ended the run comes before what goes wrong at its end.
         ValueError: If a controller commands an unknown robot, or two command the same.
     """
-    begin, wall, missed = clock.time, time.perf_counter(), clock.misses
+    begin, wall = clock.time, time.perf_counter()
     steps, done = max(0, round(duration / clock.period)), 0
     try:
         for robot in robots.values():
@@ -116,7 +114,7 @@ def run(
             error.add_note(f"and at the end: {another}")
         raise
     _end(robots, recorders)
-    return RunSummary(done, clock.time - begin, time.perf_counter() - wall, clock.misses - missed)
+    return RunSummary(done, clock.time - begin, time.perf_counter() - wall)
 
 
 def _wrong_target(name: str, robots: Mapping[str, Robot]) -> ValueError:

@@ -4,12 +4,12 @@ Everything goes to a file, in columns of half a second, so that recording costs 
 interrupted run keeps what it had. ``python -m twin.record screenshot RUN.rrd OUT.png`` shows one.
 """
 
-import dataclasses
+import socket
 import sys
+import time
 import types
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Protocol
 
 import cv2
@@ -18,6 +18,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 import tyro
+from rerun.experimental import ViewerClient
 
 from perception.geometry.arrays import FloatArray, ImageArray
 from twin.description import RobotDescription
@@ -25,7 +26,6 @@ from twin.layout import default_blueprint
 from twin.loop import LoopRecorder, Tick
 from twin.robot import Channel, Robot, Validity
 from twin.scene_mesh import body_mesh
-from twin.screenshot import screenshot
 from twin.sensors import CHANNELS
 
 _XYZ = ("x", "y", "z")
@@ -37,40 +37,22 @@ _COMPONENTS: Mapping[str, Sequence[str]] = {
     "gyro": _XYZ,
     "heading": ("yaw",),
 }
+_ADVICE = (
+    "the viewer needs a graphics driver; on Debian and Ubuntu install mesa-vulkan-drivers "
+    "for the software one"
+)
+_PNG_END = b"IEND\xaeB`\x82"  # Chunk that ends every PNG file.
+_BODY_RATE = 25.0  # Poses of bodies per second [Hz].
+_IMAGE_RATE = 4.0  # Stereo pairs per second, at most [Hz].
+_JPEG = [int(cv2.IMWRITE_JPEG_QUALITY), 60]
+_FLUSH_PERIOD = 0.5  # Robot time between writes [s].
 _SLACK = 1e-9
 _POINT = 0.003  # Radius of a point in space [m].
 _MARK = (230, 60, 40)
 
 
-@dataclasses.dataclass(frozen=True)
-class RecorderConfig:
-    """How densely to record.
-
-    Attributes:
-        body_rate: Poses of bodies per second [Hz].
-        image_rate: Stereo pairs per second, at most [Hz].
-        jpeg_quality: JPEG quality of stereo images, 0 to 100.
-        flush_period: Robot time between writes [s].
-    """
-
-    body_rate: float = 25.0
-    image_rate: float = 4.0
-    jpeg_quality: int = 60
-    flush_period: float = 0.5
-
-
-@dataclasses.dataclass
-class _Curve:
-    """Samples of one entity that are not written yet."""
-
-    width: int
-    steps: list[int] = dataclasses.field(default_factory=list[int])
-    times: list[float] = dataclasses.field(default_factory=list[float])
-    values: list[FloatArray] = dataclasses.field(default_factory=list[FloatArray])
-
-
 class RecordedScene(Protocol):
-    """A simulated scene, as far as a recorder reads it.
+    """A simulated scene that a recorder reads.
 
     Attributes:
         model: Compiled model of the scene.
@@ -93,7 +75,6 @@ class Recorder(LoopRecorder):
         robots: Mapping[str, Robot] = types.MappingProxyType({}),
         simulation: RecordedScene | None = None,
         blueprint: rrb.Blueprint | None = None,
-        config: RecorderConfig | None = None,
     ) -> None:
         """Open the file and write what never changes.
 
@@ -102,15 +83,14 @@ class Recorder(LoopRecorder):
             robots: Robots that are recorded, by name.
             simulation: Scene whose bodies are recorded; None for real robots.
             blueprint: Layout of the viewer; None for `default_blueprint`.
-            config: How densely to record.
         """
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._config = config or RecorderConfig()
         self._stream = rr.RecordingStream("fieldtwin")
         self._stream.save(self.path, default_blueprint=blueprint or default_blueprint(list(robots)))
-        self._curves: dict[str, _Curve] = {}
-        self._named: set[str] = set()
+        # Samples of each curve that are not written yet: step, time and values.
+        self._curves: dict[str, list[tuple[int, float, FloatArray]]] = {}
+        self._widths: dict[str, int] = {}
         self._step, self._time = 0, 0.0
         self._next_flush = self._next_bodies = -np.inf
         self._next_image: dict[str, float] = {}
@@ -120,20 +100,14 @@ class Recorder(LoopRecorder):
             for name, robot in robots.items()
             for channel, components in _components(robot.description).items()
         }
-        self._simulation = simulation
-        self._moving: list[tuple[int, str]] = []
+        self._moving: dict[str, tuple[FloatArray, FloatArray]] = {}
         if simulation is not None:
-            self._write_scene(simulation)
+            self._moving = log_meshes(self._stream, simulation.model, simulation.data)
 
     def __enter__(self) -> "Recorder":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def record(self, tick: Tick) -> None:
@@ -148,10 +122,11 @@ class Recorder(LoopRecorder):
             self._take_row(f"{name}/duty/wheels", command.wheels)
             self._take_row(f"{name}/duty/arm", command.arm)
         if tick.time >= self._next_bodies - _SLACK:
-            self._next_bodies = tick.time + 1.0 / self._config.body_rate
-            self._take_bodies()
+            self._next_bodies = tick.time + 1.0 / _BODY_RATE
+            for path, pose in self._moving.items():
+                self._append(path, np.concatenate(pose))
         if tick.time >= self._next_flush - _SLACK:
-            self._next_flush = tick.time + self._config.flush_period
+            self._next_flush = tick.time + _FLUSH_PERIOD
             self._write_curves()
 
     def log_scalars(
@@ -167,11 +142,7 @@ class Recorder(LoopRecorder):
         Raises:
             ValueError: If the number of values changes.
         """
-        row = np.atleast_1d(np.asarray(values, dtype=float))
-        if path not in self._named and names:
-            self._stream.log(path, rr.SeriesLines(names=list(names)), static=True)
-        self._named.add(path)
-        self._append(path, row)
+        self._append(path, values, names)
 
     def log_band(
         self,
@@ -194,14 +165,9 @@ class Recorder(LoopRecorder):
             ValueError: If the number of values changes.
         """
         for part, values, width in (("mean", mean, 2.0), ("low", low, 0.7), ("high", high, 0.7)):
-            entity = f"{path}/{part}"
             row = np.atleast_1d(np.asarray(values, dtype=float))
-            if entity not in self._named:
-                labels = [f"{n} {part}" for n in names] or [f"{path} {part}"] * row.size
-                style = rr.SeriesLines(names=labels, widths=[width] * row.size)
-                self._stream.log(entity, style, static=True)
-                self._named.add(entity)
-            self._append(entity, row)
+            labels = [f"{n} {part}" for n in names] or [f"{path} {part}"] * row.size
+            self._append(f"{path}/{part}", row, labels, width)
 
     def log_text(self, path: str, text: str) -> None:
         """Add a line to a log, at the latest tick's time."""
@@ -214,8 +180,7 @@ class Recorder(LoopRecorder):
             path: Entity, such as ``camera``.
             image: (height, width) grey levels, or (height, width, 3) blue, green and red.
         """
-        quality = [int(cv2.IMWRITE_JPEG_QUALITY), self._config.jpeg_quality]
-        _, data = cv2.imencode(".jpg", image, quality)
+        _, data = cv2.imencode(".jpg", image, _JPEG)
         packed = rr.EncodedImage.columns(blob=[data.tobytes()], media_type=["image/jpeg"])
         self._stream.send_columns(path, self._now(), packed)
 
@@ -261,15 +226,24 @@ class Recorder(LoopRecorder):
         self.flush()
         self._stream.disconnect()
 
-    def _append(self, path: str, row: FloatArray) -> None:
-        curve = self._curves.get(path)
-        if curve is None:
-            curve = self._curves[path] = _Curve(row.size)
-        if row.size != curve.width:
-            raise ValueError(f"curve {path!r} has {curve.width} values, got {row.size}")
-        curve.steps.append(self._step)
-        curve.times.append(self._time)
-        curve.values.append(row)
+    def _append(
+        self,
+        path: str,
+        values: float | Iterable[float],
+        names: Sequence[str] = (),
+        width: float | None = None,
+    ) -> None:
+        """Add a sample to an entity; the first one sets the curves' names and line width."""
+        row = np.atleast_1d(np.asarray(values, dtype=float))
+        if path not in self._widths:
+            self._widths[path] = row.size
+            if names:
+                widths = None if width is None else [width] * row.size
+                style = rr.SeriesLines(names=list(names), widths=widths)
+                self._stream.log(path, style, static=True)
+        if row.size != self._widths[path]:
+            raise ValueError(f"curve {path!r} has {self._widths[path]} values, got {row.size}")
+        self._curves.setdefault(path, []).append((self._step, self._time, row))
 
     def _take_channel(self, robot: str, name: str, channel: Channel) -> None:
         path = f"{robot}/sensors/{name}"
@@ -287,62 +261,27 @@ class Recorder(LoopRecorder):
         if early or self._seen.get(f"{robot}/stereo") == stereo.stamp:
             return
         self._seen[f"{robot}/stereo"] = stereo.stamp
-        self._next_image[robot] = self._time + 1.0 / self._config.image_rate
+        self._next_image[robot] = self._time + 1.0 / _IMAGE_RATE
         for side, image in zip(("left", "right"), stereo.value):
             self.log_image(f"{robot}/stereo/{side}", np.asarray(image, dtype=np.uint8))
 
-    def _take_bodies(self) -> None:
-        if self._simulation is None:
-            return
-        data = self._simulation.data
-        for body, path in self._moving:
-            self._append(path, np.concatenate([data.xpos[body], data.xquat[body]]))
-
-    def _write_scene(self, simulation: RecordedScene) -> None:
-        """Write each body's mesh once, and the pose of those that never move."""
-        model, data = simulation.model, simulation.data
-        self._stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for body in range(model.nbody):
-            mesh = body_mesh(model, body)
-            if mesh is None:
-                continue
-            path = f"world/{body_name(model, body)}"
-            shape = rr.Mesh3D(
-                vertex_positions=mesh.vertices,
-                triangle_indices=mesh.faces,
-                vertex_normals=mesh.normals,
-                vertex_colors=mesh.colours,
-            )
-            self._stream.log(path, shape, static=True)
-            if int(model.body_weldid[body]) != 0:
-                self._moving.append((body, path))
-                continue
-            pose = rr.Transform3D(
-                translation=data.xpos[body], quaternion=np.roll(data.xquat[body], -1)
-            )
-            self._stream.log(path, pose, static=True)
-
     def _write_curves(self) -> None:
-        bodies = {path for _, path in self._moving}
-        for path, curve in self._curves.items():
-            if not curve.steps:
-                continue
+        for path, samples in self._curves.items():
+            steps, times, values = zip(*samples, strict=True)
             index = [
-                rr.TimeColumn("sim_time", duration=curve.times),
-                rr.TimeColumn("step", sequence=curve.steps),
+                rr.TimeColumn("sim_time", duration=times),
+                rr.TimeColumn("step", sequence=steps),
             ]
-            rows = np.array(curve.values)
-            if path in bodies:
+            rows = np.array(values)
+            if path in self._moving:
                 columns = rr.Transform3D.columns(
                     translation=rows[:, :3], quaternion=np.roll(rows[:, 3:], -1, axis=1)
                 )
             else:
                 columns = rr.Scalars.columns(scalars=rows.ravel())
-                columns = columns.partition([curve.width] * len(rows))
+                columns = columns.partition([rows.shape[1]] * len(rows))
             self._stream.send_columns(path, index, columns)
-            curve.steps.clear()
-            curve.times.clear()
-            curve.values.clear()
+        self._curves.clear()
 
     def _now(self) -> list[rr.TimeColumn]:
         # The SDK's own `log` would add wall-clock timelines; a run has its own time only.
@@ -360,9 +299,136 @@ def _components(robot: RobotDescription) -> dict[str, Sequence[str]]:
     return {**sensors, "duty/wheels": wheels, "duty/arm": joints}
 
 
-def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Return a body's entity path below ``world``."""
-    return str(model.body(body).name) or f"body_{body}"
+def log_meshes(
+    stream: rr.RecordingStream, model: mujoco.MjModel, data: mujoco.MjData
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Log each body's mesh once, and the pose of those that never move.
+
+    Args:
+        stream: Recording.
+        model: Compiled scene.
+        data: State of the scene.
+
+    Returns:
+        Position (3,) [m] and quaternion (4,), scalar first, of the bodies that move, by entity
+        path: views of the state.
+    """
+    moving: dict[str, tuple[FloatArray, FloatArray]] = {}
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for body in range(model.nbody):
+        shown = body_mesh(model, body)
+        if shown is None:
+            continue
+        mesh, colours = shown
+        path = f"world/{model.body(body).name or f'body_{body}'}"
+        shape = rr.Mesh3D(
+            vertex_positions=mesh.vertices,
+            triangle_indices=mesh.faces,
+            vertex_normals=mesh.vertex_normals,
+            vertex_colors=colours,
+        )
+        stream.log(path, shape, static=True)
+        pose = data.xpos[body], data.xquat[body]
+        if int(model.body_weldid[body]) != 0:
+            moving[path] = pose
+        else:
+            stream.log(path, body_transform(*pose), static=True)
+    return moving
+
+
+def body_transform(position: FloatArray, quaternion: FloatArray) -> rr.Transform3D:
+    """Return a pose for the viewer.
+
+    Args:
+        position: (3,) [m].
+        quaternion: (4,) scalar first.
+    """
+    xyzw = rr.Quaternion(xyzw=np.roll(quaternion, -1))
+    return rr.Transform3D(translation=position, quaternion=xyzw)
+
+
+def screenshot(run: Path, out: Path, at: float | None = None, patience: float = 60.0) -> None:
+    """Open a recording in a headless viewer and save what it shows.
+
+    Args:
+        run: Recording, ``.rrd``.
+        out: Picture to write, ``.png``.
+        at: Time on ``sim_time`` to show [s]; None for the end.
+        patience: Wall time after which to give up [s].
+
+    Raises:
+        FileNotFoundError: If there is no such recording.
+        RuntimeError: If the viewer cannot start or show it.
+    """
+    if not run.is_file():
+        raise FileNotFoundError(f"no recording {run}")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.unlink(missing_ok=True)
+    deadline = time.monotonic() + patience
+    try:
+        with _spawn() as viewer:
+            _open(viewer, run, deadline)
+            # A viewer that follows the latest data would go back there.
+            shown = _end(viewer) if at is None else at
+            viewer.set_time("sim_time", duration=shown, play_state="paused")
+            time.sleep(2.0)  # The viewer decodes images and meshes over several frames.
+            viewer.save_screenshot(str(out.resolve()))
+            _wait_for(out, deadline)
+    except RuntimeError:
+        raise
+    except Exception as error:
+        raise RuntimeError(f"no screenshot of {run}: {error}; {_ADVICE}") from error
+
+
+def _spawn() -> ViewerClient:
+    """Start the viewer of this Python environment, which need not be on the path."""
+    beside = Path(sys.executable).parent / "rerun"
+    return ViewerClient.spawn(
+        headless=True,
+        port=_free_port(),
+        executable_path=str(beside) if beside.is_file() else None,
+    )
+
+
+def _open(viewer: ViewerClient, run: Path, deadline: float) -> None:
+    """Open the recording, once the viewer answers, and wait until it is loaded."""
+    while True:
+        try:
+            viewer.open(run.resolve().as_uri())
+            break
+        except Exception as error:
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"the viewer does not answer: {error}; {_ADVICE}") from error
+            time.sleep(0.5)
+    while viewer.get_state().loading:
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"the viewer does not finish loading {run}")
+        time.sleep(0.2)
+
+
+def _end(viewer: ViewerClient) -> float:
+    """Return the last time on ``sim_time`` [s], or zero if nothing is on it."""
+    ends = [
+        line.end
+        for recording in viewer.get_state().recordings
+        for line in recording.timelines
+        if line.name == "sim_time" and line.end is not None
+    ]
+    return max(ends, default=0) * 1e-9
+
+
+def _wait_for(out: Path, deadline: float) -> None:
+    """Wait until the viewer has written the picture to its end: closing it would cut that off."""
+    while not (out.is_file() and out.read_bytes().endswith(_PNG_END)):
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"the viewer did not write {out}; {_ADVICE}")
+        time.sleep(0.1)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def main() -> None:

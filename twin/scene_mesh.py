@@ -3,74 +3,46 @@
 # trimesh types its makers in part only.
 # pyright: reportUnknownMemberType=false
 
-import dataclasses
+from typing import cast
 
 import mujoco
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from perception.geometry.arrays import FloatArray
-
-_HIDDEN_GROUP = 3  # Collision shapes and truth markers stand in groups from here on.
-_PLANE_HALF_SIZE = 10.0  # Of a plane without bounds [m]
+_HIDDEN_GROUP = 3  # First group of the collision shapes and truth markers.
+_PLANE_HALF_SIZE = 10.0  # Half the size of a plane without bounds [m].
 _Geom = mujoco.mjtGeom
 
 
-@dataclasses.dataclass(frozen=True)
-class BodyMesh:
-    """Triangles in a body's frame.
-
-    Attributes:
-        vertices: (N, 3) [m].
-        faces: (M, 3) vertex indices.
-        colours: (N, 4) uint8.
-    """
-
-    vertices: FloatArray
-    faces: NDArray[np.int64]
-    colours: NDArray[np.uint8]
-
-    @property
-    def normals(self) -> FloatArray:
-        """(N, 3) unit normals, averaged over the faces of each vertex."""
-        corners = self.vertices[self.faces]
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals = np.zeros_like(self.vertices)
-        for corner in range(3):
-            np.add.at(normals, self.faces[:, corner], across)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return normals / np.maximum(length, 1e-12)
-
-
-def body_mesh(model: mujoco.MjModel, body: int) -> BodyMesh | None:
-    """Return what one sees of a body, or None if it shows nothing.
+def body_mesh(model: mujoco.MjModel, body: int) -> tuple[trimesh.Trimesh, NDArray[np.uint8]] | None:
+    """Return the visible shape of a body in its frame.
 
     Args:
-        model: The scene.
+        model: Compiled scene.
         body: Index of the body.
+
+    Returns:
+        The mesh [m] and the colours (N, 4) of its vertices; None if the body shows nothing.
     """
     first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
-    vertices: list[FloatArray] = []
-    faces: list[NDArray[np.int64]] = []
+    meshes: list[trimesh.Trimesh] = []
     colours: list[NDArray[np.uint8]] = []
-    total = 0
     for geom in range(first, first + count):
         colour = geom_colour(model, geom)
         if model.geom_group[geom] >= _HIDDEN_GROUP or colour[3] == 0:
             continue
-        shape = _shape(model, geom)
-        if shape is None:
+        mesh = _shape(model, geom)
+        if mesh is None:
             continue
-        rotation = np.empty(9)
-        mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
-        vertices.append(shape[0] @ rotation.reshape(3, 3).T + model.geom_pos[geom])
-        faces.append(shape[1] + total)
-        colours.append(np.tile(colour, (len(shape[0]), 1)))
-        total += len(shape[0])
-    if not vertices:
+        transform = trimesh.transformations.quaternion_matrix(model.geom_quat[geom])
+        transform[:3, 3] = model.geom_pos[geom]
+        mesh.apply_transform(transform)
+        colours.append(np.tile(colour, (len(mesh.vertices), 1)))
+        meshes.append(mesh)
+    if not meshes:
         return None
-    return BodyMesh(np.concatenate(vertices), np.concatenate(faces), np.concatenate(colours))
+    return cast("trimesh.Trimesh", trimesh.util.concatenate(meshes)), np.concatenate(colours)
 
 
 def geom_colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
@@ -90,45 +62,38 @@ def geom_colour(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255.0 * colour), dtype=np.uint8)
 
 
-def _shape(model: mujoco.MjModel, geom: int) -> tuple[FloatArray, NDArray[np.int64]] | None:
-    """Return vertices (N, 3) [m] and faces (M, 3) in the geom's frame; None for other kinds."""
-    kind = int(model.geom_type[geom])
-    size = np.array(model.geom_size[geom], dtype=float)
+def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """Return the mesh of a geom in its frame [m]; None for other kinds."""
+    kind, size = int(model.geom_type[geom]), np.array(model.geom_size[geom], dtype=float)
+    solid: trimesh.Trimesh | None = None
     if kind == _Geom.mjGEOM_PLANE:
         half = np.where(size[:2] > 0.0, size[:2], _PLANE_HALF_SIZE)
         corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*half, 0.0]
-        return corners, np.array([[0, 1, 2], [0, 2, 3]])
-    if kind == _Geom.mjGEOM_HFIELD:
-        return _height_field(model, int(model.geom_dataid[geom]))
-    if kind == _Geom.mjGEOM_MESH:
+        solid = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False)
+    elif kind == _Geom.mjGEOM_HFIELD:
+        solid = _height_field(model, int(model.geom_dataid[geom]))
+    elif kind == _Geom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         at, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         face, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-        vertices = np.array(model.mesh_vert[at : at + count], dtype=float)
-        return vertices, np.array(model.mesh_face[face : face + faces], dtype=np.int64)
-    solid = _solid(kind, size)
-    if solid is None:
-        return None
-    if kind in (_Geom.mjGEOM_BOX, _Geom.mjGEOM_CYLINDER):
+        solid = trimesh.Trimesh(
+            model.mesh_vert[at : at + count], model.mesh_face[face : face + faces], process=False
+        )
+    elif kind == _Geom.mjGEOM_BOX:
+        solid = trimesh.creation.box(extents=2.0 * size)
         solid.unmerge_vertices()  # Edges stay sharp when no two faces share a vertex.
-    return np.asarray(solid.vertices, dtype=float), np.asarray(solid.faces, dtype=np.int64)
+    elif kind == _Geom.mjGEOM_CYLINDER:
+        solid = trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=24)
+        solid.unmerge_vertices()
+    elif kind == _Geom.mjGEOM_CAPSULE:
+        solid = trimesh.creation.capsule(radius=size[0], height=2.0 * size[1], count=(8, 12))
+    elif kind in (_Geom.mjGEOM_SPHERE, _Geom.mjGEOM_ELLIPSOID):
+        solid = trimesh.creation.icosphere(subdivisions=1)
+        solid.vertices *= size[0] if kind == _Geom.mjGEOM_SPHERE else size
+    return solid
 
 
-def _solid(kind: int, size: FloatArray) -> trimesh.Trimesh | None:
-    if kind == _Geom.mjGEOM_BOX:
-        return trimesh.creation.box(extents=2.0 * size)
-    if kind == _Geom.mjGEOM_CYLINDER:
-        return trimesh.creation.cylinder(radius=size[0], height=2.0 * size[1], sections=24)
-    if kind == _Geom.mjGEOM_CAPSULE:
-        return trimesh.creation.capsule(radius=size[0], height=2.0 * size[1], count=(8, 12))
-    if kind in (_Geom.mjGEOM_SPHERE, _Geom.mjGEOM_ELLIPSOID):
-        ball = trimesh.creation.icosphere(subdivisions=1)
-        ball.vertices *= size[0] if kind == _Geom.mjGEOM_SPHERE else size
-        return ball
-    return None
-
-
-def _height_field(model: mujoco.MjModel, index: int) -> tuple[FloatArray, NDArray[np.int64]]:
+def _height_field(model: mujoco.MjModel, index: int) -> trimesh.Trimesh:
     rows, columns = int(model.hfield_nrow[index]), int(model.hfield_ncol[index])
     start = int(model.hfield_adr[index])
     half_x, half_y, top = (float(n) for n in model.hfield_size[index][:3])
@@ -139,4 +104,4 @@ def _height_field(model: mujoco.MjModel, index: int) -> tuple[FloatArray, NDArra
     right, up = corner + 1, corner + columns
     lower = np.stack([corner, right, up + 1], axis=1)
     upper = np.stack([corner, up + 1, up], axis=1)
-    return vertices, np.concatenate([lower, upper])
+    return trimesh.Trimesh(vertices, np.concatenate([lower, upper]), process=False)

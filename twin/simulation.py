@@ -1,4 +1,4 @@
-"""One MuJoCo scene stepped for several robots.
+"""One MuJoCo scene stepped for several robots, each of which keeps the contract.
 
 A servo tick is ordered so that position and velocity sensors are read at the tick itself and
 nothing is computed twice: the second half of a physics step with the new motor voltages, whole
@@ -7,21 +7,238 @@ whole step, one physics step earlier, and carry that time stamp.
 """
 
 import dataclasses
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, cast
 
 import mujoco
 import numpy as np
 
 from perception.geometry.arrays import FloatArray
-from twin.camera import StereoConfig, StereoHead, StereoState, has_stereo
+from twin.camera import StereoConfig, StereoHead, StereoState, named_index
 from twin.describe import describe_rover
 from twin.description import RobotDescription
-from twin.sensors import DATASHEET, SensorSuite
-from twin.servo import SERVO_PERIOD, ServoConfig
-from twin.sim_robot import RobotState, SimRobot
+from twin.robot import Channel, Command, Lifecycle, Observation, RobotError, applied_command
+from twin.sensor_bank import SavedBank, SensorBank, wire
+from twin.sensors import DATASHEET, SensorSuite, channel_widths
+from twin.servo import SERVO_PERIOD, Servo, ServoConfig
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_AT_REST = Command()
+_ACTIVE, _UNCONFIGURED = Lifecycle.ACTIVE, Lifecycle.UNCONFIGURED
+# As `Observation._make`, without its Python frame.
+_observation = cast(
+    "Callable[[Any], Observation]",
+    functools.partial(tuple.__new__, Observation),  # pyright: ignore[reportUnknownMemberType]
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotState:
+    """Complete state of a `SimRobot` beside the physics."""
+
+    lifecycle: Lifecycle
+    bank: SavedBank
+    servo: FloatArray
+    held: Command
+    duty: tuple[FloatArray, FloatArray]
+    driven: bool
+    observation: Observation
+
+
+class SimRobot:
+    """One rover of a scene; made by `Simulation`, which steps it."""
+
+    def __init__(
+        self,
+        description: RobotDescription,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        suite: SensorSuite,
+        servo: ServoConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        """Find the robot's actuators and sensors in the scene.
+
+        Args:
+            description: The robot as drawn; its elements' names begin with its own and a slash.
+            model: The scene.
+            data: State of the scene, shared with the simulation.
+            suite: How its sensors measure.
+            servo: Motors and gains.
+            rng: Random generator of the sensor noise.
+
+        Raises:
+            ValueError: If an actuator is not in the scene.
+        """
+        self.name, self.description = description.name, description
+        prefix = f"{description.name}/"
+        # Read by anybody, set by the robot alone: a property takes long in a loop.
+        self.lifecycle = Lifecycle.UNCONFIGURED
+        axes = self._axes = np.array(
+            [named_index(model, "actuator", prefix + axis) for axis in description.axes]
+        )
+        self._ctrl = data.ctrl
+        volts = np.array(model.actuator_ctrlrange[axes, 1], dtype=float)
+        # Side by side as a rule: then the servo writes where the motors read.
+        row = np.array_equal(axes, axes[0] + np.arange(len(axes)))
+        motors = data.ctrl[int(axes[0]) : int(axes[-1]) + 1] if row else None
+        self._servo = Servo(servo, SERVO_PERIOD, volts, motors)
+        self._scattered = not row
+        self._sensordata = data.sensordata
+        self._history = data.history
+        self._bank = SensorBank(
+            suite, SERVO_PERIOD, rng, channel_widths(description), wire(model, prefix, description)
+        )
+        self._held = _AT_REST
+        rest = np.zeros(len(axes))
+        rest.flags.writeable = False
+        self._rest = rest[: len(description.wheels)], rest[len(description.wheels) :]
+        self._duty = self._rest
+        self._driven = False
+        self._observation = Observation(0.0)
+
+    def configure(self, time: float) -> None:
+        """Take the first samples and go to INACTIVE, with all axes at zero; the owner calls it."""
+        self._bank.reset()
+        self._zero()
+        self.lifecycle = Lifecycle.INACTIVE
+        self.sense(time)
+
+    def close(self) -> None:
+        """Zero all axes and go to UNCONFIGURED: the scene is gone."""
+        self._zero()
+        self.lifecycle = Lifecycle.UNCONFIGURED
+
+    def activate(self) -> None:
+        """Go to ACTIVE, from INACTIVE or, explicitly, from ERROR.
+
+        Raises:
+            RobotError: If the robot is not configured.
+        """
+        if self.lifecycle is Lifecycle.UNCONFIGURED:
+            raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be activated")
+        if self.lifecycle is not Lifecycle.ACTIVE:
+            self._zero()
+            self.lifecycle = Lifecycle.ACTIVE
+
+    def deactivate(self) -> None:
+        """Zero all axes and go to INACTIVE; an ERROR stays until `activate` ends it."""
+        self._zero()
+        if self.lifecycle is Lifecycle.ACTIVE:
+            self.lifecycle = Lifecycle.INACTIVE
+
+    def observe(self) -> Observation:
+        """Return what was measured at the latest servo tick.
+
+        Raises:
+            RobotError: If the robot is not configured.
+        """
+        if self.lifecycle is _UNCONFIGURED:
+            raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be read")
+        return self._observation
+
+    def command(self, command: Command) -> Command:
+        """Drive until the next command, and return what is applied, as duty, after limits.
+
+        Args:
+            command: What is asked for.
+
+        Raises:
+            RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable;
+                then it is in ERROR.
+            ValueError: If the command has another number of axes than the robot, or a duty comes
+                to no number; all axes are zeroed.
+        """
+        if self.lifecycle is not _ACTIVE:
+            self._zero()
+            raise RobotError(f"robot {self.name!r} is {self.lifecycle.value}, not active")
+        self._held = command
+        self._apply()
+        return applied_command(*self._duty)
+
+    def fail(self, reason: str) -> RobotError:
+        """Zero all axes, go to ERROR, and return the error to raise."""
+        self._zero()
+        self.lifecycle = Lifecycle.ERROR
+        return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
+
+    def disconnect_sensor(self, channel: str) -> None:
+        """Break a sensor's wire: the channel is missing from the next tick on.
+
+        Raises:
+            ValueError: If there is no such channel.
+        """
+        self._bank.disconnect(channel)
+
+    def reconnect_sensor(self, channel: str) -> None:
+        """Mend a sensor's wire.
+
+        Raises:
+            ValueError: If there is no such channel.
+        """
+        self._bank.connect(channel)
+
+    def drive(self) -> None:
+        """Bring the held command to the motors for one servo tick; the owner calls it.
+
+        Raises:
+            RobotError: As `command`.
+        """
+        if not self._driven and self.lifecycle is _ACTIVE:
+            self._apply()
+        self._driven = False
+
+    def sense(self, time: float) -> None:
+        """Sample all sensors at `time` [s], the end of a servo tick; the owner calls it."""
+        self._bank.sample(time, self._sensordata, self._history)
+        channels = self._bank.channels(time)
+        self._observation = _observation((time, *channels, self._observation.stereo))
+
+    def see(self, stereo: Channel) -> None:
+        """Take a new stereo pair; the owner calls it."""
+        self._observation = self._observation._replace(stereo=stereo)
+
+    def save(self) -> RobotState:
+        """Return the complete state beside the physics."""
+        return RobotState(
+            self.lifecycle,
+            self._bank.save(),
+            self._servo.save(),
+            self._held,
+            self._duty,
+            self._driven,
+            self._observation,
+        )
+
+    def restore(self, state: RobotState) -> None:
+        """Go back to a saved state."""
+        self.lifecycle = state.lifecycle
+        self._bank.restore(state.bank)
+        self._servo.restore(state.servo)
+        self._held, self._duty = state.held, state.duty
+        self._driven, self._observation = state.driven, state.observation
+
+    def _apply(self) -> None:
+        """Let the servo act once, and write the duty to the motors."""
+        try:
+            self._duty = self._servo.drive(self._held, self._observation)
+        except RobotError as error:
+            raise self.fail(str(error)) from error
+        except ValueError:
+            self._zero()
+            raise
+        if self._scattered:
+            self._ctrl[self._axes] = self._servo.motors
+        self._driven = True
+
+    def _zero(self) -> None:
+        self._held = _AT_REST
+        self._duty = self._rest
+        self._ctrl[self._axes] = 0.0
+        self._servo.reset()
+        self._driven = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +263,6 @@ class Simulation:
         servo: ServoConfig | None = None,
         stereo: StereoConfig | None = None,
         seed: int = 0,
-        period: float = SERVO_PERIOD,
         data: mujoco.MjData | None = None,
     ) -> None:
         """Find the robots in the scene, and configure them at rest.
@@ -55,12 +271,11 @@ class Simulation:
             model: The scene.
             robots: The robots as drawn; a name stands for the thesis' rover with that name.
             suite: How the robots' sensors measure.
-            servo: Their motors and gains; None for the motors of each description.
-            stereo: How their stereo heads see; None leaves the channel missing, as does a head
-                without cameras.
+            servo: Motors and gains of the robots; None for the motors of each description.
+            stereo: Rate, noise and lenses of the stereo heads; None leaves the channel missing, as
+                does a scene without their cameras.
             seed: Random seed of all noise; one seed gives one run, bit for bit.
-            period: Servo tick [s], a multiple of the physics step.
-            data: The scene's state, if another owner (dm_control) holds it.
+            data: State of the scene, if another owner (dm_control) holds it.
 
         Raises:
             ValueError: If an actuator is missing, the tick is no multiple of the physics step, or
@@ -68,45 +283,44 @@ class Simulation:
         """
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
             raise ValueError("the RK4 integrator cannot be split; use implicitfast or Euler")
-        self.substeps = round(period / model.opt.timestep)
-        if self.substeps < 1 or not math.isclose(self.substeps * model.opt.timestep, period):
+        self.period, step = SERVO_PERIOD, float(model.opt.timestep)
+        self.substeps = round(self.period / step)
+        if self.substeps < 1 or not math.isclose(self.substeps * step, self.period):
             raise ValueError(
-                f"servo period {period} s is no multiple of the physics step {model.opt.timestep} s"
+                f"servo period {self.period} s is no multiple of the physics step {step} s"
             )
         self.model = model
         self.data = mujoco.MjData(model) if data is None else data
-        self.period = period
-        self._whole_tick = period - 0.5 * float(model.opt.timestep)
+        self._whole_tick = self.period - 0.5 * step
         if not robots:
             raise ValueError("a simulation needs at least one robot")
         drawn = [describe_rover(robot) if isinstance(robot, str) else robot for robot in robots]
         seeds = np.random.SeedSequence(seed).spawn(2 * len(drawn))
         self.robots: dict[str, SimRobot] = {
             robot.name: SimRobot(
-                robot, model, self.data, suite, servo or ServoConfig.of(robot), period, rng
+                robot, model, self.data, suite, servo or ServoConfig.of(robot), rng
             )
             for robot, rng in zip(drawn, map(np.random.default_rng, seeds))
         }
         self._robots = tuple(self.robots.values())
-        self.heads: dict[str, StereoHead] = {}
-        if stereo is not None:
-            self.heads = {
-                name: StereoHead(model, f"{name}/", stereo, source)
-                for name, source in zip(self.robots, seeds[len(drawn) :])
-                if has_stereo(model, f"{name}/")
-            }
+        cameras = {model.camera(index).name for index in range(model.ncam)}
+        self.heads = {
+            name: StereoHead(model, f"{name}/", stereo, source)
+            for name, source in zip(self.robots, seeds[len(drawn) :])
+            if stereo is not None and f"{name}/stereo_left" in cameras
+        }
         mujoco.mj_forward(model, self.data)
         self._time: float = self.data.time
         for robot in self._robots:
             robot.configure(self._time)
-        self._look()
+        self._poll_heads()
 
     @property
     def time(self) -> float:
         """Simulated time [s]."""
         return self._time
 
-    def step(self) -> None:
+    def tick(self) -> None:
         """Advance one servo tick: motors, physics, sensors.
 
         Raises:
@@ -120,12 +334,12 @@ class Simulation:
         self.sense()
 
     def drive(self) -> None:
-        """Bring the held commands to the motors; part of `step`, for owners of the physics."""
+        """Bring the held commands to the motors; part of `tick`, for owners of the physics."""
         for robot in self._robots:
             robot.drive()
 
     def sense(self) -> None:
-        """Sample the sensors; part of `step`, for owners of the physics.
+        """Sample the sensors; part of `tick`, for owners of the physics.
 
         Raises:
             RobotError: If the physics diverged; every robot is in ERROR then.
@@ -139,10 +353,9 @@ class Simulation:
         self._time = time
         for robot in self._robots:
             robot.sense(time)
-        if self.heads:
-            self._look()
+        self._poll_heads()
 
-    def _look(self) -> None:
+    def _poll_heads(self) -> None:
         """Give robots the stereo pairs that are due."""
         for name, head in self.heads.items():
             pair = head.poll(self.data, self._time)
@@ -150,16 +363,16 @@ class Simulation:
                 self.robots[name].see(pair)
 
     def settle(self, duration: float) -> None:
-        """Advance for `duration` [s], with the robots as they are."""
+        """Advance for `duration` [s], with the robots in their present state."""
         for _ in range(round(duration / self.period)):
-            self.step()
+            self.tick()
 
     def save(self) -> SavedRun:
         """Return the complete state."""
         physics = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, physics, _STATE)
         robots = {name: robot.save() for name, robot in self.robots.items()}
-        heads = {name: head.save() for name, head in self.heads.items()}
+        heads = {name: head.state for name, head in self.heads.items()}
         return SavedRun(physics, self.data.sensordata.copy(), robots, heads)
 
     def restore(self, saved: SavedRun) -> None:
@@ -179,7 +392,7 @@ class Simulation:
         for name, state in saved.robots.items():
             self.robots[name].restore(state)
         for name, state in saved.heads.items():
-            self.heads[name].restore(state)
+            self.heads[name].state = state
 
     def close(self) -> None:
         """Take the robots down; they are UNCONFIGURED afterwards."""

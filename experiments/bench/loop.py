@@ -10,7 +10,6 @@ from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
-from twin.clock import SimClock
 from twin.loop import LoopRecorder, Tick, run
 from twin.simulation import Simulation
 
@@ -73,7 +72,7 @@ def contestants(field: FieldConfig) -> tuple[Callable[[], object], Callable[[], 
     placements = [RobotPlacement(ROBOTS[0]), RobotPlacement(ROBOTS[1], (1.0, 0.0))]
     model = make_model(field, placements)
     simulation = Simulation(model, ROBOTS, data=settle(model))
-    clock, controllers = SimClock(simulation), [DriveAndHold(WHEEL_SPEED)]
+    clock, controllers = simulation, [DriveAndHold(WHEEL_SPEED)]
     begin = simulation.save()
 
     def ours() -> None:

@@ -22,7 +22,6 @@ from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from perception.voxels.occupancy import UpdateModel
-from twin.clock import SimClock
 from twin.loop import run
 from twin.simulation import Simulation
 
@@ -142,7 +141,7 @@ def _robots(quick: bool) -> dict[float, Callable[[], object]]:
         placements = [RobotPlacement(name, (SPACING * i, 0.0)) for i, name in enumerate(names)]
         model = make_model(FieldConfig(size=(20.0, 20.0)), placements)
         simulation = Simulation(model, names, data=settle(model))
-        clock, begin = SimClock(simulation), simulation.save()
+        clock, begin = simulation, simulation.save()
 
         def drive() -> None:
             simulation.restore(begin)

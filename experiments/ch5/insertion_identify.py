@@ -49,6 +49,6 @@ def identify_slip(seed: int) -> tuple[float, float]:
         left = math.floor(tick * simulation.period / _TURN_EVERY) % 2 == 0
         wheels = steer.wheel_speeds(_SPEED, _TURN if left else -_TURN)
         robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
-        simulation.step()
+        simulation.tick()
     simulation.close()
     return identify_turn_share(steer, speeds, headings, simulation.period)

@@ -12,7 +12,6 @@ from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
 from experiments.ch5.insertion_scene import MASTER, SLAVE, card_in_slot, contact_force, transform
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
-from twin.clock import SimClock
 from twin.loop import LoopRecorder, Tick, run
 
 LIMIT = 90.0
@@ -128,7 +127,7 @@ def perform(
     summary = run(
         ready.robots,
         [ready.team],
-        SimClock(simulation),
+        simulation,
         [scorer, *recorders],
         LIMIT,
         until=lambda: inserter.over,

@@ -19,7 +19,7 @@ from twin.camera import (
     renderer,
 )
 from twin.loop import Tick
-from twin.record import Recorder, RecorderConfig
+from twin.record import Recorder
 from twin.robot import ArmMode, Command, DeferredImages, ImageChannel, RobotError, Validity
 from twin.sensors import IDEAL
 from twin.simulation import Simulation
@@ -148,7 +148,7 @@ def test_pairs_come_at_their_rate_and_are_repeated_bit_for_bit():
             assert stereo.validity is Validity.MEASURED
             stamps.append(stereo.stamp)
             images.append(stereo.value.tobytes())
-            simulation.step()
+            simulation.tick()
         runs.append(images)
     np.testing.assert_allclose(np.unique(np.round(stamps, 9)), [0.0, 0.25, 0.5])
     assert runs[0] == runs[1]
@@ -225,7 +225,7 @@ def test_free_bodies_and_mocap_bodies_are_drawn_where_they_were():
     for pose in (data.qpos, data.mocap_pos[0]):
         pose[:3] += 0.02
         mujoco.mj_forward(model, data)
-        after = head.poll(data, head.save().due), eyes.capture(data, noise())
+        after = head.poll(data, head.state.due), eyes.capture(data, noise())
         np.testing.assert_array_equal(before[0].value, before[1])
         assert np.any(before[1] != after[1])
         before = after
@@ -254,10 +254,10 @@ def test_nothing_is_drawn_that_nobody_reads(drawn, tmp_path):
 def test_recorder_draws_at_its_own_rate(drawn, tmp_path):
     simulation = simulated()
     robot = simulation.robots["rover1"]
-    with Recorder(tmp_path / "run.rrd", config=RecorderConfig(image_rate=4.0)) as recorder:
+    with Recorder(tmp_path / "run.rrd") as recorder:
         for step in range(50):
             recorder.record(Tick(step, simulation.time, {"rover1": robot.observe()}, {}))
-            simulation.step()
+            simulation.tick()
     # Ten pairs in half a second, of which the recording takes those of 0 and 0.25 s.
     assert len(drawn) == 4
 

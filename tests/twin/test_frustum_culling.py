@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import twin.camera
-from twin.camera import renderer
-from twin.frustum_culling import cull
+from twin.camera import cull, renderer
 
 KINDS = ("sphere", "capsule", "ellipsoid", "cylinder", "box")
 INTRINSIC = 'focal="0.0085 0.0085" sensorsize="0.0064 0.0048" principal="0.0011 -0.0007"'

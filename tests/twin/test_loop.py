@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.twin.scene import SERVO, compile_scene
-from twin.clock import SimClock, WallClock
+from twin.clock import WallClock
 from twin.loop import LoopRecorder, run
 from twin.robot import Command, Lifecycle, RobotError
 from twin.sensors import IDEAL
@@ -50,7 +50,7 @@ def all_inactive(simulation):
 
 def test_loop_ticks_at_the_servo_rate_and_deactivates_at_the_end(simulation):
     log = Log()
-    summary = run(simulation.robots, [Push("rover1")], SimClock(simulation), [log], duration=0.5)
+    summary = run(simulation.robots, [Push("rover1")], simulation, [log], duration=0.5)
     assert summary.steps == 50 and summary.duration == pytest.approx(0.5)
     assert log.ticks[0] == (0, 0.0, ["rover1", "rover2"], ["rover1"])
     assert log.ticks[-1][1] == pytest.approx(0.49)
@@ -60,7 +60,7 @@ def test_loop_ticks_at_the_servo_rate_and_deactivates_at_the_end(simulation):
 def test_loop_ends_early_when_it_is_told_to(simulation):
     push = Push("rover1")
     summary = run(
-        simulation.robots, [push], SimClock(simulation), duration=0.5, until=lambda: push.calls == 7
+        simulation.robots, [push], simulation, duration=0.5, until=lambda: push.calls == 7
     )
     assert summary.steps == 7 and summary.duration == pytest.approx(0.07)
     assert all_inactive(simulation)
@@ -70,9 +70,7 @@ def test_loop_ends_early_when_it_is_told_to(simulation):
 def test_interrupted_run_stops_every_robot_and_flushes(simulation, error):
     log = Log()
     with pytest.raises(type(error)):
-        run(
-            simulation.robots, [Push("rover1", fail_at=7, error=error)], SimClock(simulation), [log]
-        )
+        run(simulation.robots, [Push("rover1", fail_at=7, error=error)], simulation, [log])
     assert len(log.ticks) == 7 and log.flushed == 1 and all_inactive(simulation)
 
 
@@ -85,7 +83,7 @@ def test_failing_robot_stops_the_others(simulation):
             return commands
 
     with pytest.raises(RobotError, match="rover2"):
-        run(simulation.robots, [Break("rover1")], SimClock(simulation))
+        run(simulation.robots, [Break("rover1")], simulation)
     assert simulation.robots["rover1"].lifecycle is Lifecycle.INACTIVE
     assert simulation.robots["rover2"].lifecycle is Lifecycle.ERROR
     assert not np.any(simulation.data.ctrl)
@@ -101,7 +99,7 @@ def test_robot_that_cannot_be_stopped_hides_neither_the_others_nor_what_went_wro
     monkeypatch.setattr(simulation.robots["rover1"], "deactivate", unreachable)
     log, push = Log(), Push("rover1", "rover2", fail_at=bug and 3, error=bug)
     with pytest.raises(ValueError if bug else RobotError) as raised:
-        run(simulation.robots, [push], SimClock(simulation), [log], duration=0.05)
+        run(simulation.robots, [push], simulation, [log], duration=0.05)
     said = str(raised.value), *getattr(raised.value, "__notes__", ())
     assert said == (("bug", "and at the end: no answer") if bug else ("no answer",))
     assert log.flushed == 1
@@ -110,9 +108,9 @@ def test_robot_that_cannot_be_stopped_hides_neither_the_others_nor_what_went_wro
 
 def test_unknown_and_doubly_commanded_robots_are_refused(simulation):
     with pytest.raises(ValueError, match=r"'ghost'.*rover1.*rover2"):
-        run(simulation.robots, [Push("ghost")], SimClock(simulation))
+        run(simulation.robots, [Push("ghost")], simulation)
     with pytest.raises(ValueError, match="two controllers command robot 'rover1'"):
-        run(simulation.robots, [Push("rover1"), Push("rover1")], SimClock(simulation))
+        run(simulation.robots, [Push("rover1"), Push("rover1")], simulation)
     assert all_inactive(simulation)
 
 

@@ -16,13 +16,11 @@ from models.compose import ROUGH, RobotPlacement, make_model
 from models.datasheets import ARM
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import StereoConfig
-from twin.clock import SimClock
 from twin.connect import connect
 from twin.loop import LoopRecorder, Tick, run
-from twin.record import Recorder
+from twin.record import Recorder, _wait_for, screenshot
 from twin.robot import ArmMode, Command, WheelMode
 from twin.scene_mesh import body_mesh, geom_colour
-from twin.screenshot import _wait_for, screenshot
 from twin.sensors import DATASHEET
 from twin.simulation import Simulation
 
@@ -89,7 +87,7 @@ def recorded(tmp_path_factory):
     simulation = small(StereoConfig(10.0))
     truth = Truth(simulation)
     with Recorder(path, simulation.robots, simulation) as recorder:
-        run(simulation.robots, [Drive(recorder)], SimClock(simulation), [recorder, truth], 1.0)
+        run(simulation.robots, [Drive(recorder)], simulation, [recorder, truth], 1.0)
     return path, truth, columns(path)
 
 
@@ -186,10 +184,10 @@ def test_curve_may_not_change_its_width(tmp_path):
 
 KILLED = """
 import sys, time
-from tests.twin.test_record import Drive, Recorder, SimClock, run, small
+from tests.twin.test_record import Drive, Recorder, run, small
 simulation = small()
 recorder = Recorder(sys.argv[1], simulation.robots, simulation)
-run(simulation.robots, [Drive(recorder)], SimClock(simulation), [recorder], 1.0)
+run(simulation.robots, [Drive(recorder)], simulation, [recorder], 1.0)
 print("flushed", flush=True)
 time.sleep(60)
 """
@@ -213,11 +211,11 @@ def test_body_mesh_spans_the_geom_that_it_shows():
         '<mujoco><worldbody><geom type="box" size="1 2 3" pos="5 0 0" rgba="1 0 0 1"/>'
         '<geom type="sphere" size="9" group="3"/></worldbody></mujoco>'
     )
-    mesh = body_mesh(model, 0)
-    assert mesh is not None
+    mesh, colours = body_mesh(model, 0)
+    np.testing.assert_array_equal(colours, np.tile([255, 0, 0, 255], (len(mesh.vertices), 1)))
     np.testing.assert_allclose(mesh.vertices.min(axis=0), [4, -2, -3])
     np.testing.assert_allclose(mesh.vertices.max(axis=0), [6, 2, 3])
-    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertex_normals, axis=1), 1.0)
     np.testing.assert_array_equal(geom_colour(model, 0), [255, 0, 0, 255])
 
 
@@ -229,8 +227,7 @@ def test_height_field_mesh_lies_on_the_physical_ground():
     rocks = [g for g in range(model.ngeom) if model.geom(g).name.startswith("rock")]
     model.geom_rgba[rocks, 3] = 0.0
     model.geom_matid[rocks] = -1
-    mesh = body_mesh(model, 0)
-    assert mesh is not None
+    mesh, _ = body_mesh(model, 0)
     for vertex in mesh.vertices[(np.abs(mesh.vertices[:, :2]) < 2.5).all(axis=1)][::200]:
         above = vertex + [1e-4, 1e-4, 1.0]
         hit = mujoco.mj_rayHfield(model, data, ground, above, np.array([0.0, 0.0, -1.0]))
@@ -266,7 +263,7 @@ def test_screenshot_shows_the_scene_in_its_colours_and_the_rover_where_it_was(tm
     fast = Drive()
     fast.speed = 6.0
     with Recorder(tmp_path / "run.rrd", simulation.robots, simulation) as recorder:
-        run(simulation.robots, [fast], SimClock(simulation), [recorder], 2.0)
+        run(simulation.robots, [fast], simulation, [recorder], 2.0)
     middles = []
     for name, at in (("begin", 0.0), ("end", None)):
         screenshot(tmp_path / "run.rrd", tmp_path / f"{name}.png", at)

@@ -22,15 +22,13 @@ from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import MissionTrial, prepared
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import Renderer, StereoConfig, StereoRig
-from twin.clock import SimClock
 from twin.describe import describe, describe_rover
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import run
 from twin.robot import Command, Observation, WheelMode
 from twin.sensor_bank import SensorBank
 from twin.sensors import DATASHEET
-from twin.sim_robot import SimRobot
-from twin.simulation import Simulation
+from twin.simulation import SimRobot, Simulation
 
 TRUTH = (
     mujoco.MjModel,
@@ -38,7 +36,6 @@ TRUTH = (
     Simulation,
     SimRobot,
     SensorBank,
-    SimClock,
     StereoRig,
     Renderer,
 )
@@ -96,7 +93,7 @@ def played():
         stereo=StereoConfig(),
     )
     learner = Learner()
-    run(simulation.robots, [learner], SimClock(simulation), duration=0.5)
+    run(simulation.robots, [learner], simulation, duration=0.5)
     return simulation, learner
 
 

@@ -126,7 +126,7 @@ def run_control(trial: ControlTrial) -> ControlRun:
             push = 0.0
         simulation.data.xfrc_applied[chassis, 3] = push
         robot.command(controller.step({ROBOT: robot.observe()})[ROBOT])
-        simulation.step()
+        simulation.tick()
         if scored:
             wanted = reference((tick + 1) * PERIOD).angles
             errors.append(np.degrees(wanted - simulation.data.qpos[places]))

@@ -97,7 +97,7 @@ def run_tip(trial: TipTrial) -> TipRun:
         time = tick * PERIOD - WAIT
         seen = robot.observe()
         robot.command(controller.step({ROBOT: seen})[ROBOT])
-        simulation.step()
+        simulation.tick()
         tick += 1
         lean = max(lean, scene.lean)
         if math.isinf(over) and controller.over(time):

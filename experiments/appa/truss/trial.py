@@ -240,7 +240,7 @@ def _drive(
                 link.send_latest(message)
                 link.poll()
             robot.command(command)
-        simulation.step()
+        simulation.tick()
         course.append(_row(bench, master, simulation.time))
         if master.stage is Stage.OVER:
             break

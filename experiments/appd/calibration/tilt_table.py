@@ -24,8 +24,8 @@ from twin.hardware.calibration.calibration import (
 )
 from twin.hardware.calibration.tilt_fit import Sample, Weighing, sample
 from twin.robot import ArmMode, Command, Observation
+from twin.sensor_bank import tilt as tilt_of_orientation
 from twin.simulation import Simulation
-from twin.wiring import tilt as tilt_of_orientation
 
 FIELD = FieldConfig(texture_pixels=64)
 WEIGHT = 0.5  # [kg]
@@ -110,7 +110,7 @@ class TiltTable:
         lever = data.site_xpos[self._grip] - data.xipos[self._wrist]
         data.xfrc_applied[self._wrist, :3] = force
         data.xfrc_applied[self._wrist, 3:] = np.cross(lever, force)
-        self._simulation.step()
+        self._simulation.tick()
 
 
 @dataclasses.dataclass(frozen=True)

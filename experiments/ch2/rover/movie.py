@@ -12,7 +12,6 @@ from controllers.identification.rover_identifier import RoverIdentifier, RoverId
 from experiments.ch2.rover.trial import ROBOT, known_swinging_arm
 from models.compose import FLAT, RobotPlacement, build_scene, compile_scene, settle
 from twin.camera import renderer
-from twin.clock import SimClock
 from twin.loop import LoopRecorder, Tick, run
 from twin.simulation import Simulation
 
@@ -59,7 +58,7 @@ def film(seconds: float, rate: float, seed: int) -> list[NDArray[np.uint8]]:
     controller = RoverIdentifier(config, np.random.default_rng(seed))
     lead = round((config.approach + config.rest) / 0.01)
     filming = Filming(simulation, lead, round(100 / rate))
-    run(simulation.robots, [controller], SimClock(simulation), [filming], config.total)
+    run(simulation.robots, [controller], simulation, [filming], config.total)
     simulation.close()
     return filming.frames
 

@@ -66,7 +66,7 @@ def pushed():
             force, moment = turn @ push[:3], turn @ push[3:]
             data.xfrc_applied[card] = [*force, *(moment + np.cross(lever, force))]
             robot.command(Command(np.zeros(4), held, WheelMode.DUTY, ArmMode.POSITION))
-            simulation.step()
+            simulation.tick()
             if tick >= 80:
                 samples.append(robot.observe())
         measured.append((push, samples))

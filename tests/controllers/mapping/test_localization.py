@@ -14,7 +14,7 @@ from controllers.mapping.localization import (
 )
 from models.datasheets import ARM
 from twin.describe import describe_rover
-from twin.wiring import tilt
+from twin.sensor_bank import tilt
 
 HOME = np.array(ARM.home)
 TARGET = RigidTransform.from_components([0.2, 1.1, 0.05], Rotation.from_euler("zx", [0.3, 1.2]))

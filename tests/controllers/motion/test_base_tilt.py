@@ -32,7 +32,7 @@ def hanging():
             part = min(1.0, tick / 150)
             goal = last + part * (pose - last)
             robot.command(Command(np.zeros(4), goal, arm_mode=ArmMode.POSITION))
-            simulation.step()
+            simulation.tick()
         last = pose
         seen.append(
             (np.array(robot.observe().arm_angles.value), transform(data, f"{SLAVE}/chassis"))

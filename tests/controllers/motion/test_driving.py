@@ -40,7 +40,7 @@ def slip_drive():
         yaw.append(math.atan2(-chassis.xmat[1], chassis.xmat[4]))
         wheels = rover_steer().wheel_speeds(0.06, 0.25)
         robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
-        simulation.step()
+        simulation.tick()
     simulation.close()
     return np.array(speeds), np.unwrap(yaw), simulation.period
 

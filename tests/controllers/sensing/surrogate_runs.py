@@ -76,7 +76,7 @@ def swing(ticks=700, pushed=False, inertial=False) -> Run:
         if pushed and tick >= ticks - 100:
             lever = site.xpos - data.xipos[wrist]
             data.xfrc_applied[wrist] = np.concatenate([PUSH, np.cross(lever, PUSH)])
-        simulation.step()
+        simulation.tick()
     simulation.close()
     return Run(seen, np.array(efforts), np.array(wrench), np.array(tilt), hand, arm)
 

@@ -78,7 +78,7 @@ def drive(seed, weighs, push=0.0):
         robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
         if push and tick >= STOP + 50:
             simulation.data.xfrc_applied[wrist, 1] = -push
-        simulation.step()
+        simulation.tick()
     simulation.close()
     return np.array(errors), np.array(deviations), states
 

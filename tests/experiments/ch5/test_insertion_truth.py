@@ -13,7 +13,6 @@ from models.compose import ARM_JOINTS
 from models.datasheets import CARD_AND_SLOT
 from tests.twin.test_truth_barrier import leaks
 from twin.camera import StereoRig
-from twin.clock import SimClock
 from twin.loop import LoopRecorder, run
 from twin.robot import ArmMode, Command, WheelMode
 
@@ -87,7 +86,7 @@ def blind(request):
         trial = InsertionTrial(HARD, request.param, 4, 0.7)
         still = prepare(trial)
         held = Notes(still)
-        run(still.simulation.robots, [Hold()], SimClock(still.simulation), [held], FIRST)
+        run(still.simulation.robots, [Hold()], still.simulation, [held], FIRST)
         still.simulation.close()
         setting = prepare(trial)
         simulation, team = setting.simulation, setting.team
@@ -98,7 +97,7 @@ def blind(request):
         simulation.model.site_rgba[:, 3] = 0.0
         team.slave.inserter.config = dataclasses.replace(team.slave.inserter.config, first=FIRST)
         notes, told = Notes(setting), Told(team)
-        run(simulation.robots, [told], SimClock(simulation), [notes], FIRST + 1.0)
+        run(simulation.robots, [told], simulation, [notes], FIRST + 1.0)
     assert copies and simulation.model.nsite > 0
     yield setting, notes, told, held
     simulation.close()

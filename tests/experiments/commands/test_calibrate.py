@@ -14,7 +14,6 @@ from experiments.appd.calibration.tilt_table import FIELD, TiltTable
 from experiments.commands import calibrate
 from models.compose import RobotPlacement
 from models.datasheets import ARM, DEGREE
-from twin.clock import TickClock
 from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.calibration.calibration import (
@@ -94,7 +93,7 @@ def test_person_finds_the_constants_of_the_boards_behind_wrong_ones():
     ground = Ground(scene, robot)
     person = Person(TiltTable(ground, "rover1"))
     steps = tilt_procedure(wrong, CONFIG, datetime.date(2026, 12, 1))
-    clock = TickClock(ground)
+    clock = ground
     try:
         result = run_procedure(
             steps, lambda: calibrate.measure(robot, clock, 2.0), person.ask, person.tell
@@ -120,7 +119,7 @@ def test_silent_sensor_is_told_by_name():
     robot.configure()
     try:
         with pytest.raises(RobotError, match="rover1.*arm base wrench gave 0 readings"):
-            calibrate.measure(robot, TickClock(scene), 0.2)
+            calibrate.measure(robot, scene, 0.2)
     finally:
         scene.close()
 
@@ -159,7 +158,7 @@ def test_arm_is_held_while_the_person_works_and_falls_otherwise():
             describe_rover("rover1"), boards, rover.calibration, lambda scene=scene: scene.time
         )
         robot.configure()
-        with calibrate.held(robot, start.tolist() if hold else [], TickClock(scene)):
+        with calibrate.held(robot, start.tolist() if hold else [], scene):
             while hold and scene.time < 1.0:
                 time.sleep(0.01)
         while scene.time < 1.0:

@@ -18,7 +18,7 @@ from twin.hardware.emulator.amplifier import (
 )
 from twin.robot import AXES, Channel, Command
 from twin.sensors import DATASHEET, IDEAL, ChannelSpec, SensorSuite
-from twin.sim_robot import SimRobot
+from twin.simulation import SimRobot
 
 _TILT = DATASHEET.channels["inclinometer"]
 ANALOGUE_SENSORS = SensorSuite(

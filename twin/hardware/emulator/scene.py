@@ -132,7 +132,7 @@ class EmulatedScene:
         """
         for rover in self.rovers.values():
             rover.drive(self.period)
-        self.simulation.step()
+        self.simulation.tick()
 
     def close(self) -> None:
         """Take the scene down."""

@@ -216,7 +216,7 @@ def test_drift_is_what_a_rover_on_rough_ground_shows():
         wheels = np.full(4, speed / ROVER.wheel_radius)
         for _ in range(round(distance / speed / simulation.period)):
             rover.command(Command(wheels=wheels, wheel_mode=WheelMode.SPEED))
-            simulation.step()
+            simulation.tick()
         moved = body.xpos[:2] - start + ahead * (_heading(body) - forward)
         ratios.append((forward[0] * moved[1] - forward[1] * moved[0]) / distance)
     measured = math.sqrt(np.mean(np.square(ratios)))

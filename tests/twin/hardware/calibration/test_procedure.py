@@ -30,7 +30,7 @@ from twin.hardware.calibration.tilt_fit import (
     up_of_tilt,
     weighed_tilts,
 )
-from twin.wiring import tilt as tilt_of_orientation
+from twin.sensor_bank import tilt as tilt_of_orientation
 
 pytestmark = pytest.mark.virtual_time
 
