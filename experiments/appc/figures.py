@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.appc.pictures import SIZES, Measured
-from perception.compression.entropy_coding import entropy
+from perception.compression.byte_codes import entropy
 from perception.compression.image_codec import METHODS, coded_bits, compression_ratio
 from perception.compression.image_predictors import residuals
 from perception.geometry.arrays import ByteArray, FloatArray

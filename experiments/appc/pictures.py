@@ -13,7 +13,7 @@ import numpy as np
 import skimage
 from PIL import Image
 
-from perception.compression.entropy_coding import entropy, mean_word_length
+from perception.compression.byte_codes import entropy, mean_word_length
 from perception.compression.image_codec import (
     CODERS,
     METHODS,

@@ -2,6 +2,5 @@
 
 - `image_codec`: the ten methods of table C-1, and the information that an image holds.
 - `image_predictors`: pixels predicted from their neighbours, methods 1 to 9.
-- `entropy_coding`: entropy, and Huffman's code.
-- `sequence_coding`: run lengths and LZW.
+- `byte_codes`: entropy, and the codes of bytes: Huffman's, run lengths, LZW.
 """

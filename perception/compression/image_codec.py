@@ -7,26 +7,25 @@ ratio of the entropy before and after is how well the prediction fits; what is l
 the information that an image truly holds, for which the thesis proposes method 5.
 """
 
+import functools
 import struct
 from collections.abc import Callable
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
-from perception.compression.entropy_coding import (
+from perception.compression.byte_codes import (
     CodingError,
     entropy,
     huffman_decode,
     huffman_encode,
-    mean_word_length,
-)
-from perception.compression.image_predictors import PREDICTORS, residuals, restored
-from perception.compression.sequence_coding import (
     lzw_decode,
     lzw_encode,
+    mean_word_length,
     run_length_decode,
     run_length_encode,
 )
+from perception.compression.image_predictors import PREDICTORS, residuals, restored
 from perception.geometry.arrays import ByteArray
 
 Coder: TypeAlias = Literal["plain", "run_length", "huffman", "lzw"]
@@ -139,22 +138,14 @@ def _check_method(method: int) -> None:
         raise ValueError(f"method {method}: expected one of {', '.join(map(str, METHODS))}")
 
 
-def _plain_encode(symbols: ByteArray) -> bytes:
-    return symbols.tobytes()
-
-
-def _plain_decode(coded: bytes) -> ByteArray:
-    return np.frombuffer(coded, np.uint8)
-
-
 _ENCODE: dict[Coder, Callable[[ByteArray], bytes]] = {
-    "plain": _plain_encode,
+    "plain": np.ndarray.tobytes,
     "run_length": run_length_encode,
     "huffman": huffman_encode,
     "lzw": lzw_encode,
 }
 _DECODE: dict[Coder, Callable[[bytes], ByteArray]] = {
-    "plain": _plain_decode,
+    "plain": functools.partial(np.frombuffer, dtype=np.uint8),
     "run_length": run_length_decode,
     "huffman": huffman_decode,
     "lzw": lzw_decode,

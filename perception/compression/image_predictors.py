@@ -12,6 +12,9 @@ Quotients are rounded down and residuals taken modulo 256, so that a residual is
 nothing is lost. Pixels without the neighbours that a method asks for keep their value.
 """
 
+# numba's decorator has no types of its own.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from typing import Any
 
 import numba
@@ -21,6 +24,8 @@ from perception.geometry.arrays import ByteArray
 
 PREDICTORS = (1, 2, 3, 4, 5, 6, 7, 8, 9)
 """The thesis' numbers; 1 predicts nothing."""
+
+_ufunc: Any = numba.vectorize(cache=True)
 
 
 def residuals(image: ByteArray, method: int) -> ByteArray:
@@ -37,8 +42,16 @@ def residuals(image: ByteArray, method: int) -> ByteArray:
         ValueError: If the image is no grey picture of bytes or there is no such method.
     """
     _check(image, method)
-    left: ByteArray = np.empty(image.shape, np.uint8)
-    _ENCODERS[method](np.ascontiguousarray(image), left)
+    pixels, width = np.ascontiguousarray(image).ravel(), image.shape[1]
+    left = np.empty_like(pixels)
+    row, column = _first_predicted(method, len(image))
+    first = row * width + column
+    left[:first] = pixels[:first]
+    count = max(image.size - first, 0)
+    starts = (max(first - offset, 0) for offset in (0, 1, width, width + 1))
+    _LEFT_BY[method](*(pixels[start : start + count] for start in starts), out=left[first:])
+    left = left.reshape(image.shape)
+    left[:, :column] = image[:, :column]
     return left
 
 
@@ -53,152 +66,97 @@ def restored(left: ByteArray, method: int) -> ByteArray:
         ValueError: As `residuals`.
     """
     _check(left, method)
-    image: ByteArray = np.empty(left.shape, np.uint8)
-    _restore(np.ascontiguousarray(left), method, image)
+    image = np.array(left, order="C")
+    _restore(image, method, _first_predicted(method, len(left)))
     return image
 
 
 def _check(image: ByteArray, method: int) -> None:
     if image.ndim != 2 or image.dtype != np.uint8:  # noqa: PLR2004
         raise ValueError(f"image of {image.dtype} {image.shape}: expected uint8 (height, width)")
-    if method not in _ENCODERS:
+    if method not in PREDICTORS:
         raise ValueError(f"predictor {method}: expected one of {', '.join(map(str, PREDICTORS))}")
 
 
-# One kernel for each method, and bytes throughout: so the compiler works on many pixels at once.
-# ~c is 255 - c, so that halves of differences are means of bytes: floor((x - c) / 2) is
-# ceil((x + ~c) / 2) - 128, and a mean rounded up is (x | y) - ((x ^ y) >> 1).
+def _first_predicted(method: int, height: int) -> tuple[int, int]:
+    """Return the first row and column of the pixels with the neighbours that a method asks for."""
+    return {1: (height, 0), 2: (0, 1), 3: (1, 0)}.get(method, (1, 1))
 
 
-def _keep(image: ByteArray, left: ByteArray) -> None:
-    left[:] = image
+# Bytes throughout, so that the compiler works on many pixels at once. ~c is 255 - c, so that halves
+# of differences are means of bytes: floor((x - c) / 2) is ceil((x + ~c) / 2) - 128, and a mean
+# rounded up is (x | y) - ((x ^ y) >> 1).
 
 
-@numba.njit(cache=True)
-def _from_left(image: Any, left: Any) -> None:
-    height, width = image.shape
-    for u in range(height):
-        row, out = image[u], left[u]
-        if width:
-            out[0] = row[0]
-        for v in range(1, width):
-            out[v] = row[v] - row[v - 1]
+@_ufunc
+def _left_by_none(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    return pixel
 
 
-@numba.njit(cache=True)
-def _from_above(image: Any, left: Any) -> None:
-    height, width = image.shape
-    left[:1] = image[:1]
-    for u in range(1, height):
-        row, above, out = image[u], image[u - 1], left[u]
-        for v in range(width):
-            out[v] = row[v] - above[v]
+@_ufunc
+def _left_by_left(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    return np.uint8(pixel - left)
 
 
-@numba.njit(cache=True)
-def _from_corner(image: Any, left: Any) -> None:
-    height, width = image.shape
-    _copy_edges(image, left)
-    for u in range(1, height):
-        row, above, out = image[u], image[u - 1], left[u]
-        for v in range(1, width):
-            out[v] = row[v] - above[v - 1]
+@_ufunc
+def _left_by_above(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    return np.uint8(pixel - above)
 
 
-@numba.njit(cache=True)
-def _from_plane(image: Any, left: Any) -> None:
-    height, width = image.shape
-    _copy_edges(image, left)
-    for u in range(1, height):
-        row, above, out = image[u], image[u - 1], left[u]
-        for v in range(1, width):
-            out[v] = row[v] - row[v - 1] - above[v] + above[v - 1]
+@_ufunc
+def _left_by_corner(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    return np.uint8(pixel - corner)
 
 
-@numba.njit(cache=True)
-def _from_left_and_half(image: Any, left: Any) -> None:
-    height, width = image.shape
-    _copy_edges(image, left)
-    for u in range(1, height):
-        row, above, out = image[u], image[u - 1], left[u]
-        for v in range(1, width):
-            x, y = above[v], np.uint8(~above[v - 1])
-            out[v] = row[v] - row[v - 1] - ((x | y) - ((x ^ y) >> 1)) + 128
+@_ufunc
+def _left_by_plane(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    return np.uint8(pixel - left - above + corner)
 
 
-@numba.njit(cache=True)
-def _from_above_and_half(image: Any, left: Any) -> None:
-    height, width = image.shape
-    _copy_edges(image, left)
-    for u in range(1, height):
-        row, above, out = image[u], image[u - 1], left[u]
-        for v in range(1, width):
-            x, y = row[v - 1], np.uint8(~above[v - 1])
-            out[v] = row[v] - above[v] - ((x | y) - ((x ^ y) >> 1)) + 128
+@_ufunc
+def _left_by_left_and_half(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    x, y = above, np.uint8(~corner)
+    return np.uint8(pixel - left - ((x | y) - ((x ^ y) >> 1)) + 128)
 
 
-@numba.njit(cache=True)
-def _from_two(image: Any, left: Any) -> None:
-    height, width = image.shape
-    _copy_edges(image, left)
-    for u in range(1, height):
-        row, above, out = image[u], image[u - 1], left[u]
-        for v in range(1, width):
-            x, y = above[v], row[v - 1]
-            out[v] = row[v] - ((x & y) + ((x ^ y) >> 1))
+@_ufunc
+def _left_by_above_and_half(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    x, y = left, np.uint8(~corner)
+    return np.uint8(pixel - above - ((x | y) - ((x ^ y) >> 1)) + 128)
 
 
-@numba.njit(cache=True)
-def _from_three(image: Any, left: Any) -> None:
-    height, width = image.shape
-    _copy_edges(image, left)
-    for u in range(1, height):
-        row, above, out = image[u], image[u - 1], left[u]
-        for v in range(1, width):
-            total = np.uint32(above[v]) + np.uint32(above[v - 1]) + np.uint32(row[v - 1])
-            out[v] = row[v] - total // np.uint32(3)
+@_ufunc
+def _left_by_two(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    return np.uint8(pixel - ((above & left) + ((above ^ left) >> 1)))
 
 
-@numba.njit(cache=True)
-def _copy_edges(image: Any, left: Any) -> None:
-    left[:1] = image[:1]
-    left[:, :1] = image[:, :1]
+@_ufunc
+def _left_by_three(pixel: Any, left: Any, above: Any, corner: Any) -> Any:
+    total = np.uint32(above) + np.uint32(corner) + np.uint32(left)
+    return np.uint8(pixel - total // np.uint32(3))
 
 
-_ENCODERS: dict[int, Any] = {
-    1: _keep,
-    2: _from_left,
-    3: _from_above,
-    4: _from_corner,
-    5: _from_plane,
-    6: _from_left_and_half,
-    7: _from_above_and_half,
-    8: _from_two,
-    9: _from_three,
+_LEFT_BY: dict[int, Any] = {
+    1: _left_by_none,
+    2: _left_by_left,
+    3: _left_by_above,
+    4: _left_by_corner,
+    5: _left_by_plane,
+    6: _left_by_left_and_half,
+    7: _left_by_above_and_half,
+    8: _left_by_two,
+    9: _left_by_three,
 }
 
 
 @numba.njit(cache=True)
-def _restore(left: Any, method: int, image: Any) -> None:
+def _restore(image: Any, method: int, first: tuple[int, int]) -> None:
     """Add the prediction to each residual, in the order in which pixels become known."""
-    height, width = left.shape
-    for u in range(height):
-        for v in range(width):
-            lacks_row, lacks_column = u == 0, v == 0
-            if method == 1:
-                alone = True
-            elif method == 2:
-                alone = lacks_column
-            elif method == 3:
-                alone = lacks_row
-            else:
-                alone = lacks_row or lacks_column
-            if alone:
-                image[u, v] = left[u, v]
-                continue
-            a = np.int64(image[u, v - 1]) if v else 0
-            b = np.int64(image[u - 1, v]) if u else 0
-            c = np.int64(image[u - 1, v - 1]) if u and v else 0
+    height, width = image.shape
+    for u in range(first[0], height):
+        for v in range(first[1], width):
+            a, b = np.int64(image[u, v - 1]), np.int64(image[u - 1, v])
+            c = np.int64(image[u - 1, v - 1])
             if method == 2:
                 guess = a
             elif method == 3:
@@ -215,4 +173,4 @@ def _restore(left: Any, method: int, image: Any) -> None:
                 guess = (a + b) // 2
             else:
                 guess = (a + b + c) // 3
-            image[u, v] = (left[u, v] + guess) & 255
+            image[u, v] = (image[u, v] + guess) & 255

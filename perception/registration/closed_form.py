@@ -1,7 +1,7 @@
 """Camera motion from triangulated points, without iteration: eq. 3-18, 3-19, Kabsch, and PnP.
 
-All take the fiducials' points before and after the motion, each in the left camera's frame of its
-time, and return the pose of the camera after the motion in the frame before it.
+All take the fiducials as seen before and after the motion, and return the pose of the camera after
+the motion in the frame before it, with its covariance.
 """
 
 import cv2
@@ -10,8 +10,7 @@ import numpy as np
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix, point_jacobian
 from perception.registration.checks import FEWEST, RegistrationError
-from perception.registration.reprojection import Pose
-from perception.stereo.geometry import StereoGeometry
+from perception.registration.reprojection import Pose, Sighting
 
 LARGEST_CONDITION = 1e8
 """Of (r r^T): beyond it the points are taken to lie in one plane."""
@@ -29,18 +28,15 @@ def nearest_rotation(matrices: FloatArray) -> FloatArray:
     return left @ right
 
 
-def linear(
-    before: FloatArray, after: FloatArray, noise: tuple[FloatArray, FloatArray]
-) -> tuple[Pose, FloatArray]:
+def linear(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
     """Solve eq. 3-17 for twelve independent elements: g = u r^T (r r^T)^-1.
 
     Eq. 3-18 prints u (r^T r)^-1 r^T, which is singular for more than four points. R is projected
     on a rotation; the translation is what the solution holds, as the thesis takes it.
 
     Args:
-        before: (N, 3) points r [m].
-        after: (N, 3) points u [m].
-        noise: (N, 3, 3) covariances of `before` and of `after` [m^2].
+        before: N fiducials before the motion, which give the points r.
+        after: The same fiducials after the motion, which give the points u.
 
     Returns:
         The pose and its (6, 6) covariance, to first order.
@@ -48,11 +44,12 @@ def linear(
     Raises:
         RegistrationError: If all points lie in one plane.
     """
-    weights = _linear_weights(before)
-    matrix = after.T @ weights
+    weights = _linear_weights(before.points())
+    matrix = after.points().T @ weights
     rotation = nearest_rotation(matrix[:, :3])
     # To first order the projection keeps the antisymmetric part of R^T dA.
-    residual = noise[1] + matrix[:, :3] @ noise[0] @ matrix[:, :3].T
+    carried = matrix[:, :3] @ before.point_covariances() @ matrix[:, :3].T
+    residual = after.point_covariances() + carried
     turn = 0.5 * rotation @ cross_matrix(weights[:, :3]) @ rotation.T
     by_point = np.concatenate([turn, weights[:, 3, None, None] * np.eye(3)], axis=1)
     covariance = np.sum(by_point @ residual @ np.swapaxes(by_point, -1, -2), axis=0)
@@ -70,7 +67,7 @@ def _linear_weights(before: FloatArray) -> FloatArray:
     return (homogeneous * scale) @ np.linalg.inv(scaled) * scale
 
 
-def recursive(before: FloatArray, after: FloatArray) -> tuple[Pose, FloatArray]:
+def recursive(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
     """Average the solutions of eq. 3-18 from the first 4, 5, ... N points, by eq. 3-19.
 
     As printed the covariance is biased low; with (x - mean_i)(x - mean_{i+1})^T it is not. It is
@@ -78,8 +75,8 @@ def recursive(before: FloatArray, after: FloatArray) -> tuple[Pose, FloatArray]:
     The mean of R is projected on a rotation.
 
     Args:
-        before: (N, 3) points [m].
-        after: (N, 3) points [m].
+        before: N fiducials before the motion.
+        after: The same fiducials after the motion.
 
     Returns:
         The pose and the (6, 6) scatter.
@@ -88,12 +85,13 @@ def recursive(before: FloatArray, after: FloatArray) -> tuple[Pose, FloatArray]:
         RegistrationError: If no set of points leaves its plane.
     """
     mean, scatter, count = np.zeros(12), np.zeros((12, 12)), 0
-    for points in range(FEWEST, len(before) + 1):
+    first, second = before.points(), after.points()
+    for points in range(FEWEST, len(first) + 1):
         try:
-            weights = _linear_weights(before[:points])
+            weights = _linear_weights(first[:points])
         except RegistrationError:
             continue
-        matrix = after[:points].T @ weights
+        matrix = second[:points].T @ weights
         sample = np.concatenate([nearest_rotation(matrix[:, :3]).ravel(), matrix[:, 3]])
         nearer = (count * mean + sample) / (count + 1)
         scatter = (count * scatter + np.outer(sample - mean, sample - nearer)) / (count + 1)
@@ -102,14 +100,7 @@ def recursive(before: FloatArray, after: FloatArray) -> tuple[Pose, FloatArray]:
         raise RegistrationError("eq. 3-19 needs four points that are not in one plane")
     rotation = nearest_rotation(mean[:9].reshape(3, 3))
     # Rotation vector of dR R^T, from its antisymmetric part.
-    turn = np.zeros((3, 9))
-    for element in range(9):
-        change = np.zeros(9)
-        change[element] = 1.0
-        spin = change.reshape(3, 3) @ rotation.T
-        turn[:, element] = 0.5 * np.array(
-            [spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]]
-        )
+    turn = 0.5 * (cross_matrix(np.eye(3)) @ rotation).reshape(3, 9)
     by_element = np.zeros((6, 12))
     by_element[:3, :9], by_element[3:, 9:] = turn, np.eye(3)
     return _inverted(rotation, mean[9:], by_element @ scatter @ by_element.T)
@@ -132,40 +123,30 @@ def kabsch_pose(before: FloatArray, after: FloatArray, weights: FloatArray) -> P
     return Pose(rotation, middle - (rotation @ other[..., None])[..., 0])
 
 
-def kabsch(
-    before: FloatArray, after: FloatArray, noise: tuple[FloatArray, FloatArray]
-) -> tuple[Pose, FloatArray]:
+def kabsch(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
     """Fit a rigid motion to points, weighted by the trace of their covariances.
 
     Args:
-        before: (N, 3) points [m].
-        after: (N, 3) points [m].
-        noise: (N, 3, 3) covariances of `before` and of `after` [m^2].
+        before: N fiducials before the motion.
+        after: The same fiducials after the motion.
 
     Returns:
         The pose and its (6, 6) covariance, to first order.
     """
-    trace = np.trace(noise[0] + noise[1], axis1=-2, axis2=-1)
-    weights = 1.0 / np.maximum(trace, 1e-30)
-    pose = kabsch_pose(before, after, weights)
-    by_pose = point_jacobian(before)
-    residual = noise[0] + pose.rotation @ noise[1] @ pose.rotation.T
+    first, second = before.point_covariances(), after.point_covariances()
+    weights = 1.0 / np.maximum(np.trace(first + second, axis1=-2, axis2=-1), 1e-30)
+    pose = kabsch_pose(before.points(), after.points(), weights)
+    by_pose = point_jacobian(before.points())
+    residual = first + pose.rotation @ second @ pose.rotation.T
     return pose, _sandwich(by_pose, weights[:, None, None] * np.eye(3), residual)
 
 
-def pnp(
-    before: FloatArray,
-    seen: FloatArray,
-    geometry: StereoGeometry,
-    noise: tuple[FloatArray, FloatArray],
-) -> tuple[Pose, FloatArray]:
+def pnp(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
     """Fit the points before to the left image after, disparity unused (SQPnP, refined).
 
     Args:
-        before: (N, 3) points [m].
-        seen: (N, 2) columns and rows after [px].
-        geometry: Geometry of the stereo pair.
-        noise: (N, 3, 3) covariances of `before` [m^2], and (N, 2) deviations of `seen` [px].
+        before: N fiducials before the motion.
+        after: The same fiducials after the motion.
 
     Returns:
         The pose and its (6, 6) covariance, to first order.
@@ -173,8 +154,8 @@ def pnp(
     Raises:
         RegistrationError: If OpenCV finds none.
     """
-    camera = geometry.matrix
-    points, pixels = np.ascontiguousarray(before), np.ascontiguousarray(seen)
+    camera, points = after.geometry.matrix, before.points()
+    pixels = np.ascontiguousarray(after.image_points[:, :2])
     try:
         found, turn, shift = cv2.solvePnP(points, pixels, camera, None, flags=cv2.SOLVEPNP_SQPNP)
         if not found:
@@ -184,11 +165,11 @@ def pnp(
         raise RegistrationError(f"PnP failed: {error.err}") from error
     rotation = np.asarray(cv2.Rodrigues(turn)[0], dtype=float).T
     pose = Pose(rotation, -rotation @ np.asarray(shift, dtype=float).ravel())
-    by_place = geometry.projection_jacobian((before - pose.translation) @ rotation)[:, :2]
+    by_place = after.geometry.projection_jacobian((points - pose.translation) @ rotation)[:, :2]
     by_place = by_place @ rotation.T
-    spread = by_place @ noise[0] @ np.swapaxes(by_place, -1, -2)
-    spread = spread + np.eye(2) * (noise[1] ** 2)[:, None, :]
-    return pose, _sandwich(-by_place @ point_jacobian(before), np.eye(2), spread)
+    noise = by_place @ before.point_covariances() @ np.swapaxes(by_place, -1, -2)
+    noise = noise + after.noise()[:, :2, :2]
+    return pose, _sandwich(-by_place @ point_jacobian(points), np.eye(2), noise)
 
 
 def _sandwich(by_pose: FloatArray, weights: FloatArray, noise: FloatArray) -> FloatArray:

@@ -17,12 +17,10 @@ from perception.geometry.se3 import transform_points_with_covariance, transport_
 from perception.registration.checks import (
     RegistrationError,
     check_strength,
-    checked_image_points,
     checked_pose_covariance,
-    checked_sigma,
 )
 from perception.registration.likelihood import RelativeFit, RelativePose, innovation, solve_relative
-from perception.registration.motion import GATE, Registration, agreeing, register
+from perception.registration.motion import GATE, agreeing, register
 from perception.registration.reprojection import (
     KnownPoints,
     Pose,
@@ -114,11 +112,10 @@ def relative_pose_by_target(
     Raises:
         RegistrationError: If either robot's markers cannot fix its pose.
     """
-    told: list[Registration] = []
-    for sight, markers in ((first, first_markers), (second, second_markers)):
-        exact = np.zeros((len(sight.image_points), 3, 3))
-        told.append(register(markers, exact, sight.image_points, sight.geometry, sight.sigma))
-    one, two = told
+    one, two = (
+        register(markers, np.zeros((len(sight.image_points), 3, 3)), sight)
+        for sight, markers in ((first, first_markers), (second, second_markers))
+    )
     return relative_pose(
         one.transform_camera_to_world, one.covariance, two.transform_camera_to_world, two.covariance
     )
@@ -193,13 +190,18 @@ def triangulate_together(
         RegistrationError: If numbers are unequal or not finite, the points cannot fix the pose
             and there is no prior, or too few agree.
     """
-    one, other = _checked_sighting("first", first), _checked_sighting("second", second)
+    one, other = (
+        sight.checked(f"points of the {name} robot")
+        for name, sight in (("first", first), ("second", second))
+    )
     count = len(one.image_points)
+    if not count:
+        raise RegistrationError("points of the first robot: none; at least 1 is needed")
     if count != len(other.image_points):
         raise RegistrationError(
             f"{count} points seen by the first robot, {len(other.image_points)} by the second"
         )
-    known = KnownPoints(one.image_points, one.noise(), one.geometry)
+    known = one.known()
     if prior is None:
         for seen in (one, other):
             check_strength(seen.image_points, seen.sigma)
@@ -243,13 +245,6 @@ def _worst(fit: RelativeFit, known: KnownPoints, sight: Sighting, inliers: BoolA
     far = np.where(inliers, squared_distances(pose, known, sight), 0.0)
     worst = int(np.argmax(far))
     return worst if far[worst] > GATE and inliers.sum() > 1 else None
-
-
-def _checked_sighting(name: str, sight: Sighting) -> Sighting:
-    points = checked_image_points(f"points of the {name} robot", sight.image_points)
-    if not len(points):
-        raise RegistrationError(f"points of the {name} robot: none; at least 1 is needed")
-    return Sighting(points, checked_sigma(sight.sigma, len(points)), sight.geometry)
 
 
 def _checked_points(

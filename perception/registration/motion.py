@@ -20,9 +20,7 @@ from perception.registration.checks import (
     FEWEST,
     RegistrationError,
     check_strength,
-    checked_image_points,
     checked_map,
-    checked_sigma,
 )
 from perception.registration.closed_form import kabsch, kabsch_pose, linear, pnp, recursive
 from perception.registration.likelihood import PoseSolution, solve
@@ -33,7 +31,6 @@ from perception.registration.reprojection import (
     descend,
     squared_distances,
 )
-from perception.stereo.geometry import StereoGeometry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,56 +68,11 @@ class Registration:
     chi_square: float
 
 
-@dataclasses.dataclass(frozen=True)
-class _Pair:
-    """Two views of the same fiducials, with their triangulated points."""
-
-    before: FloatArray
-    after: FloatArray
-    sigma: FloatArray
-    geometry: StereoGeometry
-
-    @property
-    def points(self) -> tuple[FloatArray, FloatArray]:
-        return self.geometry.points(self.before), self.geometry.points(self.after)
-
-    @property
-    def noise(self) -> tuple[FloatArray, FloatArray]:
-        first, second = (self.geometry.covariance(p, self.sigma) for p in self.points)
-        return first, second
-
-    def chosen(self, chosen: BoolArray) -> "_Pair":
-        return _Pair(self.before[chosen], self.after[chosen], self.sigma[chosen], self.geometry)
-
-    def known(self) -> KnownPoints:
-        variances = np.eye(3) * (self.sigma**2)[..., None, :]
-        return KnownPoints(self.before, variances, self.geometry)
-
-    def sight(self) -> Sighting:
-        return Sighting(self.after, self.sigma, self.geometry)
-
-
-def _linear(pair: _Pair) -> tuple[Pose, FloatArray]:
-    return linear(*pair.points, pair.noise)
-
-
-def _recursive(pair: _Pair) -> tuple[Pose, FloatArray]:
-    return recursive(*pair.points)
-
-
-def _kabsch(pair: _Pair) -> tuple[Pose, FloatArray]:
-    return kabsch(*pair.points, pair.noise)
-
-
-def _pnp(pair: _Pair) -> tuple[Pose, FloatArray]:
-    return pnp(pair.points[0], pair.after[:, :2], pair.geometry, (pair.noise[0], pair.sigma[:, :2]))
-
-
-_CLOSED_FORM: dict[str, Callable[[_Pair], tuple[Pose, FloatArray]]] = {
-    "linear": _linear,
-    "recursive": _recursive,
-    "kabsch": _kabsch,
-    "pnp": _pnp,
+_CLOSED_FORM: dict[str, Callable[[Sighting, Sighting], tuple[Pose, FloatArray]]] = {
+    "linear": linear,
+    "recursive": recursive,
+    "kabsch": kabsch,
+    "pnp": pnp,
 }
 SOLVERS = (*_CLOSED_FORM, "ml")
 """linear (3-18), recursive (3-19), kabsch, pnp, and maximum likelihood of both views."""
@@ -128,26 +80,22 @@ SOLVERS = (*_CLOSED_FORM, "ml")
 
 def estimate_motion(
     solver: str,
-    before: ArrayLike,
-    after: ArrayLike,
-    geometry: StereoGeometry,
-    sigma: ArrayLike,
+    before: Sighting,
+    after: Sighting,
     *,
     guess: RigidTransform | None = None,
     reject: bool = True,
     rng: np.random.Generator | None = None,
 ) -> Motion:
-    """Tell how the camera moved from fiducials seen before and after.
+    """Estimate how the camera moved from fiducials seen before and after.
 
     Args:
         solver: One of `SOLVERS`.
-        before: (N, 3) columns, rows, disparities [px] of N fiducials before the motion.
-        after: (N, 3) columns, rows, disparities [px] of the same fiducials after it.
-        geometry: Geometry of the stereo pair.
-        sigma: Standard deviations of column, row and disparity [px], (3,) or (N, 3).
-        guess: After to before, as the arm's joints say, if they do.
+        before: N fiducials before the motion.
+        after: The same fiducials after the motion.
+        guess: Rough transform from after to before, for instance from the arm's joints.
         reject: Whether wrong matches are found and left out, for every solver.
-        rng: Draws the minimal sets for that; the same ones each time by default.
+        rng: Random generator of the minimal sets for that; a fixed one by default.
 
     Raises:
         RegistrationError: If a number is not finite, the fiducials cannot fix a motion, too few
@@ -155,68 +103,53 @@ def estimate_motion(
     """
     if solver not in SOLVERS:
         raise RegistrationError(f"solver {solver!r}: expected one of {', '.join(SOLVERS)}")
-    first = checked_image_points("fiducials before", before)
-    second = checked_image_points("fiducials after", after)
-    if first.shape != second.shape:
-        raise RegistrationError(f"{len(first)} fiducials before and {len(second)} after")
-    deviations = checked_sigma(sigma, len(first))
+    first, second = before.checked("fiducials before"), after.checked("fiducials after")
+    count = len(first.image_points)
+    if count != len(second.image_points):
+        raise RegistrationError(f"{count} fiducials before and {len(second.image_points)} after")
     for seen in (first, second):
-        check_strength(seen, deviations)
-    pair = _Pair(first, second, deviations, geometry)
-    inliers = np.ones(len(first), np.bool_)
+        check_strength(seen.image_points, seen.sigma)
+    inliers = np.ones(count, np.bool_)
     start = Pose.of(guess) if guess is not None else None
     solution = None
     if reject:
         generator = rng or np.random.default_rng(0)
-        solution, inliers = agreeing(pair.known(), pair.sight(), start, generator)
-        pair = pair.chosen(inliers)
-        check_strength(pair.after, pair.sigma)
+        solution, inliers = agreeing(first.known(), second, start, generator)
+        first, second = first.chosen(inliers), second.chosen(inliers)
+        check_strength(second.image_points, second.sigma)
     if solver != "ml":
-        pose, covariance = _CLOSED_FORM[solver](pair)
+        pose, covariance = _CLOSED_FORM[solver](first, second)
         return Motion(pose.transform(), covariance, inliers, np.nan)
     if solution is None:
-        begin = start or kabsch(*pair.points, pair.noise)[0]
-        solution = solve(begin, pair.known(), pair.sight())
-    chi_square = _per_freedom(solution.cost, len(pair.before))
+        solution = solve(start or kabsch(first, second)[0], first.known(), second)
+    chi_square = _per_freedom(solution.cost, len(first.image_points))
     return Motion(solution.pose.transform(), solution.covariance, inliers, chi_square)
 
 
 def register(
     map_points: ArrayLike,
     map_covariances: ArrayLike,
-    image_points: ArrayLike,
-    geometry: StereoGeometry,
-    sigma: ArrayLike,
+    sight: Sighting,
     guess: RigidTransform | None = None,
-    *,
-    rng: np.random.Generator | None = None,
 ) -> Registration:
-    """Tell where the camera is from fiducials of the map, so that errors do not accumulate.
+    """Localize the camera by fiducials of the map, so that errors do not accumulate.
 
     Args:
         map_points: (N, 3) [m], world.
         map_covariances: (N, 3, 3) if they are known independently, or (3N, 3N) [m^2].
-        image_points: (N, 3) columns, rows, disparities [px] where they are seen.
-        geometry: Geometry of the stereo pair.
-        sigma: Standard deviations of column, row and disparity [px], (3,) or (N, 3).
-        guess: Camera to world, as the arm's joints say, if they do.
-        rng: Draws minimal sets when matches are wrong; the same ones each time by default.
+        sight: Image points of the fiducials.
+        guess: Rough transform from camera to world, for instance from the arm's joints.
 
     Raises:
         RegistrationError: If a number is not finite, the fiducials cannot fix a pose, or too few
             of them agree.
     """
-    seen = checked_image_points("image points", image_points)
-    places, spread = checked_map(map_points, map_covariances, len(seen))
-    deviations = checked_sigma(sigma, len(seen))
-    check_strength(seen, deviations)
-    solution, inliers = agreeing(
-        KnownPoints(places, spread),
-        Sighting(seen, deviations, geometry),
-        Pose.of(guess) if guess is not None else None,
-        rng or np.random.default_rng(0),
-    )
-    check_strength(seen[inliers], deviations[inliers])
+    seen = sight.checked("image points")
+    known = KnownPoints(*checked_map(map_points, map_covariances, len(seen.image_points)))
+    check_strength(seen.image_points, seen.sigma)
+    start = Pose.of(guess) if guess is not None else None
+    solution, inliers = agreeing(known, seen, start, np.random.default_rng(0))
+    check_strength(seen.image_points[inliers], seen.sigma[inliers])
     chi_square = _per_freedom(solution.cost, int(inliers.sum()))
     return Registration(solution.pose.transform(), solution.covariance, inliers, chi_square)
 
@@ -268,7 +201,7 @@ def agreeing(
     start = guess or _kabsch_start(known, sight)
     for pose in (start, _kabsch_start(known, sight)) if guess else (start,):
         fitted = _fit(pose, known, sight, everybody)
-        if fitted is not None and _all_agree(fitted, alone, sight):
+        if fitted and np.all(squared_distances(fitted.pose, alone, sight) <= GATE):
             return fitted, everybody
     best: tuple[float, PoseSolution, BoolArray] | None = None
     for pose in _proposals(alone, sight, guess, rng):
@@ -288,10 +221,6 @@ def agreeing(
     return solution, chosen
 
 
-def _all_agree(fitted: PoseSolution, alone: KnownPoints, sight: Sighting) -> bool:
-    return bool(np.all(squared_distances(fitted.pose, alone, sight) <= GATE))
-
-
 def _fit(pose: Pose, known: KnownPoints, sight: Sighting, chosen: BoolArray) -> PoseSolution | None:
     if chosen.sum() < FEWEST:
         return None
@@ -303,9 +232,8 @@ def _fit(pose: Pose, known: KnownPoints, sight: Sighting, chosen: BoolArray) -> 
 
 def _kabsch_start(known: KnownPoints, sight: Sighting) -> Pose:
     places = known.places(known.coordinates)
-    seen = sight.geometry.points(sight.image_points)
-    spread = sight.geometry.covariance(seen, sight.sigma)
-    return kabsch_pose(places, seen, 1.0 / np.trace(spread, axis1=-2, axis2=-1))
+    trace = np.trace(sight.point_covariances(), axis1=-2, axis2=-1)
+    return kabsch_pose(places, sight.points(), 1.0 / trace)
 
 
 def _proposals(
@@ -315,8 +243,7 @@ def _proposals(
     count = len(sight.image_points)
     sets = _minimal_sets(count, rng)
     places = known.places(known.coordinates)
-    seen = sight.geometry.points(sight.image_points)
-    start = kabsch_pose(places[sets], seen[sets], np.ones(sets.shape))
+    start = kabsch_pose(places[sets], sight.points()[sets], np.ones(sets.shape))
     if guess is not None:
         # Half of them trust the guess: three noisy points turn a closed form far.
         trusting = np.arange(len(sets)) % 2 == 0
@@ -325,9 +252,7 @@ def _proposals(
             np.where(trusting[:, None], guess.translation, start.translation),
         )
     drawn = KnownPoints(known.coordinates[sets], known.covariance[sets], known.geometry)
-    pose = descend(
-        start, drawn, Sighting(sight.image_points[sets], sight.sigma[sets], sight.geometry)
-    )
+    pose = descend(start, drawn, sight.chosen(sets))
     far = np.minimum(squared_distances(pose, known, sight), WIDE * GATE).sum(axis=-1)
     order = np.argsort(far, kind="stable")[:FINALISTS]
     return [Pose(pose.rotation[i], pose.translation[i]) for i in order]

@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import point_jacobian
+from perception.registration.checks import checked_image_points, checked_sigma
 from perception.stereo.geometry import StereoGeometry
 
 
@@ -56,20 +57,19 @@ class KnownPoints:
 
     def chosen(self, chosen: NDArray[np.bool_]) -> "KnownPoints":
         """Return some of them."""
-        if self.covariance.ndim == 3:
-            return KnownPoints(self.coordinates[chosen], self.covariance[chosen], self.geometry)
         rows = np.repeat(chosen, 3)
-        kept = self.covariance[np.ix_(rows, rows)]
+        joint = self.covariance.ndim == 2
+        kept = self.covariance[np.ix_(rows, rows) if joint else chosen]
         return KnownPoints(self.coordinates[chosen], kept, self.geometry)
 
 
 @dataclasses.dataclass(frozen=True)
 class Sighting:
-    """How they appear in the view to be located.
+    """Image points of N fiducials in one view.
 
     Attributes:
         image_points: (N, 3) columns, rows, disparities [px].
-        sigma: (N, 3) standard deviations [px].
+        sigma: (N, 3) standard deviations [px]; where it is `checked`, also one for all or (3,).
         geometry: Geometry of the stereo pair.
     """
 
@@ -77,13 +77,38 @@ class Sighting:
     sigma: FloatArray
     geometry: StereoGeometry
 
-    def chosen(self, chosen: NDArray[np.bool_]) -> "Sighting":
-        """Return some of them."""
+    def chosen(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Sighting":
+        """Return some of them, or sets of some."""
         return Sighting(self.image_points[chosen], self.sigma[chosen], self.geometry)
+
+    def checked(self, name: str) -> "Sighting":
+        """Return it as arrays of floats, with a deviation for each number.
+
+        Args:
+            name: What an error calls the points.
+
+        Raises:
+            RegistrationError: If a shape is wrong, a number is not finite, or a disparity or a
+                deviation is not positive.
+        """
+        points = checked_image_points(name, self.image_points)
+        return Sighting(points, checked_sigma(self.sigma, len(points)), self.geometry)
 
     def noise(self) -> FloatArray:
         """Return (N, 3, 3) covariances [px^2]."""
         return np.eye(3) * (self.sigma**2)[..., None, :]
+
+    def points(self) -> FloatArray:
+        """Return (N, 3) triangulated points [m], left camera frame."""
+        return self.geometry.points(self.image_points)
+
+    def point_covariances(self) -> FloatArray:
+        """Return (N, 3, 3) covariances of the triangulated points [m^2]."""
+        return self.geometry.covariance(self.points(), self.sigma)
+
+    def known(self) -> KnownPoints:
+        """Return the fiducials as this view makes them known, each independently."""
+        return KnownPoints(self.image_points, self.noise(), self.geometry)
 
 
 @dataclasses.dataclass(frozen=True)

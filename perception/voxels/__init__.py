@@ -2,7 +2,7 @@
 
 - `grid`: a box of voxels, and checks of what enters a map.
 - `occupancy`: probability, log-odds and states of a cell.
-- `map`: `VoxelMap`, the sparse map with surface estimates; `window` cuts a dense box out of it.
+- `map`: `VoxelMap`, the sparse map with surface estimates.
 - `bricks`: its storage.
 - `scan`: a scan arranged in the camera's pixels.
 - `fusion`: surface estimates from the points of a scan.

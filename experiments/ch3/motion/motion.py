@@ -24,6 +24,7 @@ from models.datasheets import CAMERA
 from perception.geometry.arrays import FloatArray
 from perception.registration.fiducial_map import FiducialMap
 from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
+from perception.registration.reprojection import Sighting
 from perception.stereo.geometry import StereoGeometry
 
 STEPS = 30
@@ -179,16 +180,17 @@ def follow_by_motions(
     for step, (last, pose) in enumerate(zip(poses[:-1], poses[1:], strict=True)):
         motion = last.inv() * pose
         points = points_in_both_views(rng, motion, distance, count)
-        before, after = HEAD.project(points), HEAD.project(motion.apply(points, inverse=True))
-        before = before + sigma * rng.standard_normal(before.shape)
-        after = after + sigma * rng.standard_normal(after.shape)
+        deviations = np.full(points.shape, sigma)
+        views = HEAD.project(points), HEAD.project(motion.apply(points, inverse=True))
+        before, after = (
+            Sighting(view + sigma * rng.standard_normal(view.shape), deviations, HEAD)
+            for view in views
+        )
         for solver in SOLVERS:
             if solver in lost:
                 continue
             try:
-                found = estimate_motion(
-                    solver, before, after, HEAD, sigma, reject=solver == "ml", rng=rng
-                )
+                found = estimate_motion(solver, before, after, reject=solver == "ml", rng=rng)
             except RegistrationError:
                 lost.add(solver)
                 continue

@@ -26,6 +26,7 @@ from perception.registration.fiducial_map import FiducialMap
 from perception.registration.fiducials import FiducialConfig, select_fiducials
 from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
 from perception.registration.patch_matching import Tracks, track
+from perception.registration.reprojection import Sighting
 from perception.stereo.matching import StereoMatcher
 
 STEPS = 15
@@ -148,14 +149,16 @@ def follow_rendered(trial: RenderedTrial) -> RenderedRun:
         tracks.append(found)
         motion = last.pose.inv() * view.pose
         used = _best(found)
+        before, after = (
+            Sighting(seen[used], found.sigma[used], scene.geometry)
+            for seen in (found.before, found.after)
+        )
         for solver in SOLVERS:
             try:
                 estimate = estimate_motion(
                     solver,
-                    found.before[used],
-                    found.after[used],
-                    scene.geometry,
-                    found.sigma[used],
+                    before,
+                    after,
                     guess=view.reported if solver == "ml" else None,
                     reject=solver == "ml",
                 )

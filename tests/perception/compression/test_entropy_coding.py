@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import entropy as scipy_entropy
 
-from perception.compression.entropy_coding import (
+from perception.compression.byte_codes import (
     CodingError,
     entropy,
     histogram,

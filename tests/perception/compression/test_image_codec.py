@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from perception.compression.entropy_coding import CodingError
+from perception.compression.byte_codes import CodingError
 from perception.compression.image_codec import (
     CODERS,
     METHODS,

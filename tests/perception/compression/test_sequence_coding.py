@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from perception.compression.entropy_coding import CodingError
-from perception.compression.sequence_coding import (
+from perception.compression.byte_codes import (
+    CodingError,
     lzw_codes,
     lzw_decode,
     lzw_encode,

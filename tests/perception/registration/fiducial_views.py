@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from perception.registration.reprojection import Sighting
 from perception.stereo.geometry import StereoGeometry
 
 HEAD = StereoGeometry(510, 492, 677.34, 871.25, 254.5, 245.5, 0.038)
@@ -38,3 +39,8 @@ def two_views(rng, count, sigma=0.0, distance=1.1):
 def error_of(estimate, truth):
     """Exponential coordinates xi with truth = exp(xi) * estimate."""
     return (truth * estimate.inv()).as_exp_coords()
+
+
+def sighting(image_points, sigma=0.25):
+    """Image points (N, 3) as the head sees them, with deviations [px]."""
+    return Sighting(image_points, sigma, HEAD)

@@ -11,6 +11,7 @@ from tests.perception.registration.fiducial_views import (
     error_of,
     random_motion,
     random_points,
+    sighting,
 )
 
 SIGMA = 0.2
@@ -89,7 +90,9 @@ def test_registered_camera_does_not_drift_where_fresh_fiducials_do():
         image = seen(pose, truth, generator)
         found = fiducials.observe(np.arange(12), image).registration
         kept.append(np.linalg.norm(error_of(found.transform_camera_to_world, pose)[3:]))
-        moved = estimate_motion("kabsch", before, image, HEAD, SIGMA, reject=False)
+        moved = estimate_motion(
+            "kabsch", sighting(before, SIGMA), sighting(image, SIGMA), reject=False
+        )
         chained, before = chained * moved.transform_after_to_before, image
         drifted.append(np.linalg.norm(error_of(chained, pose)[3:]))
     assert np.mean(kept[-5:]) < 1.5 * np.mean(kept[:5])

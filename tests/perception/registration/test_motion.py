@@ -14,6 +14,7 @@ from tests.perception.registration.fiducial_views import (
     error_of,
     random_motion,
     random_points,
+    sighting,
     two_views,
 )
 
@@ -28,14 +29,16 @@ def rng(seed=0):
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_motion_is_exact_without_noise(solver, distance):
     motion, before, after = two_views(rng(1), 8, distance=distance)
-    found = estimate_motion(solver, before, after, HEAD, 0.1)
+    found = estimate_motion(solver, sighting(before, 0.1), sighting(after, 0.1))
     assert np.abs(error_of(found.transform_after_to_before, motion)).max() < 1e-6
     assert found.inliers.all()
 
 
 def test_after_to_before_takes_points_to_the_frame_before():
     motion, before, after = two_views(rng(2), 6)
-    found = estimate_motion("ml", before, after, HEAD, 0.1).transform_after_to_before
+    found = estimate_motion(
+        "ml", sighting(before, 0.1), sighting(after, 0.1)
+    ).transform_after_to_before
     np.testing.assert_allclose(found.apply(HEAD.points(after)), HEAD.points(before), atol=1e-7)
 
 
@@ -66,7 +69,7 @@ def minimum_by_scipy(before, after, sigma, start):
 
 def test_maximum_likelihood_is_the_optimum_that_an_independent_fit_finds():
     motion, before, after = two_views(rng(3), 7, 0.25)
-    found = estimate_motion("ml", before, after, HEAD, SIGMA)
+    found = estimate_motion("ml", sighting(before, SIGMA), sighting(after, SIGMA))
     expected, _, cost = minimum_by_scipy(before, after, SIGMA, motion)
     assert np.abs(error_of(found.transform_after_to_before, expected)).max() < 2e-6
     assert found.chi_square == pytest.approx(cost / (3 * 7 - 6), rel=1e-6)
@@ -74,7 +77,7 @@ def test_maximum_likelihood_is_the_optimum_that_an_independent_fit_finds():
 
 def test_covariance_is_that_of_the_independent_fit():
     motion, before, after = two_views(rng(4), 9, 0.05)
-    found = estimate_motion("ml", before, after, HEAD, 0.05)
+    found = estimate_motion("ml", sighting(before, 0.05), sighting(after, 0.05))
     _, covariance, _ = minimum_by_scipy(before, after, np.full(3, 0.05), motion)
     # That fit's parameters are (rotation vector, translation); ours turn about the origin.
     x = np.concatenate(
@@ -128,7 +131,7 @@ def mean_nees(solver, draws, count, sigma=0.25, **options):
     generator, total = rng(6), 0.0
     for _ in range(draws):
         motion, before, after = two_views(generator, count, sigma)
-        found = estimate_motion(solver, before, after, HEAD, sigma, **options)
+        found = estimate_motion(solver, sighting(before, sigma), sighting(after, sigma), **options)
         xi = error_of(found.transform_after_to_before, motion)
         total += xi @ np.linalg.solve(found.covariance, xi)
     return total / draws / 6
@@ -177,7 +180,9 @@ def test_likelihood_is_an_order_more_accurate_than_the_linear_solution():
     for _ in range(20):
         motion, before, after = two_views(generator, 6, 0.25)
         for solver, found in errors.items():
-            estimate = estimate_motion(solver, before, after, HEAD, 0.25, reject=False)
+            estimate = estimate_motion(
+                solver, sighting(before, 0.25), sighting(after, 0.25), reject=False
+            )
             shift = estimate.transform_after_to_before.translation - motion.translation
             found.append(np.linalg.norm(shift))
     assert np.median(errors["ml"]) < 0.1 * np.median(errors["linear"])
@@ -191,7 +196,7 @@ def test_wrong_matches_are_left_out(guessed):
         wrong = generator.permutation(20)[:6]
         after[wrong, :2] = generator.uniform((0, 0), (510, 492), (6, 2))
         guess = random_motion(generator, 1.0, 0.01) * motion if guessed else None
-        found = estimate_motion("ml", before, after, HEAD, 0.1, guess=guess)
+        found = estimate_motion("ml", sighting(before, 0.1), sighting(after, 0.1), guess=guess)
         assert not found.inliers[wrong].any()
         assert found.inliers.sum() >= 13
         xi = error_of(found.transform_after_to_before, motion)
@@ -202,7 +207,7 @@ def test_closed_forms_also_leave_wrong_matches_out():
     motion, before, after = two_views(rng(11), 12, 0.0)
     after[:3, 0] += 40.0
     for solver in SOLVERS:
-        found = estimate_motion(solver, before, after, HEAD, 0.1)
+        found = estimate_motion(solver, sighting(before, 0.1), sighting(after, 0.1))
         assert np.abs(error_of(found.transform_after_to_before, motion)).max() < 1e-6
 
 
@@ -211,7 +216,7 @@ def test_a_majority_of_wrong_matches_is_refused():
     _, before, after = two_views(generator, 12, 0.1)
     after[:8, :2] = generator.uniform((0, 0), (510, 492), (8, 2))
     with pytest.raises(RegistrationError, match="agree"):
-        estimate_motion("ml", before, after, HEAD, 0.1)
+        estimate_motion("ml", sighting(before, 0.1), sighting(after, 0.1))
 
 
 def bad_sets():
@@ -234,33 +239,37 @@ def bad_sets():
 def test_degenerate_sets_are_refused_by_name(points, message):
     places = np.ones((len(points), 3))
     with pytest.raises(RegistrationError, match=message):
-        estimate_motion("ml", points, points, HEAD, 0.25)
+        estimate_motion("ml", sighting(points, 0.25), sighting(points, 0.25))
     with pytest.raises(RegistrationError, match=message):
-        register(places, np.tile(np.eye(3), (len(points), 1, 1)), points, HEAD, 0.25)
+        register(places, np.tile(np.eye(3), (len(points), 1, 1)), sighting(points))
 
 
 def test_other_bad_input_is_refused():
     _, before, after = two_views(rng(14), 6)
     with pytest.raises(RegistrationError, match="expected one of linear, recursive"):
-        estimate_motion("best", before, after, HEAD, 0.25)
+        estimate_motion("best", sighting(before, 0.25), sighting(after, 0.25))
     with pytest.raises(RegistrationError, match="6 fiducials before and 5 after"):
-        estimate_motion("ml", before, after[:5], HEAD, 0.25)
+        estimate_motion("ml", sighting(before, 0.25), sighting(after[:5]))
     with pytest.raises(RegistrationError, match="positive"):
-        estimate_motion("ml", before, after, HEAD, 0.0)
+        estimate_motion("ml", sighting(before, 0.0), sighting(after, 0.0))
     with pytest.raises(RegistrationError, match="map points: the value"):
-        register(np.full((6, 3), np.inf), np.tile(np.eye(3), (6, 1, 1)), before, HEAD, 0.25)
+        register(np.full((6, 3), np.inf), np.tile(np.eye(3), (6, 1, 1)), sighting(before))
     with pytest.raises(RegistrationError, match="map covariances of shape"):
-        register(np.ones((6, 3)), np.eye(3), before, HEAD, 0.25)
+        register(np.ones((6, 3)), np.eye(3), sighting(before))
     with pytest.raises(RegistrationError, match="negative"):
-        register(np.ones((6, 3)), np.tile(-np.eye(3), (6, 1, 1)), before, HEAD, 0.25)
+        register(np.ones((6, 3)), np.tile(-np.eye(3), (6, 1, 1)), sighting(before))
 
 
 def test_linear_solution_refuses_a_plane():
     flat = np.column_stack([rng(15).uniform(-0.3, 0.3, (8, 2)), np.full(8, 1.0)])
     for solver in ("linear", "recursive"):
         with pytest.raises(RegistrationError, match="plane"):
-            estimate_motion(solver, HEAD.project(flat), HEAD.project(flat), HEAD, 0.25)
-    found = estimate_motion("ml", HEAD.project(flat), HEAD.project(flat), HEAD, 0.25)
+            estimate_motion(
+                solver, sighting(HEAD.project(flat), 0.25), sighting(HEAD.project(flat), 0.25)
+            )
+    found = estimate_motion(
+        "ml", sighting(HEAD.project(flat), 0.25), sighting(HEAD.project(flat), 0.25)
+    )
     np.testing.assert_allclose(found.transform_after_to_before.as_exp_coords(), 0.0, atol=1e-9)
 
 
@@ -272,10 +281,10 @@ def registered(generator, count, wrong=0):
     covariances = spread @ np.swapaxes(spread, -1, -2) + 1e-6 * np.eye(3)
     drawn = [generator.multivariate_normal(np.zeros(3), c) for c in covariances]
     mapped = pose.apply(points) + np.array(drawn)
-    seen = HEAD.project(points) + 0.1 * generator.standard_normal((count, 3))
-    seen[:wrong, :2] = generator.uniform((0, 0), (510, 492), (wrong, 2))
+    image = HEAD.project(points) + 0.1 * generator.standard_normal((count, 3))
+    image[:wrong, :2] = generator.uniform((0, 0), (510, 492), (wrong, 2))
     guess = random_motion(generator, 2.0, 0.03) * pose
-    found = register(mapped, covariances, seen, HEAD, 0.1, guess)
+    found = register(mapped, covariances, sighting(image, 0.1), guess)
     return found, error_of(found.transform_camera_to_world, pose)
 
 
@@ -299,19 +308,19 @@ def test_registration_to_points_known_exactly():
     generator = rng(18)
     pose = random_motion(generator, 40.0, 1.0)
     points = random_points(generator, 6)
-    found = register(pose.apply(points), np.zeros((6, 3, 3)), HEAD.project(points), HEAD, 0.1)
+    found = register(pose.apply(points), np.zeros((6, 3, 3)), sighting(HEAD.project(points), 0.1))
     assert np.abs(error_of(found.transform_camera_to_world, pose)).max() < 1e-7
 
 
 def test_a_joint_covariance_of_independent_points_changes_nothing():
     generator = rng(19)
     points = random_points(generator, 6)
-    seen = HEAD.project(points) + 0.2 * generator.standard_normal((6, 3))
+    image = HEAD.project(points) + 0.2 * generator.standard_normal((6, 3))
     blocks = np.tile(1e-5 * np.diag([1.0, 2.0, 3.0]), (6, 1, 1))
     joint = np.zeros((18, 18))
     for k in range(6):
         joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] = blocks[k]
-    first, second = (register(points, c, seen, HEAD, 0.2) for c in (blocks, joint))
+    first, second = (register(points, c, sighting(image, 0.2)) for c in (blocks, joint))
     np.testing.assert_allclose(first.covariance, second.covariance, rtol=1e-6)
     difference = error_of(first.transform_camera_to_world, second.transform_camera_to_world)
     assert np.abs(difference).max() < 1e-8

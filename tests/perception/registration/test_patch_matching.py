@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform
 from perception.registration.motion import RegistrationError, estimate_motion
 from perception.registration.patch_matching import TrackerConfig, predict, track
 from perception.stereo.patch_fit import EVERYTHING, fit_patch, sample_patch
-from tests.perception.registration.fiducial_views import HEAD, error_of, random_motion
+from tests.perception.registration.fiducial_views import HEAD, error_of, random_motion, sighting
 from tests.perception.stereo.textured_plane import TexturedPlane
 
 MOTION = RigidTransform.from_exp_coords([0.03, -0.05, 0.06, 0.03, -0.02, 0.04])
@@ -42,9 +42,8 @@ def test_fiducials_are_found_to_a_twentieth_of_a_pixel(views):
 def test_motion_from_tracked_fiducials_is_within_a_millimetre(views):
     _, pairs, before, _ = views
     tracks = track(*pairs, before, HEAD, MOTION)
-    found = estimate_motion(
-        "ml", tracks.before[tracks.found], tracks.after[tracks.found], HEAD, 0.05
-    )
+    before, after = (sighting(view[tracks.found], 0.05) for view in (tracks.before, tracks.after))
+    found = estimate_motion("ml", before, after)
     xi = error_of(found.transform_after_to_before, MOTION)
     assert np.linalg.norm(xi[3:]) < 1e-3
     assert np.linalg.norm(xi[:3]) < np.radians(0.1)
