@@ -97,10 +97,10 @@ def _examine_emulated(patience: float) -> Iterator[Finding]:
     scene = SceneConfig()
     name = scene.robots[0].name
     with contextlib.closing(EmulatorProcess(scene, realtime=True)) as emulator:
-        wiring = emulated_wiring(emulator, scene, name)
+        wiring = emulated_wiring(emulator, name)
 
         def press() -> None:
-            for address in {axis.address for axis in scene.calibration(name).drive.axes}:
+            for address in wiring.load_calibration().drive.boards:
                 emulator.inject(name, RobotFault.E_STOP.value, address=address)
 
         yield from _examine(Patient(wiring, press, patience))

@@ -162,10 +162,9 @@ class BoardSamples:
     def _take(self, address: int, pair: tuple[int, int], anew: bool = False) -> None:
         """Take a board's counters; they wrap, so only their change counts."""
         now = self._clock()
-        for axis, place in enumerate(self._calibration.drive.axes):
-            if place.address != address:
+        for axis, raw in zip(self._calibration.drive.boards[address], pair, strict=True):
+            if axis < 0:
                 continue
-            raw = pair[place.channel - 1]
             step = codec.signed_difference(raw, int(self._raw[axis]))
             elapsed = now - self._stamps[axis]
             if anew:

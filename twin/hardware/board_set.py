@@ -1,4 +1,4 @@
-"""All boards of one robot as one device, and the same over their real wires."""
+"""All boards of one robot as one device, and its implementation over their real wires."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -20,17 +20,17 @@ from twin.robot import Channel
 _CURRENT_UNIT = 0.01  # [A]
 _VOLTAGE_UNIT = 0.1  # [V]
 _TIMEOUT_UNIT = 0.1  # [s]
-_SET_ENCODER = {1: BoardCommand.SET_ENCODER_1, 2: BoardCommand.SET_ENCODER_2}
+_SET_ENCODER = {1: BoardCommand.SET_ENCODER_1, 2: BoardCommand.SET_ENCODER_2}  # By channel.
 _SET_LIMIT = {1: BoardCommand.SET_CURRENT_LIMIT_1, 2: BoardCommand.SET_CURRENT_LIMIT_2}
 _GET_LIMIT = {1: BoardCommand.GET_CURRENT_LIMIT_1, 2: BoardCommand.GET_CURRENT_LIMIT_2}
 
 
 @dataclasses.dataclass(frozen=True)
 class BoardState:
-    """What one motor board says of itself.
+    """State that one motor board reports.
 
     Attributes:
-        address: On the bus.
+        address: Address on the bus.
         status: Errors and warnings.
         battery: Main voltage [V].
         currents: Currents of both motors [A].
@@ -45,32 +45,21 @@ class BoardState:
 
 
 class BoardSet(Protocol):
-    """What `BoardRobot` asks of the boards; axes are in the order of `twin.robot.AXES`."""
+    """What `BoardRobot` needs of its boards; axes are in the order of `twin.robot.AXES`.
 
-    @property
-    def addresses(self) -> Sequence[int]:
-        """Of the motor boards."""
-        ...
+    Attributes:
+        addresses: Addresses of the motor boards.
+        has_analogue: Whether there are an inclinometer and a potentiometer.
+        has_wrench: Whether there is a force/torque sensor.
+        has_stereo: Whether there is a stereo head.
+        stereo_fault: Why the last call of `stereo` failed; empty if there only was no new pair.
+    """
 
-    @property
-    def has_analogue(self) -> bool:
-        """Whether there are an inclinometer and a potentiometer."""
-        ...
-
-    @property
-    def has_wrench(self) -> bool:
-        """Whether there is a force/torque sensor."""
-        ...
-
-    @property
-    def has_stereo(self) -> bool:
-        """Whether there is a stereo head."""
-        ...
-
-    @property
-    def stereo_fault(self) -> str:
-        """Why its cameras gave no pair the last time; empty if they just had no new one."""
-        ...
+    addresses: tuple[int, ...]
+    has_analogue: bool
+    has_wrench: bool
+    has_stereo: bool
+    stereo_fault: str
 
     def configure(self) -> None:
         """Set timeouts and current limits.
@@ -78,31 +67,28 @@ class BoardSet(Protocol):
         Raises:
             LinkError: If a board does not answer.
         """
-        ...
 
     def encoders(self, address: int) -> tuple[int, int]:
         """Return both counters of a board, signed 32 bits.
 
         Raises:
-            LinkError: If it does not answer.
+            LinkError: If the board does not answer.
         """
         ...
 
     def set_encoder(self, axis: int, count: int) -> None:
-        """Set the counter of an axis that stands still.
+        """Set the counter of an axis at rest.
 
         Raises:
             LinkError: If the board does not do it.
         """
-        ...
 
     def drive(self, codes: IntArray) -> None:
         """Set the duty codes (8,) of all axes.
 
         Raises:
-            LinkError: If a board does not acknowledge; the others were told all the same.
+            LinkError: If a board does not acknowledge; the others have received theirs all the same.
         """
-        ...
 
     def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
         """Return the converter codes of analogue inputs, None for those that were not read."""
@@ -110,39 +96,35 @@ class BoardSet(Protocol):
 
     def wrench(self) -> IntArray | None:
         """Return the force/torque sensor's counts (6,), None if there is no new sample."""
-        ...
 
     def stereo(self, now: float) -> Channel | None:
         """Return the cameras' newest pair at `now` [s], None if there is no new one."""
-        ...
 
     def status(self, address: int) -> Status:
         """Return a board's status.
 
         Raises:
-            LinkError: If it does not answer.
+            LinkError: If the board does not answer.
         """
         ...
 
     def state(self, address: int) -> BoardState:
-        """Return all that a board says of itself.
+        """Return the state that a board reports.
 
         Raises:
-            LinkError: If it does not answer.
+            LinkError: If the board does not answer.
         """
         ...
 
     def reset_e_stop(self) -> None:
-        """Let go of a latched e-stop on every board.
+        """Release a latched e-stop on every board.
 
         Raises:
             LinkError: If a board does not answer.
         """
-        ...
 
     def close(self) -> None:
         """Close all ports."""
-        ...
 
 
 class WiredBoards:
@@ -159,12 +141,11 @@ class WiredBoards:
         """Take over open clients.
 
         Args:
-            bus: The motor boards.
-            calibration: Which axis is where, and its limits.
-            analogue: Potentiometer and inclinometer, if there are.
-            force_torque: The sensor under the arm, if there is, with a scale of one: the
-                calibration converts its counts.
-            camera: The stereo head, if there is.
+            bus: Motor boards.
+            calibration: Places of the axes on the boards, and the robot's limits.
+            analogue: Board of potentiometer and inclinometer, if there is one.
+            force_torque: Sensor under the arm, if there is one.
+            camera: Stereo head, if there is one.
         """
         self.bus = bus
         self.analogue_board = analogue
@@ -175,12 +156,8 @@ class WiredBoards:
         self.has_stereo = camera is not None
         self.stereo_fault = ""
         self._limits = calibration.limits
-        self._axes = calibration.drive.axes
-        self.addresses = tuple(sorted({axis.address for axis in self._axes}))
-        self._places = {
-            address: [_axis_at(calibration, address, channel) for channel in (1, 2)]
-            for address in self.addresses
-        }
+        self._drive = calibration.drive
+        self.addresses = tuple(self._drive.boards)
         self._silent: set[int] = set()
 
     def configure(self) -> None:
@@ -188,7 +165,7 @@ class WiredBoards:
         steps = round(self._limits.serial_timeout / _TIMEOUT_UNIT)
         for address in self.addresses:
             self.bus.write(address, BoardCommand.SET_TIMEOUT, steps)
-        for axis in self._axes:
+        for axis in self._drive.axes:
             units = round(axis.current_limit / _CURRENT_UNIT)
             self.bus.write(axis.address, _SET_LIMIT[axis.channel], units, 0)
             found = self.bus.read(axis.address, _GET_LIMIT[axis.channel])[0]
@@ -204,14 +181,14 @@ class WiredBoards:
         return one, two
 
     def set_encoder(self, axis: int, count: int) -> None:
-        """Set the counter of an axis that stands still."""
-        place = self._axes[axis]
+        """Set the counter of an axis at rest."""
+        place = self._drive.axes[axis]
         for _ in range(3):
             try:
                 self.bus.write(place.address, _SET_ENCODER[place.channel], count)
                 return
             except LinkError:
-                # The acknowledgement may be what was lost. At rest the counter tells.
+                # The acknowledgement may be what was lost; at rest, the counter shows.
                 if self.encoders(place.address)[place.channel - 1] == count:
                     return
         raise LinkError(f"board {place.address:#x} does not take an encoder count")
@@ -219,13 +196,12 @@ class WiredBoards:
     def drive(self, codes: IntArray) -> None:
         """Set the duty codes of all axes."""
         failed: LinkError | None = None
+        codes = np.clip(codes, -codec.FULL_DUTY, codec.FULL_DUTY)
         # A board that was silent the last time does not hold the others up.
-        for address in sorted(self._places, key=self._silent.__contains__):
-            one, two = self._places[address]
+        for address in sorted(self.addresses, key=self._silent.__contains__):
             try:
-                self.bus.write(
-                    address, BoardCommand.DUTY_BOTH, _code(codes, one), _code(codes, two)
-                )
+                duties = self._drive.at_board(address, codes).tolist()
+                self.bus.write(address, BoardCommand.DUTY_BOTH, *duties)
                 self._silent.discard(address)
             except LinkError as error:
                 self._silent.add(address)
@@ -247,10 +223,10 @@ class WiredBoards:
         if self.force_torque is None:
             return None
         try:
-            reading = self.force_torque.read()
+            record = self.force_torque.read()
         except LinkError:
             return None
-        return None if reading is None else np.rint(reading.wrench).astype(np.int64)
+        return None if record is None else np.array(record.counts, dtype=np.int64)
 
     def stereo(self, now: float) -> Channel | None:
         """Return the cameras' newest pair."""
@@ -269,7 +245,7 @@ class WiredBoards:
         return self.bus.status(address)
 
     def state(self, address: int) -> BoardState:
-        """Return all that a board says of itself."""
+        """Return the state that a board reports."""
         one, two = self.bus.read(address, BoardCommand.GET_CURRENTS)
         return BoardState(
             address,
@@ -280,7 +256,7 @@ class WiredBoards:
         )
 
     def reset_e_stop(self) -> None:
-        """Let go of a latched e-stop on every board."""
+        """Release a latched e-stop on every board."""
         for address in self.addresses:
             if self.bus.status(address) & Status.E_STOP:
                 self.bus.write(address, BoardCommand.RESET_E_STOP)
@@ -291,15 +267,3 @@ class WiredBoards:
         for device in (self.analogue_board, self.force_torque, self.camera):
             if device is not None:
                 device.close()
-
-
-def _axis_at(calibration: Calibration, address: int, channel: int) -> int | None:
-    for number, axis in enumerate(calibration.drive.axes):
-        if (axis.address, axis.channel) == (address, channel):
-            return number
-    return None
-
-
-def _code(codes: IntArray, axis: int | None) -> int:
-    code = 0 if axis is None else int(codes[axis])
-    return max(-codec.FULL_DUTY, min(codec.FULL_DUTY, code))

@@ -212,10 +212,9 @@ def _analogue_board(wiring: Wiring) -> AnalogueBoard:
 def _force_torque(wiring: Wiring) -> NetForceTorque:
     host, _, port = wiring.wrench.partition(":")
     number = int(port) if port else PORT
-    # The calibration converts: counts pass as they are.
     if wiring.patient:
-        return NetForceTorque(host, 1.0, 1.0, number, _PATIENCE)
-    return NetForceTorque(host, 1.0, 1.0, number)
+        return NetForceTorque(host, number, _PATIENCE)
+    return NetForceTorque(host, number)
 
 
 def wired_robot(
@@ -246,14 +245,16 @@ def wired_robot(
     return robot
 
 
-def emulated_wiring(emulator: EmulatorProcess, scene: SceneConfig, robot: str) -> Wiring:
-    """Return where an emulator has put a robot's boards."""
+def emulated_wiring(emulator: EmulatorProcess, robot: str) -> Wiring:
+    """Return where an emulator serves a robot's boards."""
     ports = emulator.ports[robot]
-    host = f"127.0.0.1:{ports['wrench']}"
-    path = scene.calibrations.get(robot)
-    stereo = ports.get("stereo", "")
     return Wiring(
-        ports["bus"], ports["analogue"], host, stereo, robot, calibration=path, emulated=True
+        ports["bus"],
+        ports["analogue"],
+        f"127.0.0.1:{ports['wrench']}",
+        ports.get("stereo", ""),
+        robot,
+        emulated=True,
     )
 
 
@@ -278,7 +279,7 @@ def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, 
     robots: dict[str, BoardRobot] = {}
     with contextlib.ExitStack() as opened:
         for placement in scene.robots:
-            wiring = emulated_wiring(emulator, scene, placement.name)
+            wiring = emulated_wiring(emulator, placement.name)
             wiring = dataclasses.replace(wiring, patient=True)
             robot = wired_robot(wiring, lambda: emulator.time, _patience(scene))
             opened.callback(robot.close)

@@ -177,7 +177,7 @@ def keep_pace(duration: float, seed: int) -> LoopPace:
         resources.callback(emulator.close)
         time.sleep(SINKING)
         robot_time = WallClock(PERIOD)
-        wiring = emulated_wiring(emulator, scene, ROBOT)
+        wiring = emulated_wiring(emulator, ROBOT)
         robot = wired_robot(wiring, lambda: robot_time.time)
         resources.callback(robot.close)
         boards = cast("WiredBoards", robot.boards)

@@ -165,7 +165,7 @@ class BoardBench:
             if preset is not None:
                 self.emulator.inject(ROBOT, WRAP, 0.0, preset)
             self.emulator.tick()
-            wiring = emulated_wiring(self.emulator, self._scene, ROBOT)
+            wiring = emulated_wiring(self.emulator, ROBOT)
             try:
                 self.robot = wired_robot(wiring, lambda: self.emulator.time)
                 self.robot.home(self.angles[4:])

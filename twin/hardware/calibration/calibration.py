@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from twin.hardware.calibration.motors import AxisCalibration, DriveCalibration, JointCalibration
-from twin.hardware.calibration.section import CalibrationError, Section, require
+from twin.hardware.calibration.section import CalibrationError, Section, from_table, require
 from twin.hardware.calibration.sensors import (
     AnalogueCalibration,
     AngleSensor,
@@ -193,7 +193,7 @@ def read_calibration(path: Path) -> Calibration:
     if schema != SCHEMA:
         raise CalibrationError(f"{path}: schema is {schema!r}, this version reads {SCHEMA}")
     try:
-        return _build(Calibration, table, "")
+        return from_table(Calibration, table)
     except CalibrationError as error:
         raise CalibrationError(f"{path}: {error}") from None
 
@@ -272,59 +272,4 @@ def _literal(key: str, value: Any) -> str:
 
 def _sections(calibration: Calibration) -> dict[str, Section]:
     """Return the sections by name."""
-    values = {
-        field.name: getattr(calibration, field.name) for field in dataclasses.fields(calibration)
-    }
-    return {name: value for name, value in values.items() if isinstance(value, Section)}
-
-
-def _build(kind: type[Any], table: Mapping[str, Any], where: str) -> Any:
-    """Return a dataclass from a TOML table that must have exactly its fields.
-
-    Args:
-        kind: The dataclass.
-        table: Table from the file.
-        where: What stands before a key in messages.
-
-    Raises:
-        CalibrationError: Naming the key and its value.
-    """
-    hints = typing.get_type_hints(kind)
-    names = [field.name for field in dataclasses.fields(kind)]
-    unknown = [name for name in table if name not in names]
-    if unknown:
-        raise CalibrationError(
-            f"{where}{unknown[0]} is unknown (value {table[unknown[0]]!r}); "
-            f"valid keys are {', '.join(names)}"
-        )
-    missing = [name for name in names if name not in table]
-    if missing:
-        raise CalibrationError(f"{where}{missing[0]} is missing; needed are {', '.join(names)}")
-    values = {name: _value(hints[name], table[name], f"{where}{name}") for name in names}
-    try:
-        return kind(**values)
-    except CalibrationError as error:
-        raise CalibrationError(f"{where}{error}") from None
-
-
-def _value(hint: Any, value: Any, key: str) -> Any:
-    """Return a value of the type that a field has, or refuse it."""
-    if dataclasses.is_dataclass(hint):
-        require(isinstance(value, dict), key, value, "a table")
-        return _build(typing.cast("type[Any]", hint), value, f"{key}.")
-    if hint is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        require(number, key, value, "a number")
-        return float(value)
-    if typing.get_origin(hint) is tuple:
-        require(isinstance(value, list), key, value, "a list")
-        item = typing.get_args(hint)[0]
-        return tuple(_value(item, entry, key) for entry in value)
-    fits = type(value) is hint
-    require(fits, key, value, _WORDS[hint])
-    return value
-
-
-_WORDS: Mapping[type, str] = types.MappingProxyType(
-    {int: "a whole number", str: "a text", datetime.date: "a date (as 2026-01-31)"}
-)
+    return {name: value for name, value in vars(calibration).items() if isinstance(value, Section)}

@@ -3,10 +3,10 @@
 import dataclasses
 import functools
 import math
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from perception.geometry.arrays import FloatArray, IntArray
 from twin.hardware.calibration.section import (
@@ -19,8 +19,10 @@ from twin.hardware.calibration.section import (
 from twin.hardware.roboclaw.codec import FULL_DUTY
 from twin.robot import ARM_JOINTS, AXES, WHEELS
 
+Number = TypeVar("Number", np.int64, np.float64)
+
 ADDRESSES: Final = (0x80, 0x81, 0x82, 0x83)
-"""Of the motor boards on the bus."""
+"""Addresses of the motor boards on the bus."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -122,6 +124,18 @@ class DriveCalibration(Section):
     def axes(self) -> tuple[AxisCalibration, ...]:
         """The eight motors, in the order of `AXES`."""
         return tuple(getattr(self, name) for name in AXES)
+
+    @functools.cached_property
+    def boards(self) -> dict[int, tuple[int, int]]:
+        """Axes at the two channels of each motor board, by address; -1 where no motor is."""
+        found: dict[int, list[int]] = {}
+        for number, axis in enumerate(self.axes):
+            found.setdefault(axis.address, [-1, -1])[axis.channel - 1] = number
+        return {address: (one, two) for address, (one, two) in sorted(found.items())}
+
+    def at_board(self, address: int, values: NDArray[Number]) -> NDArray[Number]:
+        """Return what of `values` (8,) belongs to the two channels of a board; 0 for no motor."""
+        return np.append(values, values.dtype.type(0))[list(self.boards[address])]
 
     @functools.cached_property
     def joints(self) -> tuple[JointCalibration, ...]:

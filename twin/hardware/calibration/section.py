@@ -1,13 +1,19 @@
-"""What every section of a calibration shares."""
+"""Sections of a calibration, and dataclasses from the tables of a file."""
 
 import dataclasses
 import datetime
 import math
+import types
+import typing
+from collections.abc import Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from perception.geometry.arrays import FloatArray
+
+T = TypeVar("T")
 
 
 class CalibrationError(ValueError):
@@ -16,11 +22,11 @@ class CalibrationError(ValueError):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Section:
-    """What every section of a calibration says of itself.
+    """Date and source of the numbers of a section.
 
     Attributes:
-        calibrated_on: When its numbers were last found to hold.
-        source: How they were found.
+        calibrated_on: Date on which the numbers were last confirmed.
+        source: How the numbers were found.
     """
 
     calibrated_on: datetime.date
@@ -51,3 +57,61 @@ def read_only(values: ArrayLike) -> FloatArray:
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array
+
+
+def from_table(kind: type[T], table: Mapping[str, object], where: str = "") -> T:
+    """Return a dataclass from a table of TOML or JSON.
+
+    Args:
+        kind: Dataclass; the table has its fields, but for those with a default value.
+        table: Table from the file.
+        where: Prefix of the keys in messages.
+
+    Raises:
+        CalibrationError: Naming the key and its value.
+    """
+    hints = typing.get_type_hints(kind)
+    fields = {field.name: field for field in dataclasses.fields(typing.cast("Any", kind))}
+    unknown = [name for name in table if name not in fields]
+    if unknown:
+        raise CalibrationError(
+            f"{where}{unknown[0]} is unknown (value {table[unknown[0]]!r}); "
+            f"valid keys are {', '.join(fields)}"
+        )
+    for name, field in fields.items():
+        if name not in table and field.default is dataclasses.MISSING:
+            raise CalibrationError(f"{where}{name} is missing; needed are {', '.join(fields)}")
+    values = {name: _value(hints[name], table[name], f"{where}{name}") for name in table}
+    try:
+        return kind(**values)
+    except CalibrationError as error:
+        raise CalibrationError(f"{where}{error}") from None
+
+
+def _value(hint: Any, value: Any, key: str) -> Any:
+    """Return a value of the type that a field has, or refuse it."""
+    if typing.get_origin(hint) is types.UnionType:  # A type or None.
+        return None if value is None else _value(typing.get_args(hint)[0], value, key)
+    if dataclasses.is_dataclass(hint):
+        require(isinstance(value, dict), key, value, "a table")
+        return from_table(typing.cast("type[Any]", hint), value, f"{key}.")
+    if hint is float:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        require(number, key, value, "a number")
+        return float(value)
+    if typing.get_origin(hint) is tuple:
+        require(isinstance(value, list), key, value, "a list")
+        item = typing.get_args(hint)[0]
+        return tuple(_value(item, entry, key) for entry in value)
+    require(type(value) is hint, key, value, _WORDS[hint])
+    return value
+
+
+_WORDS: Mapping[type, str] = types.MappingProxyType(
+    {
+        int: "a whole number",
+        bool: "true or false",
+        str: "a text",
+        datetime.date: "a date (as 2026-01-31)",
+    }
+)

@@ -10,23 +10,34 @@ import dataclasses
 import functools
 import json
 import os
-import selectors
+import select
+import socket
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, TextIO
 
 import mujoco
 import numpy as np
 import tyro
 
 from models.compose import RobotPlacement
+from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig, camera_pose
 from twin.hardware.emulator.drawing import DrawingProcess
 from twin.hardware.emulator.faults import CameraFault, LineFaultConfig, RobotFault, ScheduledFault
-from twin.hardware.emulator.messages import PoseTable, RobotTruth
+from twin.hardware.emulator.messages import (
+    FaultEntry,
+    Order,
+    PoseTable,
+    Refusal,
+    RobotTruth,
+    SceneTime,
+    Started,
+)
 from twin.hardware.emulator.modem import ModemConfig, PtyModems
+from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 
@@ -66,49 +77,48 @@ class Emulator:
         self,
         scene: SceneConfig,
         line_faults: float,
-        faults: list[dict[str, Any]],
+        faults: Sequence[FaultEntry],
         frames: Path | None = None,
     ) -> None:
         """Build the scene and power the boards on.
 
         Args:
-            scene: What is emulated.
+            scene: Robots, ground and cameras.
             line_faults: Share of damaged exchanges.
-            faults: Scheduled ones, as in the file.
-            frames: Folder for stereo pairs; None to keep them.
+            faults: Scheduled faults.
+            frames: Folder for stereo pairs; None for none.
 
         Raises:
-            ValueError: If a fault is of a robot or board that is not there, or of no known kind.
+            ValueError: If a fault names an unknown robot, board or kind.
             CalibrationError: If a robot's calibration cannot be used.
         """
         self._drawing: DrawingProcess | None = None
         self.scene = EmulatedScene(scene)
         names = list(self.scene.rovers)
         for entry in faults:
-            if entry.get("robot", names[0]) not in names:
-                raise ValueError(f"fault of robot {entry['robot']!r}: there are {', '.join(names)}")
+            robot = entry.get("robot", names[0])
+            if robot not in names:
+                raise ValueError(f"fault of robot {robot!r}: there are {', '.join(names)}")
         config = LineFaultConfig(line_faults)
-        sources = np.random.default_rng([scene.seed, 5]).spawn(len(self.scene.rovers))
-        self.rigs = {
-            name: EmulatedRig(rover, config, _faults_of(name, faults), source, frames)
-            for (name, rover), source in zip(self.scene.rovers.items(), sources, strict=True)
-        }
-        self._selector = selectors.DefaultSelector()
-        for rig in self.rigs.values():
-            self._selector.register(rig.bus, selectors.EVENT_READ, rig.serve_bus)
-            self._selector.register(rig.analogue, selectors.EVENT_READ, rig.serve_analogue)
-            self._selector.register(rig.wrench, selectors.EVENT_READ, rig.serve_wrench)
+        sources = np.random.default_rng([scene.seed, 5]).spawn(len(names))
+        self.rigs: dict[str, EmulatedRig] = {}
+        for (name, rover), source in zip(self.scene.rovers.items(), sources, strict=True):
+            own = [_fault(entry) for entry in faults if entry.get("robot", name) == name]
+            self.rigs[name] = EmulatedRig(rover, config, own, source, frames)
+        self._ports: list[PseudoTerminal | socket.socket | TextIO] = [
+            port for rig in self.rigs.values() for port in (rig.bus, rig.analogue, rig.wrench)
+        ]
 
     def draw_apart(self) -> None:
-        """Have stereo pairs drawn by a process of their own from now on."""
+        """Have stereo pairs drawn in a process of their own from now on."""
         heads = self.scene.simulation.heads
         self._drawing = DrawingProcess(heads)
         for name in heads:
-            self.rigs[name].draw_apart = functools.partial(self._drawing.newest, name)
+            self.rigs[name].newest = functools.partial(self._drawing.newest, name)
 
     def listen(self) -> None:
-        """Take control lines from the standard input."""
-        self._selector.register(sys.stdin.fileno(), selectors.EVENT_READ, None)
+        """Obey the orders on the standard input from now on."""
+        self._ports.append(sys.stdin)
 
     def tick(self) -> None:
         """Advance boards and physics by one servo tick."""
@@ -120,19 +130,14 @@ class Emulator:
 
     def serve(self, wait: float) -> bool:
         """Serve what comes within `wait` [s]; return False when the control line was closed."""
-        for key, _ in self._selector.select(wait):
-            if key.data is not None:
-                key.data(time.monotonic())
-            elif not self._obey():
-                return False
+        ready, _, _ = select.select(self._ports, [], [], wait)
         now = time.monotonic()
         for rig in self.rigs.values():
-            rig.serve_late(now)
-            rig.serve_frames()
-        return True
+            rig.serve(now)
+        return sys.stdin not in ready or self._obey()
 
     def _obey(self) -> bool:
-        """Carry out what stands on the control line."""
+        """Carry out the orders on the control line; return False when it was closed."""
         data = os.read(sys.stdin.fileno(), 65536)
         if not data:
             return False
@@ -140,81 +145,71 @@ class Emulator:
             print(json.dumps(self._answer(json.loads(line))), flush=True)
         return True
 
-    def _answer(self, order: dict[str, Any]) -> dict[str, Any]:
+    def _answer(self, order: Order) -> SceneTime | Refusal | dict[str, RobotTruth]:
         match order["do"]:
             case "tick":
                 self.tick()
-                return {"time": self.scene.time}
             case "fault":
                 try:
-                    self.rigs[order["robot"]].inject(_fault(order))
+                    self.rigs[order.get("robot", "")].inject(_fault(order))
                 except (KeyError, ValueError) as error:
                     return {"error": f"no such fault: {error}"}
-                return {"time": self.scene.time}
             case "state":
                 return {name: self._state(name) for name in self.rigs}
             case other:
                 return {"error": f"unknown order {other!r}"}
+        return {"time": self.scene.time}
 
     def _state(self, name: str) -> RobotTruth:
-        """Return what a person beside the robot could measure."""
+        """Return the true state of a robot."""
         rover, rig = self.scene.rovers[name], self.rigs[name]
-        damage = {kind.value: count for kind, count in rig.bus_line.counts.items()}
+        model, data = self.scene.simulation.model, self.scene.simulation.data
+        camera = None
+        if rig.frames is not None:
+            eye = int(model.camera(f"{name}/stereo_left").id)
+            camera = _pose_table(*camera_pose(data, eye))
+        bodies: dict[str, PoseTable] = {}
+        for word, body in (("chassis", f"{name}/chassis"), ("card", f"{name}/card"), ("slot",) * 2):
+            index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
+            if index >= 0:
+                bodies[word] = _pose_table(data.xmat[index].reshape(3, 3), data.xpos[index])
         return {
             "arm_angles": rover.angles()[4:].tolist(),
             "angles": rover.angles().tolist(),
             "codes": rover.codes.tolist(),
-            "damage": damage,
-            "camera": self._camera(name) if rig.frames else None,
-            "bodies": self._bodies(name),
+            "damage": {kind.value: count for kind, count in rig.bus_line.counts.items()},
+            "camera": camera,
+            "bodies": bodies,
         }
 
-    def _bodies(self, name: str) -> dict[str, PoseTable]:
-        """Return the true poses of a robot's chassis, of its card and of the slot, if any."""
-        model, data = self.scene.simulation.model, self.scene.simulation.data
-        names = {"chassis": f"{name}/chassis", "card": f"{name}/card", "slot": "slot"}
-        found: dict[str, PoseTable] = {}
-        for word, body in names.items():
-            index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)
-            if index >= 0:
-                rotation, place = data.xmat[index].reshape(3, 3), data.xpos[index]
-                found[word] = {"rotation": rotation.tolist(), "translation": place.tolist()}
-        return found
-
-    def _camera(self, name: str) -> PoseTable:
-        """Return the left camera's true pose in the world."""
-        physics = self.scene.simulation
-        index = int(physics.model.camera(f"{name}/stereo_left").id)
-        rotation, translation = camera_pose(physics.data, index)
-        return {"rotation": rotation.tolist(), "translation": translation.tolist()}
-
     def close(self) -> None:
-        """Take ports and scene down."""
+        """Close ports and scene."""
         if self._drawing is not None:
             self._drawing.close()
-        self._selector.close()
         for rig in self.rigs.values():
             rig.close()
         self.scene.close()
 
 
-def _fault(entry: dict[str, Any]) -> ScheduledFault:
-    """Return a fault from its words.
+def _pose_table(rotation: FloatArray, translation: FloatArray) -> PoseTable:
+    return {"rotation": rotation.tolist(), "translation": translation.tolist()}
+
+
+def _fault(entry: FaultEntry) -> ScheduledFault:
+    """Return a fault from its entry in a file or an order.
 
     Raises:
-        ValueError: Naming what is missing or unknown, and the kinds that there are.
+        ValueError: Naming the missing or unknown key, and the valid kinds.
     """
     kinds = {kind.value: kind for kind in (*RobotFault, *CameraFault)}
-    if entry.get("kind") not in kinds:
-        raise ValueError(f"kind {entry.get('kind')!r}; expected one of {', '.join(kinds)}")
+    word = entry.get("kind", "")
+    if word not in kinds:
+        raise ValueError(f"kind {word!r}; expected one of {', '.join(kinds)}")
     if "time" not in entry:
-        raise ValueError(f"{entry['kind']} has no time")
-    fields = {key: entry[key] for key in ("time", "duration", "address") if key in entry}
-    return ScheduledFault(kind=kinds[entry["kind"]], **fields)
-
-
-def _faults_of(name: str, faults: Sequence[dict[str, Any]]) -> list[ScheduledFault]:
-    return [_fault(entry) for entry in faults if entry.get("robot", name) == name]
+        raise ValueError(f"{word} has no time")
+    duration = entry.get("duration", ScheduledFault.duration)
+    address = entry.get("address", ScheduledFault.address)
+    return ScheduledFault(entry["time"], kinds[word], duration, address)
 
 
 def _scene(options: Options) -> SceneConfig:
@@ -238,7 +233,7 @@ def _modems(options: Options) -> PtyModems:
 def main() -> int:
     """Serve until the control line is closed or the process is interrupted."""
     options = tyro.cli(Options, description=__doc__)
-    faults: list[dict[str, Any]] = []
+    faults: list[FaultEntry] = []
     try:
         if options.faults:
             faults = json.loads(options.faults.read_text())
@@ -246,31 +241,28 @@ def main() -> int:
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
-    if options.realtime and options.frames:
-        emulator.draw_apart()
-    ports = {name: rig.ports for name, rig in emulator.rigs.items()}
-    modems = contextlib.ExitStack()
-    if options.realtime and len(ports) == 2:  # noqa: PLR2004
-        radio = modems.enter_context(_modems(options))
-        for name, port in zip(ports, radio.ports):
-            ports[name] = {**ports[name], "radio": port}
-    period = emulator.scene.period
-    print(json.dumps({"ports": ports, "period": period, "time": emulator.scene.time}), flush=True)
-    emulator.listen()
-    wall = period * options.slow_down
-    due, serving = time.monotonic() + wall, True
-    try:
+    with contextlib.ExitStack() as running:
+        running.callback(emulator.close)
+        if options.realtime and options.frames:
+            emulator.draw_apart()
+        ports = {name: rig.ports for name, rig in emulator.rigs.items()}
+        if options.realtime and len(ports) == 2:  # noqa: PLR2004
+            radio = running.enter_context(contextlib.closing(_modems(options)))
+            for own, port in zip(ports.values(), radio.ports):
+                own["radio"] = port
+        period = emulator.scene.period
+        started: Started = {"ports": ports, "period": period, "time": emulator.scene.time}
+        print(json.dumps(started), flush=True)
+        emulator.listen()
+        wall = period * options.slow_down
+        due, serving = time.monotonic() + wall, True
+        running.enter_context(contextlib.suppress(KeyboardInterrupt))
         while serving:
             wait = max(0.0, due - time.monotonic()) if options.realtime else 0.002
             serving = emulator.serve(wait)
             if options.realtime and time.monotonic() >= due:
                 emulator.tick()
                 due += wall
-    except KeyboardInterrupt:
-        pass
-    finally:
-        emulator.close()
-        modems.close()
     return 0
 
 

@@ -23,20 +23,19 @@ class DirectBoards:
         """Power on: the encoders count from zero."""
         self._rover = rover
         self.has_stereo = rover.stereo().usable
-        self._axes = rover.calibration.drive.axes
-        self.addresses = tuple(sorted({axis.address for axis in self._axes}))
+        self._drive = rover.calibration.drive
+        self.addresses = tuple(self._drive.boards)
         self._offset = -rover.counts()
         self._timeout = 0.0
 
     def configure(self) -> None:
-        """Set the timeout, which nothing here watches."""
+        """Set the timeout, which nothing enforces here."""
         self._timeout = self._rover.calibration.limits.serial_timeout
 
     def encoders(self, address: int) -> tuple[int, int]:
         """Return both counters of a board."""
-        counts = self._rover.counts() + self._offset
-        found = {a.channel: int(c) for a, c in zip(self._axes, counts) if a.address == address}
-        one, two = (codec.signed_difference(found.get(channel, 0), 0) for channel in (1, 2))
+        counts = self._drive.at_board(address, self._rover.counts() + self._offset)
+        one, two = (codec.signed_difference(count, 0) for count in counts.tolist())
         return one, two
 
     def set_encoder(self, axis: int, count: int) -> None:
@@ -65,14 +64,13 @@ class DirectBoards:
         return Status.NORMAL
 
     def state(self, address: int) -> BoardState:
-        """Return what a board would say."""
-        currents = self._rover.currents()
-        found = {a.channel: float(c) for a, c in zip(self._axes, currents) if a.address == address}
-        pair = found.get(1, 0.0), found.get(2, 0.0)
-        return BoardState(address, Status.NORMAL, self._rover.battery, pair, self._timeout)
+        """Return the state that a board would report."""
+        one, two = self._drive.at_board(address, self._rover.currents()).tolist()
+        battery = self._rover.battery
+        return BoardState(address, Status.NORMAL, battery, (one, two), self._timeout)
 
     def reset_e_stop(self) -> None:
-        """There is none."""
+        """Do nothing: there is no e-stop."""
 
     def close(self) -> None:
         """Stop the motors."""

@@ -1,6 +1,88 @@
-"""What an emulator and the program that steers it say to each other, as JSON."""
+"""Messages between an emulator and the program that steers it: one line of JSON each.
 
-from typing import TypedDict
+The emulator begins with a `Started`. Every `Order` is answered by a `SceneTime`, a `Refusal` or, by
+robot name, the `RobotTruth`.
+"""
+
+from typing import NotRequired, TypedDict
+
+
+class Ports(TypedDict):
+    """Ports at which a host finds a robot's boards.
+
+    Attributes:
+        bus: Path of the motor boards' port.
+        analogue: Path of the analogue board's port.
+        wrench: UDP port of the force/torque sensor.
+        stereo: Path of the file of stereo pairs; left out without cameras.
+        radio: Path of the radio modem's port; left out without a radio.
+    """
+
+    bus: str
+    analogue: str
+    wrench: int
+    stereo: NotRequired[str]
+    radio: NotRequired[str]
+
+
+class SceneTime(TypedDict):
+    """Answer to an order that was carried out.
+
+    Attributes:
+        time: Time of the scene [s].
+    """
+
+    time: float
+
+
+class Started(SceneTime):
+    """First message of an emulator, when its boards have power.
+
+    Attributes:
+        ports: Ports by robot name.
+        period: Servo tick [s].
+    """
+
+    ports: dict[str, Ports]
+    period: float
+
+
+class Refusal(TypedDict):
+    """Answer to an order that cannot be carried out.
+
+    Attributes:
+        error: Reason.
+    """
+
+    error: str
+
+
+class FaultEntry(TypedDict, total=False):
+    """A scheduled fault; see `twin.hardware.emulator.faults.ScheduledFault` for what is left out.
+
+    Attributes:
+        robot: Name of the robot; every robot if left out.
+        time: Time at which it begins [s].
+        kind: Value of a `RobotFault` or a `CameraFault`.
+        duration: Duration [s].
+        address: Address of the motor board concerned.
+    """
+
+    robot: str
+    time: float
+    kind: str
+    duration: float
+    address: int
+
+
+class Order(FaultEntry):
+    """An order on the control line.
+
+    Attributes:
+        do: Either "tick", "state", or "fault" with the keys of a `FaultEntry`.
+    """
+
+    do: str
 
 
 class PoseTable(TypedDict):
@@ -16,15 +98,15 @@ class PoseTable(TypedDict):
 
 
 class RobotTruth(TypedDict):
-    """What a person beside an emulated robot could measure.
+    """True state of an emulated robot, as a person beside it could measure it.
 
     Attributes:
         arm_angles: Joint angles (4,) [rad].
         angles: Angles (8,) of wheels and joints [rad].
-        codes: Duty codes (8,) that the boards put out.
+        codes: Duty codes (8,) that drive the motors.
         damage: Number of damaged exchanges with the motor boards, by kind of damage.
-        camera: Pose of the left camera; None without cameras.
-        bodies: Poses of "chassis", "card" and "slot", as far as they are in the scene.
+        camera: Pose of the left camera in the world; None without cameras.
+        bodies: Poses of "chassis", "card" and "slot" in the world, as far as the scene has them.
     """
 
     arm_angles: list[float]

@@ -11,7 +11,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from types import TracebackType
 
 import numpy as np
 
@@ -218,23 +217,12 @@ class PtyModems:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop, and take the ports away."""
+        """Stop, and close the ports."""
         if not self._ending.is_set():
             self._ending.set()
             self._thread.join()
             for end in self._ends:
                 end.close()
-
-    def __enter__(self) -> "PtyModems":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _serve(self) -> None:
         directions = tuple(zip(self._ends, self.lines, reversed(self._ends)))

@@ -1,13 +1,10 @@
 """An ATI Net F/T's raw data transfer (RDT): answers datagrams; sockets are the caller's."""
 
+import math
 from collections.abc import Callable, Hashable
 
 from twin.hardware.force_torque.net_ft import (
-    MONITOR_LATCHED,
-    RECORD_SIZE,
-    RESET_LATCH,
     SET_BIAS,
-    START_BUFFERED,
     START_REALTIME,
     STOP,
     Record,
@@ -17,7 +14,7 @@ from twin.hardware.force_torque.net_ft import (
 
 _MODULUS = 1 << 32
 _LARGEST = (1 << 31) - 1
-_MOST_AT_ONCE = 100  # Records sent in one `due`; after a pause, the older ones are left out.
+_MOST_AT_ONCE = 100  # Records sent in one `due`; after a pause, older ones are left out.
 
 
 class NetFT:
@@ -28,18 +25,16 @@ class NetFT:
         counts: Callable[[], tuple[int, ...]],
         rate: float = 7000.0,
         output_rate: float = 7000.0,
-        buffer: int = 40,
     ) -> None:
         """Power the sensor up.
 
         Args:
-            counts: The six counts before bias, in the sensor's frame.
-            rate: Internal samples a second [Hz].
-            output_rate: Records a second of a stream [Hz].
-            buffer: Records in a datagram of a buffered stream.
+            counts: Returns the six counts before bias, in the sensor's frame.
+            rate: Internal sampling rate [Hz].
+            output_rate: Rate of the records of a stream [Hz].
         """
         self._counts, self._rate = counts, rate
-        self._period, self._buffer = 1.0 / output_rate, buffer
+        self._period = 1.0 / output_rate
         self.status = 0
         self.power_cycle(0.0)
 
@@ -48,11 +43,9 @@ class NetFT:
         self._started = now
         self._bias = (0,) * 6
         self._client: Hashable | None = None
-        self._left: int | None = None  # Records still to be sent; None is without end.
+        self._left = 0.0  # Records still to be sent; infinite for a stream without end.
         self._next = 0.0  # Time of the next record [s].
         self._rdt_sequence = 0
-        self._in_datagram = 1
-        self._pending = b""
 
     def answer(self, datagram: bytes, address: Hashable, now: float) -> list[bytes]:
         """Take a datagram, and return those that go back to its sender at once.
@@ -66,41 +59,31 @@ class NetFT:
         if request is None:
             return []
         command, samples = request
-        if command in (START_REALTIME, START_BUFFERED):
-            self._client = address
-            self._left = samples or None
-            self._rdt_sequence, self._next, self._pending = 0, now, b""
-            self._in_datagram = self._buffer if command == START_BUFFERED else 1
+        if command == START_REALTIME:
+            self._client, self._left = address, samples or math.inf
+            self._rdt_sequence, self._next = 0, now
             return [sent for sent, _ in self.due(now)]
         if command == STOP:
             self._client = None
         elif command == SET_BIAS:
-            self._bias = tuple(int(count) for count in self._counts())
-        elif command == RESET_LATCH and self.status == MONITOR_LATCHED:
-            self.status = 0
+            self._bias = self._counts()
         return []
 
     def due(self, now: float) -> list[tuple[bytes, Hashable]]:
-        """Return the datagrams of the present stream that are due at `now` [s], with addresses."""
-        if self._client is not None:
-            self._next = max(self._next, now - _MOST_AT_ONCE * self._period)
+        """Return the records of the present stream that are due at `now` [s], with addresses."""
+        self._next = max(self._next, now - _MOST_AT_ONCE * self._period)
         sent: list[tuple[bytes, Hashable]] = []
         while self._client is not None and self._next <= now:
-            self._pending += encode_record(self._record(self._next))
+            sent.append((encode_record(self._record(self._next)), self._client))
             self._next += self._period
-            if self._left is not None:
-                self._left -= 1
-            last = self._left == 0
-            if last or len(self._pending) >= self._in_datagram * RECORD_SIZE:
-                sent.append((self._pending, self._client))
-                self._pending = b""
-            if last:
+            self._left -= 1
+            if not self._left:
                 self._client = None
         return sent
 
     def _record(self, time: float) -> Record:
         self._rdt_sequence = (self._rdt_sequence + 1) % _MODULUS
         sample = int((time - self._started) * self._rate) % _MODULUS
-        values = (int(count) - zero for count, zero in zip(self._counts(), self._bias))
+        values = (count - zero for count, zero in zip(self._counts(), self._bias))
         kept = tuple(min(max(value, -_LARGEST - 1), _LARGEST) for value in values)
         return Record(self._rdt_sequence, sample, self.status, kept)

@@ -7,7 +7,7 @@ import sys
 import tempfile
 from typing import IO, Any, cast
 
-from twin.hardware.emulator.messages import RobotTruth
+from twin.hardware.emulator.messages import Order, RobotTruth, Started
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import LinkError
 
@@ -16,8 +16,7 @@ class EmulatorProcess:
     """A running emulator; time passes by `tick`, or by itself if it runs in real time.
 
     Attributes:
-        ports: Ports by robot name: paths of "bus" and "analogue", UDP port of "wrench", and the
-            file of "stereo" pairs if the scene has them.
+        ports: Ports at which a host finds the boards, by robot name.
         period: Servo tick [s].
         time: Time of the last tick [s].
     """
@@ -51,13 +50,13 @@ class EmulatorProcess:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         try:
-            begun = self._read()
+            started: Started = self._read()
         except BaseException:
             self.close()
             raise
-        self.ports: dict[str, dict[str, Any]] = begun["ports"]
-        self.period: float = begun["period"]
-        self.time: float = begun["time"]
+        self.ports = started["ports"]
+        self.period = started["period"]
+        self.time = started["time"]
 
     def tick(self) -> None:
         """Advance by one servo tick.
@@ -76,7 +75,7 @@ class EmulatorProcess:
             duration: How long it lasts [s].
             address: Address of the motor board concerned.
         """
-        order = {"do": "fault", "robot": robot, "time": self.time, "kind": kind}
+        order: Order = {"do": "fault", "robot": robot, "time": self.time, "kind": kind}
         self._ask({**order, "duration": duration, "address": address})
 
     def state(self) -> dict[str, RobotTruth]:
@@ -96,7 +95,8 @@ class EmulatorProcess:
         cast("IO[str]", self._process.stdout).close()
         self._frames.close()
 
-    def _ask(self, order: dict[str, Any]) -> dict[str, Any]:
+    def _ask(self, order: Order) -> Any:
+        """Return the decoded answer to an order."""
         try:
             stream = cast("IO[str]", self._process.stdin)
             stream.write(json.dumps(order) + "\n")
@@ -105,10 +105,10 @@ class EmulatorProcess:
             raise LinkError(f"the emulator is gone ({error})") from None
         return self._read()
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self) -> Any:
         line = cast("IO[str]", self._process.stdout).readline()
         if not line:
-            raise LinkError("the emulator ended; its own message stands above")
+            raise LinkError("the emulator ended; its own message is above")
         answer = json.loads(line)
         if "error" in answer:
             raise LinkError(f"emulator: {answer['error']}")

@@ -1,7 +1,8 @@
 """The boards of one emulated robot on their lines, with their faults."""
 
+import contextlib
 import socket
-from collections.abc import Callable, Collection, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import cast
@@ -18,6 +19,7 @@ from twin.hardware.emulator.faults import (
     ScheduledFault,
 )
 from twin.hardware.emulator.firmata_board import FirmataBoard
+from twin.hardware.emulator.messages import Ports
 from twin.hardware.emulator.net_ft import NetFT
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
@@ -29,7 +31,7 @@ _SLACK = 1e-9  # [s]
 _LOW_BATTERY = 9.0  # [V]
 _PRESET = 2**31 - 50
 """Fifty counts before an encoder wraps."""
-_LATCHED = {
+_LATCHED: Mapping[RobotFault | CameraFault, Status] = {
     RobotFault.E_STOP: Status.E_STOP,
     RobotFault.OVER_CURRENT: Status.CURRENT_ERROR_1,
     RobotFault.DRIVER_FAULT: Status.DRIVER_FAULT_1,
@@ -37,31 +39,26 @@ _LATCHED = {
 
 
 class BoardMotors:
-    """The two motors of one board of an emulated rover."""
+    """The two motors of one board of an emulated rover.
+
+    Args:
+        rover: Rover that the motors move.
+        address: Address of the board.
+    """
 
     def __init__(self, rover: EmulatedRover, address: int) -> None:
-        """Find the axes of a board.
-
-        Args:
-            rover: What moves.
-            address: Address of the board.
-        """
-        self._rover = rover
-        self.axes: list[int | None] = [None, None]
-        for axis, place in enumerate(rover.calibration.drive.axes):
-            if place.address == address:
-                self.axes[place.channel - 1] = axis
+        self._rover, self._address = rover, address
 
     def counts(self) -> tuple[int, int]:
         """Return both encoders since power-on."""
-        counts = self._rover.counts()
-        one, two = (0 if axis is None else int(counts[axis]) for axis in self.axes)
+        drive = self._rover.calibration.drive
+        one, two = drive.at_board(self._address, self._rover.counts()).tolist()
         return one, two
 
     def currents(self) -> tuple[float, float]:
         """Return both motor currents [A]."""
-        currents = self._rover.currents()
-        one, two = (0.0 if axis is None else float(currents[axis]) for axis in self.axes)
+        drive = self._rover.calibration.drive
+        one, two = drive.at_board(self._address, self._rover.currents()).tolist()
         return one, two
 
     def voltage(self) -> float:
@@ -70,20 +67,30 @@ class BoardMotors:
 
 
 class EmulatedRig:
-    """One robot's ports: motor boards and analogue board on ptys, force/torque on loopback UDP.
+    """One robot's boards on their ports.
 
-    Stereo pairs are put in a file.
+    Motor boards and analogue board are at pseudo-terminals, the force/torque sensor at a UDP port of
+    the loopback interface; stereo pairs are announced in a file.
+
+    Args:
+        rover: Rover that the boards are wired to.
+        line_faults: Damage on the motor boards' line.
+        schedule: Faults of the robot.
+        rng: Random generator for the damage.
+        folder: Folder for its stereo pairs, if it has a head; None for none.
 
     Attributes:
         bus: Pseudo-terminal of the motor boards.
         analogue: Pseudo-terminal of the analogue board.
         wrench: UDP socket of the force/torque sensor, bound to loopback only.
-        bus_line: What the motor boards' line does to its bytes.
+        boards: Motor boards on their line.
+        bus_line: The same line with its damage.
         frames: File of its stereo pairs; None if it has none.
-        draw_apart: Returns what lets another process draw the newest pair; None to draw here.
-    """
+        newest: Returns a function that draws the newest pair, at once or in another process.
 
-    draw_apart: Callable[[], Callable[[], Future[ImageArray]]] | None = None
+    Raises:
+        ValueError: If a fault names a motor board that does not exist.
+    """
 
     def __init__(
         self,
@@ -93,58 +100,47 @@ class EmulatedRig:
         rng: np.random.Generator,
         folder: Path | None = None,
     ) -> None:
-        """Power everything on.
-
-        Args:
-            rover: What the boards are wired to.
-            line_faults: Damage on the motor boards' line.
-            schedule: Faults of the robot.
-            rng: Decides the damage.
-            folder: Where its stereo pairs are put, if it has a head; None to keep them.
-
-        Raises:
-            ValueError: If a fault is of a motor board that is not there.
-        """
-        addresses = sorted({axis.address for axis in rover.calibration.drive.axes})
+        places = rover.calibration.drive.boards
         for fault in schedule:
-            _check_address(fault, addresses)
-        self.motors = [BoardMotors(rover, address) for address in addresses]
-        boards = [RoboClawBoard(a, m) for a, m in zip(addresses, self.motors, strict=True)]
-        self.boards = RoboClawLine(boards)
+            _check_address(fault, places)
+        self.boards = RoboClawLine([RoboClawBoard(a, BoardMotors(rover, a)) for a in places])
         self.bus_line = FaultyLine(self.boards, line_faults, rng)
-        self.firmata = FirmataBoard(rover.analogue)
-        self.net_ft = NetFT(lambda: tuple(rover.wrench().tolist()))
+        self._firmata = FirmataBoard(rover.analogue)
+        self._net_ft = NetFT(lambda: tuple(rover.wrench().tolist()))
         self.bus, self.analogue = PseudoTerminal(), PseudoTerminal()
         self.wrench = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wrench.bind((LOOPBACK, 0))
         self.wrench.setblocking(False)
         self._rover = rover
-        self._schedule = sorted(schedule, key=lambda fault: fault.time)
-        self._ends: list[tuple[float, RobotFault | CameraFault]] = []
+        self._schedule = list(schedule)
+        self._active: list[ScheduledFault] = []
         self._full_battery = rover.battery
-        self._absent: set[RobotFault | CameraFault] = set()
         self._shown = -np.inf
+        self.newest: Callable[[], Callable[[], ImageArray | Future[ImageArray]]] = self._newest_here
         self.frames = self._open_frames(folder)
         self._pass(0.0)
         self.show()
 
     @property
-    def ports(self) -> dict[str, str | int]:
-        """Where a host finds the boards."""
-        ports: dict[str, str | int] = {
+    def ports(self) -> Ports:
+        """Ports at which a host finds the boards."""
+        ports: Ports = {
             "bus": self.bus.name,
             "analogue": self.analogue.name,
             "wrench": int(self.wrench.getsockname()[1]),
         }
-        return ports if self.frames is None else {**ports, "stereo": str(self.frames.path)}
+        if self.frames is not None:
+            ports["stereo"] = str(self.frames.path)
+        return ports
 
     def before_tick(self, time: float, period: float) -> None:
         """Begin and end faults, run the boards to `time` [s], and let them drive the motors."""
         self._pass(time)
         self.boards.tick(time, period)
-        for board, motors in zip(self.boards.boards.values(), self.motors, strict=True):
-            for axis, code in zip(motors.axes, board.duties(), strict=True):
-                if axis is not None:
+        for address, board in self.boards.boards.items():
+            axes = self._rover.calibration.drive.boards[address]
+            for axis, code in zip(axes, board.duties(), strict=True):
+                if axis >= 0:
                     self._rover.codes[axis] = code
 
     def show(self) -> None:
@@ -153,12 +149,12 @@ class EmulatedRig:
         if self.frames is None or not pair.usable or pair.stamp <= self._shown:
             return
         self._shown = pair.stamp
-        if not self._absent & set(CameraFault):
-            draw = self.draw_apart
-            if draw is None:
-                self.frames.announce(pair.stamp, lambda: np.asarray(pair.value, dtype=np.uint8))
-            else:
-                self.frames.announce(pair.stamp, draw())
+        if not self._present & set(CameraFault):
+            self.frames.announce(pair.stamp, self.newest())
+
+    def _newest_here(self) -> Callable[[], ImageArray]:
+        pair = self._rover.stereo()
+        return lambda: np.asarray(pair.value, dtype=np.uint8)
 
     def _open_frames(self, folder: Path | None) -> FrameWriter | None:
         if folder is None or not self._rover.stereo().usable:
@@ -166,57 +162,22 @@ class EmulatedRig:
         camera = self._rover.camera()
         return FrameWriter(folder / f"{self._rover.name}{SUFFIX}", camera.height, camera.width)
 
-    def _pass(self, time: float) -> None:
-        """Begin and end the faults that are due at `time` [s]."""
-        while self._schedule and self._schedule[0].time <= time + _SLACK:
-            self._begin(self._schedule.pop(0))
-        over = [entry for entry in self._ends if entry[0] <= time + _SLACK]
-        self._ends = [entry for entry in self._ends if entry not in over]
-        for kind in {kind for _, kind in over} - self._present():
-            self._end(kind)
-
-    def serve_bus(self, now: float) -> None:
-        """Answer what came for the motor boards."""
-        reply = self.bus_line.feed(self.bus.read(), now)
-        if reply:
-            self.bus.write(reply)
-
-    def serve_analogue(self, now: float) -> None:
-        """Answer what came for the analogue board."""
-        data = self.analogue.read()
-        reply = self.firmata.feed(data, now) if data else self.firmata.due(now)
-        if reply and RobotFault.NO_ANALOGUE not in self._absent:
-            self.analogue.write(reply)
-
-    def serve_wrench(self, now: float) -> None:
-        """Answer what came for the force/torque sensor."""
-        while True:
-            try:
-                datagram, address = self.wrench.recvfrom(256)
-            except BlockingIOError:
-                break
-            for record in self.net_ft.answer(datagram, address, now):
-                self._send(record, address)
-
-    def serve_late(self, now: float) -> None:
-        """Send what damage or sampling intervals held back until `now` [s]."""
-        late = self.bus_line.due(now)
-        if late:
-            self.bus.write(late)
-        report = self.firmata.due(now)
-        if report and RobotFault.NO_ANALOGUE not in self._absent:
+    def serve(self, now: float) -> None:
+        """Answer what has come by `now` [s], and send what damage or sampling held back."""
+        self.bus.write(self.bus_line.feed(self.bus.read(), now))
+        report = self._firmata.feed(self.analogue.read(), now)
+        if RobotFault.NO_ANALOGUE not in self._present:
             self.analogue.write(report)
-        for record, address in self.net_ft.due(now):
-            self._send(record, address)
-
-    def serve_frames(self) -> None:
-        """Draw the stereo pair that the host waits for, if it waits."""
+        records: list[tuple[bytes, Hashable]] = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                datagram, host = self.wrench.recvfrom(256)
+                records += [(record, host) for record in self._net_ft.answer(datagram, host, now)]
+        for record, host in records + self._net_ft.due(now):
+            if RobotFault.NO_WRENCH not in self._present:
+                self.wrench.sendto(record, cast("tuple[str, int]", host))
         if self.frames is not None:
             self.frames.serve()
-
-    def _send(self, record: bytes, address: Hashable) -> None:
-        if RobotFault.NO_WRENCH not in self._absent:
-            self.wrench.sendto(record, cast("tuple[str, int]", address))
 
     def inject(self, fault: ScheduledFault) -> None:
         """Add a fault; one whose time has passed begins at the next tick.
@@ -225,45 +186,33 @@ class EmulatedRig:
             ValueError: If there is no such board.
         """
         _check_address(fault, self.boards.boards)
-        self._schedule = sorted([*self._schedule, fault], key=lambda entry: entry.time)
+        self._schedule.append(fault)
 
-    def _begin(self, fault: ScheduledFault) -> None:
+    def _pass(self, time: float) -> None:
+        """Begin and end the faults that are due at `time` [s]."""
+        due = [fault for fault in self._schedule if fault.time <= time + _SLACK]
+        self._schedule = [fault for fault in self._schedule if fault.time > time + _SLACK]
+        for fault in sorted(due, key=lambda each: each.time):
+            self._strike(fault)
+        lasting = (*self._active, *due)
+        self._active = [each for each in lasting if each.time + each.duration > time + _SLACK]
+        self._present = {fault.kind for fault in self._active}
+        self.bus_line.silent = RobotFault.BUS_SILENT in self._present
+        browned_out = RobotFault.BROWN_OUT in self._present
+        self._rover.battery = _LOW_BATTERY if browned_out else self._full_battery
+        if self.frames is not None:
+            self.frames.unplug(CameraFault.UNPLUGGED in self._present)
+
+    def _strike(self, fault: ScheduledFault) -> None:
+        """Do to a motor board what a fault does at once."""
         board = self.boards.boards[fault.address]
         match fault.kind:
-            case CameraFault() as kind:
-                self._absent.add(kind)
-                self._plug()
-            case RobotFault.BUS_SILENT:
-                self.bus_line.silent = True
             case RobotFault.BOARD_RESET:
                 board.reset()
             case RobotFault.COUNTER_PRESET:
                 board.preset(_PRESET)
-            case RobotFault.BROWN_OUT:
-                if RobotFault.BROWN_OUT not in self._present():
-                    self._full_battery = self._rover.battery
-                self._rover.battery = _LOW_BATTERY
-            case RobotFault.NO_WRENCH | RobotFault.NO_ANALOGUE:
-                self._absent.add(fault.kind)
             case kind:
-                board.status |= _LATCHED[kind]
-        self._ends.append((fault.time + fault.duration, fault.kind))
-
-    def _present(self) -> set[RobotFault | CameraFault]:
-        """Return the kinds of which a fault has begun and not ended."""
-        return {kind for _, kind in self._ends}
-
-    def _plug(self) -> None:
-        if self.frames is not None:
-            self.frames.unplug(CameraFault.UNPLUGGED in self._absent)
-
-    def _end(self, kind: RobotFault | CameraFault) -> None:
-        if kind is RobotFault.BUS_SILENT:
-            self.bus_line.silent = False
-        elif kind is RobotFault.BROWN_OUT:
-            self._rover.battery = self._full_battery
-        self._absent.discard(kind)
-        self._plug()
+                board.status |= _LATCHED.get(kind, Status.NORMAL)
 
     def close(self) -> None:
         """Take all ports away."""

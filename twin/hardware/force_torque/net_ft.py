@@ -18,56 +18,18 @@ import struct
 import time
 from typing import NamedTuple
 
-import numpy as np
-
-from perception.geometry.arrays import FloatArray
+from twin.hardware.roboclaw.codec import signed_difference
 from twin.hardware.serial_link import LinkError
 
 PORT = 49152
 HEADER = 0x1234
 STOP = 0x0000
 START_REALTIME = 0x0002
-START_BUFFERED = 0x0003
-RESET_LATCH = 0x0041
 SET_BIAS = 0x0042
 
 MONITOR_LATCHED = 0x80010000  # A threshold of the user's was passed; the reading is sound.
-_ERROR_SUMMARY = 1 << 31
-_CONDITIONS = {
-    30: "processor or memory",
-    29: "digital board",
-    28: "analogue board",
-    27: "serial link",
-    26: "program memory",
-    25: "halted by its configuration",
-    24: "settings",
-    23: "configuration does not fit the calibration",
-    22: "network",
-    21: "CAN",
-    20: "RDT",
-    19: "EtherNet/IP",
-    18: "DeviceNet",
-    17: "saturated or converter failed",
-    16: "monitor condition latched",
-    14: "watchdog",
-    13: "stack",
-    12: "serial memory (I2C)",
-    11: "serial flash (SPI)",
-    10: "analogue board watchdog",
-    9: "gauge excitation too high",
-    8: "gauge excitation too low",
-    7: "artificial ground",
-    6: "analogue supply too high",
-    5: "analogue supply too low",
-    4: "no data on the serial link",
-    3: "reference voltage",
-    2: "temperature",
-    1: "HTTP",
-}
 _REQUEST = struct.Struct(">HHI")
 _RECORD = struct.Struct(">III6i")
-RECORD_SIZE = _RECORD.size
-_MODULUS = 1 << 32
 
 
 class Record(NamedTuple):
@@ -86,34 +48,14 @@ class Record(NamedTuple):
     counts: tuple[int, ...]
 
 
-class Reading(NamedTuple):
-    """One accepted sample.
-
-    Attributes:
-        wrench: (6,) forces [N] and torques [N m] in the sensor's frame.
-        sequence: Number of the sensor's internal sample, modulo 2^32.
-        status: System status: 0 or `MONITOR_LATCHED`.
-    """
-
-    wrench: FloatArray
-    sequence: int
-    status: int
-
-
 def encode_request(command: int, samples: int) -> bytes:
     """Return a request.
 
     Args:
-        command: One of STOP to SET_BIAS.
-        samples: Records wanted; 0 is without end.
-
-    Raises:
-        ValueError: If one does not fit its field.
+        command: STOP, START_REALTIME or SET_BIAS.
+        samples: Number of records wanted; 0 is without end.
     """
-    try:
-        return _REQUEST.pack(HEADER, command, samples)
-    except struct.error:
-        raise ValueError(f"command {command} or sample count {samples} does not fit") from None
+    return _REQUEST.pack(HEADER, command, samples)
 
 
 def decode_request(datagram: bytes) -> tuple[int, int] | None:
@@ -125,41 +67,16 @@ def decode_request(datagram: bytes) -> tuple[int, int] | None:
 
 
 def encode_record(record: Record) -> bytes:
-    """Return a record's bytes.
-
-    Raises:
-        ValueError: If a field does not fit.
-    """
-    try:
-        return _RECORD.pack(*record[:3], *record.counts)
-    except struct.error:
-        raise ValueError(f"a field of {record} does not fit") from None
+    """Return a record as the sensor sends it."""
+    return _RECORD.pack(*record[:3], *record.counts)
 
 
 def decode_record(datagram: bytes) -> Record | None:
     """Return the record in a datagram; None if it is not one."""
-    if len(datagram) != RECORD_SIZE:
+    if len(datagram) != _RECORD.size:
         return None
-    fields = _RECORD.unpack(datagram)
-    return Record(fields[0], fields[1], fields[2], fields[3:])
-
-
-def is_serious(status: int) -> bool:
-    """Tell whether a record with this status must not be used."""
-    return status not in (0, MONITOR_LATCHED)
-
-
-def describe_status(status: int) -> str:
-    """Return what a status word says, in words."""
-    said = [text for bit, text in _CONDITIONS.items() if status >> bit & 1]
-    if not said:
-        return "unnamed error" if status & _ERROR_SUMMARY else "sound"
-    return ", ".join(said)
-
-
-def advance(sequence: int, last: int) -> int:
-    """Return by how many samples `sequence` is ahead of `last`, modulo 2^32; may be negative."""
-    return (sequence - last + _MODULUS // 2) % _MODULUS - _MODULUS // 2
+    rdt_sequence, ft_sequence, status, *counts = _RECORD.unpack(datagram)
+    return Record(rdt_sequence, ft_sequence, status, tuple(counts))
 
 
 @dataclasses.dataclass
@@ -167,63 +84,44 @@ class ForceTorqueStatistics:
     """What happened on the link so far.
 
     Attributes:
-        reads: Calls of `read`.
-        readings: Readings returned.
-        retries: Requests beyond the first of a call.
-        unanswered: Calls in which no acceptable record came.
-        repeated: Records of a sample that had been accepted before.
-        late: Records of samples older than one accepted before.
-        restarts: Older samples that only an answer to the present request can be: it restarted.
-        malformed: Datagrams that are no record.
-        serious: Records refused for their status.
-        drained: Datagrams found before a request and discarded.
-        socket_errors: Errors of the network interface, such as nobody listening.
-        last_status: The last status word seen; `describe_status` says it in words.
+        readings: Number of records accepted.
+        unanswered: Number of calls in which no new record came.
+        repeated: Number of records of a sample that had been accepted before.
+        late: Number of records of samples older than one accepted before.
+        restarts: Number of older samples that only an answer to the present request can be: the
+            sensor has restarted.
+        serious: Number of records refused for their status.
+        drained: Number of datagrams found before a request and discarded.
+        socket_errors: Number of errors of the network interface, such as an unreachable sensor.
     """
 
-    reads: int = 0
     readings: int = 0
-    retries: int = 0
     unanswered: int = 0
     repeated: int = 0
     late: int = 0
     restarts: int = 0
-    malformed: int = 0
     serious: int = 0
     drained: int = 0
     socket_errors: int = 0
-    last_status: int = 0
 
 
 class NetForceTorque:
     """Reads a Net F/T, one sample a call."""
 
     def __init__(
-        self,
-        host: str,
-        counts_per_newton: float,
-        counts_per_newton_metre: float,
-        port: int = PORT,
-        deadline: float = 0.005,
-        attempts: int = 2,
+        self, host: str, port: int = PORT, deadline: float = 0.005, attempts: int = 2
     ) -> None:
         """Find the sensor's address; nothing is sent yet.
 
         Args:
-            host: The sensor; records from elsewhere are not received.
-            counts_per_newton: Counts by the active calibration, in its force unit [1/N].
-            counts_per_newton_metre: Likewise; many calibrations count in N mm [1/(N m)].
+            host: Sensor; records from other hosts are not received.
             port: UDP port of the sensor.
             deadline: Longest call of `read` [s].
-            attempts: Most requests in a call.
+            attempts: Largest number of requests in a call.
 
         Raises:
-            ValueError: If a scale is not positive.
             LinkError: If there is no such host.
         """
-        if not (counts_per_newton > 0.0 and counts_per_newton_metre > 0.0):
-            raise ValueError("counts per newton and per newton metre must be positive")
-        self._scale = np.repeat([1.0 / counts_per_newton, 1.0 / counts_per_newton_metre], 3)
         self._deadline, self._attempts = deadline, attempts
         try:
             found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
@@ -235,25 +133,22 @@ class NetForceTorque:
         self._last: int | None = None
         self.statistics = ForceTorqueStatistics()
 
-    def read(self) -> Reading | None:
-        """Return a sample taken since the last one; None if none came or none can be trusted.
+    def read(self) -> Record | None:
+        """Return a sample newer than the last one; None if none came or none can be trusted.
 
-        After a restart of the sensor its samples are refused until `resynchronise`, because it
-        has forgotten its bias.
+        A sensor that restarted has forgotten its bias, so its samples are refused from then on.
 
         Raises:
             LinkError: If the network interface gives no socket.
         """
         deadline = time.monotonic() + self._deadline
-        self.statistics.reads += 1
         self._drain()
         record, sent = None, 0
         while record is None and sent < self._attempts:
             sent += 1
-            self._send(START_REALTIME, 1)
+            self._request()
             waiting = (deadline - time.monotonic()) / (self._attempts - sent + 1)
             record = self._await(time.monotonic() + max(0.0, waiting))
-        self.statistics.retries += sent - 1
         if record is None or sent > 1:
             self._renew()
         else:
@@ -261,31 +156,19 @@ class NetForceTorque:
         if record is None:
             self.statistics.unanswered += 1
             return None
-        return self._judged(record)
-
-    def set_bias(self) -> None:
-        """Make the present load the sensor's zero.
-
-        The sensor does not acknowledge: see that the next readings are near zero.
-
-        Raises:
-            LinkError: If it cannot be sent.
-        """
-        errors = self.statistics.socket_errors
-        self._send(SET_BIAS, 0)
-        if self.statistics.socket_errors > errors:
-            raise LinkError(f"force sensor {self._address[0]}: the bias could not be sent")
-
-    def resynchronise(self) -> None:
-        """Accept any sample next, as after a restart of the sensor; its bias is to be set again."""
-        self._last = None
+        self._last = record.ft_sequence
+        if record.status not in (0, MONITOR_LATCHED):
+            self.statistics.serious += 1
+            return None
+        self.statistics.readings += 1
+        return record
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
 
     def _connected(self) -> socket.socket:
-        """Return a socket on a new local port that hears the sensor only."""
+        """Return a socket on a new local port that only the sensor's datagrams reach."""
         made: socket.socket | None = None
         try:
             made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -302,9 +185,9 @@ class NetForceTorque:
         self._socket = self._connected()
         self._unspoilt = True
 
-    def _send(self, command: int, samples: int) -> None:
+    def _request(self) -> None:
         try:
-            self._socket.send(encode_request(command, samples))
+            self._socket.send(encode_request(START_REALTIME, 1))
         except OSError:
             self.statistics.socket_errors += 1
 
@@ -332,20 +215,18 @@ class NetForceTorque:
             except BlockingIOError:
                 continue
             except OSError:
-                # Nobody listens there; the next attempt may find the sensor up again.
+                # The port is closed there; the next attempt may find the sensor up again.
                 self.statistics.socket_errors += 1
                 continue
             record = decode_record(datagram)
-            if record is None:
-                self.statistics.malformed += 1
-            elif self._is_new(record):
+            if record is not None and self._is_new(record):
                 return record
         return None
 
     def _is_new(self, record: Record) -> bool:
         if self._last is None:
             return True
-        ahead = advance(record.ft_sequence, self._last)
+        ahead = signed_difference(record.ft_sequence, self._last)
         if ahead > 0:
             return True
         if ahead == 0:
@@ -355,14 +236,3 @@ class NetForceTorque:
         else:
             self.statistics.late += 1
         return False
-
-    def _judged(self, record: Record) -> Reading | None:
-        """Return the reading in a new record, unless its status forbids."""
-        self._last = record.ft_sequence
-        self.statistics.last_status = record.status
-        if is_serious(record.status):
-            self.statistics.serious += 1
-            return None
-        self.statistics.readings += 1
-        wrench = np.array(record.counts, dtype=np.float64) * self._scale
-        return Reading(wrench, record.ft_sequence, record.status)

@@ -1,31 +1,29 @@
 """Scheduled faults of an emulated rig begin and end in their time, alone and one over another."""
 
-import types
-
 import numpy as np
 import pytest
 
+from twin.hardware.calibration.calibration import calibration_path, read_calibration
 from twin.hardware.emulator.faults import LineFaultConfig, RobotFault, ScheduledFault
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.robot import MISSING
 
 
 class Bench:
-    """A rover of one motor that stands still on a supply of 13.2 V."""
+    """A rover at rest on a supply of 13.2 V."""
 
     name = "bench"
+    calibration = read_calibration(calibration_path("rover1"))
 
     def __init__(self):
-        motor = types.SimpleNamespace(address=0x80, channel=1)
-        self.calibration = types.SimpleNamespace(drive=types.SimpleNamespace(axes=(motor,)))
         self.battery = 13.2
-        self.codes = np.zeros(1, dtype=int)
+        self.codes = np.zeros(8, dtype=np.int64)
 
     def counts(self):
-        return np.zeros(1, dtype=int)
+        return np.zeros(8, dtype=np.int64)
 
     def currents(self):
-        return np.zeros(1)
+        return np.zeros(8)
 
     def wrench(self):
         return np.zeros(6, dtype=int)

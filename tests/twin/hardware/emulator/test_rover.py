@@ -435,7 +435,7 @@ def test_wired_robot_sees_with_the_captures_that_are_named(emulator, tmp_path):
         for k in range(3):
             cv2.imwrite(str(tmp_path / f"{side}_{k:04d}.png"), np.full((8, 12), level, np.uint8))
         names.append(str(tmp_path / f"{side}_%04d.png"))
-    wiring = emulated_wiring(emulator, SceneConfig(), ROBOT)
+    wiring = emulated_wiring(emulator, ROBOT)
     wiring = dataclasses.replace(wiring, patient=True, stereo=":".join(names))
     robot = wired_robot(wiring, lambda: emulator.time)
     try:

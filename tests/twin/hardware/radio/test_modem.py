@@ -1,5 +1,6 @@
 """The emulated modems: pace, delay and errors, in virtual time and on real ports."""
 
+import contextlib
 import math
 import time
 
@@ -62,7 +63,7 @@ def make_links(kind, ends):
 
 
 def exchange_over_ports(kind, config, seed, messages):
-    with PtyModems(config, np.random.default_rng(seed)) as modems:
+    with contextlib.closing(PtyModems(config, np.random.default_rng(seed))) as modems:
         ports = [SerialLink(port, 9600) for port in modems.ports]
         links = make_links(kind, [SerialChannel(port) for port in ports])
         result = exchange(links, time.monotonic, lambda: time.sleep(0.001), messages)
