@@ -1,6 +1,6 @@
 """Robots over real boards, and the same boards emulated (thesis appendix D).
 
-- `serial_link`: a serial port with deadlines.
+- `serial_link`: a serial port with deadlines; `background`: threads beside the control loop.
 - `roboclaw`: motor boards; `analogue`: inclinometer and centre potentiometer; `force_torque`: the
   sensor under the arm; `cameras`: stereo pairs; `radio`: modems between two robots.
 - `calibration`: counts of one particular robot into SI units, and the procedure that finds them.

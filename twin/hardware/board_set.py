@@ -87,7 +87,7 @@ class BoardSet(Protocol):
         """Set the duty codes (8,) of all axes.
 
         Raises:
-            LinkError: If a board does not acknowledge; the others have received theirs all the same.
+            LinkError: If a board does not acknowledge; all others have received theirs.
         """
 
     def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:

@@ -5,7 +5,6 @@ import dataclasses
 import datetime
 import gc
 import math
-import threading
 from collections.abc import Callable, Generator
 from pathlib import Path
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from twin.describe import describe_rover
 from twin.hardware.analogue.firmata import BAUD, AnalogueBoard
+from twin.hardware.background import repeating
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
 from twin.hardware.board_samples import SamplingConfig
 from twin.hardware.board_set import WiredBoards
@@ -314,24 +314,11 @@ def without_pauses() -> Generator[None]:
         gc.unfreeze()
 
 
-@contextlib.contextmanager
-def watched(robot: BoardRobot, period: float = 0.05) -> Generator[None]:
+def watched(robot: BoardRobot, period: float = 0.05) -> contextlib.AbstractContextManager[None]:
     """Stop a robot on the wall clock whose controller hangs.
 
     Args:
         robot: Robot that is watched.
-        period: Between looks [s].
+        period: Time between two checks [s].
     """
-    over = threading.Event()
-
-    def watch() -> None:
-        while not over.wait(period):
-            robot.guard()
-
-    thread = threading.Thread(target=watch, name=f"watchdog of {robot.name}", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+    return repeating(robot.guard, f"watchdog of {robot.name}", period)

@@ -1,13 +1,15 @@
 """A damaged serial line to motor boards: how long calls take, and whether a value is wrong."""
 
+import contextlib
 import dataclasses
 import select
-import threading
 import time
+from collections.abc import Generator
 
 import numpy as np
 
 from perception.geometry.arrays import FloatArray
+from twin.hardware.background import repeating
 from twin.hardware.calibration.motors import ADDRESSES
 from twin.hardware.connect_boards import BUS_BAUD
 from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
@@ -19,7 +21,7 @@ from twin.hardware.serial_link import LinkError, SerialLink
 
 
 class _Shafts:
-    """Two counters that somebody turns by hand."""
+    """Motors of one board whose counters are set from outside."""
 
     def __init__(self) -> None:
         self.now: tuple[int, int] = (0, 0)
@@ -41,39 +43,34 @@ class DamagedLine:
     """Four boards behind a line that damages a share of its exchanges, served by a thread.
 
     Attributes:
-        shafts: By address.
-        boards: By address.
-        line: Counts what it damaged.
+        Args:
+        rate: Share of the exchanges that are damaged.
+        rng: Random generator for the damage.
+
+    Attributes:
+        shafts: Counters by address of the board.
+        boards: Boards by address.
+        line: Line with the number of damaged exchanges.
         port: Serial port of the host.
     """
 
     def __init__(self, rate: float, rng: np.random.Generator) -> None:
-        """Lay the line; `with` serves it."""
         self.shafts = {address: _Shafts() for address in ADDRESSES}
         self.boards = {a: RoboClawBoard(a, shafts) for a, shafts in self.shafts.items()}
         device = RoboClawLine(list(self.boards.values()))
         self.line = FaultyLine(device, LineFaultConfig(rate), rng)
         self._terminal = PseudoTerminal()
         self.port = self._terminal.name
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
 
-    def __enter__(self) -> "DamagedLine":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-        self._terminal.close()
+    @contextlib.contextmanager
+    def served(self) -> Generator[None]:
+        """Serve the line until the block is left, then close it."""
+        with contextlib.closing(self._terminal), repeating(self._serve, "damaged line"):
+            yield
 
     def _serve(self) -> None:
-        while not self._over.is_set():
-            ready, _, _ = select.select([self._terminal], [], [], 0.001)
-            data = self._terminal.read() if ready else b""
-            reply = self.line.feed(data, time.monotonic())
-            if reply:
-                self._terminal.write(reply)
+        select.select([self._terminal], [], [], 0.001)
+        self._terminal.write(self.line.feed(self._terminal.read(), time.monotonic()))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +105,8 @@ def call_damaged(rate: float, calls: int, seed: int) -> DamagedCalls:
     rng = np.random.default_rng(seed)
     durations = np.zeros(calls)
     wrong = failures = 0
-    with DamagedLine(rate, rng.spawn(1)[0]) as wire:
+    wire = DamagedLine(rate, rng.spawn(1)[0])
+    with wire.served():
         bus = RoboClawBus(SerialLink(wire.port, BUS_BAUD))
         for number in range(calls):
             address = int(rng.choice(ADDRESSES))

@@ -51,21 +51,17 @@ class FirmataStatistics:
     """What happened on the link so far.
 
     Attributes:
-        polls: Calls of `poll`.
-        readings: Values returned.
-        unread: Values asked for and not returned.
-        retries: Requests beyond the first of a call.
-        silences: Requests given up because nothing more came.
-        disagreements: Second polls of a pin that did not agree with the first.
-        out_of_range: Values above 1023.
-        foreign: Values of pins that were not asked for.
-        stale: Values that came before the echo of the request: late ones, or its echo was lost.
-        drained: Bytes found before a request and discarded.
-        discarded: Bytes that made no message.
-        resets: Times that the board announced itself, as it does after its own reset.
+        readings: Number of values returned.
+        unread: Number of values requested and not returned.
+        retries: Number of requests beyond the first of a call.
+        silences: Number of requests given up because no more bytes came.
+        disagreements: Number of values that differed from the poll before by more than the window.
+        out_of_range: Number of values above full scale.
+        foreign: Number of values of pins that were not requested.
+        drained: Number of bytes found before a request and discarded.
+        resets: Number of times that the board announced itself, as it does after its own reset.
     """
 
-    polls: int = 0
     readings: int = 0
     unread: int = 0
     retries: int = 0
@@ -73,9 +69,7 @@ class FirmataStatistics:
     disagreements: int = 0
     out_of_range: int = 0
     foreign: int = 0
-    stale: int = 0
     drained: int = 0
-    discarded: int = 0
     resets: int = 0
 
 
@@ -165,10 +159,8 @@ class AnalogueBoard:
             self._request(missing)
             self._collect(missing, values, previous, deadline)
         read = sum(value is not None for value in values.values())
-        self.statistics.polls += 1
         self.statistics.readings += read
         self.statistics.unread += len(wanted) - read
-        self.statistics.discarded = self._parser.discarded
         return values
 
     def close(self) -> None:
@@ -224,7 +216,8 @@ class AnalogueBoard:
                     echoed = self._is_echo(message)
                 elif message.command == ANALOGUE_MESSAGE:
                     expected -= echoed
-                    self._take(message, echoed, values, previous)
+                    if echoed:
+                        self._take(message, values, previous)
                 else:
                     self._note_reset(message)
 
@@ -242,26 +235,20 @@ class AnalogueBoard:
     def _take(
         self,
         message: Message,
-        echoed: bool,
         values: dict[int, int | None],
         previous: dict[int, int],
     ) -> None:
-        """Judge one value; it is taken when it agrees with the one before."""
+        """Accept a value that agrees with the one before."""
         pin, value = message.channel, message.data[0] | message.data[1] << 7
-        if not echoed:
-            self.statistics.stale += 1
-        elif pin not in values:
+        if pin not in values:
             self.statistics.foreign += 1
         elif value > FULL_SCALE:
             self.statistics.out_of_range += 1
         elif values[pin] is None:
-            before = previous.get(pin)
-            previous[pin] = value
-            if before is None:
-                return
-            if abs(value - before) <= self._window:
+            before, previous[pin] = previous.get(pin), value
+            if before is not None and abs(value - before) <= self._window:
                 values[pin] = value
-            else:
+            elif before is not None:
                 self.statistics.disagreements += 1
 
     def _identify(self, end: float) -> tuple[tuple[int, int], str]:

@@ -36,7 +36,7 @@ from twin.hardware.emulator.messages import (
     SceneTime,
     Started,
 )
-from twin.hardware.emulator.modem import ModemConfig, PtyModems
+from twin.hardware.emulator.modem import ModemConfig, pty_modems
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
@@ -221,13 +221,13 @@ def _scene(options: Options) -> SceneConfig:
     return SceneConfig.from_json(options.scene)
 
 
-def _modems(options: Options) -> PtyModems:
+def _modems(options: Options) -> contextlib.AbstractContextManager[tuple[str, str]]:
     """Return the radio's modems, as slow as the robots."""
     usual = ModemConfig()
     config = ModemConfig(
         max(1, round(usual.baud / options.slow_down)), usual.delay * options.slow_down
     )
-    return PtyModems(config, np.random.default_rng([options.seed, 6]))
+    return pty_modems(config, np.random.default_rng([options.seed, 6]))
 
 
 def main() -> int:
@@ -247,8 +247,7 @@ def main() -> int:
             emulator.draw_apart()
         ports = {name: rig.ports for name, rig in emulator.rigs.items()}
         if options.realtime and len(ports) == 2:  # noqa: PLR2004
-            radio = running.enter_context(contextlib.closing(_modems(options)))
-            for own, port in zip(ports.values(), radio.ports):
+            for own, port in zip(ports.values(), running.enter_context(_modems(options))):
                 own["radio"] = port
         period = emulator.scene.period
         started: Started = {"ports": ports, "period": period, "time": emulator.scene.time}

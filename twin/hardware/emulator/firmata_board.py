@@ -39,6 +39,13 @@ _PORTS = 3
 _PWM = (3, 5, 6, 9, 10, 11)
 _I2C = (18, 19)
 _INPUT, _OUTPUT, _ANALOGUE, _PWM_MODE, _SERVO, _I2C_MODE, _PULL_UP = 0, 1, 2, 3, 4, 6, 11
+_CAPABILITIES = (
+    (range(_FIRST_DIGITAL, _TOTAL_PINS), (_INPUT, 1, _PULL_UP, 1, _OUTPUT, 1)),
+    (range(_FIRST_ANALOGUE, _TOTAL_PINS), (_ANALOGUE, 10)),
+    (_PWM, (_PWM_MODE, 8)),
+    (range(_FIRST_DIGITAL, _TOTAL_PINS), (_SERVO, 14)),
+    (_I2C, (_I2C_MODE, 1)),
+)  # Pins, and a mode of theirs with its resolution [bit].
 _BUFFER = 64  # Bytes of one message that the firmware keeps.
 _SHORTEST_INTERVAL = 0.010  # [s]
 _DEFAULT_INTERVAL = 0.019  # [s]
@@ -193,15 +200,5 @@ class FirmataBoard:
 
 def _capabilities(pin: int) -> bytes:
     """Return the modes of a pin with their resolutions, ended by 127."""
-    modes: list[int] = []
-    if pin >= _FIRST_DIGITAL:
-        modes += [_INPUT, 1, _PULL_UP, 1, _OUTPUT, 1]
-    if pin >= _FIRST_ANALOGUE:
-        modes += [_ANALOGUE, 10]
-    if pin in _PWM:
-        modes += [_PWM_MODE, 8]
-    if pin >= _FIRST_DIGITAL:
-        modes += [_SERVO, 14]
-    if pin in _I2C:
-        modes += [_I2C_MODE, 1]
+    modes = (each for pins, pair in _CAPABILITIES if pin in pins for each in pair)
     return bytes((*modes, 127))

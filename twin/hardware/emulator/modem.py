@@ -1,24 +1,25 @@
 """A pair of emulated 9600-baud radio modems: pace, delay and byte errors.
 
 The same lines carry bytes in virtual time within one process (`VirtualModems`), so that an hour of
-radio takes seconds, and in real time between two pseudo-terminals (`PtyModems`).
+radio takes seconds, and in real time between two pseudo-terminals (`pty_modems`).
 """
 
+import contextlib
 import dataclasses
 import math
 import select
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 
+from twin.hardware.background import repeating
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.radio.channel import BITS_PER_BYTE
 from twin.hardware.radio.framed_radio import FramedLink
 
-_MAX_WAIT = 0.05  # [s] how often an idle thread looks whether to end
+_MAX_WAIT = 0.05  # [s] After which an idle thread checks whether it shall end.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -198,42 +199,27 @@ def virtual_links(
     return {name: FramedLink(end, rng) for name, end in zip(robots, modems.ends)}
 
 
-class PtyModems:
-    """Two modems between two pseudo-terminals, at the real pace, in a thread.
+@contextlib.contextmanager
+def pty_modems(config: ModemConfig, rng: np.random.Generator) -> Generator[tuple[str, str]]:
+    """Serve two modems between two pseudo-terminals at the real pace; yield their paths.
 
-    Attributes:
-        ports: Device paths for the two computers.
-        lines: Lines from the first to the second port, and back.
+    Args:
+        config: Properties of both modems.
+        rng: Random generator for the byte errors of both directions.
     """
+    ends = PseudoTerminal(), PseudoTerminal()
+    lines = [Line(config, each) for each in rng.spawn(2)]
+    directions = tuple(zip(ends, lines, reversed(ends)))
 
-    def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:
-        """Open the ports and begin; `rng` draws the errors of both directions."""
-        first, second = rng.spawn(2)
-        self.lines = Line(config, first), Line(config, second)
-        self._ends = PseudoTerminal(), PseudoTerminal()
-        self.ports = self._ends[0].name, self._ends[1].name
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="modems", daemon=True)
-        self._thread.start()
+    def serve() -> None:
+        arrival = min(line.next_arrival() for line in lines)
+        wait = min(max(0.0, arrival - time.monotonic()), _MAX_WAIT)
+        ready, _, _ = select.select(ends, [], [], wait)
+        now = time.monotonic()
+        for source, line, target in directions:
+            if source in ready:
+                line.put(source.read(), now)
+            target.write(line.take(now))
 
-    def close(self) -> None:
-        """Stop, and close the ports."""
-        if not self._ending.is_set():
-            self._ending.set()
-            self._thread.join()
-            for end in self._ends:
-                end.close()
-
-    def _serve(self) -> None:
-        directions = tuple(zip(self._ends, self.lines, reversed(self._ends)))
-        while not self._ending.is_set():
-            arrival = min(line.next_arrival() for line in self.lines)
-            wait = min(max(0.0, arrival - time.monotonic()), _MAX_WAIT)
-            ready, _, _ = select.select(self._ends, [], [], wait)
-            now = time.monotonic()
-            for source, line, target in directions:
-                if source in ready:
-                    line.put(source.read(), now)
-                arrived = line.take(now)
-                if arrived:
-                    target.write(arrived)
+    with contextlib.closing(ends[0]), contextlib.closing(ends[1]), repeating(serve, "modems"):
+        yield ends[0].name, ends[1].name

@@ -69,8 +69,8 @@ class BoardMotors:
 class EmulatedRig:
     """One robot's boards on their ports.
 
-    Motor boards and analogue board are at pseudo-terminals, the force/torque sensor at a UDP port of
-    the loopback interface; stereo pairs are announced in a file.
+    Motor boards and analogue board are on pseudo-terminals, the force/torque sensor on a UDP port
+    of the loopback interface; stereo pairs are announced in a file.
 
     Args:
         rover: Rover that the boards are wired to.

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from twin.hardware.roboclaw import codec
@@ -14,7 +14,7 @@ _FIXED_POINT = 65536
 
 
 class Motors(Protocol):
-    """The two motors of one board, as the physics show them."""
+    """The two motors of one board."""
 
     def counts(self) -> tuple[int, int]:
         """Return both encoders since power-on."""
@@ -31,7 +31,7 @@ class Motors(Protocol):
 
 @dataclasses.dataclass
 class MotorChannel:
-    """What a board keeps of one motor."""
+    """State of one motor in its board."""
 
     duty: int = 0
     target_speed: float | None = None
@@ -42,6 +42,59 @@ class MotorChannel:
     integral: float = 0.0
     gains: tuple[int, int, int, int] = (_FIXED_POINT, _FIXED_POINT // 2, 0, 44000)
     current_limit: int = 1500
+
+    def stop(self) -> None:
+        """Set the duty to zero and end speed and position control."""
+        self.duty, self.integral = 0, 0.0
+        self.target_speed = self.target_position = None
+
+    def set_duty(self, values: Sequence[int]) -> None:
+        """Set the duty code, the first of the values."""
+        self.stop()
+        self.duty = max(-codec.FULL_DUTY, values[0])
+
+    def set_speed(self, values: Sequence[int]) -> None:
+        """Control the speed to the first of the values."""
+        self.target_speed, self.target_position = float(values[0]), None
+
+    def set_position(self, values: Sequence[int]) -> None:
+        """Control the position; the values are acceleration, speed, deceleration and position."""
+        self.target_position = values[3], values[1]
+
+    def set_gains(self, values: Sequence[int]) -> None:
+        """Set the gains of the speed control; the values are D, P, I and the full speed."""
+        derivative, proportional, integral, full_speed = values
+        self.gains = proportional, integral, derivative, full_speed
+
+    def set_current_limit(self, values: Sequence[int]) -> None:
+        """Set the largest current, the first of the values."""
+        self.current_limit = values[0]
+
+    def regulate(self, count: int, period: float) -> None:
+        """Set the duty if speed or position is controlled."""
+        if self.target_position is not None:
+            position, most = self.target_position
+            # As fast as may still be stopped within a few ticks.
+            speed = (position - count) / (5.0 * period)
+            self.target_speed = max(-most, min(most, speed))
+        if self.target_speed is None:
+            return
+        proportional, integral, _, full_speed = self.gains
+        error = (self.target_speed - self.rate) / max(1, full_speed)
+        self.integral += error * period * integral / _FIXED_POINT
+        forward = self.target_speed / max(1, full_speed)
+        duty = forward + error * proportional / _FIXED_POINT + self.integral
+        self.duty = codec.duty_code(duty if math.isfinite(duty) else 0.0)
+
+
+_CHANNEL_WRITES: Mapping[str, Callable[[MotorChannel, Sequence[int]], None]] = {
+    "DUTY": MotorChannel.set_duty,
+    "SPEED": MotorChannel.set_speed,
+    "POSITION": MotorChannel.set_position,
+    "SET_VELOCITY_PID": MotorChannel.set_gains,
+    "SET_CURRENT_LIMIT": MotorChannel.set_current_limit,
+}
+"""Writes that end in _1, _2 or _BOTH, by the rest of their names."""
 
 
 class RoboClawBoard:
@@ -55,23 +108,19 @@ class RoboClawBoard:
         """Power on.
 
         Args:
-            address: On the bus.
-            motors: What it drives.
+            address: Address on the bus.
+            motors: Motors that it drives.
             old_firmware: Whether its status has 16 bits in the old layout.
         """
         self.address = address
         self.motors = motors
         self.old_firmware = old_firmware
-        self.status = Status.NORMAL
         self.reset()
 
     def reset(self) -> None:
-        """Power on anew: all that was set is forgotten, the encoders count from zero."""
-        first, second = self.motors.counts()
-        self.channels = (
-            MotorChannel(offset=-first, last_count=first),
-            MotorChannel(offset=-second, last_count=second),
-        )
+        """Power on anew: all settings are forgotten, the encoders count from zero."""
+        one, two = (MotorChannel(offset=-count, last_count=count) for count in self.motors.counts())
+        self.channels = one, two
         self.timeout = 0
         self.pwm_mode = 0
         self._idle_since: float | None = None
@@ -89,17 +138,17 @@ class RoboClawBoard:
             self._idle_since = time
         if self.timeout and time - self._idle_since >= 0.1 * self.timeout:
             for channel in self.channels:
-                _stop(channel)
+                channel.stop()
         for channel, count in zip(self.channels, self.motors.counts(), strict=True):
             channel.rate = codec.signed_difference(count, channel.last_count) / period
             channel.last_count = count
-            _regulate(channel, count + channel.offset, period)
+            channel.regulate(count + channel.offset, period)
         for number, current in enumerate(self.motors.currents()):
             if abs(current) > 0.01 * self.channels[number].current_limit:
                 self.status |= (Status.CURRENT_ERROR_1, Status.CURRENT_ERROR_2)[number]
 
     def preset(self, count: int) -> None:
-        """Let both encoders stand at `count`, as after many turns."""
+        """Set both encoders to `count`."""
         self._set_encoder(0, count)
         self._set_encoder(1, count)
 
@@ -107,153 +156,80 @@ class RoboClawBoard:
         """Note that a valid packet came: the watchdog starts anew."""
         self._idle_since = time
 
-    def encoder(self, number: int) -> int:
-        """Return an encoder as a signed 32-bit number."""
-        count = self.motors.counts()[number] + self.channels[number].offset
-        return codec.signed_difference(count, 0)
+    def encoders(self) -> tuple[int, int]:
+        """Return both encoders as signed 32-bit numbers."""
+        pairs = zip(self.motors.counts(), self.channels, strict=True)
+        one, two = (codec.signed_difference(count + each.offset, 0) for count, each in pairs)
+        return one, two
 
     def answer(self, command: BoardCommand) -> bytes:
         """Return the payload of a read."""
         if command is BoardCommand.GET_VERSION:
             return VERSION.encode()
         if command is BoardCommand.GET_STATUS:
-            return self._status_word()
+            low = self.motors.voltage() < 10.0
+            warning = Status.MAIN_VOLTAGE_LOW_WARNING if low else Status.NORMAL
+            return codec.encode_status(self.status | warning, self.old_firmware)
         return struct.pack(codec.READS[command], *self._values(command))
-
-    def _status_word(self) -> bytes:
-        status = self.status
-        if self.motors.voltage() < 10.0:
-            status |= Status.MAIN_VOLTAGE_LOW_WARNING
-        return codec.encode_status(status, self.old_firmware)
 
     def _values(self, command: BoardCommand) -> Sequence[int]:
         one, two = self.channels
-        encoders = self.encoder(0), self.encoder(1)
+        encoders = self.encoders()
         speeds = round(one.rate), round(two.rate)
-        match command:
-            case BoardCommand.GET_TIMEOUT:
-                return (self.timeout,)
-            case BoardCommand.GET_ENCODER_1 | BoardCommand.GET_ENCODER_2:
-                number = command - BoardCommand.GET_ENCODER_1
-                return encoders[number], 2 * (speeds[number] < 0)
-            case BoardCommand.GET_SPEED_1 | BoardCommand.GET_SPEED_2:
-                number = command - BoardCommand.GET_SPEED_1
-                return speeds[number], int(speeds[number] < 0)
-            case BoardCommand.GET_MAIN_VOLTAGE:
-                return (round(10 * self.motors.voltage()),)
-            case BoardCommand.GET_LOGIC_VOLTAGE:
-                return (50,)
-            case BoardCommand.GET_DUTIES:
-                return self.duties()
-            case BoardCommand.GET_CURRENTS:
-                return [round(100 * current) for current in self.motors.currents()]
-            case BoardCommand.GET_VELOCITY_PID_1:
-                return one.gains
-            case BoardCommand.GET_VELOCITY_PID_2:
-                return two.gains
-            case BoardCommand.GET_ENCODERS:
-                return encoders
-            case BoardCommand.GET_RAW_SPEEDS:
-                # Counts in the last 1/300 s, as a rate [1/s]: 300 counts/s is the least step.
-                return [300 * int(speed / 300) for speed in speeds]
-            case BoardCommand.GET_TEMPERATURE:
-                return (250,)
-            case BoardCommand.GET_CURRENT_LIMIT_1:
-                return one.current_limit, 0
-            case BoardCommand.GET_CURRENT_LIMIT_2:
-                return two.current_limit, 0
-            case _:
-                return (self.pwm_mode,)
+        values: Mapping[BoardCommand, Sequence[int]] = {
+            BoardCommand.GET_TIMEOUT: (self.timeout,),
+            BoardCommand.GET_ENCODER_1: (encoders[0], 2 * (speeds[0] < 0)),
+            BoardCommand.GET_ENCODER_2: (encoders[1], 2 * (speeds[1] < 0)),
+            BoardCommand.GET_SPEED_1: (speeds[0], int(speeds[0] < 0)),
+            BoardCommand.GET_SPEED_2: (speeds[1], int(speeds[1] < 0)),
+            BoardCommand.GET_MAIN_VOLTAGE: (round(10 * self.motors.voltage()),),
+            BoardCommand.GET_LOGIC_VOLTAGE: (50,),
+            BoardCommand.GET_DUTIES: self.duties(),
+            BoardCommand.GET_CURRENTS: [round(100 * each) for each in self.motors.currents()],
+            BoardCommand.GET_VELOCITY_PID_1: one.gains,
+            BoardCommand.GET_VELOCITY_PID_2: two.gains,
+            BoardCommand.GET_ENCODERS: encoders,
+            # Counts in the last 1/300 s, as a rate [1/s]: 300 counts/s is the least step.
+            BoardCommand.GET_RAW_SPEEDS: [300 * int(speed / 300) for speed in speeds],
+            BoardCommand.GET_TEMPERATURE: (250,),
+            BoardCommand.GET_CURRENT_LIMIT_1: (one.current_limit, 0),
+            BoardCommand.GET_CURRENT_LIMIT_2: (two.current_limit, 0),
+            BoardCommand.GET_PWM_MODE: (self.pwm_mode,),
+        }
+        return values[command]
 
     def obey(self, command: BoardCommand, values: Sequence[int]) -> None:
         """Carry out a write."""
-        one, two = self.channels
         match command:
             case BoardCommand.SET_TIMEOUT:
                 self.timeout = values[0]
             case BoardCommand.RESET_ENCODERS:
-                self._set_encoder(0, 0)
-                self._set_encoder(1, 0)
+                self.preset(0)
             case BoardCommand.SET_ENCODER_1 | BoardCommand.SET_ENCODER_2:
                 self._set_encoder(command - BoardCommand.SET_ENCODER_1, values[0])
-            case BoardCommand.SET_VELOCITY_PID_1 | BoardCommand.SET_VELOCITY_PID_2:
-                derivative, proportional, integral, full_speed = values
-                channel = self.channels[command - BoardCommand.SET_VELOCITY_PID_1]
-                channel.gains = proportional, integral, derivative, full_speed
-            case BoardCommand.DUTY_1 | BoardCommand.DUTY_2:
-                _set_duty(self.channels[command - BoardCommand.DUTY_1], values[0])
-            case BoardCommand.DUTY_BOTH:
-                _set_duty(one, values[0])
-                _set_duty(two, values[1])
-            case BoardCommand.SPEED_1 | BoardCommand.SPEED_2:
-                _set_speed(self.channels[command - BoardCommand.SPEED_1], values[0])
-            case BoardCommand.SPEED_BOTH:
-                _set_speed(one, values[0])
-                _set_speed(two, values[1])
-            case BoardCommand.POSITION_1 | BoardCommand.POSITION_2:
-                _set_position(
-                    self.channels[command - BoardCommand.POSITION_1], values[3], values[1]
-                )
-            case BoardCommand.POSITION_BOTH:
-                _set_position(one, values[3], values[1])
-                _set_position(two, values[7], values[5])
-            case BoardCommand.SET_CURRENT_LIMIT_1 | BoardCommand.SET_CURRENT_LIMIT_2:
-                self.channels[command - BoardCommand.SET_CURRENT_LIMIT_1].current_limit = values[0]
             case BoardCommand.SET_PWM_MODE:
                 self.pwm_mode = values[0]
             case BoardCommand.RESET_E_STOP:
                 self.status &= ~Status.E_STOP
             case _:
-                raise AssertionError(command)
+                kind, _, which = command.name.rpartition("_")
+                channels = self.channels if which == "BOTH" else [self.channels[int(which) - 1]]
+                share = len(values) // len(channels)
+                for number, channel in enumerate(channels):
+                    _CHANNEL_WRITES[kind](channel, values[number * share :])
 
     def _set_encoder(self, number: int, count: int) -> None:
         self.channels[number].offset = count - self.motors.counts()[number]
 
 
-def _stop(channel: MotorChannel) -> None:
-    channel.duty, channel.integral = 0, 0.0
-    channel.target_speed = channel.target_position = None
-
-
-def _set_duty(channel: MotorChannel, duty: int) -> None:
-    _stop(channel)
-    channel.duty = max(-codec.FULL_DUTY, duty)
-
-
-def _set_speed(channel: MotorChannel, speed: int) -> None:
-    channel.target_speed, channel.target_position = float(speed), None
-
-
-def _set_position(channel: MotorChannel, position: int, speed: int) -> None:
-    channel.target_position = position, speed
-
-
-def _regulate(channel: MotorChannel, count: int, period: float) -> None:
-    """Set the duty of a channel whose speed or position is asked for."""
-    if channel.target_position is not None:
-        position, most = channel.target_position
-        # As fast as may still be stopped within a few ticks.
-        speed = (position - count) / (5.0 * period)
-        channel.target_speed = max(-most, min(most, speed))
-    if channel.target_speed is None:
-        return
-    proportional, integral, _, full_speed = channel.gains
-    error = (channel.target_speed - channel.rate) / max(1, full_speed)
-    channel.integral += error * period * integral / _FIXED_POINT
-    forward = channel.target_speed / max(1, full_speed)
-    duty = forward + error * proportional / _FIXED_POINT + channel.integral
-    channel.duty = codec.duty_code(duty if math.isfinite(duty) else 0.0)
-
-
 class RoboClawLine:
-    """Boards on one line: cuts the bytes into packets; only the board that is meant answers."""
+    """Boards on one line: cuts the bytes into packets; only the addressed board answers.
+
+    Args:
+        boards: Boards with different addresses.
+    """
 
     def __init__(self, boards: Sequence[RoboClawBoard]) -> None:
-        """Put boards on the line.
-
-        Args:
-            boards: With different addresses.
-        """
         self.boards: Mapping[int, RoboClawBoard] = {board.address: board for board in boards}
         self.time = 0.0
         self._buffer = b""
@@ -266,7 +242,7 @@ class RoboClawLine:
             board.tick(time, period)
 
     def feed(self, data: bytes, now: float) -> bytes:
-        """Take what came on the wire at `now` [s], and return the answers."""
+        """Take the bytes that came at `now` [s], and return the answers."""
         if not data:
             return b""
         if now - self._last > codec.PACKET_GAP:
@@ -291,7 +267,7 @@ class RoboClawLine:
         except ValueError:
             command = None
         if board is None or command is None:
-            # Nobody is meant, or nobody understands: it is dropped with all that follows it.
+            # An unknown address or command: it is dropped with all that follows it.
             return len(self._buffer), b""
         if command not in codec.WRITES:
             board.heard(self.time)

@@ -51,14 +51,10 @@ class HandshakeLink:
     """One end of the handshake link; it sends one message at a time.
 
     A confirmed `Outcome` means only that the transmitter came to the end of data.
-
-    Attributes:
-        receive_failures: Receptions given up: by the deadline, or too long.
     """
 
     def __init__(self, channel: ByteChannel, config: HandshakeConfig | None = None) -> None:
         """Listen on `channel`."""
-        self.receive_failures = 0
         self._channel = channel
         self._config = config or HandshakeConfig()
         self._tickets = 0
@@ -73,11 +69,6 @@ class HandshakeLink:
     def pending(self) -> int:
         """Messages on the way: 0 or 1."""
         return int(self._sending is not None)
-
-    @property
-    def receiving(self) -> bool:
-        """True while a message is coming in."""
-        return self._received is not None
 
     def send(self, message: bytes) -> int:
         """Send the transmit command; `poll` does the rest.
@@ -108,7 +99,7 @@ class HandshakeLink:
         now = self._channel.now()
         result = Polled([], [])
         if now >= self._receive_until:
-            self._give_up_receiving()
+            self._stop_receiving()
         for value in self._channel.read():
             if self._sending is not None:
                 self._take_answer(value, result)
@@ -154,13 +145,9 @@ class HandshakeLink:
                 result.messages.append(bytes(self._received))
                 self._stop_receiving()
             elif len(self._received) >= self._config.message_limit:
-                self._give_up_receiving()
+                self._stop_receiving()
             else:
                 self._channel.write(bytes([RECEIVED_OK]))
-
-    def _give_up_receiving(self) -> None:
-        self.receive_failures += 1
-        self._stop_receiving()
 
     def _stop_receiving(self) -> None:
         self._received = None

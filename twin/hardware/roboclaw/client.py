@@ -7,13 +7,14 @@ encoders without a sign. Here a value counts only when its checksum fits, and ev
 """
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import BoardCommand, Status
-from twin.hardware.serial_link import LinkError
+from twin.hardware.serial_link import LinkError, SerialLink
 
 T = TypeVar("T")
 
@@ -21,7 +22,6 @@ T = TypeVar("T")
 # later than a whole round, some 140 ms. All firmware answers them alike, and the servo cycle asks
 # other ones.
 _PROBES = (
-    BoardCommand.GET_LOGIC_VOLTAGE,
     BoardCommand.GET_TEMPERATURE,
     BoardCommand.GET_ENCODER_1,
     BoardCommand.GET_ENCODER_2,
@@ -29,29 +29,8 @@ _PROBES = (
     BoardCommand.GET_SPEED_2,
     BoardCommand.GET_VELOCITY_PID_1,
     BoardCommand.GET_VELOCITY_PID_2,
+    BoardCommand.GET_LOGIC_VOLTAGE,
 )
-
-
-class BusLink(Protocol):
-    """What the bus asks of a serial port; see `twin.hardware.serial_link.SerialLink`."""
-
-    port: str
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-        ...
-
-    def read(self, count: int, deadline: float) -> bytes:
-        """Return up to `count` bytes by `deadline`."""
-        ...
-
-    def drain(self, quiet: float, most: float = 0.05) -> int:
-        """Discard input until nothing came for `quiet` [s]."""
-        ...
-
-    def close(self) -> None:
-        """Close the port."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +75,7 @@ class BusStatistics:
 class RoboClawBus:
     """Boards at several addresses behind one port."""
 
-    def __init__(self, link: BusLink, timing: BusTiming | None = None) -> None:
+    def __init__(self, link: SerialLink, timing: BusTiming | None = None) -> None:
         """Take over an open port.
 
         Args:
@@ -108,7 +87,7 @@ class RoboClawBus:
         self._timing = timing or BusTiming()
         # After a failure an answer may still be on its way; nothing is believed before it passed.
         self._suspect = True
-        self._turn = 0
+        self._probes = itertools.cycle(_PROBES)
         self._status_length: dict[int, int] = {}
 
     def read(self, address: int, command: BoardCommand) -> tuple[int, ...]:
@@ -263,14 +242,10 @@ class RoboClawBus:
         self._suspect = True
         self.statistics.stray += self._link.drain(self._timing.quiet, end - time.monotonic())
         if time.monotonic() < end:
-            self._suspect = not self._probe(address, self._next_probe(command), end)
+            # A probe must not be the question itself.
+            question = next(probe for probe in self._probes if probe is not command)
+            self._suspect = not self._probe(address, question, end)
         return not self._suspect
-
-    def _next_probe(self, command: BoardCommand) -> BoardCommand:
-        """Return the next probe; it must not be the question itself."""
-        self._turn = (self._turn + 1) % len(_PROBES)
-        probe = _PROBES[self._turn]
-        return self._next_probe(command) if probe is command else probe
 
     def _probe(self, address: int, question: BoardCommand, end: float) -> bool:
         """Ask, and let pass what comes before the answer."""

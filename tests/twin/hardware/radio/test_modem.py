@@ -1,13 +1,12 @@
 """The emulated modems: pace, delay and errors, in virtual time and on real ports."""
 
-import contextlib
 import math
 import time
 
 import numpy as np
 import pytest
 
-from twin.hardware.emulator.modem import Line, ModemConfig, PtyModems, VirtualModems
+from twin.hardware.emulator.modem import Line, ModemConfig, VirtualModems, pty_modems
 from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
@@ -63,8 +62,8 @@ def make_links(kind, ends):
 
 
 def exchange_over_ports(kind, config, seed, messages):
-    with contextlib.closing(PtyModems(config, np.random.default_rng(seed))) as modems:
-        ports = [SerialLink(port, 9600) for port in modems.ports]
+    with pty_modems(config, np.random.default_rng(seed)) as paths:
+        ports = [SerialLink(path, 9600) for path in paths]
         links = make_links(kind, [SerialChannel(port) for port in ports])
         result = exchange(links, time.monotonic, lambda: time.sleep(0.001), messages)
         for port in ports:
@@ -94,11 +93,10 @@ def test_real_ports_at_the_real_pace_agree_with_virtual_time(kind):
 
 @pytest.mark.real_time
 def test_port_that_is_gone_is_one_clear_error():
-    modems = PtyModems(ModemConfig(), np.random.default_rng(0))
-    port = SerialLink(modems.ports[0], 9600)
-    link = FramedLink(SerialChannel(port), np.random.default_rng(0))
-    modems.close()
-    with pytest.raises(LinkError, match=modems.ports[0]):
+    with pty_modems(ModemConfig(), np.random.default_rng(0)) as paths:
+        port = SerialLink(paths[0], 9600)
+        link = FramedLink(SerialChannel(port), np.random.default_rng(0))
+    with pytest.raises(LinkError, match=paths[0]):
         for _ in range(3):
             link.send_latest(b"x")
             link.poll()

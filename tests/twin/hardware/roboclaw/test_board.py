@@ -78,12 +78,12 @@ def test_encoder_wraps_at_32_bits_and_counts_from_reset():
     motors = StillMotors()
     motors.count = [1000, 0]
     board = RoboClawBoard(0x80, motors)
-    assert board.encoder(0) == 0
+    assert board.encoders()[0] == 0
     board.preset(2**31 - 1)
     motors.count = [1001, -1]
-    assert (board.encoder(0), board.encoder(1)) == (-(2**31), 2**31 - 2)
+    assert board.encoders() == (-(2**31), 2**31 - 2)
     board.reset()
-    assert (board.encoder(0), board.encoder(1)) == (0, 0)
+    assert board.encoders() == (0, 0)
 
 
 def test_speed_command_reaches_its_speed_and_position_command_its_position():
@@ -95,13 +95,13 @@ def test_speed_command_reaches_its_speed_and_position_command_its_position():
         speed += 0.2 * (44000 * board.duties()[0] / 32767 - speed)
         board.motors.count[0] += round(0.01 * speed)
     assert board.channels[0].rate == pytest.approx(20000, rel=0.01)
-    target = board.encoder(0) - 5000
+    target = board.encoders()[0] - 5000
     line.feed(codec.encode_write(0x80, BoardCommand.POSITION_1, 1, 30000, 1, target, 1), 20.0)
     for step in range(2000):
         line.tick(20.0 + 0.01 * step, 0.01)
         speed += 0.2 * (44000 * board.duties()[0] / 32767 - speed)
         board.motors.count[0] += round(0.01 * speed)
-    assert abs(board.encoder(0) - target) <= 5
+    assert abs(board.encoders()[0] - target) <= 5
 
 
 class Echo:

@@ -140,11 +140,11 @@ def basicmicro_settings(client, board):
         yield c.GETTIMEOUT, client.GetTimeout(ADDRESS), (True, board.timeout / 10)
     for count in COUNTS:
         done = client.SetEncM1(ADDRESS, count)
-        yield c.SETM1ENCCOUNT, (done, count), (True, board.encoder(0))
+        yield c.SETM1ENCCOUNT, (done, count), (True, board.encoders()[0])
         done = client.SetEncM2(ADDRESS, count)
-        yield c.SETM2ENCCOUNT, (done, count), (True, board.encoder(1))
+        yield c.SETM2ENCCOUNT, (done, count), (True, board.encoders()[1])
     done = client.ResetEncoders(ADDRESS)
-    yield c.RESETENC, (done, 0, 0), (True, board.encoder(0), board.encoder(1))
+    yield c.RESETENC, (done, 0, 0), (True, board.encoders()[0], board.encoders()[1])
     for p, i, d, full in ((0, 1, 2**32 - 1, 44000), (2**32 - 1, 0, 1, 2**32 - 1)):
         gains = p / 65536, i / 65536, d / 65536, full
         done = client.SetM1VelocityPID(ADDRESS, *gains)
@@ -234,11 +234,11 @@ def tcr_settings(client, board):
         yield c.GETSERIALTIMEOUT, client.ReadSerialTimeout(), (1, board.timeout)
     for count in COUNTS:
         done = client.SetEncM1(count)
-        yield c.SETM1ENCCOUNT, (done, count), (True, board.encoder(0))
+        yield c.SETM1ENCCOUNT, (done, count), (True, board.encoders()[0])
         done = client.SetEncM2(count)
-        yield c.SETM2ENCCOUNT, (done, count), (True, board.encoder(1))
+        yield c.SETM2ENCCOUNT, (done, count), (True, board.encoders()[1])
     done = client.ResetEncoders()
-    yield c.RESETENC, (done, 0, 0), (True, board.encoder(0), board.encoder(1))
+    yield c.RESETENC, (done, 0, 0), (True, board.encoders()[0], board.encoders()[1])
     for p, i, d, full in ((0, 1, 2**32 - 1, 44000), (2**32 - 1, 0, 1, 2**32 - 1)):
         gains = p / 65536, i / 65536, d / 65536, full
         done = client.SetM1VelocityPID(*gains)

@@ -103,7 +103,7 @@ def payload(command, rng):
 def carried_out(board, command, values):
     """Tell whether the board holds what the write wants."""
     one, two = board.channels
-    encoders = board.encoder(0), board.encoder(1)
+    encoders = board.encoders()
     match command.name.removesuffix("_1").removesuffix("_2"):
         case "SET_TIMEOUT":
             return board.timeout == values[0]
