@@ -21,14 +21,13 @@ from controllers.identification.friction import (
     KnownBase,
 )
 from controllers.kinematics.serial_chain import SerialChain
-from experiments.ch2.payload import run_recorded, sensing
+from experiments.ch2.payload import JUDGED, judge_errors, run_recorded, sensing
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.compose import FieldConfig, RobotPlacement
-from perception.geometry.arrays import FloatArray
 from twin.connect import connect
 from twin.describe import describe_rover
 
@@ -71,8 +70,17 @@ def run(options: Options, output: Output) -> None:
     _measure(results, output)
     columns = ("seed", "effort", "friction", "slipped", "estimate", "error_percent")
     columns = (*columns, "lower_bound", "onset", "rolled")
-    rows = [[getattr(result, key) for key in columns] for result in results]
-    output.table("friction_runs", columns, rows)
+    rows = [
+        [run.seed, run.effort, run.friction, run.estimate.slipped, run.estimate.friction,
+         abs(run.bias_percent), run.estimate.lower_bound, run.estimate.onset, run.estimate.rolled]
+        for run in results
+    ]  # fmt: skip
+    # A number that the run does not give is an empty cell.
+    cells = [
+        [None if isinstance(value, float) and np.isnan(value) else value for value in row]
+        for row in rows
+    ]
+    output.table("friction_runs", columns, cells)
     output.figure("friction_estimates", _estimate_figure(results))
     output.figure("friction_in_use", _history_figure(results[0]))
 
@@ -131,31 +139,18 @@ class FrictionRun:
         seed: Random seed of the job.
         effort: How hard the arm jerked.
         friction: True friction coefficient of the ground.
-        slipped: Whether the wheels were seen to slip.
-        estimate: Estimated friction coefficient; None without slip.
-        error_percent: Its error [%]; None without slip.
-        lower_bound: Largest friction coefficient that was used without slip.
-        onset: Time at which the slip began [s]; None without slip.
-        rolled: Whether the wheels rolled.
-        times: (n,) times of the samples [s].
-        used: (n,) friction coefficient in use.
-        yaw_rate: (n,) yaw rate from the wrench [rad/s].
-        slipping: (n,) whether the wheels slip, 0 or 1.
+        estimate: What the run shows of it.
     """
 
     seed: int
     effort: str
     friction: float
-    slipped: bool
-    estimate: float | None
-    error_percent: float | None
-    lower_bound: float
-    onset: float | None
-    rolled: bool
-    times: FloatArray
-    used: FloatArray
-    yaw_rate: FloatArray
-    slipping: FloatArray
+    estimate: FrictionEstimate
+
+    @property
+    def bias_percent(self) -> float:
+        """Error of the estimate [%]; NaN without one."""
+        return 100.0 * (self.estimate.friction / self.friction - 1.0)
 
 
 def probe_one(config: FrictionJob) -> FrictionRun:
@@ -171,63 +166,33 @@ def probe_one(config: FrictionJob) -> FrictionRun:
         estimate = probe(friction, seed, config.effort, config.robot, config.record)
     except IdentificationError as error:
         raise ExperimentError(str(error)) from error
-    error = 100.0 * abs(estimate.friction / friction - 1.0)
-    return FrictionRun(
-        seed=config.seed,
-        effort=config.effort,
-        friction=friction,
-        slipped=estimate.slipped,
-        estimate=None if np.isnan(error) else estimate.friction,
-        error_percent=None if np.isnan(error) else error,
-        lower_bound=estimate.lower_bound,
-        onset=estimate.onset if estimate.slipped else None,
-        rolled=estimate.rolled,
-        times=estimate.load.times,
-        used=estimate.load.used,
-        yaw_rate=estimate.load.yaw_rate,
-        slipping=estimate.slipping.astype(float),
-    )
+    return FrictionRun(config.seed, config.effort, friction, estimate)
 
 
 def _measure(results: Sequence[FrictionRun], output: Output) -> None:
     """Store the metrics and hold them against the bars."""
+    biases = np.array([run.bias_percent for run in results])
+    known = np.isfinite(biases)
     for effort in EFFORTS:
-        chosen = [result for result in results if result.effort == effort]
-        slips = sum(result.slipped for result in chosen)
-        output.measure(f"slipped_fraction/{effort}", fraction(slips, len(chosen)))
-        estimates = sum(result.estimate is not None for result in chosen)
-        output.measure(f"estimated_fraction/{effort}", fraction(estimates, len(chosen)))
-    rolled = sum(result.rolled for result in results)
+        chosen = [run.effort == effort for run in results]
+        slips = [run.estimate.slipped for run in results]
+        for key, flags in (("slipped", slips), ("estimated", known)):
+            count = int(np.sum(np.logical_and(chosen, flags)))
+            output.measure(f"{key}_fraction/{effort}", fraction(count, sum(chosen)))
+    rolled = sum(run.estimate.rolled for run in results)
     output.measure("wheels_rolled_fraction", fraction(rolled, len(results)))
-    estimated = [(run.estimate, run) for run in results if run.estimate is not None]
-    if estimated:
-        errors = np.array([run.error_percent for _, run in estimated])
-        summary = distribution(errors)
-        output.measure("friction_error_percent", summary)
-        median, worst = summary["median"], float(errors.max())
-        bound = f"<= {ERROR_BOUND:g}"
-        output.check(
-            "friction error where it slides, median [%]", median, bound, median <= ERROR_BOUND
-        )
-        output.check(
-            "friction error where it slides, every run [%]", worst, bound, worst <= ERROR_BOUND
-        )
-        within = fraction(int(np.sum(errors <= ERROR_BOUND)), len(errors))
-        output.measure(f"friction_error_percent/within_{ERROR_BOUND:g}", within)
-        biases = [100.0 * (value / run.friction - 1.0) for value, run in estimated]
-        output.measure("friction_bias_percent", distribution(biases))
-    held = [result for result in results if result.estimate is None]
+    if known.any():
+        labels = [f"friction error where it slides, {which} [%]" for which in JUDGED]
+        judge_errors(output, "friction_error_percent", np.abs(biases[known]), ERROR_BOUND, labels)
+        output.measure("friction_bias_percent", distribution(biases[known]))
+    held = [run for run, estimated in zip(results, known, strict=True) if not estimated]
     if held:
-        holds = sum(result.lower_bound <= result.friction for result in held)
+        ratios = np.array([run.estimate.lower_bound / run.friction for run in held])
+        holds = sum(run.estimate.lower_bound <= run.friction for run in held)
         output.measure("lower_bound_holds_fraction", fraction(holds, len(held)))
         share = holds / len(held)
-        output.check(
-            "lower bound holds where it does not slide",
-            share,
-            f">= {HOLDS_BOUND:g}",
-            share >= HOLDS_BOUND,
-        )
-        ratios = [result.lower_bound / result.friction for result in held]
+        name = "lower bound holds where it does not slide"
+        output.check(name, share, f">= {HOLDS_BOUND:g}", share >= HOLDS_BOUND)
         output.measure("lower_bound_over_friction", distribution(ratios))
 
 
@@ -241,11 +206,16 @@ def _estimate_figure(results: Sequence[FrictionRun]) -> Figure:
     axes.fill_between(
         truth, truth * (1 - wide), truth * (1 + wide), alpha=0.15, label=f"{ERROR_BOUND:g} %"
     )
-    told = [(r.friction, r.estimate) for r in results if r.estimate is not None]
-    held = [(r.friction, r.lower_bound) for r in results if r.estimate is None]
-    for points, style, label in ((told, "o", "estimate, it slid"), (held, "^", "lower bound")):
-        if points:
-            axes.plot(*np.array(points).T, style, label=label)
+    friction = np.array([run.friction for run in results])
+    estimates = np.array([run.estimate.friction for run in results])
+    bounds = np.array([run.estimate.lower_bound for run in results])
+    held = np.isnan(estimates)
+    for points, values, style, label in (
+        (~held, estimates, "o", "estimate, it slid"),
+        (held, bounds, "^", "lower bound"),
+    ):
+        if points.any():
+            axes.plot(friction[points], values[points], style, label=label)
     axes.set(xlabel="friction coefficient of the ground [-]", ylabel="estimated [-]")
     axes.legend()
     axes.grid(alpha=0.3)
@@ -256,13 +226,13 @@ def _history_figure(result: FrictionRun) -> Figure:
     """Draw one run: the friction in use, and the yaw rate that shows the slip."""
     figure = Figure(figsize=(10, 5))
     upper, lower = figure.add_subplot(2, 1, 1), figure.add_subplot(2, 1, 2)
-    times, slipping = result.times, result.slipping > 0.5
-    upper.plot(times, result.used, linewidth=0.9, label="in use")
-    upper.plot(times[slipping], result.used[slipping], "r.", markersize=3, label="slipping")
+    load, slipping = result.estimate.load, result.estimate.slipping
+    upper.plot(load.times, load.used, linewidth=0.9, label="in use")
+    upper.plot(load.times[slipping], load.used[slipping], "r.", markersize=3, label="slipping")
     upper.axhline(result.friction, color="k", linestyle="--", label="friction of the ground")
     upper.set(ylabel="friction coefficient [-]", ylim=(0.0, 2.0 * result.friction))
     upper.legend(loc="upper left")
-    lower.plot(times, result.yaw_rate)
+    lower.plot(load.times, load.yaw_rate)
     lower.set(xlabel="time [s]", ylabel="yaw rate from the wrench [rad/s]")
     for axes in (upper, lower):
         axes.grid(alpha=0.3)

@@ -6,7 +6,7 @@ observations only. The truth is used for scoring alone.
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -46,6 +46,8 @@ GRIP = np.array([0.0, datasheets.ARM.wrist_length, 0.0])
 MASS_BOUND = 1.0  # [%]
 CENTRE_BOUND = 3.0  # [mm]
 FIELD = FieldConfig(texture_pixels=64)
+JUDGED = ("median", "every run")
+"""Which of the errors of all runs are held to a bound."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +92,7 @@ def run(options: Options, output: Output) -> None:
     _measure(results, output)
     _tabulate(results, output)
     output.figure("payload_errors", _error_figure(results))
-    output.figure("payload_residual", _residual_figure(results[0]))
+    output.figure("payload_residual", _residual_figure(results[0].estimate))
 
 
 def draw_box(rng: np.random.Generator) -> Box:
@@ -198,37 +200,23 @@ class PayloadRun:
 
     Attributes:
         seed: Random seed of the job.
-        mass: True mass [kg].
-        mass_estimate: Estimated mass [kg].
-        mass_error_percent: Error of the mass [%].
-        centre: (3,) true centre of mass in the wrist's frame [m].
-        centre_estimate: (3,) estimated centre of mass in the wrist's frame [m].
-        centre_error_mm: Distance between the two centres [mm].
-        parameters: (10,) true inertial parameters, order of `serial_arm.NAMES`, SI units.
-        estimate: (10,) estimated inertial parameters, SI units.
-        sigma: (10,) standard deviations of the estimate, SI units.
-        corrected: Whether the linear estimate had to be moved to a physical body.
-        chi_squared: Mean squared residual over the noise's variance.
-        unidentifiable: Names of the parameters that the data leave unknown.
-        residual: (n, 6) what the fit leaves of the wrench, in standard deviations of the noise.
-        times: (n,) times of the samples [s].
+        truth: The payload, in the wrist's frame.
+        estimate: The payload as identified, in the same frame.
     """
 
     seed: int
-    mass: float
-    mass_estimate: float
-    mass_error_percent: float
-    centre: FloatArray
-    centre_estimate: FloatArray
-    centre_error_mm: float
-    parameters: FloatArray
-    estimate: FloatArray
-    sigma: FloatArray
-    corrected: bool
-    chi_squared: float
-    unidentifiable: tuple[str, ...]
-    residual: FloatArray
-    times: FloatArray
+    truth: RigidBody
+    estimate: PayloadEstimate
+
+    @property
+    def mass_error_percent(self) -> float:
+        """Error of the mass [%]."""
+        return 100.0 * abs(self.estimate.mass / self.truth.mass - 1.0)
+
+    @property
+    def centre_error_mm(self) -> float:
+        """Distance between true and estimated centre of mass [mm]."""
+        return 1e3 * float(np.linalg.norm(self.estimate.centre - self.truth.centre))
 
 
 def identify_one(config: PayloadJob) -> PayloadRun:
@@ -239,34 +227,12 @@ def identify_one(config: PayloadJob) -> PayloadRun:
     """
     draws, noise = np.random.SeedSequence(config.seed).spawn(2)
     box = draw_box(np.random.default_rng(draws))
+    noise_seed = int(noise.generate_state(1)[0])
     try:
-        estimate = identify(
-            box,
-            int(noise.generate_state(1)[0]),
-            config.robot,
-            config.duration,
-            config.record,
-        )
+        estimate = identify(box, noise_seed, config.robot, config.duration, config.record)
     except IdentificationError as error:
         raise ExperimentError(str(error)) from error
-    truth = true_body(box)
-    return PayloadRun(
-        seed=config.seed,
-        mass=box.mass,
-        mass_estimate=estimate.mass,
-        mass_error_percent=100.0 * abs(estimate.mass / box.mass - 1.0),
-        centre=truth.centre,
-        centre_estimate=estimate.centre,
-        centre_error_mm=1e3 * float(np.linalg.norm(estimate.centre - truth.centre)),
-        parameters=inertial_parameters(truth),
-        estimate=estimate.parameters,
-        sigma=np.sqrt(np.diag(estimate.covariance)),
-        corrected=bool(np.any(estimate.parameters != estimate.linear)),
-        chi_squared=estimate.chi_squared,
-        unidentifiable=tuple(estimate.unidentifiable),
-        residual=estimate.residual,
-        times=estimate.times,
-    )
+    return PayloadRun(config.seed, true_body(box), estimate)
 
 
 def _measure(results: Sequence[PayloadRun], output: Output) -> None:
@@ -274,50 +240,68 @@ def _measure(results: Sequence[PayloadRun], output: Output) -> None:
     bounds = {"mass_error_percent": MASS_BOUND, "centre_error_mm": CENTRE_BOUND}
     for key, bound in bounds.items():
         errors = np.array([getattr(result, key) for result in results])
-        summary = distribution(errors)
-        output.measure(key, summary)
-        output.check(f"{key}, median", summary["median"], f"<= {bound:g}", _within(summary, bound))
-        within = fraction(int(np.sum(errors <= bound)), len(errors))
-        output.measure(f"{key}/within_{bound:g}", within)
-        worst = float(errors.max())
-        output.check(f"{key}, every run", worst, f"<= {bound:g}", worst <= bound)
-    output.measure("chi_squared", distribution([result.chi_squared for result in results]))
-    least = min(result.mass_estimate for result in results)
+        judge_errors(output, key, errors, bound)
+    estimates = [result.estimate for result in results]
+    output.measure("chi_squared", distribution([found.chi_squared for found in estimates]))
+    least = min(found.mass for found in estimates)
     output.check("mass is positive, every run", least, "> 0", least > 0.0)
-    corrected = sum(result.corrected for result in results)
+    corrected = sum(bool(np.any(found.parameters != found.linear)) for found in estimates)
     output.measure("corrected_to_physical", fraction(corrected, len(results)))
-    for name in NAMES:
-        hidden = sum(name in result.unidentifiable for result in results)
-        output.measure(f"unidentifiable/{name}", fraction(hidden, len(results)))
-    share = len(results) / 2
-    named = [n for n in NAMES if sum(n in r.unidentifiable for r in results) > share]
+    hidden = {name: sum(name in found.unidentifiable for found in estimates) for name in NAMES}
+    for name, count in hidden.items():
+        output.measure(f"unidentifiable/{name}", fraction(count, len(results)))
+    named = [name for name, count in hidden.items() if count > len(results) / 2]
     output.measure("unidentifiable", ", ".join(named) or "none")
 
 
-def _within(summary: Mapping[str, float], bound: float) -> bool:
-    return summary["median"] <= bound
+def judge_errors(
+    output: Output, key: str, errors: FloatArray, bound: float, labels: Sequence[str] = ()
+) -> None:
+    """Measure the errors of all runs, and hold their median and the worst to a bound.
+
+    Args:
+        output: Output that receives metrics and checks.
+        key: Name of the metric.
+        errors: (n,) errors of the runs.
+        bound: Largest permissible error.
+        labels: Names of the two checks; empty for the metric's name with those of `JUDGED`.
+    """
+    summary = distribution(errors)
+    output.measure(key, summary)
+    output.measure(f"{key}/within_{bound:g}", fraction(int(np.sum(errors <= bound)), len(errors)))
+    names = labels or [f"{key}, {which}" for which in JUDGED]
+    for name, value in zip(names, (summary["median"], float(errors.max())), strict=True):
+        output.check(name, value, f"<= {bound:g}", value <= bound)
 
 
 def _tabulate(results: Sequence[PayloadRun], output: Output) -> None:
     """Write one row for each run."""
     columns = ["seed", "mass [kg]", "mass estimate [kg]", "mass error [%]", "centre error [mm]"]
-    keys = ("seed", "mass", "mass_estimate", "mass_error_percent", "centre_error_mm")
     axes = [f"centre {axis} error [mm]" for axis in "xyz"]
     rows = [
         [
-            *(getattr(result, key) for key in keys),
-            *(1e3 * (result.centre_estimate - result.centre)),
-            result.chi_squared,
-            " ".join(result.unidentifiable),
+            run.seed,
+            run.truth.mass,
+            run.estimate.mass,
+            run.mass_error_percent,
+            run.centre_error_mm,
+            *(1e3 * (run.estimate.centre - run.truth.centre)),
+            run.estimate.chi_squared,
+            " ".join(run.estimate.unidentifiable),
         ]
-        for result in results
+        for run in results
     ]
     output.table("payload_runs", [*columns, *axes, "chi squared", "unidentifiable"], rows)
     rows = [
-        [result.seed, name, *(float(getattr(result, key)[index]) for key in keys)]
-        for keys in [("parameters", "estimate", "sigma")]
-        for result in results
-        for index, name in enumerate(NAMES)
+        [run.seed, name, *map(float, numbers)]
+        for run in results
+        for name, *numbers in zip(
+            NAMES,
+            inertial_parameters(run.truth),
+            run.estimate.parameters,
+            np.sqrt(np.diag(run.estimate.covariance)),
+            strict=True,
+        )
     ]
     columns = ["seed", "parameter", "truth [SI]", "estimate [SI]", "standard deviation [SI]"]
     output.table("payload_parameters", columns, rows)
@@ -326,7 +310,7 @@ def _tabulate(results: Sequence[PayloadRun], output: Output) -> None:
 def _error_figure(results: Sequence[PayloadRun]) -> Figure:
     """Draw the errors over the payload's mass, with the bars."""
     figure = Figure(figsize=(10, 4))
-    mass = [1e3 * result.mass for result in results]
+    mass = [1e3 * result.truth.mass for result in results]
     panels = (
         ("mass_error_percent", "error of the mass [%]", MASS_BOUND),
         ("centre_error_mm", "error of the centre of mass [mm]", CENTRE_BOUND),
@@ -341,16 +325,15 @@ def _error_figure(results: Sequence[PayloadRun]) -> Figure:
     return figure
 
 
-def _residual_figure(result: PayloadRun) -> Figure:
+def _residual_figure(estimate: PayloadEstimate) -> Figure:
     """Draw what one fit leaves of the wrench."""
     figure = Figure(figsize=(10, 5))
     for index, name in enumerate(("force", "moment")):
         axes = figure.add_subplot(2, 1, index + 1)
-        part = result.residual[:, 3 * index : 3 * index + 3]
+        part = estimate.residual[:, 3 * index : 3 * index + 3]
         for axis, column in zip("xyz", part.T, strict=True):
-            axes.plot(result.times, column, label=f"{name} {axis}")
-        axes.set(ylabel="residual / sensor noise [-]")
+            axes.plot(estimate.times, column, label=f"{name} {axis}")
+        axes.set(xlabel="time [s]", ylabel="residual / sensor noise [-]")
         axes.legend(loc="upper right")
-        axes.set_xlabel("time [s]")
         axes.grid(alpha=0.3)
     return figure
