@@ -126,6 +126,7 @@ def _files(house: str) -> dict[str, Path]:
 
 
 LAYERS = (
+    {"checks"},
     {"kinematics"},
     {"identification", "braid"},
     {"motion"},

@@ -16,8 +16,12 @@ from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
-from controllers.sensing.surrogate_tilt import TiltModel, TiltModelConfig
-from controllers.sensing.surrogate_wrench import WrenchModel, WrenchModelConfig
+from controllers.sensing.surrogate_models import (
+    TiltModel,
+    TiltModelConfig,
+    WrenchModel,
+    WrenchModelConfig,
+)
 from twin.description import RobotDescription
 from twin.robot import MISSING, Command, Observation
 
@@ -168,7 +172,6 @@ def surrogate_sensing(
         chain,
         np.asarray(chain.transform_base_to_robot.translation),
         np.array([0.0, tip, 0.0]),
-        friction=np.array([joint.friction for joint in chain.joints]),
     )
     base = TiltModelConfig(*springs, wheel_radius=robot.wheel_radius)
     limits = {

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from controllers.checks import check_choice, check_numbers
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from perception.geometry.arrays import FloatArray
@@ -54,11 +55,9 @@ class ArmGains:
         """Refuse gains that do not pull back.
 
         Raises:
-            ValueError: Naming the number.
+            ValueError: Naming the number and what is valid.
         """
-        for name in ("frequency", "damping"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"arm {name}: {getattr(self, name)}, needs a positive number")
+        check_numbers("arm", self)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,8 +96,7 @@ class ArmControlConfig:
         Raises:
             ValueError: Naming it and the valid ones.
         """
-        if self.law not in LAWS:
-            raise ValueError(f"law {self.law!r}: valid are {', '.join(LAWS)}")
+        check_choice("law", self.law, LAWS)
 
 
 class ArmController:

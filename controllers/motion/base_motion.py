@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from controllers.checks import check_numbers
 from controllers.kinematics.frame_motion import LEVEL, FrameMotion, at_rest
 from perception.geometry.arrays import FloatArray
 from twin.robot import Observation
@@ -31,12 +32,10 @@ class BaseFilterConfig:
         """Refuse times that are none.
 
         Raises:
-            ValueError: Naming the time and what is valid.
+            ValueError: Naming the number and what is valid.
         """
-        if not (math.isfinite(self.lag) and self.lag >= 0.0):
-            raise ValueError(f"base filter lag: {self.lag}, needs 0 or a positive time [s]")
-        if not (math.isfinite(self.period) and self.period > 0.0):
-            raise ValueError(f"base filter period: {self.period}, needs a positive time [s]")
+        check_numbers("base filter", self, "lag", zero=True)
+        check_numbers("base filter", self, "period")
 
 
 class BaseMotionFilter:

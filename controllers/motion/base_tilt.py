@@ -5,12 +5,12 @@ robot's frame when the arm reaches out, by what stiffness and levers say (Thesis
 """
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.checks import check_numbers
 from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription
 
@@ -36,12 +36,9 @@ class TiltAxis:
         """Refuse a base that does not swing back.
 
         Raises:
-            ValueError: Naming the number.
+            ValueError: Naming the number and what is valid.
         """
-        for name in ("inertia", "damping", "stiffness"):
-            if not 0.0 < getattr(self, name) < math.inf:
-                value = getattr(self, name)
-                raise ValueError(f"tilt model {name}: got {value}, needs a positive number")
+        check_numbers("tilt model", self, "inertia", "damping", "stiffness")
 
     @classmethod
     def of(cls, parameters: ArrayLike) -> "TiltAxis":

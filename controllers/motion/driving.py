@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controllers.checks import check_numbers
 from perception.geometry.arrays import FloatArray
 from twin.robot import Channel, Observation
 
@@ -35,12 +36,9 @@ class SkidSteer:
         """Refuse numbers that drive nothing.
 
         Raises:
-            ValueError: Naming the field.
+            ValueError: Naming the number and what is valid.
         """
-        for field in dataclasses.fields(self):
-            if not 0.0 < getattr(self, field.name) < math.inf:
-                value = getattr(self, field.name)
-                raise ValueError(f"{field.name} = {value}: expected a positive number")
+        check_numbers("skid steering", self)
 
     def wheel_speeds(self, forward: float, turn: float) -> FloatArray:
         """Return (4,) wheel speeds for a motion [rad/s], in the order of `WHEELS`.
@@ -122,13 +120,9 @@ class Odometry:
     def pose(self) -> FloatArray:
         """Return (4, 4) from the robot to the frame of the start; height is not known."""
         pitch, roll = self.tilt
-        cy, sy, cp, sp = (
-            math.cos(self.yaw),
-            math.sin(self.yaw),
-            math.cos(pitch),
-            math.sin(pitch),
+        (cy, sy), (cp, sp), (cr, sr) = (
+            (math.cos(angle), math.sin(angle)) for angle in (self.yaw, pitch, roll)
         )
-        cr, sr = math.cos(roll), math.sin(roll)
         # R = Rz(yaw) Rx(pitch) Ry(roll)
         return np.array(
             [

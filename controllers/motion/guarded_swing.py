@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from controllers.checks import check_choice
 from controllers.motion.arm_control import ArmControlConfig, ArmController, Reference
 from controllers.motion.base_motion import level_of
 from controllers.motion.online_guard import OnlineGuard
@@ -44,10 +45,9 @@ class GuardedSwingConfig:
         """Refuse an unknown guard.
 
         Raises:
-            ValueError: Naming the guards that there are.
+            ValueError: Naming it and the valid ones.
         """
-        if self.guard not in GUARDS:
-            raise ValueError(f"guard {self.guard!r}: valid are {', '.join(GUARDS)}")
+        check_choice("guard", self.guard, GUARDS)
 
 
 class GuardedSwing:

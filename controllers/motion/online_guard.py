@@ -15,6 +15,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
+from controllers.checks import check_numbers
 from controllers.kinematics.frame_motion import FrameMotion
 from controllers.motion.tip_over import Footing
 from perception.geometry.arrays import FloatArray
@@ -58,12 +59,9 @@ class OnlineConfig:
         """Refuse numbers that could not be meant.
 
         Raises:
-            ValueError: Naming the field.
+            ValueError: Naming the number and what is valid.
         """
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{field.name} = {value}: expected a positive number")
+        check_numbers("online guard", self)
 
 
 class OnlineGuard:

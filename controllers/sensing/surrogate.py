@@ -15,8 +15,7 @@ import numpy as np
 import scipy.stats
 from numpy.typing import ArrayLike
 
-from controllers.sensing.surrogate_tilt import TiltModel
-from controllers.sensing.surrogate_wrench import Prediction, WrenchModel
+from controllers.sensing.surrogate_models import Prediction, TiltModel, WrenchModel
 from perception.geometry.arrays import FloatArray
 from twin.robot import Channel, Observation, Validity
 
@@ -240,7 +239,6 @@ class SurrogateSensing:
         self,
         observation: Observation,
         dt: float,
-        efforts: ArrayLike | None = None,
         contact: bool = False,
         obstacles: bool = False,
     ) -> Sensed:
@@ -249,11 +247,9 @@ class SurrogateSensing:
         Args:
             observation: Observation of the robot.
             dt: Time since the observation before [s].
-            efforts: (4,) efforts of the arm's motors at the joints [N m]; with them contact is
-                predicted.
             contact: Whether the hand may touch something: then a wrench that a force at the hand
-                explains is no fault, and without efforts nothing can predict it. A touch that was
-                not announced looks like a failed wrench.
+                explains is no fault, and nothing can predict it. A touch that was not announced
+                looks like a failed wrench.
             obstacles: Whether the hand may run into something though it should not: then too such
                 a wrench is no fault, for whoever moves the hand must feel it; a wrench that is
                 lost is predicted as in free motion.
@@ -264,11 +260,10 @@ class SurrogateSensing:
                 return _blind(observation, name)
         # This tick's tilt is not judged yet.
         before = observation._replace(inclinometer=self._level or observation.inclinometer)
-        touching = efforts if contact else None
-        wrench = self._wrench.predict(before, dt, touching, self._tilt_sigma)
+        wrench = self._wrench.predict(before, dt, self._tilt_sigma)
         touchable = contact or obstacles
         allowed = self._wrench.contact_covariance(observation) if touchable else None
-        if contact and efforts is None and allowed is not None:
+        if contact and allowed is not None:
             wrench = Prediction(wrench.value, wrench.covariance + allowed)
         felt = self._monitors[WRENCH].step(observation.arm_base_wrench, wrench, dt, allowed)
         mended, expected = observation, wrench

@@ -4,15 +4,18 @@ import dataclasses
 import functools
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.identification.pitch import PitchFit, PitchSensors
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmController
 from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
-from controllers.sensing.surrogate_tilt import TiltModel, TiltModelConfig
-from controllers.sensing.surrogate_wrench import WrenchModel, WrenchModelConfig, motor_efforts
+from controllers.sensing.surrogate_models import (
+    TiltModel,
+    TiltModelConfig,
+    WrenchModel,
+    WrenchModelConfig,
+)
 from experiments.appa.control.plant import MOUNT, sprung_rover
 from experiments.appa.control.trial import ROBOT, arm_config, reference
 from models import datasheets
@@ -27,7 +30,6 @@ LEARNT = 400
 PUSH = np.array([1.0, -2.0, 1.5])
 """Force on the hand by the world, world frame, in a pushed run's last second [N]."""
 GRIP = np.array([0.0, 0.12, 0.0])
-_MOTOR = datasheets.ARM_MOTOR
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,10 +37,8 @@ class Run:
     """Ticks of a run; the thesis' rover has neither accelerometer nor gyro."""
 
     seen: list[Observation]
-    efforts: np.ndarray
     wrench: np.ndarray
     tilt: np.ndarray
-    hand: list[RigidTransform]
     arm: SerialChain
 
 
@@ -54,38 +54,29 @@ def swing(ticks=700, pushed=False, inertial=False) -> Run:
     site, chassis = data.site(f"{ROBOT}/gripper"), data.body(f"{ROBOT}/chassis")
     wrist = int(model.site_bodyid[site.id])
     robot.activate()
-    seen, efforts, wrench, tilt, hand = [], [], [], [], []
-    duty = np.zeros(4)
+    seen, wrench, tilt = [], [], []
     for tick in range(ticks):
         observation = robot.observe()
-        rates = observation.arm_rates.value
-        efforts.append(
-            motor_efforts(duty, rates, _MOTOR.gross_stall_torque, _MOTOR.gross_no_load_speed)
-        )
         up = chassis.xmat.reshape(3, 3)[2]
         tilt.append([np.arcsin(up[1]), -np.arctan2(up[0], up[2])])
-        turn = Rotation.from_matrix(site.xmat.reshape(3, 3))
-        hand.append(RigidTransform.from_components(site.xpos, turn))
         # The last of ten samples.
         parts = [data.sensor(f"{ROBOT}/arm_base_{k}").data[-3:] for k in ("force", "torque")]
         wrench.append(np.concatenate(parts))
         shown = observation if inertial else observation._replace(accelerometer=MISSING,
                                                                   gyro=MISSING)  # fmt: skip
         seen.append(shown)
-        duty = robot.command(controller.step({ROBOT: observation})[ROBOT]).arm
+        robot.command(controller.step({ROBOT: observation})[ROBOT])
         if pushed and tick >= ticks - 100:
             lever = site.xpos - data.xipos[wrist]
             data.xfrc_applied[wrist] = np.concatenate([PUSH, np.cross(lever, PUSH)])
         simulation.tick()
     simulation.close()
-    return Run(seen, np.array(efforts), np.array(wrench), np.array(tilt), hand, arm)
+    return Run(seen, np.array(wrench), np.array(tilt), arm)
 
 
 def wrench_model() -> WrenchModel:
     """Return the model of the rover's arm, as it is known."""
-    friction = np.full(4, _MOTOR.friction)
-    config = WrenchModelConfig(swing().arm, MOUNT, GRIP, friction=friction)
-    return WrenchModel(config)
+    return WrenchModel(WrenchModelConfig(swing().arm, MOUNT, GRIP))
 
 
 @functools.cache

@@ -7,10 +7,9 @@ import pytest
 
 from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
-from controllers.sensing.surrogate_tilt import TiltModel
+from controllers.sensing.surrogate_models import TiltModel
 from tests.controllers.sensing.surrogate_runs import (
     PERIOD,
-    PUSH,
     limits,
     sensing,
     swing,
@@ -60,24 +59,6 @@ def test_tilt_follows_from_the_wrench_when_the_inclinometer_is_lost():
     assert np.all(rms < limits()[TILT].noise)
     assert rms[1] < 0.25 * np.std(run.tilt[FAIL:, 1])
     assert np.mean(ratios) < 1.5
-
-
-@pytest.mark.slow
-def test_force_at_the_hand_is_found_from_the_wrench_and_more_roughly_from_efforts():
-    run, model = swing(ticks=300, pushed=True), wrench_model()
-    noise = np.diag(limits()[WRENCH].noise ** 2)
-    by_wrench, by_efforts = [], []
-    for seen, effort, hand in zip(run.seen, run.efforts, run.hand, strict=True):
-        free = model.predict(seen, PERIOD)
-        turn = hand.rotation
-        touch = model.contact_from_wrench(free, seen.arm_base_wrench.value, noise, seen)
-        by_wrench.append(turn.apply(-touch.value[:3]))
-        touch = model.contact_force(seen, PERIOD, effort)
-        by_efforts.append(turn.apply(-touch.value[:3]))
-    assert np.abs(np.mean(by_wrench[-50:], axis=0) - PUSH).max() < 0.35
-    assert np.linalg.norm(np.mean(by_wrench[100:200], axis=0)) < 0.2
-    # Dry friction of 0.3 N m leaves a newton or two.
-    assert np.abs(np.mean(by_efforts[-50:], axis=0) - PUSH).max() < 2.0
 
 
 def test_good_sensors_are_believed_throughout():

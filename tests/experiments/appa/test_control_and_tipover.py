@@ -52,7 +52,7 @@ def test_all_ways_and_slopes_get_the_same_motion():
     flat, steep = motions(1.0, 3, 0.0), motions(1.0, 3, 10.0)
     assert [trial.guard for trial in flat] == list(GUARDS)
     assert len({trial.target for trial in flat + steep}) == 1
-    with pytest.raises(ValueError, match="valid are unguarded, planned, online"):
+    with pytest.raises(ValueError, match="expected one of unguarded, planned, online"):
         run_tip(TipTrial(1.0, 0.0, REACH, 0.6, "both", 0))
 
 
