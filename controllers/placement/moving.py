@@ -5,12 +5,10 @@ is measured by fitting the CAD to the points seen of it, and the CAD at that pos
 pose's uncertainty, is put back. Then the camera is placed again.
 """
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
@@ -32,9 +30,6 @@ ROUND_CORNERS = 8
 """Number of corners of the polygon about a circle of uncertainty."""
 SAME = 1e-9
 """Relative difference up to which two ratings are equal."""
-
-# The compiler's decorator has no types.
-_njit: Any = numba.njit(cache=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -196,9 +191,12 @@ def put_back(
     reach = np.abs(poses[:, :2] - mean[:2]).max() + np.linalg.norm(shape.outline, axis=1).max()
     centres = cell_centres(space)
     near = np.all(np.abs(centres - mean[:2]) <= reach, axis=-1)
-    share = _shares(poses, shape.outline, centres[near])
+    dx, dy = (centres[near] - poses[:, None, :2]).transpose(2, 0, 1)
+    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    local = np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=-1)
+    share = covers(shape.outline, local).mean(axis=0)
     probability = space.probability.copy()
-    probability[near] = 1.0 - (1.0 - probability[near]) * (1.0 - np.minimum(share, 1.0))
+    probability[near] = 1.0 - (1.0 - probability[near]) * (1.0 - share)
     return dataclasses.replace(space, probability=probability)
 
 
@@ -237,7 +235,6 @@ def replace_camera(
     present: FloatArray | None,
     factor: float,
     candidates: RingCandidates = DEFAULT_CANDIDATES,
-    watch: Sequence[str] | None = None,
 ) -> tuple[View, bool]:
     """Place a camera again, staying where it is unless that is much worse.
 
@@ -250,25 +247,22 @@ def replace_camera(
         present: (2,) present camera position [m], world; None at first.
         factor: Least ratio of ratings for which the camera moves, at least 1.
         candidates: Camera poses that are tried.
-        watch: Names of the targets to consider; all unless given.
 
     Returns:
         The view, and whether the camera has to move for it.
 
     Raises:
-        ValueError: If the factor is below 1 or a target is unknown.
+        ValueError: If the factor is below 1.
         PlacementError: If no pose sees a target; the message gives the reasons.
     """
     if not factor >= 1.0:
         raise ValueError(f"factor {factor}: expected 1 or more")
     now: View | None = None
     if present is not None:
-        try:
-            now = view_from(task, present, watch)
-        except PlacementError:
-            now = None
+        with contextlib.suppress(PlacementError):
+            now = view_from(task, present)
     try:
-        best = best_view(task, candidates, watch)
+        best = best_view(task, candidates)
     except PlacementError:
         if now is None:
             raise
@@ -283,26 +277,6 @@ def cell_centres(space: KnownSpace) -> FloatArray:
     rows, columns = space.probability.shape
     y, x = np.mgrid[:rows, :columns]
     return (np.stack([x, y], axis=-1) + 0.5) * space.cell + np.asarray(space.origin)
-
-
-@_njit
-def _shares(poses: FloatArray, outline: FloatArray, places: FloatArray) -> FloatArray:
-    """Return the share of poses (N, 3) at which an outline covers each place (M, 2)."""
-    shares = np.zeros(len(places))
-    for x, y, heading in poses:
-        cos, sin = math.cos(heading), math.sin(heading)
-        for i in range(len(places)):
-            dx, dy = places[i, 0] - x, places[i, 1] - y
-            u, v = cos * dx + sin * dy, cos * dy - sin * dx
-            inside = True
-            for k in range(len(outline)):
-                a, b = outline[k], outline[(k + 1) % len(outline)]
-                if (b[0] - a[0]) * (v - a[1]) < (b[1] - a[1]) * (u - a[0]):
-                    inside = False
-                    break
-            if inside:
-                shares[i] += 1.0 / len(poses)
-    return shares
 
 
 def covers(corners: FloatArray, points: FloatArray) -> NDArray[np.bool_]:

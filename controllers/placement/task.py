@@ -9,13 +9,11 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike
 
 from perception.geometry.arrays import FloatArray
 
 FREE_BELOW = 0.05
 """Probability of occupancy below which a place is free for a camera (Thesis section 4.2.3)."""
-_FEWEST_DIMENSIONS, _MOST_DIMENSIONS = 2, 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,16 +43,14 @@ class Target:
         position = np.array(self.position, dtype=float)
         normal = np.array(self.normal, dtype=float)
         outline = np.atleast_2d(np.array(self.outline, dtype=float))
-        dimension = len(position) if position.ndim == 1 else 0
-        if not _FEWEST_DIMENSIONS <= dimension <= _MOST_DIMENSIONS:
+        if position.shape not in ((2,), (3,)):
             raise ValueError(f"target {self.name!r}: position {position} is not of 2 or 3 numbers")
-        if normal.shape != (dimension,) or outline.shape[1:] != (dimension,):
+        if normal.shape != position.shape or outline.shape[1:] != position.shape:
             raise ValueError(
                 f"target {self.name!r}: normal {normal.shape} and outline {outline.shape} do not "
-                f"fit a position of {dimension} numbers"
+                f"fit a position of {len(position)} numbers"
             )
-        finite = all(np.all(np.isfinite(a)) for a in (position, normal, outline))
-        if not finite or len(outline) == 0:
+        if not all(np.isfinite(a).all() for a in (position, normal, outline)) or not len(outline):
             raise ValueError(f"target {self.name!r}: a coordinate is missing or not finite")
         if abs(np.linalg.norm(normal) - 1.0) > 1e-6:  # noqa: PLR2004
             raise ValueError(f"target {self.name!r}: normal {normal} is no unit vector")
@@ -82,8 +78,7 @@ class Occluder:
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=float)
-        planar_or_spatial = points.ndim == 2 and points.shape[1] in (2, 3)  # noqa: PLR2004
-        if not planar_or_spatial or len(points) == 0:
+        if points.shape[1:] not in ((2,), (3,)) or len(points) == 0:
             raise ValueError(
                 f"occluder {self.name!r}: points {points.shape}, expected (N, 2) or (N, 3)"
             )
@@ -165,8 +160,6 @@ class View:
         rating: Rating by eq. 4-1 [1/m].
         free_cap: Target field visibility: smallest angle by which the camera can move around the
             target, in any direction, until the target is hidden [rad].
-        cos_angle: Target angular visibility by eq. 4-3.
-        resolution: Resolution of the target by eq. 4-4 [1/m].
         occupancy: Probability that the camera position is occupied.
     """
 
@@ -175,8 +168,6 @@ class View:
     distance: float
     rating: float
     free_cap: float
-    cos_angle: float
-    resolution: float
     occupancy: float
 
 
@@ -252,14 +243,3 @@ def rate_view(
         * cos_angle**terms.angle_exponent
         * (1.0 - occupancy)
     )
-
-
-def resolution(distance: ArrayLike, lens: Lens, relation_error: float = 0.0) -> FloatArray:
-    """Return the resolution of the target by eqs 4-2 and 4-4 [1/m].
-
-    Args:
-        distance: Distances from camera to target [m], any shape.
-        lens: Lens of the camera.
-        relation_error: Uncertainty of the target's place, ST_error [m].
-    """
-    return 1.0 / (np.asarray(distance, dtype=float) * lens.pixel_per_metre + relation_error)

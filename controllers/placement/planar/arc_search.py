@@ -84,6 +84,15 @@ def _occupancy(task, angle, radius):
 
 
 @numba.njit(cache=True)
+def occupancies(task, angles, radius):
+    """Return the probability of occupancy of camera poses in directions (N,), at one distance."""
+    values = np.empty(len(angles))
+    for i in range(len(angles)):
+        values[i] = _occupancy(task, angles[i], radius)
+    return values
+
+
+@numba.njit(cache=True)
 def _no_intervals(hulls):
     """Return empty intervals with capacity for all that hulls can hide."""
     capacity = 2 * hulls.starts.size + 1
@@ -134,6 +143,13 @@ def rise(angle, low, high, field, oblique):
 
 
 @numba.njit(cache=True)
+def arc_value(angle, low, high, field, oblique):
+    """Return cap^field cos^oblique of a direction; -1 outside of the arc."""
+    cap = min(angle - low, high - angle)
+    return cap**field * max(math.cos(angle), 0.0) ** oblique if cap >= 0.0 else -1.0
+
+
+@numba.njit(cache=True)
 def arc_optimum(low, high, field, oblique):
     """Return where on a free arc cap^field cos^oblique is greatest, and how great it is.
 
@@ -149,8 +165,7 @@ def arc_optimum(low, high, field, oblique):
         else:
             b = middle
     angle = 0.5 * (a + b)
-    cap = max(min(angle - low, high - angle), 0.0)
-    return angle, cap**field * max(math.cos(angle), 0.0) ** oblique
+    return angle, arc_value(angle, low, high, field, oblique)
 
 
 @numba.njit(cache=True)
@@ -197,14 +212,8 @@ def search_arcs(task, rings, directions, floor):
             right = math.floor(peak / step) + 1
             left = right - 1
             while True:
-                left_cap, right_cap = left * step - low, high - right * step
-                left_cap = min(left_cap, high - left * step)
-                right_cap = min(right_cap, right * step - low)
-                value_left = value_right = -1.0
-                if left_cap > 0.0:
-                    value_left = left_cap**field * max(math.cos(left * step), 0.0) ** oblique
-                if right_cap > 0.0:
-                    value_right = right_cap**field * max(math.cos(right * step), 0.0) ** oblique
+                value_left = arc_value(left * step, low, high, field, oblique)
+                value_right = arc_value(right * step, low, high, field, oblique)
                 value = max(value_left, value_right)
                 if value <= 0.0 or sharp * value * (1.0 + 1e-12) <= best:
                     break

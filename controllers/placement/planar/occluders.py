@@ -9,22 +9,19 @@ convex, for instance the wall of a room, would hide what stands free in it. So a
 across its longer side until its cells fill most of their hull.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
 from controllers.placement.planar.field import HullCorners
 from controllers.placement.planar.sight import OCCUPIED_ABOVE, KnownSpace, own_cells
 from controllers.placement.task import Occluder, Target
-from perception.geometry.arrays import FloatArray
-
-Cells = NDArray[np.int64]
+from perception.geometry.arrays import FloatArray, IntArray
 
 FLAT = 1e-9
 """Area of a hull over its circumference squared below which the hull is flat."""
@@ -33,9 +30,6 @@ MIN_HULL_FILL = 0.85
 MAX_UNDIVIDED_CELLS = 2
 """Width and height up to which a cluster is not halved [cells]."""
 _CELL_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-
-# The compiler's decorator has no types.
-_njit: Any = numba.njit(cache=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,13 +60,14 @@ def hull_corners(name: str, points: FloatArray) -> FloatArray:
     Raises:
         ValueError: If all points are in one line or at one place.
     """
-    flat = f"occluder {name!r}: its {len(points)} points are in one line with nothing to widen them"
-    try:
+    hull = None
+    with contextlib.suppress(QhullError, ValueError):
         hull = ConvexHull(points)
-    except (QhullError, ValueError):
-        raise ValueError(flat + "; give it a thickness") from None
-    if hull.volume <= FLAT * hull.area**2:
-        raise ValueError(flat + "; give it a thickness")
+    if hull is None or hull.volume <= FLAT * hull.area**2:
+        raise ValueError(
+            f"occluder {name!r}: its {len(points)} points are in one line with nothing to widen "
+            "them; give it a thickness"
+        )
     return points[hull.vertices]
 
 
@@ -103,7 +98,7 @@ def expand(occluders: Sequence[Occluder], target: Target) -> ExpandedOccluders:
     return ExpandedOccluders(tuple(occluder.name for occluder in occluders), corners)
 
 
-@_njit
+@numba.njit(cache=True)
 def convex_sum(first: FloatArray, second: FloatArray, out: FloatArray) -> int:
     """Write the Minkowski sum of two convex polygons by merging their edges by direction.
 
@@ -118,15 +113,7 @@ def convex_sum(first: FloatArray, second: FloatArray, out: FloatArray) -> int:
         Number of corners of the sum.
     """
     n, m = len(first), len(second)
-    i = j = 0
-    for k in range(1, n):
-        if first[k, 1] < first[i, 1] or (first[k, 1] == first[i, 1] and first[k, 0] < first[i, 0]):
-            i = k
-    for k in range(1, m):
-        if second[k, 1] < second[j, 1] or (
-            second[k, 1] == second[j, 1] and second[k, 0] < second[j, 0]
-        ):
-            j = k
+    i, j = _lowest(first), _lowest(second)
     a = b = count = 0
     while a < n or b < m:
         p, q = (i + a) % n, (j + b) % m
@@ -134,63 +121,55 @@ def convex_sum(first: FloatArray, second: FloatArray, out: FloatArray) -> int:
         out[count, 1] = first[p, 1] + second[q, 1]
         count += 1
         p2, q2 = (p + 1) % n, (q + 1) % m
+        # Both begin at their lowest corners, so the edges' directions rise from 0 to a full turn.
+        down_first, down_second = _downwards(first, p, p2), _downwards(second, q, q2)
         turn = (first[p2, 0] - first[p, 0]) * (second[q2, 1] - second[q, 1]) - (
             first[p2, 1] - first[p, 1]
         ) * (second[q2, 0] - second[q, 0])
-        # Both begin at their lowest corners, so the edges' directions rise from 0 to a full turn.
-        if b >= m or (a < n and _before(first, p, p2, second, q, q2, turn)):
+        before = down_second if down_first != down_second else turn >= 0.0
+        if b >= m or (a < n and before):
             a += 1
         else:
             b += 1
     return count
 
 
-@_njit
-def _before(
-    first: FloatArray, p: int, p2: int, second: FloatArray, q: int, q2: int, turn: float
-) -> bool:
-    """Tell whether one edge's direction, from 0 to a full turn, comes before another's."""
-    down_first = _downwards(first, p, p2)
-    down_second = _downwards(second, q, q2)
-    if down_first != down_second:
-        return down_second
-    return turn >= 0.0
+@numba.njit(cache=True)
+def _lowest(corners: FloatArray) -> int:
+    """Return the index of the lowest corner (K, 2), the leftmost one of several."""
+    low = 0
+    for k in range(1, len(corners)):
+        if _downwards(corners, low, k):
+            low = k
+    return low
 
 
-@_njit
+@numba.njit(cache=True)
 def _downwards(corners: FloatArray, a: int, b: int) -> bool:
     """Tell whether an edge's direction is from half a turn on."""
     dy = corners[b, 1] - corners[a, 1]
     return dy < 0.0 or (dy == 0.0 and corners[b, 0] < corners[a, 0])
 
 
-def occluders_of_map(
-    space: KnownSpace, targets: Sequence[Target] = (), filled: float = MIN_HULL_FILL
-) -> tuple[Occluder, ...]:
+def occluders_of_map(space: KnownSpace, targets: Sequence[Target] = ()) -> tuple[Occluder, ...]:
     """Return the hulls of the clusters of occupied cells, P > 0.5, of a map.
 
     Args:
         space: Occupancy map.
         targets: Targets whose own cells, those that touch their outlines, are no occluders.
-        filled: Share of a hull that its cells must fill, or the cluster is halved; 0 halves none.
 
     Returns:
         Occluders in the world, named ``cluster 1``, ``cluster 2`` and so on; parts of one cluster
         are named ``cluster 1.1``, ``cluster 1.2``.
-
-    Raises:
-        ValueError: If ``filled`` is not from 0 up to below 1.
     """
-    if not 0.0 <= filled < 1.0:
-        raise ValueError(f"filled {filled}: expected from 0 up to below 1")
     opaque = space.probability > OCCUPIED_ABOVE
     for target in targets:
         opaque &= ~own_cells(space, target)
     labels, _ = ndimage.label(opaque, structure=np.ones((3, 3)))
     occluders: list[Occluder] = []
     for number, window in enumerate(ndimage.find_objects(labels), start=1):
-        first = np.array([window[0].start, window[1].start])
-        parts = _halve(np.argwhere(labels[window] == number) + first, filled)
+        first = [side.start for side in window]
+        parts = _halved(np.argwhere(labels[window] == number) + first)
         for index, corners in enumerate(parts, start=1):
             name = f"cluster {number}" + (f".{index}" if len(parts) > 1 else "")
             world = corners[:, ::-1] * space.cell + np.asarray(space.origin)
@@ -198,31 +177,20 @@ def occluders_of_map(
     return tuple(occluders)
 
 
-def _halve(cells: Cells, filled: float) -> list[FloatArray]:
+def _halved(cells: IntArray) -> list[FloatArray]:
     """Return hull corners (K, 2) (row, column) of cells, or of their halves."""
     corners, area = _hull(cells)
     extent = cells.max(axis=0) - cells.min(axis=0) + 1
-    if len(cells) >= filled * area or extent.max() <= MAX_UNDIVIDED_CELLS:
+    if len(cells) >= MIN_HULL_FILL * area or extent.max() <= MAX_UNDIVIDED_CELLS:
         return [corners]
     axis = int(np.argmax(extent))
     middle = cells[:, axis].min() + extent[axis] // 2
     below = cells[:, axis] < middle
-    return _halve(cells[below], filled) + _halve(cells[~below], filled)
+    return _halved(cells[below]) + _halved(cells[~below])
 
 
-def _hull(cells: Cells) -> tuple[FloatArray, float]:
-    """Return hull corners (K, 2) of whole cells and the hull's area, in cells.
-
-    Only the first and the last cell of a row can be at the hull.
-    """
-    low, high = cells.min(axis=0), cells.max(axis=0) + 1
-    if len(cells) == np.prod(high - low):
-        box = np.array([low, [low[0], high[1]], high, [high[0], low[1]]], dtype=float)
-        return box, float(len(cells))
-    order = np.lexsort((cells[:, 1], cells[:, 0]))
-    cells = cells[order]
-    new_row = np.diff(cells[:, 0]) != 0
-    ends = cells[np.r_[True, new_row] | np.r_[new_row, True]]
-    points = (ends[:, None] + _CELL_CORNERS).reshape(-1, 2).astype(float)
+def _hull(cells: IntArray) -> tuple[FloatArray, float]:
+    """Return hull corners (K, 2) of whole cells and the hull's area, in cells."""
+    points = (cells[:, None] + _CELL_CORNERS).reshape(-1, 2).astype(float)
     hull = ConvexHull(points)
     return points[hull.vertices], float(hull.volume)

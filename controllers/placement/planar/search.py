@@ -1,28 +1,28 @@
 """The best view of any target on the plane (Thesis section 4.2.3).
 
-`best_view` is exact and fast; `exhaustive_view` rates every candidate and is its reference. Where
-no pose sees a target, the error says why.
+The search is exact and fast. Where no pose sees a target, the error gives the reasons.
 """
 
+import collections
 import dataclasses
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from controllers.placement.planar.arc_search import (
-    UNKNOWN,
     ArcTask,
     OccupancyCells,
     climb,
+    occupancies,
     rate_places,
     rate_pose,
     search_arcs,
-    search_rings,
 )
-from controllers.placement.planar.field import NOTHING, blocked_interval, hull_around
+from controllers.placement.planar.field import NOTHING, HullCorners, blocked_interval, hull_around
 from controllers.placement.planar.occluders import ExpandedOccluders, expand
 from controllers.placement.planar.sight import KnownSpace
 from controllers.placement.task import (
@@ -34,7 +34,6 @@ from controllers.placement.task import (
     Target,
     View,
     rating_terms,
-    resolution,
 )
 from perception.geometry.arrays import FloatArray
 
@@ -68,12 +67,11 @@ class PlanarTask:
     )
 
     def __post_init__(self) -> None:
-        names = [target.name for target in self.targets]
-        if not names:
+        if not self.targets:
             raise ValueError("targets: expected at least one")
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"targets: {names.count(name)} are called {name!r}")
+        for name, count in collections.Counter(target.name for target in self.targets).items():
+            if count > 1:
+                raise ValueError(f"targets: {count} are called {name!r}")
 
     def target(self, name: str) -> Target:
         """Return a target by its name.
@@ -81,19 +79,11 @@ class PlanarTask:
         Raises:
             ValueError: If there is none of that name; the message lists those that there are.
         """
-        for target in self.targets:
-            if target.name == name:
-                return target
-        names = ", ".join(repr(target.name) for target in self.targets)
-        raise ValueError(f"target {name!r} is unknown: expected one of {names}")
-
-    def chosen(self, watch: Sequence[str] | None) -> tuple[Target, ...]:
-        """Return the targets of some names, or all.
-
-        Raises:
-            ValueError: If a name is unknown.
-        """
-        return self.targets if watch is None else tuple(self.target(name) for name in watch)
+        targets = {target.name: target for target in self.targets}
+        if name not in targets:
+            names = ", ".join(map(repr, targets))
+            raise ValueError(f"target {name!r} is unknown: expected one of {names}")
+        return targets[name]
 
     def expanded(self, target: Target) -> ExpandedOccluders:
         """Return the occluders that can hide a target, expanded by it.
@@ -168,63 +158,58 @@ DEFAULT_CANDIDATES = RingCandidates()
 def best_view(
     task: PlanarTask,
     candidates: RingCandidates = DEFAULT_CANDIDATES,
-    watch: Sequence[str] | None = None,
+    search: Callable[..., Any] = search_arcs,
     refine: bool = True,
 ) -> View:
-    """Find the best view of any target, by arcs on rings and their bounds.
+    """Find the best view of any target; the best of one target is the bound for the next.
 
     Args:
         task: Targets, lens, occluders and occupancy map.
         candidates: Camera poses that are tried.
-        watch: Names of the targets to consider; all unless given.
+        search: `search_arcs`, or `search_rings` that rates every candidate as the reference.
         refine: Whether to climb from the best candidate to the peak between candidates.
 
     Raises:
-        ValueError: If a target is unknown or an occluder has no area.
+        ValueError: If an occluder has no area.
         PlacementError: If no pose sees a target; the message gives the reasons.
     """
-    return _search(search_arcs, task, candidates, watch, refine)
+    rings = candidates.distances(task.lens)
+    found: tuple[Target, ArcTask, Any] | None = None
+    floor = 0.0
+    for target in task.targets:
+        compiled = task.compiled(target)
+        if hull_around(compiled.hulls) >= 0:
+            continue
+        answer = search(compiled, rings, candidates.directions, floor)
+        if answer[0] > floor:
+            floor, found = answer[0], (target, compiled, answer)
+    if found is None:
+        raise PlacementError("; ".join(_why_unseen(task, t, candidates) for t in task.targets))
+    target, compiled, answer = found
+    if refine:
+        answer = climb(compiled, rings, candidates.directions, answer[1], answer[2])
+    return _view(target, answer)
 
 
-def exhaustive_view(
-    task: PlanarTask,
-    candidates: RingCandidates = DEFAULT_CANDIDATES,
-    watch: Sequence[str] | None = None,
-) -> View:
-    """Find the best view of any target by rating every candidate.
-
-    Args:
-        task: Targets, lens, occluders and occupancy map.
-        candidates: Camera poses that are tried.
-        watch: Names of the targets to consider; all unless given.
-
-    Raises:
-        ValueError: If a target is unknown or an occluder has no area.
-        PlacementError: If no pose sees a target; the message gives the reasons.
-    """
-    return _search(search_rings, task, candidates, watch, False)
-
-
-def view_from(task: PlanarTask, position: FloatArray, watch: Sequence[str] | None = None) -> View:
+def view_from(task: PlanarTask, position: FloatArray) -> View:
     """Return the best view that a camera at a place has.
 
     Args:
         task: Targets, lens, occluders and occupancy map.
         position: (2,) camera position [m], world.
-        watch: Names of the targets to consider; all unless given.
 
     Raises:
-        ValueError: If a target is unknown or an occluder has no area.
+        ValueError: If an occluder has no area.
         PlacementError: If the camera sees no target.
     """
     best: View | None = None
-    for target in task.chosen(watch):
+    for target in task.targets:
         offset = np.asarray(position, dtype=float) - target.position
         radius = float(np.hypot(*offset))
         angle = math.atan2(offset[1], offset[0]) - axis_of(target)
         rating, cap, p = rate_pose(task.compiled(target), angle, radius)
         if rating > 0.0 and (best is None or rating > best.rating):
-            best = _view(task, target, (rating, angle, radius, cap, p))
+            best = _view(target, (rating, angle, radius, cap, p))
     if best is None:
         raise PlacementError(f"no target is seen from {np.round(position, 3).tolist()} m")
     return best
@@ -253,92 +238,42 @@ def axis_of(target: Target) -> float:
     return math.atan2(target.normal[1], target.normal[0])
 
 
-def _search(
-    kernel: Callable[..., Any],
-    task: PlanarTask,
-    candidates: RingCandidates,
-    watch: Sequence[str] | None,
-    refine: bool,
-) -> View:
-    """Search about each target; the best of one target is the bound for the next."""
-    rings = candidates.distances(task.lens)
-    found: tuple[Target, ArcTask, Any] | None = None
-    floor = 0.0
-    targets = task.chosen(watch)
-    for target in targets:
-        compiled = task.compiled(target)
-        if hull_around(compiled.hulls) >= 0:
-            continue
-        answer = kernel(compiled, rings, candidates.directions, floor)
-        if answer[0] > floor:
-            floor, found = answer[0], (target, compiled, answer)
-    if found is None:
-        raise PlacementError("; ".join(_why_unseen(task, t, candidates) for t in targets))
-    target, compiled, answer = found
-    if refine:
-        answer = climb(compiled, rings, candidates.directions, answer[1], answer[2])
-    return _view(task, target, answer)
-
-
-def _view(task: PlanarTask, target: Target, answer: tuple[float, ...]) -> View:
+def _view(target: Target, answer: tuple[float, ...]) -> View:
     rating, angle, radius, cap, p = map(float, answer)
     direction = axis_of(target) + angle
-    return View(
-        target=target.name,
-        position=target.position + radius * np.array([math.cos(direction), math.sin(direction)]),
-        distance=radius,
-        rating=rating,
-        free_cap=cap,
-        cos_angle=math.cos(angle),
-        resolution=float(resolution(radius, task.lens, target.relation_error)),
-        occupancy=p,
-    )
+    position = target.position + radius * np.array([math.cos(direction), math.sin(direction)])
+    return View(target.name, position, radius, rating, cap, p)
 
 
 def _why_unseen(task: PlanarTask, target: Target, candidates: RingCandidates) -> str:
     """Return why no candidate sees a target; each counts under its first reason."""
     start = f"no pose sees the target {target.name!r}: "
-    expanded, space = task.expanded(target), task.space
+    expanded = task.expanded(target)
     around = hull_around(expanded.hulls)
     if around >= 0:
         return start + f"occluder {expanded.names[around]!r}, expanded by the target, covers it"
     rings, directions = candidates.distances(task.lens), candidates.directions
     turn = 2.0 * np.pi * np.arange(directions) / directions
     averted = np.cos(turn) <= EDGE_ON
-    angles = turn + axis_of(target)
+    compiled = task.compiled(target)
     counts, by = np.zeros(3, dtype=int), np.zeros(len(expanded.names), dtype=int)
     for radius in rings:
-        blocked = _blocked(expanded, float(radius), angles) & ~averted
-        places = target.position + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        taken = _probability(space, places) >= FREE_BELOW
+        blocked = _blocked(expanded.hulls, radius, turn + compiled.axis) & ~averted
+        taken = occupancies(compiled, turn, radius) >= FREE_BELOW
         hidden = blocked.any(axis=0)
         counts += [averted.sum(), hidden.sum(), np.sum(taken & ~hidden & ~averted)]
         by += blocked.sum(axis=1)
-    total = len(rings) * directions
-    behind, hid, unfree = (f"{100.0 * count / total:.3g} %" for count in counts)
-    most = f" (most by occluder {expanded.names[int(np.argmax(by))]!r})" if by.sum() > 0 else ""
+    behind, hid, unfree = (f"{100.0 * n / (len(rings) * directions):.3g} %" for n in counts)
+    most = f" (most by occluder {expanded.names[int(np.argmax(by))]!r})" if by.any() else ""
     return start + (
-        f"of {total} poses {behind} are behind it, {hid} hidden{most}, {unfree} not known to be "
-        "free"
+        f"of {len(rings) * directions} poses {behind} are behind it, {hid} hidden{most}, "
+        f"{unfree} not known to be free"
     )
 
 
-def _blocked(expanded: ExpandedOccluders, radius: float, angles: FloatArray) -> NDArray[np.bool_]:
+def _blocked(hulls: HullCorners, radius: float, angles: FloatArray) -> NDArray[np.bool_]:
     """Return which hulls hide the target in which directions (H, N)."""
-    blocked = np.zeros((len(expanded.names), len(angles)), dtype=bool)
-    points, starts = expanded.hulls
-    for index in range(len(expanded.names)):
-        what, low, high = blocked_interval(points, starts[index], starts[index + 1], radius)
-        if what != NOTHING:
-            blocked[index] = (angles - low) % (2.0 * np.pi) <= high - low
-    return blocked
-
-
-def _probability(space: KnownSpace, places: FloatArray) -> FloatArray:
-    """Return the probability of occupancy at places (N, 2); `UNKNOWN` outside the map."""
-    columns, rows = np.floor((places - space.origin) / space.cell).astype(int).T
-    within = (rows >= 0) & (columns >= 0)
-    within &= (rows < space.probability.shape[0]) & (columns < space.probability.shape[1])
-    values = np.full(len(places), UNKNOWN)
-    values[within] = space.probability[rows[within], columns[within]]
-    return values
+    ends = itertools.pairwise(hulls.starts)
+    intervals = [blocked_interval(hulls.points, *pair, radius) for pair in ends]
+    what, low, high = np.reshape(intervals, (-1, 3)).T[..., None]
+    return (what != NOTHING) & ((angles - low) % (2.0 * np.pi) <= high - low)

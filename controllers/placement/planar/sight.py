@@ -8,7 +8,6 @@ the occluders gives up (figure 4-6).
 
 import dataclasses
 import math
-from typing import Any
 
 import numba
 import numpy as np
@@ -21,9 +20,6 @@ OCCUPIED_ABOVE = 0.5
 """Probability of occupancy above which a cell hides what is behind it."""
 LINES = 33
 """Lines of sight to each side of a target on a map."""
-
-# The compiler's decorator has no types.
-_njit: Any = numba.njit(cache=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,26 +52,7 @@ class KnownSpace:
         object.__setattr__(self, "probability", values)
 
 
-@_njit
-def sees(
-    x: float, y: float, outline: FloatArray, corners: FloatArray, starts: NDArray[np.int64]
-) -> bool:
-    """Tell whether a camera sees the whole target past convex occluders.
-
-    Args:
-        x: x of the camera [m], world.
-        y: y of the camera [m], world.
-        outline: (K, 2) corners of the convex target in order [m], world; two are a line.
-        corners: (V, 2) corners of all occluders in order [m], world; each has an area.
-        starts: (H + 1,) index of the first corner of each occluder.
-    """
-    for hull in range(len(starts) - 1):
-        if not separated(x, y, outline, corners[starts[hull] : starts[hull + 1]]):
-            return False
-    return True
-
-
-@_njit
+@numba.njit(cache=True)
 def separated(x: float, y: float, outline: FloatArray, corners: FloatArray) -> bool:
     """Tell whether the hull of camera and target misses a convex occluder.
 
@@ -129,7 +106,8 @@ def sees_on_map(
     ends = np.concatenate([a + step * (b - a) for a, b in zip(outline, np.roll(outline, -1, 0))])
     opaque = (space.probability > OCCUPIED_ABOVE) & ~own_cells(space, target)
     start = (np.asarray(position, dtype=float) - space.origin) / space.cell
-    return bool(_all_clear(opaque, start[0], start[1], (ends - space.origin) / space.cell))
+    ends = (ends - space.origin) / space.cell
+    return all(clear_line(opaque, *start, *end) for end in ends)
 
 
 def own_cells(space: KnownSpace, target: Target) -> NDArray[np.bool_]:
@@ -142,16 +120,7 @@ def own_cells(space: KnownSpace, target: Target) -> NDArray[np.bool_]:
     return own
 
 
-@_njit
-def _all_clear(opaque: NDArray[np.bool_], x: float, y: float, ends: FloatArray) -> bool:
-    """Tell whether lines, in cells, cross no opaque cell."""
-    for i in range(len(ends)):
-        if not clear_line(opaque, x, y, ends[i, 0], ends[i, 1]):
-            return False
-    return True
-
-
-@_njit
+@numba.njit(cache=True)
 def clear_line(opaque: NDArray[np.bool_], x: float, y: float, x_end: float, y_end: float) -> bool:
     """Tell whether a line crosses no opaque cell; outside the map nothing is opaque.
 

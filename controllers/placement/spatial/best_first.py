@@ -114,20 +114,6 @@ class TreeCandidates(NamedTuple):
     lowest: FloatArray
 
 
-class Heap(NamedTuple):
-    """A binary heap with the largest key first.
-
-    Attributes:
-        keys: (C,) ratings, or bounds of ratings [1/m].
-        items: (C,) code of the node, the ring and the kind of each entry.
-        size: (1,) number of entries.
-    """
-
-    keys: FloatArray
-    items: IntArray
-    size: IntArray
-
-
 @numba.njit(cache=True)
 def rate_places(hulls, terms, directions, distances, occupancy):
     """Rate cameras in directions (N, 3) of the target's frame.
@@ -151,82 +137,55 @@ def rate_places(hulls, terms, directions, distances, occupancy):
 
 
 @numba.njit(cache=True)
-def best_of_all(hulls, terms, directions, rings, occupancy):
-    """Rate every candidate; return the best rating and the indices of its direction and ring."""
-    best, leaf, ring = 0.0, -1, -1
-    for i in range(len(directions)):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        for k in range(len(rings)):
-            if occupancy[i, k] >= FREE_BELOW:
-                continue
-            cap, _ = signed_cap(hulls, x, y, z, rings[k])
-            rating = rate_view(terms, rings[k], cap, z, occupancy[i, k])
-            if rating > best:
-                best, leaf, ring = rating, i, k
-    return best, leaf, ring
+def rate_all(hulls, terms, candidates, hiding):
+    """Rate every candidate, and count why the others see nothing.
+
+    Args:
+        hulls: `HullParts` of the expanded occluders.
+        terms: `RatingTerms` of the task.
+        candidates: `TreeCandidates` of the task.
+        hiding: (H,) number of candidates that each hull hides; added to.
+
+    Returns:
+        Best rating [1/m] (0 if no candidate sees the target), indices of its direction and its
+        ring, and number of candidates that are not free.
+    """
+    best, leaf, ring, not_free = 0.0, -1, -1, 0
+    for i, k in np.ndindex(candidates.occupancy.shape):
+        if candidates.occupancy[i, k] >= FREE_BELOW:
+            not_free += 1
+            continue
+        x, y, z = candidates.centres[candidates.first_leaf + i]
+        cap, hull = signed_cap(hulls, x, y, z, candidates.rings[k])
+        if cap <= 0.0 and hull >= 0:
+            hiding[hull] += 1
+        rating = rate_view(terms, candidates.rings[k], cap, z, candidates.occupancy[i, k])
+        if rating > best:
+            best, leaf, ring = rating, i, k
+    return best, leaf, ring, not_free
 
 
 @numba.njit(cache=True)
-def best_of_each(hulls, terms, candidates, ratings, chosen):
-    """Write the best rating of every direction over the rings, and the index of its ring."""
-    rings = candidates.rings
-    for leaf in range(len(ratings)):
-        node = candidates.first_leaf + leaf
-        centre = candidates.centres[node]
-        ratings[leaf], chosen[leaf] = 0.0, -1
-        for k in range(candidates.ring[node], len(rings)):
-            cap, _ = signed_cap(hulls, centre[0], centre[1], centre[2], rings[k])
-            if cap <= 0.0:
-                break
-            rating = rate_view(terms, rings[k], cap, centre[2], candidates.occupancy[leaf, k])
-            if rating > ratings[leaf]:
-                ratings[leaf], chosen[leaf] = rating, k
-            if _bound(terms, rings[k], cap, centre[2], candidates.lowest[node]) <= ratings[leaf]:
-                break
+def in_order(hulls, terms, candidates):
+    """Yield negative rating, leaf and ring of every candidate that sees the target, best first.
 
-
-@numba.njit(cache=True)
-def count_reasons(hulls, directions, rings, occupancy, hiding):
-    """Return how many candidates are not free; add to ``hiding`` (H,) those that a hull hides."""
-    not_free = 0
-    for i in range(len(directions)):
-        x, y, z = directions[i, 0], directions[i, 1], directions[i, 2]
-        for k in range(len(rings)):
-            if occupancy[i, k] >= FREE_BELOW:
-                not_free += 1
-                continue
-            cap, hull = signed_cap(hulls, x, y, z, rings[k])
-            if cap <= 0.0 and hull >= 0:
-                hiding[hull] += 1
-    return not_free
-
-
-@numba.njit(cache=True)
-def start(hulls, terms, candidates, heap):
-    """Push the whole half sphere on an empty heap."""
-    for node in range(min(4, len(candidates.centres))):
-        _open(hulls, terms, candidates, heap, node)
-
-
-@numba.njit(cache=True)
-def following(hulls, terms, candidates, heap):
-    """Return rating, leaf and ring of the next best candidate; leaf is -1 if there is none.
-
-    The heap holds triangles with a bound of all that is within, leaves with a bound from some ring
+    A heap holds triangles with a bound of all that is within, leaves with a bound from some ring
     on, and rated candidates. Nothing that is left beats what comes off first.
     """
     rings = len(candidates.rings)
-    while heap.size[0] > 0:
+    heap = [(0.0, 0) for _ in range(0)]  # Empty, but its entries have a type.
+    for node in range(4):
+        _open(hulls, terms, candidates, heap, node)
+    while len(heap) > 0:
         key, item = _pop(heap)
         node, rest = item // (2 * rings), item % (2 * rings)
         if rest % 2 == 1:
-            return key, node - candidates.first_leaf, rest // 2
-        if node >= candidates.first_leaf:
+            yield -key, node - candidates.first_leaf, rest // 2
+        elif node >= candidates.first_leaf:
             _try_leaf(hulls, terms, candidates, heap, node, rest // 2)
         else:
             for child in range(4 * node + 4, 4 * node + 8):
                 _open(hulls, terms, candidates, heap, child)
-    return 0.0, -1, -1
 
 
 @numba.njit(cache=True)
@@ -284,36 +243,27 @@ def _try_leaf(hulls, terms, candidates, heap, node, ring):
 
 @numba.njit(cache=True)
 def _push(heap, key, item):
-    keys, items = heap.keys, heap.items
-    at = heap.size[0]
-    heap.size[0] = at + 1
-    while at > 0:
-        above = (at - 1) // 2
-        if keys[above] >= key:
-            break
-        keys[at], items[at] = keys[above], items[above]
-        at = above
-    keys[at], items[at] = key, item
+    """Add an entry to a binary heap, a list of (key, item) with the largest key first."""
+    at = len(heap)
+    heap.append((key, item))
+    while at > 0 and heap[(at - 1) // 2][0] < key:
+        heap[at] = heap[(at - 1) // 2]
+        at = (at - 1) // 2
+    heap[at] = (key, item)
 
 
 @numba.njit(cache=True)
 def _pop(heap):
-    keys, items = heap.keys, heap.items
-    top, found = keys[0], items[0]
-    size = heap.size[0] - 1
-    heap.size[0] = size
-    key, item = keys[size], items[size]
-    at = 0
-    while True:
+    """Remove the entry with the largest key from a heap."""
+    top, last, at = heap[0], heap.pop(), 0
+    while 2 * at + 1 < len(heap):
         below = 2 * at + 1
-        if below >= size:
-            break
-        if below + 1 < size and keys[below + 1] > keys[below]:
+        if below + 1 < len(heap) and heap[below + 1][0] > heap[below][0]:
             below += 1
-        if keys[below] <= key:
+        if heap[below][0] <= last[0]:
             break
-        keys[at], items[at] = keys[below], items[below]
+        heap[at] = heap[below]
         at = below
-    if size > 0:
-        keys[at], items[at] = key, item
-    return top, found
+    if len(heap) > 0:
+        heap[at] = last
+    return top

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.placement.spatial import best_first
-from controllers.placement.spatial.best_first import MAX_LEVEL, DirectionTree, direction_tree
+from controllers.placement.spatial.best_first import MAX_LEVEL, direction_tree
 from controllers.placement.spatial.field import free_caps
 from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.task import (
@@ -26,9 +26,8 @@ from controllers.placement.task import (
     RatingTerms,
     View,
     rating_terms,
-    resolution,
 )
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import FloatArray, IntArray
 
 Accept = Callable[[View], bool]
 """Tells whether a view can be taken, for instance reached by an arm."""
@@ -128,7 +127,7 @@ class SpatialTask:
                 tree.centres, tree.radii, tree.first_leaf, rings, chances, first, lowest
             )
             terms = rating_terms(lens, field.target, config.exponents)
-            made.append(_PreparedTarget(field, self, tree, candidates, terms))
+            made.append(_PreparedTarget(field, self, candidates, terms))
         return made
 
 
@@ -138,14 +137,24 @@ class _PreparedTarget:
 
     field: TargetField
     task: SpatialTask
-    tree: DirectionTree
     candidates: best_first.TreeCandidates
     terms: RatingTerms
 
+    def rate_all(self) -> tuple[float, int, int, int, IntArray]:
+        """Return what `best_first.rate_all` does, and how many candidates each hull hides (H,)."""
+        hiding = np.zeros(len(self.field.names), dtype=np.int64)
+        rated = best_first.rate_all(self.field.hulls, self.terms, self.candidates, hiding)
+        return *rated, hiding
+
+    def in_order(self, index: int) -> Iterator[tuple[float, int, int, int]]:
+        """Yield negative rating, the index given, leaf and ring of the candidates, best first."""
+        ordered = best_first.in_order(self.field.hulls, self.terms, self.candidates)
+        return ((negative, index, leaf, ring) for negative, leaf, ring in ordered)
+
     def place(self, leaf: int, ring: int) -> FloatArray:
         """Return the position (3,) of a candidate [m], world."""
-        radius = self.candidates.rings[ring]
-        return self.field.to_world(radius * self.tree.leaves[leaf])
+        direction = self.candidates.centres[self.candidates.first_leaf + leaf]
+        return self.field.to_world(self.candidates.rings[ring] * direction)
 
     def view(self, position: FloatArray) -> View:
         """Return the view from a position (3,) [m], world."""
@@ -167,7 +176,9 @@ def best_view(task: SpatialTask, accept: Accept | None = None) -> View:
     """
     searches = task.prepared()
     refused = 0
-    for view, search in _merged(searches):
+    for _, index, leaf, ring in _in_order(searches):
+        search = searches[index]
+        view = search.view(search.place(leaf, ring))
         if accept is not None and not accept(view):
             refused += 1
             continue
@@ -180,8 +191,9 @@ def best_view(task: SpatialTask, accept: Accept | None = None) -> View:
 
 def views_in_order(task: SpatialTask) -> Iterator[View]:
     """Yield all candidates that see a target, best first; `SearchConfig.refine` has no effect."""
-    for view, _ in _merged(task.prepared()):
-        yield view
+    searches = task.prepared()
+    for _, index, leaf, ring in _in_order(searches):
+        yield searches[index].view(searches[index].place(leaf, ring))
 
 
 def best_view_of_all(task: SpatialTask) -> View:
@@ -191,17 +203,10 @@ def best_view_of_all(task: SpatialTask) -> View:
         PlacementError: If no pose sees any of the targets; the message gives the reasons.
     """
     searches = task.prepared()
-    best, place = 0.0, None
-    for search in searches:
-        found = search.candidates
-        rating, leaf, ring = best_first.best_of_all(
-            search.field.hulls, search.terms, search.tree.leaves, found.rings, found.occupancy
-        )
-        if rating > best:
-            best, place = rating, (search, leaf, ring)
-    if place is None:
+    found = [(*search.rate_all()[:3], search) for search in searches]
+    rating, leaf, ring, search = max(found, key=lambda best: best[0])
+    if rating <= 0.0:
         raise PlacementError(_reason(searches, 0))
-    search, leaf, ring = place
     return search.view(search.place(leaf, ring))
 
 
@@ -216,7 +221,7 @@ class RatedDirections(NamedTuple):
 
     ratings: FloatArray
     positions: FloatArray
-    fields: NDArray[np.int64]
+    fields: IntArray
 
 
 def rate_directions(task: SpatialTask) -> RatedDirections:
@@ -226,20 +231,14 @@ def rate_directions(task: SpatialTask) -> RatedDirections:
         PlacementError: If no pose sees any of the targets; the message gives the reasons.
     """
     searches = task.prepared()
-    parts: list[tuple[FloatArray, FloatArray, NDArray[np.int64]]] = []
-    for index, search in enumerate(searches):
-        leaves = search.tree.leaves
-        ratings, rings = np.empty(len(leaves)), np.empty(len(leaves), dtype=np.int64)
-        best_first.best_of_each(search.field.hulls, search.terms, search.candidates, ratings, rings)
-        seen = np.flatnonzero(ratings > 0.0)
-        local = leaves[seen] * search.candidates.rings[rings[seen], None]
-        numbers = np.full(len(seen), index)
-        parts.append((ratings[seen], search.field.to_world(local), numbers))
-    ratings, positions, numbers = (np.concatenate(part) for part in zip(*parts))
-    if len(ratings) == 0:
+    best: dict[tuple[int, int], tuple[float, int]] = {}
+    for negative, index, leaf, ring in _in_order(searches):
+        best.setdefault((index, leaf), (-negative, ring))
+    if not best:
         raise PlacementError(_reason(searches, 0))
-    order = np.argsort(-ratings, kind="stable")
-    return RatedDirections(ratings[order], np.ascontiguousarray(positions[order]), numbers[order])
+    places = [searches[i].place(leaf, ring) for (i, leaf), (_, ring) in best.items()]
+    ratings = [rating for rating, _ in best.values()]
+    return RatedDirections(np.array(ratings), np.array(places), np.array([i for i, _ in best]))
 
 
 def rate_positions(
@@ -268,10 +267,9 @@ def rate_positions(
     terms = rating_terms(lens, field.target, exponents or Exponents())
     ratings = best_first.rate_places(field.hulls, terms, directions, distances, chances)
     caps = free_caps(field, places)
-    details = resolution(distances, lens, field.target.relation_error)
     return [
         View(field.target.name, places[i], float(distances[i]), float(ratings[i]), float(caps[i]),
-             max(float(directions[i, 2]), 0.0), float(details[i]), float(chances[i]))
+             float(chances[i]))
         for i in range(len(places))
     ]  # fmt: skip
 
@@ -293,26 +291,9 @@ def probabilities_at(occupancy: Occupancy | None, points: FloatArray) -> FloatAr
     return np.nan_to_num(np.asarray(occupancy(points), dtype=float), nan=UNKNOWN)
 
 
-def _in_order(search: _PreparedTarget, number: int) -> Iterator[tuple[float, int, int, int]]:
-    """Yield negative rating, index, leaf and ring of a target's candidates, best first."""
-    capacity = len(search.tree.centres) + len(search.tree.leaves) * (search.task.config.rings + 1)
-    heap = best_first.Heap(
-        np.empty(capacity), np.empty(capacity, dtype=np.int64), np.zeros(1, np.int64)
-    )
-    hulls, terms, candidates = search.field.hulls, search.terms, search.candidates
-    best_first.start(hulls, terms, candidates, heap)
-    while True:
-        rating, leaf, ring = best_first.following(hulls, terms, candidates, heap)
-        if leaf < 0:
-            return
-        yield -rating, number, leaf, ring
-
-
-def _merged(searches: Sequence[_PreparedTarget]) -> Iterator[tuple[View, _PreparedTarget]]:
-    streams = [_in_order(search, number) for number, search in enumerate(searches)]
-    for _, index, leaf, ring in heapq.merge(*streams):
-        search = searches[index]
-        yield search.view(search.place(leaf, ring)), search
+def _in_order(searches: Sequence[_PreparedTarget]) -> Iterator[tuple[float, int, int, int]]:
+    """Yield negative rating, target, leaf and ring of all targets' candidates, best first."""
+    return heapq.merge(*(search.in_order(index) for index, search in enumerate(searches)))
 
 
 def _refined(search: _PreparedTarget, view: View) -> View:
@@ -330,7 +311,7 @@ def _refined(search: _PreparedTarget, view: View) -> View:
     local = search.field.to_frame(view.position)
     distance = float(np.clip(view.distance, lens.near, lens.far))
     direction, best = local / np.linalg.norm(local), view.rating
-    width = 2.0 * float(search.tree.radii[-1])
+    width = 2.0 * float(search.candidates.radii[-1])
     step = 0.5 * (search.candidates.rings[1] / search.candidates.rings[0] - 1.0)
     tried = 0
     while width > _MIN_TURN or step * lens.far > _MIN_STRIDE:
@@ -365,18 +346,12 @@ def _reason(searches: Sequence[_PreparedTarget], refused: int) -> str:
     """Return why no pose sees any target, with the share of each reason."""
     lines: list[str] = []
     for search in searches:
-        hiding = np.zeros(max(len(search.field.names), 1), dtype=np.int64)
-        found, total = search.candidates, search.task.config.size
-        not_free = best_first.count_reasons(
-            search.field.hulls, search.tree.leaves, found.rings, found.occupancy, hiding
-        )
-        lens, shares = search.task.lens, list[tuple[int, str]]()
-        if hiding.sum():
-            worst = search.field.names[int(np.argmax(hiding))]
-            shares.append((int(hiding.sum()), f"hidden (most by {worst!r})"))
-        shares.append((not_free, "not known to be free"))
+        *_, not_free, hiding = search.rate_all()
+        lens, total, hidden = search.task.lens, search.task.config.size, int(hiding.sum())
+        worst = search.field.names[int(np.argmax(hiding))] if hidden else ""
+        shares = [(hidden, f"hidden (most by {worst!r})"), (not_free, "not known to be free")]
         if refused:
-            shares.append((total - not_free - int(hiding.sum()), "refused (out of reach)"))
+            shares.append((total - not_free - hidden, "refused (out of reach)"))
         text = ", ".join(f"{n / total:.0%} are {what}" for n, what in sorted(shares)[::-1] if n)
         lines.append(
             f"no pose sees the target {search.field.target.name!r}: of {total} poses before it, "

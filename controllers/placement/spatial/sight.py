@@ -20,10 +20,6 @@ from perception.geometry.arrays import FloatArray
 
 _FLAT = 1e-9
 """Extent of points over their size below which they have one dimension less."""
-AVERTED = -2
-"""The camera is behind the target's plane, in place of the index of an occluder."""
-VISIBLE = -1
-"""Nothing hides the target, in place of the index of an occluder."""
 
 
 class _Solid(NamedTuple):
@@ -34,58 +30,43 @@ class _Solid(NamedTuple):
     edges: FloatArray
 
 
-def first_hiding(
-    target: Target, occluders: Sequence[Occluder], positions: ArrayLike
-) -> NDArray[np.int64]:
-    """Return the index (N,) of the first occluder that hides a part, `VISIBLE` or `AVERTED`.
-
-    Args:
-        target: Target in three dimensions; the hull of its outline is what must be seen.
-        occluders: Bodies that may hide the target, in the order in which they are tried.
-        positions: (N, 3) camera positions [m], world.
-    """
-    places = np.atleast_2d(np.asarray(positions, dtype=float)) - target.position
-    result = np.full(len(places), VISIBLE)
-    shape = _solid(target.outline)
-    result[places @ target.normal <= 0.0] = AVERTED
-    for index, occluder in enumerate(occluders):
-        solid = _solid(occluder.points - target.position)
-        _ask(places, shape, solid, index, result)
-    return result
-
-
 def sees_all(
     target: Target, occluders: Sequence[Occluder], positions: ArrayLike
 ) -> NDArray[np.bool_]:
-    """Return (N,) whether cameras at positions (N, 3) [m], world, see the whole target."""
-    return first_hiding(target, occluders, positions) == VISIBLE
+    """Return (N,) whether cameras see the whole target, from its visible side.
+
+    Args:
+        target: Target in three dimensions; the hull of its outline is what must be seen.
+        occluders: Bodies that may hide the target.
+        positions: (N, 3) camera positions [m], world.
+    """
+    places = np.atleast_2d(np.asarray(positions, dtype=float)) - target.position
+    seen = places @ target.normal > 0.0
+    shape = _solid(target.outline)
+    for occluder in occluders:
+        _remove_hidden(places, shape, _solid(occluder.points - target.position), seen)
+    return seen
 
 
 def _solid(points: FloatArray) -> _Solid:
     """Return the hull of points; of fewer dimensions where they are."""
     middle = points.mean(axis=0)
     _, extents, axes = np.linalg.svd(points - middle, full_matrices=False)
-    size = np.zeros(3)
-    size[: len(extents)] = extents
-    rank = int(np.count_nonzero(size > _FLAT * max(size[0], 1e-300)))
-    nothing = np.empty((0, 3))
-    if rank == 0:
-        return _Solid(points[:1].copy(), nothing, nothing)
-    if rank == 1:
+    rank = int(np.count_nonzero(extents > _FLAT * max(extents[0], 1e-300)))
+    if rank <= 1:
         along = (points - middle) @ axes[0]
         ends = points[[int(np.argmin(along)), int(np.argmax(along))]]
-        return _Solid(ends.copy(), nothing, axes[:1].copy())
+        return _Solid(ends, np.empty((0, 3)), axes[:rank].copy())
     if rank == 2:  # noqa: PLR2004
         hull = ConvexHull((points - middle) @ axes[:2].T)
         corners = points[hull.vertices]
         edges = np.roll(corners, -1, axis=0) - corners
-        return _Solid(corners.copy(), axes[2:3].copy(), _different(edges))
+        return _Solid(corners, axes[2:3].copy(), _different(edges))
     hull = ConvexHull(points)
     sides = [hull.points[np.roll(hull.simplices, k, axis=1)[:, :2]] for k in range(3)]
     lines = np.concatenate([side[:, 1] - side[:, 0] for side in sides])
-    return _Solid(
-        hull.points[hull.vertices].copy(), _different(hull.equations[:, :3]), _different(lines)
-    )
+    corners = hull.points[hull.vertices]
+    return _Solid(corners, _different(hull.equations[:, :3]), _different(lines))
 
 
 def _different(directions: FloatArray) -> FloatArray:
@@ -98,40 +79,29 @@ def _different(directions: FloatArray) -> FloatArray:
 
 
 @numba.njit(cache=True)
-def _ask(places, shape, solid, number, result):
-    """Write the index of a solid at the places that it hides and no other did before."""
-    rays = np.empty_like(shape.corners)
+def _remove_hidden(places, shape, solid, seen):
+    """Set ``seen`` to False for the places from which a solid hides a part of a target."""
     for index in range(len(places)):
-        if result[index] == VISIBLE and not _missed(places[index], shape, solid, rays):
-            result[index] = number
+        seen[index] = seen[index] and _missed(places[index], shape, solid)
 
 
 @numba.njit(cache=True)
-def _missed(place, shape, solid, rays):
-    """Whether the hull of a place and a target misses a solid; ``rays`` is overwritten."""
-    count = len(shape.corners)
-    for i in range(count):
-        for k in range(3):
-            rays[i, k] = shape.corners[i, k] - place[k]
-    for i in range(len(solid.normals)):
-        n = solid.normals[i]
-        if _separates(n[0], n[1], n[2], place, shape.corners, solid.corners):
-            return True
-    for i in range(len(shape.normals)):
-        n = shape.normals[i]
-        if _separates(n[0], n[1], n[2], place, shape.corners, solid.corners):
-            return True
-    for i in range(count):
+def _missed(place, shape, solid):
+    """Whether the hull of a place and a target misses a solid."""
+    rays = shape.corners - place
+    for normals in (solid.normals, shape.normals):
+        for n in normals:
+            if _separates(n[0], n[1], n[2], place, shape.corners, solid.corners):
+                return True
+    for i in range(len(rays)):
         for j in range(i):
             if _crossed(rays[i], rays[j], place, shape.corners, solid.corners):
                 return True
-        for j in range(len(solid.edges)):
-            if _crossed(rays[i], solid.edges[j], place, shape.corners, solid.corners):
-                return True
-    for i in range(len(shape.edges)):
-        for j in range(len(solid.edges)):
-            if _crossed(shape.edges[i], solid.edges[j], place, shape.corners, solid.corners):
-                return True
+    for edges in (rays, shape.edges):
+        for first in edges:
+            for second in solid.edges:
+                if _crossed(first, second, place, shape.corners, solid.corners):
+                    return True
     return False
 
 

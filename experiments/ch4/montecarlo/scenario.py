@@ -5,7 +5,7 @@ where a camera can be: in a free place that can be reached.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -20,9 +20,6 @@ TOLERANCES = (20, 10, 1)  # [%] of the object's width, table 4-1
 SIDES = 6
 CANDIDATES = 512
 """Obstacles drawn for a test, of which the first ones that leave the way free are taken."""
-
-# The compiler's decorator has no types.
-_njit: Any = numba.njit(cache=True)
 
 
 class Scenario(NamedTuple):
@@ -86,7 +83,7 @@ class Scenario(NamedTuple):
 SCENARIO = Scenario()
 
 
-@_njit
+@numba.njit(cache=True)
 def draw_world(
     scenario: Scenario, candidates: FloatArray, densities: FloatArray
 ) -> tuple[FloatArray, NDArray[np.int64], FloatArray, FloatArray]:
@@ -127,7 +124,7 @@ def draw_world(
     return corners[:count], counts, parts, occupied
 
 
-@_njit
+@numba.njit(cache=True)
 def _way(scenario: Scenario, margin: float) -> FloatArray:
     """Return the corners (4, 2) of what object and markers pass, widened by a margin [m]."""
     x = 0.5 * scenario.width + scenario.ear + margin
@@ -135,7 +132,7 @@ def _way(scenario: Scenario, margin: float) -> FloatArray:
     return np.array([[-x, low], [x, low], [x, high], [-x, high]])
 
 
-@_njit
+@numba.njit(cache=True)
 def _hexagon(scenario: Scenario, candidate: FloatArray, out: FloatArray) -> None:
     """Write one obstacle's corners: on a circle, at irregular angles."""
     x, y = scenario.side * (candidate[0] - 0.5), scenario.side * (candidate[1] - 0.5)
@@ -146,7 +143,7 @@ def _hexagon(scenario: Scenario, candidate: FloatArray, out: FloatArray) -> None
         out[i, 1] = y + radius * math.sin(2.0 * math.pi * turn)
 
 
-@_njit
+@numba.njit(cache=True)
 def _cover(
     scenario: Scenario,
     hexagon: FloatArray,
@@ -181,7 +178,7 @@ def _cover(
     return new
 
 
-@_njit
+@numba.njit(cache=True)
 def _distance(hexagon: FloatArray, x: float, y: float) -> float:
     """Return the distance of a place from an obstacle [m]; 0 within it."""
     inside, least = True, np.inf
@@ -196,13 +193,13 @@ def _distance(hexagon: FloatArray, x: float, y: float) -> float:
     return 0.0 if inside else math.sqrt(least)
 
 
-@_njit
+@numba.njit(cache=True)
 def _keep_off_way(scenario: Scenario, taken: NDArray[np.bool_]) -> None:
     """Mark the cells where a camera would touch the object on its way."""
     _cover(scenario, _way(scenario, scenario.marker), np.zeros_like(taken), taken)
 
 
-@_njit
+@numba.njit(cache=True)
 def _unreachable(taken: NDArray[np.bool_]) -> FloatArray:
     """Return 0 for cells that are free and joined with the border by free cells, else 1."""
     rows = len(taken)

@@ -4,7 +4,6 @@ Places are those of `ch4_montecarlo_scenario`: the goal is the origin, the slot 
 """
 
 import math
-from typing import Any
 
 import numba
 import numpy as np
@@ -13,11 +12,8 @@ from controllers.placement.planar.sight import separated
 from experiments.ch4.montecarlo.scenario import Scenario
 from perception.geometry.arrays import FloatArray
 
-# The compiler's decorator has no types.
-_njit: Any = numba.njit(cache=True)
 
-
-@_njit
+@numba.njit(cache=True)
 def focus(scenario: Scenario, gap: float, sigma: float) -> tuple[float, float]:
     """Return the distances between which all of the gap is in view and in focus anyhow turned.
 
@@ -32,14 +28,14 @@ def focus(scenario: Scenario, gap: float, sigma: float) -> tuple[float, float]:
     ), scenario.far - reach
 
 
-@_njit
+@numba.njit(cache=True)
 def marker_side(scenario: Scenario, target: int) -> float:
     """Return x of a target's markers [m]; target 0 is the primary one, 1 the secondary."""
     x = 0.5 * scenario.width + scenario.ear
     return x if target == 0 else -x
 
 
-@_njit
+@numba.njit(cache=True)
 def object_corners(scenario: Scenario, gap: float, error: float) -> FloatArray:
     """Return the object's corners (4, 2) [m], with an error of its place across the slot [m]."""
     low, high = error - 0.5 * scenario.width, error + 0.5 * scenario.width
@@ -47,7 +43,7 @@ def object_corners(scenario: Scenario, gap: float, error: float) -> FloatArray:
     return np.array([[low, gap], [high, gap], [high, top], [low, top]])
 
 
-@_njit
+@numba.njit(cache=True)
 def sighting_variance(
     scenario: Scenario,
     corners: FloatArray,
@@ -99,7 +95,7 @@ def sighting_variance(
     return variance
 
 
-@_njit
+@numba.njit(cache=True)
 def _hidden(
     scenario: Scenario,
     camera: FloatArray,

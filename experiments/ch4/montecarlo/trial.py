@@ -8,7 +8,7 @@ import dataclasses
 import math
 import time
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -49,9 +49,6 @@ RINGS, DIRECTIONS = 32, 720
 TRACK = ("gap", "camera_x", "camera_y", "seen", "error", "sigma")
 """Columns of a track: gap [m]; camera [m], NaN if there is none; 0, or 1 or 2 for the target that
 was seen; error across the slot before the sighting [m]; its predicted standard deviation [m]."""
-
-# The compiler's decorator has no types.
-_njit: Any = numba.njit(cache=True)
 
 
 class Chance(NamedTuple):
@@ -189,7 +186,7 @@ def run_test(seed: int, scenario: Scenario = SCENARIO) -> GuidedTests:
     return GuidedTests(*(array[None] for array in arrays))
 
 
-@_njit
+@numba.njit(cache=True)
 def guide(
     scenario: Scenario,
     world: ObstacleWorld,
@@ -251,7 +248,7 @@ def guide(
     return error_then + slope * (since + gap), steps
 
 
-@_njit
+@numba.njit(cache=True)
 def expanded(scenario: Scenario, corners: FloatArray, target: int, gap: float) -> HullCorners:
     """Return all occluders expanded by the gap, from its middle.
 
@@ -275,7 +272,7 @@ def expanded(scenario: Scenario, corners: FloatArray, target: int, gap: float) -
     return HullCorners(points[: starts[-1]], starts)
 
 
-@_njit
+@numba.njit(cache=True)
 def _place(
     scenario: Scenario,
     world: ObstacleWorld,
@@ -311,7 +308,7 @@ def _place(
     return watch >= 0, max(watch, 0)
 
 
-@_njit
+@numba.njit(cache=True)
 def _draw(
     scenario: Scenario,
     world: ObstacleWorld,

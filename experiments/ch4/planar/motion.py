@@ -24,7 +24,7 @@ from controllers.placement.moving import (
 )
 from controllers.placement.planar.occluders import occluders_of_map
 from controllers.placement.planar.search import PlanarTask
-from controllers.placement.planar.sight import KnownSpace, clear_line, sees, sees_on_map
+from controllers.placement.planar.sight import KnownSpace, clear_line, sees_on_map, separated
 from controllers.placement.task import PlacementError, View
 from experiments.ch3.planar.trial import PlanarTrial, Round, run_trial
 from experiments.ch3.planar.worlds import World
@@ -296,7 +296,6 @@ def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: Mappe
 def _truly_seen(view: View, panel: Floats, site: MappedSite) -> bool:
     """Tell whether the whole of the watched target is seen past the true panel and obstacles."""
     goal = next(target for target in work_targets() if target.name == view.target)
-    starts = np.array([0, len(panel)])
     truth = KnownSpace(site.solid.astype(float), site.world.grid.cell)
-    past_panel = sees(*view.position, goal.position + goal.outline, panel, starts)
+    past_panel = separated(view.position[0], view.position[1], goal.position + goal.outline, panel)
     return bool(past_panel) and sees_on_map(truth, view.position, goal)

@@ -18,7 +18,7 @@ from controllers.placement.planar.search import (
     best_view,
     rating_field,
 )
-from controllers.placement.planar.sight import KnownSpace, sees, sees_on_map
+from controllers.placement.planar.sight import KnownSpace, sees_on_map, separated
 from controllers.placement.task import Occluder, PlacementError, Target
 from experiments.ch4.planar.scenes import BOX, convex_obstacle, face, random_task
 from experiments.harness import timing
@@ -184,10 +184,9 @@ def _case_of_polygons(generator: np.random.Generator) -> tuple[bool, bool]:
         for i in range(int(generator.integers(1, 7)))
     ]  # fmt: skip
     camera = generator.uniform(0.0, 20.0, 2)
-    corners = np.concatenate([occluder.points for occluder in occluders])
-    starts = np.cumsum([0, *(len(occluder.points) for occluder in occluders)])
-    truly = sees(*camera, target.position + target.outline, corners, starts)
-    return hulls_see(occluders, target, camera), bool(truly)
+    (x, y), outline = camera, target.position + target.outline
+    truly = all(separated(x, y, outline, occluder.points) for occluder in occluders)
+    return hulls_see(occluders, target, camera), truly
 
 
 def _case_on_map(generator: np.random.Generator) -> tuple[bool, bool]:
@@ -240,16 +239,12 @@ def occluded_angles(distances: Floats, radius: float) -> Floats:
     angles = np.empty((len(distances), 2))
     for i, distance in enumerate(distances):
         corners = BOX + [distance - BOX[:, 0].min(), 0.0]
-        starts = np.array([0, len(corners)])
-
-        def hidden(angle: float) -> bool:
-            x, y = radius * math.cos(angle), radius * math.sin(angle)
-            return not sees(x, y, outline, corners, starts)  # noqa: B023
-
         low, high = 0.0, 0.5 * math.pi
         for _ in range(40):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if hidden(middle) else (low, middle)
+            x, y = radius * math.cos(middle), radius * math.sin(middle)
+            hidden = not separated(x, y, outline, corners)
+            low, high = (middle, high) if hidden else (low, middle)
         hull = expand([Occluder("box", corners)], target).hull(0)
         _, begin, end = blocked_interval(hull, 0, len(hull), radius)
         angles[i] = 2.0 * low, end - begin

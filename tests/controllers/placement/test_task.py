@@ -11,7 +11,7 @@ from controllers.placement.task import (
     Target,
     rate_view,
     rating_terms,
-    resolution,
+    sharpness,
 )
 
 LENS = Lens(math.pi / 2, 100, 1.0, 5.0)
@@ -35,8 +35,10 @@ def test_rating_is_the_product_of_equation_4_1():
 
 def test_secondary_target_is_blurred_by_its_relation_error():
     assert rating(target=SECONDARY) == pytest.approx(1.0 / 0.05 * 0.5 * 0.8 * 0.98)
-    assert resolution(2.0, LENS) == pytest.approx(25.0)
-    assert resolution([2.0, 4.0], LENS, 0.01) == pytest.approx([20.0, 1.0 / 0.09])
+    primary, secondary = (rating_terms(LENS, each, Exponents()) for each in (PRIMARY, SECONDARY))
+    assert sharpness(primary, 2.0) == pytest.approx(25.0)
+    assert sharpness(secondary, 2.0) == pytest.approx(20.0)
+    assert sharpness(secondary, 4.0) == pytest.approx(1.0 / 0.09)
 
 
 @pytest.mark.parametrize(

@@ -3,15 +3,14 @@
 import math
 
 import numpy as np
-import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from controllers.placement.moving import cell_centres, covers
 from controllers.placement.planar.field import free_cap
 from controllers.placement.planar.occluders import expand, occluders_of_map
-from controllers.placement.planar.sight import KnownSpace, sees, sees_on_map, separated
-from controllers.placement.task import Target
+from controllers.placement.planar.sight import KnownSpace, sees_on_map, separated
+from controllers.placement.task import Occluder, Target
 from experiments.ch4.planar.scenes import convex_obstacle
 
 SLOT = Target("slot", [5.0, 5.0], [1.0, 0.0], [[0.0, -0.5], [0.0, 0.5]])
@@ -69,9 +68,9 @@ def test_line_of_sight_stops_at_an_occupied_cell_and_passes_beside_it():
     assert not sees_on_map(space, [9.0, 5.25], SLOT)
     assert sees_on_map(space, [9.0, 8.0], SLOT)
     box = np.array([[7.0, 5.0], [7.5, 5.0], [7.5, 5.5], [7.0, 5.5]])
-    outline, starts = SLOT.position + SLOT.outline, np.array([0, 4])
-    assert not sees(9.0, 5.25, outline, box, starts)
-    assert sees(9.0, 8.0, outline, box, starts)
+    outline = SLOT.position + SLOT.outline
+    assert not separated(9.0, 5.25, outline, box)
+    assert separated(9.0, 8.0, outline, box)
 
 
 def test_occluders_of_a_map_hold_all_its_occupied_cells():
@@ -91,9 +90,9 @@ def test_what_stands_free_in_a_room_is_not_covered_by_the_hull_of_its_wall():
     occupied = np.zeros((40, 40), dtype=bool)
     occupied[[5, -5], 5:-4] = occupied[5:-4, [5, -5]] = True
     space = KnownSpace(np.where(occupied, 0.9, 0.02), 0.25)
-    assert len(occluders_of_map(space, filled=0.0)) == 1
     camera = np.array([7.0, 5.0])
-    assert not hull_says_visible(occluders_of_map(space, filled=0.0), SLOT, camera)
+    whole = [Occluder("wall", cell_centres(space)[occupied])]
+    assert not hull_says_visible(whole, SLOT, camera)
     assert hull_says_visible(occluders_of_map(space), SLOT, camera)
 
 
@@ -111,8 +110,3 @@ def test_cells_of_the_target_itself_do_not_hide_it():
     space = KnownSpace(values, 0.5)
     assert len(occluders_of_map(space)) == 1
     assert occluders_of_map(space, [SLOT]) == ()
-
-
-def test_impossible_share_is_refused():
-    with pytest.raises(ValueError, match=r"filled 1\.0: expected"):
-        occluders_of_map(KnownSpace(np.full((3, 3), 0.9), 1.0), filled=1.0)

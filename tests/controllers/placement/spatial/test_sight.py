@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial.field import free_caps
 from controllers.placement.spatial.occluders import expand
-from controllers.placement.spatial.sight import AVERTED, VISIBLE, first_hiding, sees_all
+from controllers.placement.spatial.sight import sees_all
 from controllers.placement.task import Occluder, PlacementError, Target
 from tests.controllers.placement.spatial.scenes import box, disc_target, random_occluders
 
@@ -47,13 +47,13 @@ def test_sight_is_what_a_linear_program_finds(kind):
         cameras = target.position + rng.normal(size=(8, 3)) * 0.3
         cameras[:4] = occluder.points.mean(axis=0) * 1.5 - target.position * 0.5
         cameras[:4] += rng.normal(scale=0.1, size=(4, 3))
-        for camera, found in zip(cameras, first_hiding(target, [occluder], cameras)):
+        for camera, seen in zip(cameras, sees_all(target, [occluder], cameras)):
             if (camera - target.position) @ target.normal <= 0.0:
-                assert found == AVERTED
+                assert not seen
                 continue
-            expected = 0 if meets(camera, target, occluder) else VISIBLE
-            assert found == expected
-            hits += expected == 0
+            hidden = meets(camera, target, occluder)
+            assert seen != hidden
+            hits += hidden
     assert hits >= 3
 
 
@@ -116,8 +116,8 @@ def test_a_fine_mesh_takes_no_more_room_than_its_corners():
     way /= np.linalg.norm(way, axis=1, keepdims=True)
     ball = Occluder("ball", np.array([0.0, 0.0, 0.2]) + 0.05 * way)
     tracemalloc.start()
-    found = first_hiding(disc_target(), [ball], [[0.0, 0.0, 0.4], [0.3, 0.0, 0.1]])
+    found = sees_all(disc_target(), [ball], [[0.0, 0.0, 0.4], [0.3, 0.0, 0.1]])
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert found.tolist() == [0, VISIBLE]
+    assert found.tolist() == [False, True]
     assert most < 200 * ball.points.nbytes

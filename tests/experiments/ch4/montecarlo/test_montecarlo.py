@@ -8,10 +8,11 @@ import math
 import numpy as np
 import pytest
 
+from controllers.placement.planar.arc_search import search_rings
 from controllers.placement.planar.search import (
     PlanarTask,
     RingCandidates,
-    exhaustive_view,
+    best_view,
     view_from,
 )
 from controllers.placement.planar.sight import KnownSpace
@@ -142,7 +143,7 @@ def test_optimal_pose_is_the_exhaustive_optimum_of_the_same_task():
         lens = Lens(CAMERA.field_of_view[0], CAMERA.width, near, far)
         space = KnownSpace(world.occupied, SCENARIO.cell, (-half, -half))
         task = PlanarTask(targets, lens, (*occluders, Occluder("object", body)), space)
-        best = exhaustive_view(task, RingCandidates(RINGS, DIRECTIONS))
+        best = best_view(task, RingCandidates(RINGS, DIRECTIONS), search_rings, refine=False)
         chosen = view_from(
             dataclasses.replace(task, lens=dataclasses.replace(lens, near=near * (1 - 1e-9))),
             np.array([x, y]),
