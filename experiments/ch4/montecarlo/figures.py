@@ -9,17 +9,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES
-from experiments.ch4.montecarlo.trial import (
-    PERIODS,
-    PLACEMENTS,
-    TARGETS,
-    TRACK,
+from experiments.ch4.montecarlo.scenario import (
+    DENSITIES,
+    SCENARIO,
+    TOLERANCES,
     ObstacleWorld,
-    draw_chance,
-    guide,
-    worlds,
+    draw_worlds,
 )
+from experiments.ch4.montecarlo.trial import PLACEMENTS, TARGETS, draw_chance, guide
 from experiments.harness.intervals import fraction
 from perception.geometry.arrays import FloatArray
 
@@ -73,17 +70,16 @@ def table_figure(
 def way_figure(seed: int) -> Figure:
     """Draw one test, a panel for each placement: obstacles, camera poses, way and sightings."""
     chance = draw_chance(seed)
-    world = worlds(chance)[0][SHOWN]
+    world = draw_worlds(chance.candidates)[SHOWN]
     figure = Figure(figsize=(13, 5.2))
     for p, placement in enumerate(PLACEMENTS):
-        track = np.empty((PERIODS, len(TRACK)))
-        error, steps = guide(SCENARIO, world, chance, p, True, track)
+        error, track = guide(SCENARIO, world, chance, p, True)
         axes = figure.add_subplot(1, len(PLACEMENTS), p + 1)
         _draw_world(axes, world)
-        _draw_track(axes, track[:steps])
-        seen = int(np.sum(track[:steps, 3] > 0))
+        _draw_track(axes, track)
+        seen = np.count_nonzero(track[:, 3])
         axes.set_title(
-            f"{placement}: seen {seen} of {steps},\narrives {1e3 * abs(error):.2g} mm off"
+            f"{placement}: seen {seen} of {len(track)},\narrives {1e3 * abs(error):.2g} mm off"
         )
         axes.set(xlabel="x [m]", ylabel="y [m]" if p == 0 else "")
     lines: list[Any] = [

@@ -4,7 +4,8 @@ Tests are paired by their seeds, so two cells are compared by the tests in which
 """
 
 import dataclasses
-from collections.abc import Iterator
+import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,6 @@ from scipy import stats
 from experiments.ch4.montecarlo.scenario import DENSITIES, TOLERANCES
 from experiments.ch4.montecarlo.trial import PLACEMENTS, TARGETS
 from experiments.harness.intervals import CONFIDENCE
-
-Cell = tuple[int, int, int, int]
-"""Indices of density, tolerance, placement and target."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,33 +53,26 @@ def compare_all(success: NDArray[np.bool_]) -> list[Comparison]:
     Args:
         success: (n, densities, tolerances, placements, targets) of paired tests.
     """
-    return [
-        _compare(kind, success, better, worse) for kind, better, worse in _pairs(success.shape[1:])
-    ]
-
-
-def _pairs(shape: tuple[int, ...]) -> Iterator[tuple[str, Cell, Cell]]:
-    """Yield what is compared: its kind, the cell that should be no worse, and the other."""
-    # Along which axis, and by what step the worse neighbour is reached.
+    # Kind of the comparison, its axis of the table, and the step to the worse neighbour.
     kinds = (("density", 0, 1), ("tolerance", 1, 1), ("placement", 2, 1), ("secondary", 3, -1))
-    for kind, axis, step in kinds:
-        for index in np.ndindex(*shape):
-            other = list(index)
-            other[axis] += step
-            if 0 <= other[axis] < shape[axis]:
-                d, t, p, s = index
-                yield kind, (d, t, p, s), (other[0], other[1], other[2], other[3])
+    shape, found = success.shape[1:], list[Comparison]()
+    for (kind, axis, step), better in itertools.product(kinds, np.ndindex(*shape)):
+        worse = (*better[:axis], better[axis] + step, *better[axis + 1 :])
+        if not 0 <= worse[axis] < shape[axis]:
+            continue
+        first, second = success[:, *better], success[:, *worse]
+        wins, losses = int(np.sum(first & ~second)), int(np.sum(second & ~first))
+        p_value = float(stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
+        found.append(Comparison(kind, cell_name(better), cell_name(worse), wins, losses, p_value))
+    return found
 
 
-def _compare(kind: str, success: NDArray[np.bool_], better: Cell, worse: Cell) -> Comparison:
-    first, second = success[(slice(None), *better)], success[(slice(None), *worse)]
-    wins, losses = int(np.sum(first & ~second)), int(np.sum(second & ~first))
-    p_value = float(stats.binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
-    return Comparison(kind, cell_name(better), cell_name(worse), wins, losses, p_value)
+def cell_name(cell: Sequence[int]) -> str:
+    """Return a cell's name as in the metrics: placement/density/tolerance/target.
 
-
-def cell_name(cell: Cell) -> str:
-    """Return a cell's name as in the metrics: placement/density/tolerance/target."""
+    Args:
+        cell: Indices of density, tolerance, placement and target.
+    """
     density, tolerance, placement, target = cell
     return f"{PLACEMENTS[placement]}/{DENSITIES[density]}/{TOLERANCES[tolerance]}/{TARGETS[target]}"
 

@@ -8,16 +8,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from experiments.ch4.montecarlo.figures import SHOWN
-from experiments.ch4.montecarlo.scenario import SCENARIO
-from experiments.ch4.montecarlo.trial import (
-    PERIODS,
-    PLACEMENTS,
-    TRACK,
-    ObstacleWorld,
-    draw_chance,
-    guide,
-    worlds,
-)
+from experiments.ch4.montecarlo.scenario import SCENARIO, ObstacleWorld, draw_worlds
+from experiments.ch4.montecarlo.trial import PLACEMENTS, draw_chance, guide
+from experiments.harness.recording import closed, recording
 from perception.geometry.arrays import FloatArray
 from twin.layout import content_alone
 
@@ -34,26 +27,22 @@ def record_test(seed: int, path: Path) -> None:
         path: File to write.
     """
     chance = draw_chance(seed)
-    world = worlds(chance)[0][SHOWN]
-    stream = rr.RecordingStream("fieldtwin")
-    stream.save(path)
+    world = draw_worlds(chance.candidates)[SHOWN]
     views: list[Any] = [rrb.Spatial2DView(origin=name, name=name) for name in PLACEMENTS]
     curves = rrb.TimeSeriesView(origin="error_mm", name="Error across the slot [mm]")
-    stream.send_blueprint(content_alone(rrb.Vertical(rrb.Horizontal(*views), curves)))
-    for index, placement in enumerate(PLACEMENTS):
-        track = np.empty((PERIODS, len(TRACK)))
-        _, steps = guide(SCENARIO, world, chance, index, True, track)
-        _log_world(stream, placement, world)
-        for step in range(steps):
-            _log_step(stream, placement, step, track[step])
-    stream.flush()
-    stream.disconnect()
+    layout = content_alone(rrb.Vertical(rrb.Horizontal(*views), curves))
+    with recording(path, layout) as stream:
+        for index, placement in enumerate(PLACEMENTS):
+            _, track = guide(SCENARIO, world, chance, index, True)
+            _log_world(stream, placement, world)
+            for step, row in enumerate(track):
+                _log_step(stream, placement, step, row)
 
 
 def _log_world(stream: rr.RecordingStream, placement: str, world: ObstacleWorld) -> None:
     """Log what stands still; pictures have y downwards, so it is turned about."""
-    closed = [np.vstack([corners, corners[:1]]) * (1, -1) for corners in world.corners]
-    stream.log(f"{placement}/obstacles", rr.LineStrips2D(closed, colors=GREY), static=True)
+    outlines = [closed(corners) * (1, -1) for corners in world.corners]
+    stream.log(f"{placement}/obstacles", rr.LineStrips2D(outlines, colors=GREY), static=True)
     half = 0.5 * SCENARIO.width
     slot = rr.LineStrips2D([[[-half, 0.0], [half, 0.0]]], colors=PURPLE, radii=0.006)
     stream.log(f"{placement}/slot", slot, static=True)

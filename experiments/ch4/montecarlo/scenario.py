@@ -5,8 +5,10 @@ where a camera can be: in a free place that can be reached.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -83,49 +85,55 @@ class Scenario(NamedTuple):
 SCENARIO = Scenario()
 
 
-@numba.njit(cache=True)
-def draw_world(
-    scenario: Scenario, candidates: FloatArray, densities: FloatArray
-) -> tuple[FloatArray, NDArray[np.int64], FloatArray, FloatArray]:
+class ObstacleWorld(NamedTuple):
+    """One test's obstacles and map.
+
+    Attributes:
+        corners: (N, `SIDES`, 2) corners of the obstacles [m], anticlockwise.
+        occupied: (rows, columns) probability that a camera cannot be in a cell, 0 or 1.
+        covered: Share of the work space that the obstacles cover.
+    """
+
+    corners: FloatArray
+    occupied: FloatArray
+    covered: float = 0.0
+
+
+def draw_worlds(
+    candidates: FloatArray, scenario: Scenario = SCENARIO, densities: Sequence[float] = DENSITIES
+) -> list[ObstacleWorld]:
     """Draw nested worlds: each denser one has the obstacles of the sparser one, and more.
 
     Args:
-        scenario: The numbers.
         candidates: (M, 4 + `SIDES`) uniform in [0, 1): place, size, turn and shape of obstacles.
-        densities: (D,) parts of the work space to cover, ascending.
+        scenario: Numbers of the scenario.
+        densities: Densities of the obstacles, ascending [%].
 
-    Returns:
-        Corners (N, `SIDES`, 2) of all obstacles [m], anticlockwise; how many of them each density
-        has (D,), -1 where the candidates do not suffice; the part that they cover (D,); and the
-        probability (D, rows, columns) that a camera cannot be in a cell, 0 or 1.
+    Raises:
+        ValueError: If a density cannot be reached with the candidates.
     """
-    rows = int(round(scenario.side / scenario.cell))
-    taken = np.zeros((rows, rows), dtype=np.bool_)
-    covered = np.zeros((rows, rows), dtype=np.bool_)
-    corners = np.empty((len(candidates), SIDES, 2))
-    counts = np.full(len(densities), -1)
-    parts = np.zeros(len(densities))
-    occupied = np.ones((len(densities), rows, rows))
-    way = _way(scenario, scenario.marker + 2.0 * scenario.drift * scenario.start)
-    _keep_off_way(scenario, taken)
-    count = cells = level = 0
-    for candidate in candidates:
-        while level < len(densities) and cells >= densities[level] * rows * rows:
-            counts[level], parts[level] = count, cells / (rows * rows)
-            occupied[level] = _unreachable(taken)
-            level += 1
-        if level == len(densities):
-            break
-        hexagon = corners[count]
-        _hexagon(scenario, candidate, hexagon)
-        if separated(way[0, 0], way[0, 1], way, hexagon):
-            cells += _cover(scenario, hexagon, covered, taken)
-            count += 1
-    return corners[:count], counts, parts, occupied
+    rows = round(scenario.side / scenario.cell)
+    taken, covered = np.zeros((2, rows, rows), dtype=bool)
+    _cover(scenario, _passage(scenario, scenario.marker), np.zeros_like(taken), taken)
+    passage = _passage(scenario, scenario.marker + 2.0 * scenario.drift * scenario.start)
+    hexagons: list[FloatArray] = []
+    worlds: list[ObstacleWorld] = []
+    left, cells = iter(candidates), 0
+    for density in densities:
+        while cells < density / 100.0 * rows * rows:
+            candidate = next(left, None)
+            if candidate is None:
+                raise ValueError(f"density {density} %: not reached by {len(candidates)} obstacles")
+            hexagon = _hexagon(scenario, candidate)
+            if separated(passage[0, 0], passage[0, 1], passage, hexagon):
+                cells += _cover(scenario, hexagon, covered, taken)
+                hexagons.append(hexagon)
+        share = cells / (rows * rows)
+        worlds.append(ObstacleWorld(np.array(hexagons), _unreachable(taken), share))
+    return worlds
 
 
-@numba.njit(cache=True)
-def _way(scenario: Scenario, margin: float) -> FloatArray:
+def _passage(scenario: Scenario, margin: float) -> FloatArray:
     """Return the corners (4, 2) of what object and markers pass, widened by a margin [m]."""
     x = 0.5 * scenario.width + scenario.ear + margin
     low, high = -margin, scenario.start + scenario.length + margin
@@ -133,14 +141,16 @@ def _way(scenario: Scenario, margin: float) -> FloatArray:
 
 
 @numba.njit(cache=True)
-def _hexagon(scenario: Scenario, candidate: FloatArray, out: FloatArray) -> None:
-    """Write one obstacle's corners: on a circle, at irregular angles."""
+def _hexagon(scenario: Scenario, candidate: FloatArray) -> FloatArray:
+    """Return one obstacle's corners (`SIDES`, 2) [m]: on a circle, at irregular angles."""
     x, y = scenario.side * (candidate[0] - 0.5), scenario.side * (candidate[1] - 0.5)
     radius = scenario.smallest + (scenario.largest - scenario.smallest) * candidate[2]
+    corners = np.empty((SIDES, 2))
     for i in range(SIDES):
         turn = candidate[3] + (i + 0.8 * (candidate[4 + i] - 0.5)) / SIDES
-        out[i, 0] = x + radius * math.cos(2.0 * math.pi * turn)
-        out[i, 1] = y + radius * math.sin(2.0 * math.pi * turn)
+        corners[i, 0] = x + radius * math.cos(2.0 * math.pi * turn)
+        corners[i, 1] = y + radius * math.sin(2.0 * math.pi * turn)
+    return corners
 
 
 @numba.njit(cache=True)
@@ -193,32 +203,8 @@ def _distance(hexagon: FloatArray, x: float, y: float) -> float:
     return 0.0 if inside else math.sqrt(least)
 
 
-@numba.njit(cache=True)
-def _keep_off_way(scenario: Scenario, taken: NDArray[np.bool_]) -> None:
-    """Mark the cells where a camera would touch the object on its way."""
-    _cover(scenario, _way(scenario, scenario.marker), np.zeros_like(taken), taken)
-
-
-@numba.njit(cache=True)
 def _unreachable(taken: NDArray[np.bool_]) -> FloatArray:
     """Return 0 for cells that are free and joined with the border by free cells, else 1."""
-    rows = len(taken)
-    occupied = np.ones((rows, rows))
-    stack = np.empty((rows * rows, 2), dtype=np.int64)
-    size = 0
-    for i in range(rows):
-        for row, column in ((0, i), (rows - 1, i), (i, 0), (i, rows - 1)):
-            if not taken[row, column] and occupied[row, column] > 0.0:
-                occupied[row, column] = 0.0
-                stack[size, 0], stack[size, 1] = row, column
-                size += 1
-    while size > 0:
-        size -= 1
-        row, column = stack[size, 0], stack[size, 1]
-        for dr, dc in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-            r, c = row + dr, column + dc
-            if 0 <= r < rows and 0 <= c < rows and occupied[r, c] > 0.0 and not taken[r, c]:
-                occupied[r, c] = 0.0
-                stack[size, 0], stack[size, 1] = r, c
-                size += 1
-    return occupied
+    cells = np.pad(taken.astype(np.uint8), 1)
+    cv2.floodFill(cells, None, (0, 0), (2,))
+    return np.where(cells[1:-1, 1:-1] == 2, 0.0, 1.0)  # noqa: PLR2004

@@ -7,7 +7,7 @@ a test is the same whoever runs it, beside whichever others.
 import dataclasses
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numba
@@ -27,8 +27,9 @@ from experiments.ch4.montecarlo.scenario import (
     DENSITIES,
     SCENARIO,
     SIDES,
+    ObstacleWorld,
     Scenario,
-    draw_world,
+    draw_worlds,
 )
 from experiments.ch4.montecarlo.sight import (
     focus,
@@ -46,16 +47,13 @@ PERIODS = 48  # More than the longest approach has.
 DRAWS = 256
 """Places drawn until one is free, in focus and on the visible side."""
 RINGS, DIRECTIONS = 32, 720
-TRACK = ("gap", "camera_x", "camera_y", "seen", "error", "sigma")
-"""Columns of a track: gap [m]; camera [m], NaN if there is none; 0, or 1 or 2 for the target that
-was seen; error across the slot before the sighting [m]; its predicted standard deviation [m]."""
 
 
 class Chance(NamedTuple):
     """All random numbers of one test.
 
     Attributes:
-        candidates: (`CANDIDATES`, 4 + `SIDES`) of `draw_world`.
+        candidates: (`CANDIDATES`, 4 + `SIDES`) of `draw_worlds`.
         places: (`PERIODS`, `DRAWS`, 2) uniform in [0, 1): places for random cameras.
         slopes: (`PERIODS` + 1,) standard normal: drift after each sighting.
         noise: (`PERIODS`,) standard normal: errors of sightings.
@@ -69,18 +67,6 @@ class Chance(NamedTuple):
     constants: FloatArray
 
 
-class ObstacleWorld(NamedTuple):
-    """One test's obstacles and map.
-
-    Attributes:
-        corners: (N, `SIDES`, 2) corners of the obstacles [m].
-        occupied: (rows, columns) probability that a camera cannot be there.
-    """
-
-    corners: FloatArray
-    occupied: FloatArray
-
-
 def draw_chance(seed: int) -> Chance:
     """Draw a test's random numbers, each kind from a stream of its own."""
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)]
@@ -91,28 +77,6 @@ def draw_chance(seed: int) -> Chance:
         streams[3].standard_normal(PERIODS),
         streams[4].standard_normal(2),
     )
-
-
-def worlds(
-    chance: Chance, scenario: Scenario = SCENARIO, densities: Sequence[float] = DENSITIES
-) -> tuple[list[ObstacleWorld], FloatArray]:
-    """Return a test's worlds and what part of the work space their obstacles cover.
-
-    Args:
-        chance: Random numbers of the test.
-        scenario: Numbers of the scenario.
-        densities: Densities of the obstacles, ascending [%].
-
-    Raises:
-        ValueError: If a density cannot be reached with the obstacles drawn.
-    """
-    asked = np.array(densities, dtype=float) / 100.0
-    corners, counts, parts, occupied = draw_world(scenario, chance.candidates, asked)
-    for density, count in zip(densities, counts):
-        if count < 0:
-            raise ValueError(f"density {density} %: not reached by {CANDIDATES} obstacles")
-    made = [ObstacleWorld(corners[: counts[i]], occupied[i]) for i in range(len(counts))]
-    return made, parts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,20 +132,18 @@ def run_tests(job: GuidanceJob) -> tuple[GuidedTests, float]:
 def run_test(seed: int, scenario: Scenario = SCENARIO) -> GuidedTests:
     """Run one test of `run_tests`."""
     chance = draw_chance(seed)
-    made, covered = worlds(chance, scenario)
+    worlds = draw_worlds(chance.candidates, scenario)
     shape = (len(DENSITIES), len(PLACEMENTS), len(TARGETS))
     error, sightings, last_gap, last_view = np.full((4, *shape), np.inf)
-    track = np.empty((PERIODS, len(TRACK)))
-    for density, placement, target in np.ndindex(*shape):
-        index = density, placement, target
-        error[index], steps = guide(scenario, made[density], chance, placement, target == 1, track)
-        seen = np.flatnonzero(track[:steps, 3])
+    for index in np.ndindex(*shape):
+        density, placement, target = index
+        error[index], track = guide(scenario, worlds[density], chance, placement, target == 1)
+        seen = track[track[:, 3] > 0.0]
         sightings[index] = len(seen)
         if len(seen):
-            last = track[seen[-1]]
-            last_gap[index] = last[0]
-            last_view[index] = math.hypot(last[1], last[2])
-    free = np.array([1.0 - float(world.occupied.mean()) for world in made])
+            last_gap[index], last_view[index] = seen[-1, 0], math.hypot(*seen[-1, 1:3])
+    covered = np.array([world.covered for world in worlds])
+    free = np.array([1.0 - float(world.occupied.mean()) for world in worlds])
     arrays = (error, sightings, last_gap, last_view, covered, free)
     return GuidedTests(*(array[None] for array in arrays))
 
@@ -193,8 +155,7 @@ def guide(
     chance: Chance,
     placement: int,
     secondary: bool,
-    track: FloatArray,
-) -> tuple[float, int]:
+) -> tuple[float, FloatArray]:
     """Guide the object to the goal.
 
     Args:
@@ -203,11 +164,13 @@ def guide(
         chance: All random numbers.
         placement: `OPTIMAL`, `RANDOM` or `FIXED`.
         secondary: Whether the left-hand pair of markers may be watched, too.
-        track: (`PERIODS`, 6) takes what happened, see `TRACK`.
 
     Returns:
-        Error across the slot at arrival [m], and the number of periods.
+        Error across the slot at arrival [m], and the track (periods, 6): gap [m]; x and y of the
+        camera [m], NaN if there is none; 0, or 1 or 2 for the target that was seen; error across
+        the slot before the sighting [m], and its predicted standard deviation [m].
     """
+    track = np.empty((PERIODS, 6))
     gap, steps, since = scenario.start, 0, 0.0
     error_then, variance_then = scenario.prior * chance.constants[0], scenario.prior**2
     slope = scenario.drift * chance.slopes[0]
@@ -245,7 +208,7 @@ def guide(
             slope = scenario.drift * chance.slopes[steps + 1]
         step = scenario.period * min(scenario.speed, scenario.gain * gap)
         gap, since, steps = gap - step, since + step, steps + 1
-    return error_then + slope * (since + gap), steps
+    return error_then + slope * (since + gap), track[:steps]
 
 
 @numba.njit(cache=True)

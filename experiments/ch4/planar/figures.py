@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
 
 from controllers.placement.moving import cell_centres
@@ -18,8 +17,7 @@ from controllers.placement.planar.search import PlanarTask, best_view, rating_fi
 from controllers.placement.task import Target, View
 from experiments.ch4.planar.motion import MappedSite, Moment
 from experiments.ch4.planar.scenes import SIDE
-
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 EXTENT = (0.0, float(SIDE), 0.0, float(SIDE))
 COLOURS = {"primary": "tab:red", "secondary": "tab:blue"}
@@ -29,7 +27,7 @@ SOFT = 0.4
 """Exponent of the shade: a rating falls so steeply with distance that its tail would not show."""
 
 
-def draw_hull_cost(distances: Floats, angles: Floats) -> Figure:
+def draw_hull_cost(distances: FloatArray, angles: FloatArray) -> Figure:
     """Draw the occluded angle over the occluder's distance, true and by hulls (figure 4-6).
 
     Args:
@@ -106,10 +104,9 @@ def draw_instances(tasks: Sequence[PlanarTask]) -> Figure:
 def draw_site(site: MappedSite, first: Moment) -> Figure:
     """Draw the world and its map after few scans (figure 4-10)."""
     figure = Figure(figsize=(10, 5))
-    for place, (title, values) in enumerate(
-        (("world", site.world.occupied), ("map, brighter is more surely occupied",
-                                          site.mapped.probability))
-    ):  # fmt: skip
+    maps = (site.world.occupied, site.mapped.probability)
+    titles = ("world", "map, brighter is more surely occupied")
+    for place, (title, values) in enumerate(zip(titles, maps)):
         axes = figure.add_subplot(1, 2, place + 1)
         axes.imshow(values, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=EXTENT)
         axes.fill(*first.panel.T, fill=False, edgecolor="tab:orange")
@@ -157,8 +154,7 @@ def _draw_moment(axes: Axes, site: MappedSite, moments: Sequence[Moment], step: 
         extent=EXTENT,
     )  # fmt: skip
     axes.fill(*moment.panel.T, fill=False, edgecolor="tab:orange", linewidth=1.5)
-    swollen = moment.task.occluders[-1].points
-    axes.plot(*swollen.T, ",", color="tab:orange")
+    axes.plot(*moment.task.occluders[-1].points.T, ",", color="tab:orange")
     _draw_targets(axes, moment.task.targets)
     trail = [m.view.position for m in moments[: step + 1] if m.view is not None]
     if trail:
@@ -172,7 +168,7 @@ def _draw_moment(axes: Axes, site: MappedSite, moments: Sequence[Moment], step: 
 
 def _draw_targets(axes: Axes, targets: Sequence[Target]) -> None:
     for target in targets:
-        colour = COLOURS.get(target.name, "tab:purple")
+        colour = COLOURS[target.name]
         axes.plot(*(target.position + target.outline).T, color=colour, linewidth=3)
         x, y = map(float, target.position)
         axes.annotate(target.name, (x - 2.0, y), color=colour, ha="right",

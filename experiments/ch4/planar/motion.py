@@ -29,9 +29,8 @@ from controllers.placement.task import PlacementError, View
 from experiments.ch3.planar.trial import PlanarTrial, Round, run_trial
 from experiments.ch3.planar.worlds import World
 from experiments.ch4.planar.scenes import make_lens, work_site, work_targets
+from perception.geometry.arrays import FloatArray, IntArray
 from perception.planar.raycast import scan
-
-Floats = NDArray[np.float64]
 
 PANEL = MovingObject("panel", np.array([[-1.5, -5.0], [1.5, -5.0], [1.5, 5.0], [-1.5, 5.0]]))
 START, END, STEP = 88.0, 52.0, 1.5
@@ -77,19 +76,13 @@ class Moment:
         step: Number of the approach's step.
         task: Targets, occluders and map as believed.
         view: View of the camera; None where nothing is seen.
-        moved: Whether the camera had to move.
         panel: (4, 2) corners where the panel truly is [m].
-        believed: Where it is believed to be.
-        watched: Whether the target is truly seen whole.
     """
 
     step: int
     task: PlanarTask
     view: View | None
-    moved: bool
-    panel: Floats
-    believed: PlanarPose
-    watched: bool
+    panel: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,36 +125,19 @@ class Approach:
 
     Attributes:
         moves: Number of moves of the camera after its first placement.
-        steps: Number of steps.
         placed: Number of steps that had a view.
         watched: Number of these at which the whole target was truly seen.
         target: (steps,) target watched: 0 primary, 1 secondary, -1 none.
         replan_ms: (steps,) processor time of planning [ms].
-        pose_error: (steps,) error of the panel's estimated position [m].
         metres: Distance that the camera moved [m].
     """
 
     moves: int
-    steps: int
     placed: int
     watched: int
-    target: NDArray[np.int64]
-    replan_ms: Floats
-    pose_error: Floats
+    target: IntArray
+    replan_ms: FloatArray
     metres: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Approaches:
-    """The same approach with hysteresis and without.
-
-    Attributes:
-        steady: With hysteresis.
-        plain: Without.
-    """
-
-    steady: Approach
-    plain: Approach
 
 
 def approach(
@@ -183,10 +159,10 @@ def approach(
     error = generator.multivariate_normal(np.zeros(3), START_SPREAD)
     believed = PlanarPose(START + error[0], 50.0 + error[1], error[2], START_SPREAD)
     static = take_out(site.mapped, PANEL, believed, SIGMAS)
-    present: Floats | None = None
-    view: View | None = None
-    rows: list[list[float]] = []
-    moves, metres = -1, 0.0
+    present: FloatArray | None = None
+    targets: list[int] = []
+    replans: list[float] = []
+    moves, metres, watched = -1, 0.0, 0
     for step in range(steps):
         if step > 0:
             true, believed = _carry(true, believed, generator)
@@ -200,37 +176,27 @@ def approach(
             view, moved = replace_camera(task, present, trial.factor)
         except PlacementError:
             view, moved = None, False
-        replan = 1e3 * (time.process_time() - begin)
+        replans.append(1e3 * (time.process_time() - begin))
+        panel = true.to_world(PANEL.outline)
+        targets.append(-1 if view is None else int(view.target == "secondary"))
         if view is not None:
             moves += moved
             metres += 0.0 if present is None else float(np.hypot(*(view.position - present)))
             present = view.position
-        panel = true.to_world(PANEL.outline)
-        watched = view is not None and _truly_seen(view, panel, site)
-        index = -1 if view is None else int(view.target == "secondary")
-        off = math.hypot(true.x - believed.x, true.y - believed.y)
-        rows.append([index, watched, replan, off])
+            watched += _truly_seen(view, panel, site)
         if observe is not None:
-            observe(Moment(step, task, view, moved, panel, believed, watched))
-    target, watched_at, replans, errors = np.array(rows, dtype=float).T
-    return Approach(
-        moves=max(moves, 0),
-        steps=len(rows),
-        placed=int(np.sum(target >= 0)),
-        watched=int(watched_at.sum()),
-        target=target.astype(int),
-        replan_ms=replans,
-        pose_error=errors,
-        metres=metres,
-    )
+            observe(Moment(step, task, view, panel))
+    target = np.array(targets)
+    placed = int(np.sum(target >= 0))
+    return Approach(max(moves, 0), placed, watched, target, np.array(replans), metres)
 
 
-def watch_approach(trial: MotionTrial) -> Approaches:
+def watch_approach(trial: MotionTrial) -> tuple[Approach, Approach]:
     """Map a site, then watch the panel with hysteresis and without; a job of the sweep."""
     site = map_site(trial.seed)
     approach(trial, site, steps=2)  # Loads the compiled code, so that no plan is timed with it.
     plain = approach(dataclasses.replace(trial, factor=1.0), site)
-    return Approaches(approach(trial, site), plain)
+    return approach(trial, site), plain
 
 
 def _carry(
@@ -254,7 +220,7 @@ def _carry(
 def _measure(
     true: PlanarPose,
     prior: PlanarPose,
-    camera: Floats,
+    camera: FloatArray,
     site: MappedSite,
     generator: np.random.Generator,
 ) -> PlanarPose:
@@ -268,7 +234,9 @@ def _measure(
     return fit_outline(PANEL, points + noise, deviation, prior)
 
 
-def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: MappedSite) -> Floats:
+def _seen_points(
+    corners: FloatArray, prior: PlanarPose, camera: FloatArray, site: MappedSite
+) -> FloatArray:
     """Return points on the panel's sides that face the camera, in its field of view and in sight.
 
     For this the camera turns for a moment from the target to where it believes the panel to be.
@@ -276,7 +244,7 @@ def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: Mappe
     ahead = np.array([prior.x, prior.y]) - camera
     ahead = ahead / np.linalg.norm(ahead)
     cell = site.world.grid.cell
-    points: list[Floats] = []
+    points: list[FloatArray] = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0)):
         edge = b - a
         if edge[1] * (camera[0] - a[0]) - edge[0] * (camera[1] - a[1]) <= 0.0:
@@ -293,7 +261,7 @@ def _seen_points(corners: Floats, prior: PlanarPose, camera: Floats, site: Mappe
     return np.array(points).reshape(-1, 2)
 
 
-def _truly_seen(view: View, panel: Floats, site: MappedSite) -> bool:
+def _truly_seen(view: View, panel: FloatArray, site: MappedSite) -> bool:
     """Tell whether the whole of the watched target is seen past the true panel and obstacles."""
     goal = next(target for target in work_targets() if target.name == view.target)
     truth = KnownSpace(site.solid.astype(float), site.world.grid.cell)

@@ -111,11 +111,8 @@ def _searches(options: Options, output: Output, seeds: Sequence[int]) -> None:
     ]
     results = sweep(compare_searches, trials, options, output, label="searches")
     rows: list[list[Any]] = []
-    matches: list[float] = []
     for index, (density, bound) in enumerate(SPEEDUPS.items()):
-        chosen = results[index * len(seeds) : (index + 1) * len(seeds)]
-        joined = concatenated(chosen)
-        matches += joined.matches.tolist()
+        joined = concatenated(results[index * len(seeds) : (index + 1) * len(seeds)])
         speedup = float(joined.exhaustive_s.sum() / joined.fast_s.sum())
         output.measure(f"search_speedup/{density}", speedup)
         output.check(f"search speedup at {density} %", speedup, f">= {bound:g}", speedup >= bound)
@@ -129,7 +126,7 @@ def _searches(options: Options, output: Output, seeds: Sequence[int]) -> None:
             output.measure(f"climb_gain/{density}", distribution(joined.gain[seen]))
             output.measure(f"cells_rating_fraction/{density}", distribution(joined.cells[seen]))
         rows += [[density, *values] for values in zip(*vars(joined).values())]
-    share = float(np.mean(matches))
+    share = float(concatenated(results).matches.mean())
     output.measure("search_match_fraction", share)
     output.check("fast search matches the exhaustive one", share, "== 1", share == 1.0)
     names = [field.name for field in dataclasses.fields(PlanarSearches)]
@@ -142,25 +139,21 @@ def _hulls(options: Options, output: Output, seeds: Sequence[int]) -> None:
     cases = QUICK_CASES if options.quick else CASES
     trials = [HullTrial(seed, cases) for seed in seeds]
     results = sweep(compare_sights, trials, options, output, label="hulls")
-    wrong = sum(int(r.false_visible.sum()) for r in results)
+    false_visible, visible, given_up = np.sum([dataclasses.astuple(r) for r in results], axis=0)
+    wrong = int(false_visible.sum())
     output.measure("hull_false_visible", wrong)
     output.measure("hull_cases", cases * len(seeds))
     output.check("hulls see what is hidden", wrong, "== 0", wrong == 0)
     for index, kind in enumerate(("convex", "map")):
-        visible = sum(int(r.visible[index]) for r in results)
-        given_up = sum(int(r.given_up[index]) for r in results)
-        if visible > 0:
-            output.measure(f"hull_given_up_fraction/{kind}", fraction(given_up, visible))
+        if visible[index] > 0:
+            share = fraction(int(given_up[index]), int(visible[index]))
+            output.measure(f"hull_given_up_fraction/{kind}", share)
     distances = np.geomspace(1.0, 30.0, 40)
     angles = occluded_angles(distances, RADIUS)
-    rows = np.degrees(angles)
-    output.table(
-        "figure_4-6",
-        ("distance [m]", "occluded [deg]", "by the hull [deg]"),
-        [[d, *row] for d, row in zip(distances, rows)],
-    )
-    output.measure("hull_extra_deg/near", float(rows[0, 1] - rows[0, 0]))
-    output.measure("hull_extra_deg/far", float(rows[-1, 1] - rows[-1, 0]))
+    rows = np.column_stack([distances, np.degrees(angles)])
+    output.table("figure_4-6", ("distance [m]", "occluded [deg]", "by the hull [deg]"), rows)
+    for place, row in (("near", rows[0]), ("far", rows[-1])):
+        output.measure(f"hull_extra_deg/{place}", float(row[2] - row[1]))
     output.figure("figure_4-6", draw_hull_cost(distances, angles))
 
 
@@ -168,12 +161,14 @@ def _motion(options: Options, output: Output, seeds: Sequence[int]) -> None:
     """Watch the panel approach, and draw and film the first seed's."""
     trials = [MotionTrial(seed, options.factor) for seed in seeds]
     results = sweep(watch_approach, trials, options, output, label="approaches")
-    steady, plains = [r.steady for r in results], [r.plain for r in results]
+    steady, plains = zip(*results)
     for ending, runs in (("", steady), ("/without_hysteresis", plains)):
         output.measure(f"replacements{ending}", distribution([run.moves for run in runs]))
         output.measure(f"camera_metres{ending}", distribution([run.metres for run in runs]))
         placed = sum(run.placed for run in runs)
-        output.measure(f"placed_fraction{ending}", fraction(placed, sum(r.steps for r in runs)))
+        output.measure(
+            f"placed_fraction{ending}", fraction(placed, sum(len(r.target) for r in runs))
+        )
         watched = sum(run.watched for run in runs)
         output.measure(f"watched_fraction{ending}", fraction(watched, max(placed, 1)))
     fewer = sum(r.moves for r in steady)
@@ -188,16 +183,8 @@ def _motion(options: Options, output: Output, seeds: Sequence[int]) -> None:
     output.check("processor time of a replan in ms, 95th percentile", p95, f"<= {VISION_PERIOD:g}",
                  p95 <= VISION_PERIOD)  # fmt: skip
     rows = [
-        [
-            seed,
-            r.steady.moves,
-            r.plain.moves,
-            r.steady.placed,
-            r.steady.watched,
-            r.steady.steps,
-            order,
-        ]
-        for seed, r, order in zip(seeds, results, orders)
+        [seed, run.moves, plain.moves, run.placed, run.watched, len(run.target), order]
+        for seed, run, plain, order in zip(seeds, steady, plains, orders)
     ]
     columns = ("seed", "moves", "without hysteresis", "placed", "watched", "steps", "targets")
     output.table("approaches", columns, rows)

@@ -3,17 +3,15 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from controllers.placement.planar.search import rating_field
 from experiments.ch4.planar.motion import STEP, MappedSite, Moment
+from experiments.harness.recording import closed, recording, viridis
+from perception.geometry.arrays import FloatArray
 from twin.layout import side_by_side
-
-Floats = NDArray[np.float64]
 
 SPACING = 2.0
 """Between the candidate places that are shown [m]."""
@@ -33,31 +31,23 @@ def record_approach(site: MappedSite, moments: Sequence[Moment], path: Path) -> 
         moments: Moments of the approach.
         path: File to write.
     """
-    stream = rr.RecordingStream("fieldtwin")
-    stream.save(path)
-    stream.send_blueprint(blueprint())
-    for moment in moments:
-        _log(stream, site, moment)
-    stream.flush()
-    stream.disconnect()
-
-
-def blueprint() -> rrb.Blueprint:
-    """Return the layout: the map, and the rating beside it."""
-    return side_by_side(
+    layout = side_by_side(
         rrb.Spatial2DView(origin="map", name="Map, hulls and ratings of places"),
         rrb.Vertical(
             rrb.TimeSeriesView(origin="curves/rating", name="Rating [1/m]"),
             rrb.TimeSeriesView(origin="curves/free_cap", name="Target field visibility [deg]"),
         ),
     )
+    with recording(path, layout) as stream:
+        for moment in moments:
+            _log(stream, site, moment)
 
 
 def _log(stream: rr.RecordingStream, site: MappedSite, moment: Moment) -> None:
     task, cell = moment.task, site.world.grid.cell
     rows = site.world.grid.rows
 
-    def pixels(points: Floats) -> Floats:
+    def pixels(points: FloatArray) -> FloatArray:
         """Return the picture's (x, y) of points (..., 2) [m]."""
         points = np.asarray(points, dtype=float) / cell
         return np.stack([points[..., 0], rows - points[..., 1]], axis=-1)
@@ -66,10 +56,10 @@ def _log(stream: rr.RecordingStream, site: MappedSite, moment: Moment) -> None:
     stream.set_time("step", sequence=moment.step)
     grey = (255.0 * (1.0 - task.space.probability[::-1])).astype(np.uint8)
     stream.log("map", rr.Image(grey, color_model="L").compress(95))
-    stream.log("map/panel/true", rr.LineStrips2D([_closed(pixels(moment.panel))], colors=[ORANGE]))
+    stream.log("map/panel/true", rr.LineStrips2D([closed(pixels(moment.panel))], colors=[ORANGE]))
     for target in task.targets:
         hulls = task.expanded(target)
-        strips = [_closed(pixels(target.position + hulls.hull(i))) for i in range(len(hulls.names))]
+        strips = [closed(pixels(target.position + hulls.hull(i))) for i in range(len(hulls.names))]
         stream.log(f"map/targets/{target.name}/hulls", rr.LineStrips2D(strips, colors=[GREY]))
         line = pixels(target.position + target.outline)
         colour = COLOURS[target.name]
@@ -80,8 +70,8 @@ def _log(stream: rr.RecordingStream, site: MappedSite, moment: Moment) -> None:
     ratings = rating_field(task, places).max(axis=0)
     seen = ratings > 0.0
     shade = np.sqrt(ratings[seen] / max(float(ratings.max()), 1e-12))
-    colours = (255 * np.asarray(matplotlib.colormaps["viridis"](shade))[:, :3]).astype(np.uint8)
-    stream.log("map/ratings", rr.Points2D(pixels(places[seen]), radii=0.9, colors=colours))
+    dots = rr.Points2D(pixels(places[seen]), radii=0.9, colors=viridis(shade))
+    stream.log("map/ratings", dots)
     view = moment.view
     if view is None:
         stream.log("map/camera", rr.Clear(recursive=True))
@@ -91,7 +81,3 @@ def _log(stream: rr.RecordingStream, site: MappedSite, moment: Moment) -> None:
     stream.log("map/camera/axis", rr.LineStrips2D([line], colors=[COLOURS[view.target]]))
     stream.log("curves/rating", rr.Scalars(view.rating))
     stream.log("curves/free_cap", rr.Scalars(np.degrees(view.free_cap)))
-
-
-def _closed(points: Floats) -> Floats:
-    return np.vstack([points, points[:1]])

@@ -7,7 +7,6 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.placement.moving import cell_centres
 from controllers.placement.planar.arc_search import ArcTask, search_arcs, search_rings
@@ -22,8 +21,7 @@ from controllers.placement.planar.sight import KnownSpace, sees_on_map, separate
 from controllers.placement.task import Occluder, PlacementError, Target
 from experiments.ch4.planar.scenes import BOX, convex_obstacle, face, random_task
 from experiments.harness import timing
-
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray, IntArray
 
 REPEATS = 20
 """How often the fast search runs for each timing; a single run is too short for the clock."""
@@ -79,14 +77,14 @@ class PlanarSearches:
         distance: (scenes,) distance of the optimum [m].
     """
 
-    matches: Floats
-    exhaustive_s: Floats
-    fast_s: Floats
-    placement_s: Floats
-    gain: Floats
-    cells: Floats
-    hulls: Floats
-    distance: Floats
+    matches: FloatArray
+    exhaustive_s: FloatArray
+    fast_s: FloatArray
+    placement_s: FloatArray
+    gain: FloatArray
+    cells: FloatArray
+    hulls: FloatArray
+    distance: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,9 +97,9 @@ class HullCounts:
         given_up: (2,) how often the hulls say hidden of a visible target.
     """
 
-    false_visible: NDArray[np.int64]
-    visible: NDArray[np.int64]
-    given_up: NDArray[np.int64]
+    false_visible: IntArray
+    visible: IntArray
+    given_up: IntArray
 
 
 def compare_searches(trial: PlanarSearchTrial) -> PlanarSearches:
@@ -142,7 +140,7 @@ def compare_searches(trial: PlanarSearchTrial) -> PlanarSearches:
 
 
 def _search(
-    kernel: Any, compiled: list[ArcTask], rings: Floats, candidates: RingCandidates
+    kernel: Any, compiled: list[ArcTask], rings: FloatArray, candidates: RingCandidates
 ) -> float:
     """Return the best rating by one of the searches [1/m]."""
     best = 0.0
@@ -153,7 +151,7 @@ def _search(
 
 
 def _repeat(
-    kernel: Any, compiled: list[ArcTask], rings: Floats, candidates: RingCandidates
+    kernel: Any, compiled: list[ArcTask], rings: FloatArray, candidates: RingCandidates
 ) -> None:
     """Search `REPEATS` times."""
     for _ in range(REPEATS):
@@ -213,7 +211,7 @@ def _random_target(generator: np.random.Generator) -> Target:
     return Target("target", np.array([10.0, 10.0]), normal, outline)
 
 
-def hulls_see(occluders: Any, target: Target, camera: Floats) -> bool:
+def hulls_see(occluders: Any, target: Target, camera: FloatArray) -> bool:
     """Tell whether the line to the reduced target misses all expanded occluders."""
     hulls = expand(occluders, target).hulls
     offset = camera - target.position
@@ -222,7 +220,7 @@ def hulls_see(occluders: Any, target: Target, camera: Floats) -> bool:
     return bool(cap > 0.0)
 
 
-def occluded_angles(distances: Floats, radius: float) -> Floats:
+def occluded_angles(distances: FloatArray, radius: float) -> FloatArray:
     """Return figure 4-6's angles for a box at distances before the target.
 
     The true one is found by bisection on the exact sight, the other is the hull's interval.

@@ -20,23 +20,19 @@ from controllers.placement.task import Lens, Occluder, Target
 from experiments.ch4.montecarlo import montecarlo as ch4_montecarlo
 from experiments.ch4.montecarlo.montecarlo import CHUNK, TABLE_4_1, Options, run, succeeded
 from experiments.ch4.montecarlo.orderings import compare_all, second_chance
-from experiments.ch4.montecarlo.scenario import SCENARIO
+from experiments.ch4.montecarlo.scenario import SCENARIO, ObstacleWorld, draw_worlds
 from experiments.ch4.montecarlo.sight import focus
 from experiments.ch4.montecarlo.trial import (
     DIRECTIONS,
     FIXED,
     OPTIMAL,
-    PERIODS,
     RANDOM,
     RINGS,
-    TRACK,
     GuidanceJob,
     GuidedTests,
-    ObstacleWorld,
     draw_chance,
     guide,
     run_tests,
-    worlds,
 )
 from experiments.harness.output import Output
 from models.compose import ROUGH, RobotPlacement, make_model, settle
@@ -97,38 +93,35 @@ def test_success_is_within_the_clearance_and_seen():
 def test_an_object_that_is_never_seen_drifts_all_the_way():
     chance = draw_chance(1)
     blocked = ObstacleWorld(np.zeros((0, 6, 2)), np.ones((240, 240)))
-    track = np.empty((PERIODS, len(TRACK)))
     expected = SCENARIO.prior * chance.constants[0]
     expected += SCENARIO.drift * SCENARIO.start * chance.slopes[0]
     for placement in (OPTIMAL, RANDOM, FIXED):
-        error, steps = guide(SCENARIO, blocked, chance, placement, True, track)
+        error, track = guide(SCENARIO, blocked, chance, placement, True)
         assert error == pytest.approx(expected)
-        assert not track[:steps, 3].any()
-        assert np.isnan(track[:steps, 1]).all()
+        assert not track[:, 3].any()
+        assert np.isnan(track[:, 1]).all()
 
 
 @pytest.mark.slow
 def test_arrival_error_has_the_spread_that_the_sightings_predict():
     # In the open all periods are seen; what is left is the last weighted error and a short drift.
     world = ObstacleWorld(np.zeros((0, 6, 2)), np.zeros((240, 240)))
-    track = np.empty((PERIODS, len(TRACK)))
     ratios = []
     for seed in range(150):
         chance = draw_chance(seed)
-        _, steps = guide(SCENARIO, world, chance, OPTIMAL, False, track)
-        assert (track[:steps, 3] == 1).all()
-        ratios.append(track[1:steps, 4] / track[1:steps, 5])
+        _, track = guide(SCENARIO, world, chance, OPTIMAL, False)
+        assert (track[:, 3] == 1).all()
+        ratios.append(track[1:, 4] / track[1:, 5])
     np.testing.assert_allclose(np.mean(np.square(ratios), axis=0), 1.0, atol=0.5)
 
 
 @pytest.mark.slow
 def test_optimal_pose_is_the_exhaustive_optimum_of_the_same_task():
     chance = draw_chance(8)
-    world = worlds(chance)[0][1]
-    track = np.empty((PERIODS, len(TRACK)))
-    _, steps = guide(SCENARIO, world, chance, OPTIMAL, True, track)
+    world = draw_worlds(chance.candidates)[1]
+    _, track = guide(SCENARIO, world, chance, OPTIMAL, True)
     half, marker = 0.5 * SCENARIO.side, SCENARIO.marker
-    for gap, x, y, _, _, sigma in track[[0, steps // 2, steps - 1]]:
+    for gap, x, y, _, _, sigma in track[[0, len(track) // 2, -1]]:
         near, far = focus(SCENARIO, gap, sigma)
         reach = [marker, 0.5 * gap + marker]
         outline = np.array([[sx, sy] for sx, sy in itertools.product((-1, 1), repeat=2)]) * reach
@@ -153,21 +146,20 @@ def test_optimal_pose_is_the_exhaustive_optimum_of_the_same_task():
 
 @pytest.mark.slow
 def test_random_cameras_move_only_when_they_see_nothing_and_fixed_ones_never():
-    track = np.empty((PERIODS, len(TRACK)))
     moved = 0
     for seed in range(10):
         chance = draw_chance(seed)
-        world = worlds(chance)[0][2]
-        _, steps = guide(SCENARIO, world, chance, RANDOM, True, track)
+        world = draw_worlds(chance.candidates)[2]
+        _, track = guide(SCENARIO, world, chance, RANDOM, True)
         first = track[0, 1:3].copy()
-        changes = np.any(np.diff(track[:steps, 1:3], axis=0) != 0.0, axis=1)
-        assert not changes[track[: steps - 1, 3] > 0].any()
+        changes = np.any(np.diff(track[:, 1:3], axis=0) != 0.0, axis=1)
+        assert not changes[track[:-1, 3] > 0].any()
         moved += changes.sum()
-        _, steps = guide(SCENARIO, world, chance, FIXED, True, track)
-        assert np.all(track[:steps, 1:3] == track[0, 1:3])
+        _, track = guide(SCENARIO, world, chance, FIXED, True)
+        assert np.all(track[:, 1:3] == track[0, 1:3])
         np.testing.assert_array_equal(track[0, 1:3], first)
-        _, steps = guide(SCENARIO._replace(stays=0.0), world, chance, RANDOM, True, track)
-        restless = np.any(np.diff(track[:steps, 1:3], axis=0) != 0.0, axis=1)
+        _, track = guide(SCENARIO._replace(stays=0.0), world, chance, RANDOM, True)
+        restless = np.any(np.diff(track[:, 1:3], axis=0) != 0.0, axis=1)
         assert restless.mean() > 0.9
     assert moved > 10
 

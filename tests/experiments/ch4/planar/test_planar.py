@@ -81,7 +81,7 @@ def test_approaching_panel_turns_the_camera_to_the_secondary_target_without_losi
     result = approach(trial, site)
     assert result.target[0] == 0
     assert result.target[-1] == 1
-    assert result.placed == result.steps
+    assert result.placed == len(result.target)
     assert result.watched == result.placed
     again = approach(dataclasses.replace(trial, factor=1.0), site)
     assert result.moves <= again.moves
