@@ -88,6 +88,11 @@ class Output:
             {"name": name, "value": plain(value), "bound": plain(bound), "ok": bool(ok)}
         )
 
+    def check_within(self, name: str, value: float, bounds: tuple[float, float]) -> None:
+        """Store whether a result lies between a lower and an upper bound; otherwise as `check`."""
+        low, high = bounds
+        self.check(name, float(value), f"{low:g} to {high:g}", bool(low <= value <= high))
+
     def figure(self, name: str, figure: "Figure") -> Path:
         """Write a figure to figures/NAME.png, clear it, and return where it will be.
 

@@ -1,9 +1,9 @@
-"""Cooperative stereo on rendered pairs: both rovers look at the panel and what stands about it.
+"""Cooperative stereo on rendered pairs: both rovers view the panel and what stands about it.
 
-The panel's markers, whose places on it are known, tell each robot where it is, and so the relative
-pose. Points that the first robot's stereo found are then sought in the second one's left image:
-their surroundings distorted as the surface about them, fitted to the first robot's own points, has
-it. The truth puts the arms where the panel is in view, and scores.
+The panel's markers, whose positions on it are known, give each robot's pose, and so the relative
+pose. Points of the first robot's stereo are then searched for in the second one's left image: their
+surroundings are warped by the surface fitted to the first robot's own points about them. The truth
+puts the arms where the panel is in view, and scores.
 """
 
 import dataclasses
@@ -13,22 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from experiments.ch3.motion.scores import joint_nees, rms, single_nees
+from experiments.ch3.motion.motion import in_both_images
+from experiments.ch3.motion.scores import Triangulated, found_or_none, fuse_sightings, rms
 from experiments.ch3.stereo.scene import CapturedPair, StereoScene
 from experiments.ch3.stereo.trial import target_cad
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.registration.cooperative import (
     RelativePose,
     SharedPoints,
-    fuse_views,
     relative_pose_by_target,
     triangulate_together,
 )
-from perception.registration.motion import RegistrationError
 from perception.registration.patch_matching import match_across, surface_normals
 from perception.registration.reprojection import Sighting
 from perception.registration.target import SeenTarget, find_target
@@ -36,123 +35,81 @@ from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher
 
 MARKER_SIGMA = (0.1, 0.1, 0.05)
-"""Deviations of a marker's column, row and disparity [px]."""
+"""Standard deviations of a marker's column, row and disparity [px]."""
 PLACE_SIGMA = 0.01
-"""Deviation of a point's column and row in the first view [px]: it is where it was chosen to be."""
-POINTS = 200  # Sought across, at most
-APART = 12.0  # Least distance of two of them [px]
+"""Standard deviation of a point's column and row in the first view [px]: it is where it was chosen
+to be."""
+POINTS = 200  # Greatest number of points searched for in the second view
+APART = 12.0  # Edge of the cells that hold one point each [px]
 DEPTH = (2,)
 """A point is what its pixel in the first view shows: it can be wrong along the ray alone."""
-POSTURES = 1200  # Of an arm, drawn until the panel is in view
-REACH = (0.6, 1.0, 1.0, 1.2)  # How far postures are drawn about the home posture [rad]
-MARGIN = 25.0  # Of the panel's markers from the border [px]
+POSTURES = 1200  # Postures of an arm that are drawn
+REACH = (0.6, 1.0, 1.0, 1.2)  # Greatest distance of a posture from the home posture [rad]
+MARGIN = 25.0  # Distance of the panel's markers from the border [px]
 GROSS = 0.02  # Errors beyond this are wrong matches [m].
 CASES = ("single", "fused", "bundle", "target", "perfect")
 WAYS = ("markers", "target", "bundle", "joint")
-"""Of telling the relative pose: the markers as mere points, as those of a known target, the points
-alone, and the points and the target together."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RenderedErrors:
-    """Errors over the rendered scenes.
-
-    Attributes:
-        errors: (runs,) r.m.s. errors of points [mm] by case.
-        nees: (runs,) squared errors over their covariance, per degree of freedom, by case.
-        images: (2, H, W) left images of both robots, of one scene.
-        matches: (N, 4) column and row in the first and in the second [px].
-    """
-
-    errors: dict[str, FloatArray]
-    nees: dict[str, FloatArray]
-    images: NDArray[np.uint8]
-    matches: FloatArray
+"""Estimates of the relative pose: by the markers as mere points, by the markers of a known target,
+by the points alone, and by the points and the target together."""
 
 
 @dataclasses.dataclass
-class RenderedPair:
+class RenderedPair(Triangulated):
     """One rendered scene, triangulated in every way that succeeds.
 
     Attributes:
-        errors: R.m.s. error of the points in the first camera by case [mm]; infinite where it
-            failed.
-        nees: Squared error over its covariance per degree of freedom by case; NaN where it failed.
         pose_errors: (2,) error of the relative pose by `WAYS` [mm, deg]; infinite where it failed.
         baseline_m: Distance between the two left cameras [m].
         images: (2, H, W) uint8 left images of both robots.
         marker_errors: (k, 3) errors of the markers' columns, rows and disparities [px].
-        matches: (N, 4) column and row in the first and in the second [px].
-        sought: Number of points sought in the second view.
-        matched: Number of points found there.
+        matches: (N, 4) column and row in the first and in the second image [px].
+        sought: Number of points searched for in the second view.
         range_m: Median distance of the points [m]; infinite without any.
-        agreed: (N,) whether triangulation kept each point, 0 or 1.
-        gross: (N,) whether a point that was kept is grossly wrong, 0 or 1.
+        agreed: (N,) whether triangulation kept each point.
+        gross: (N,) whether a point that was kept is grossly wrong.
     """
 
-    errors: dict[str, float]
-    nees: dict[str, float]
     pose_errors: dict[str, FloatArray]
     baseline_m: float
     images: NDArray[np.uint8]
     marker_errors: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
     matches: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 4)))
     sought: int = 0
-    matched: int = 0
     range_m: float = np.inf
-    agreed: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
-    gross: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(0))
+    agreed: BoolArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.bool_))
+    gross: BoolArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.bool_))
 
 
-@dataclasses.dataclass(frozen=True)
-class _Shared:
-    """Points found in both views: as the first robot sees them and as the second."""
-
-    first: Sighting
-    second: Sighting
-    sought: int
-
-
-def measure_rendered(options: contract.Options, output: Output) -> RenderedErrors:
+def measure_rendered(options: contract.Options, output: Output) -> list[RenderedPair]:
     """Triangulate rendered scenes over seeds.
 
     Args:
         options: ``quick`` takes 1 scene instead of 8.
-        output: Receives what matching and the target are worth; errors are returned.
+        output: Receives the results of matching and of the target; the errors of points are
+            returned.
     """
-    results = sweep(
-        triangulate_rendered, options.job_seeds(8, 1), options, output, label="cooperative scenes"
-    )
-    found = sum(r.matched for r in results)
-    sought = sum(r.sought for r in results)
+    seeds = options.job_seeds(8, 1)
+    results = sweep(triangulate_rendered, seeds, options, output, label="cooperative scenes")
+    found, sought = sum(len(r.matches) for r in results), sum(r.sought for r in results)
     output.measure("cooperative_matched_fraction", fraction(found, max(sought, 1)))
     agreed = np.concatenate([r.agreed for r in results])
-    gross = np.concatenate([r.gross for r in results])
     if len(agreed):
-        output.measure(
-            "cooperative_rejected_fraction", fraction(int((~(agreed > 0.5)).sum()), len(agreed))
-        )
-        wrong = int(np.sum((agreed > 0.5) & (gross > 0.5)))
+        rejected = int(np.sum(~agreed))
+        output.measure("cooperative_rejected_fraction", fraction(rejected, len(agreed)))
+        wrong = int(np.sum(agreed & np.concatenate([r.gross for r in results])))
         output.measure("cooperative_wrong_kept_fraction", fraction(wrong, len(agreed)))
-    for key in ("range_m", "baseline_m"):
-        output.measure(f"cooperative_{key}", distribution([getattr(r, key) for r in results]))
+    output.measure("cooperative_range_m", distribution([r.range_m for r in results]))
+    output.measure("cooperative_baseline_m", distribution([r.baseline_m for r in results]))
     for way in WAYS:
         for part, name in enumerate(("mm", "deg")):
-            values = [float(r.pose_errors[way][part]) for r in results]
+            values = [r.pose_errors[way][part] for r in results]
             output.measure(f"cooperative_pose_error_{name}/{way}", distribution(values))
     markers = np.concatenate([r.marker_errors for r in results])
-    for axis, values in zip(("column", "row", "disparity"), markers.T, strict=True):
-        if len(values):
-            output.measure(
-                f"cooperative_marker_error_px/{axis}", float(np.sqrt(np.mean(values**2)))
-            )
-    shown = results[0]
-    return RenderedErrors(
-        {case: np.array([r.errors[case] for r in results]) for case in CASES},
-        {case: np.array([r.nees[case] for r in results]) for case in CASES[1:]},
-        shown.images,
-        shown.matches,
-    )
+    if len(markers):
+        for axis, values in zip(("column", "row", "disparity"), markers.T, strict=True):
+            error = float(np.sqrt(np.mean(values**2)))
+            output.measure(f"cooperative_marker_error_px/{axis}", error)
+    return results
 
 
 def triangulate_rendered(seed: int) -> RenderedPair:
@@ -162,37 +119,49 @@ def triangulate_rendered(seed: int) -> RenderedPair:
     for name in scene.robot_names:
         face_panel(scene, name, rng)
     views = [scene.capture(name) for name in scene.robot_names]
-    result = _nothing(views)
+    first, second = (view.transform_camera_to_world for view in views)
+    truth = first.inv() * second
+    result = RenderedPair(
+        errors=dict.fromkeys(CASES, np.inf),
+        nees=dict.fromkeys(CASES, np.nan),
+        pose_errors={way: np.full(2, np.inf) for way in WAYS},
+        baseline_m=float(np.linalg.norm(second.translation - first.translation)),
+        images=np.stack([view.pair[0] for view in views]),
+    )
     cad = target_cad(scene)
-    found = [find_target(view.pair, scene.geometry, cad, MARKER_SIGMA) for view in views]
-    if found[0] is None or found[1] is None:
+    targets = [find_target(view.pair, scene.geometry, cad, MARKER_SIGMA) for view in views]
+    seen = [target for target in targets if target is not None]
+    if len(seen) < len(views):
         return result
-    seen = (found[0], found[1])
     result.marker_errors = _marker_errors(scene, views, seen)
-    truth = views[0].transform_camera_to_world.inv() * views[1].transform_camera_to_world
-    by_markers = _by_markers(seen, scene.geometry)
-    result.pose_errors["markers"] = _pose_error(by_markers, truth)
-    by_target = _by_target(seen, cad.points, scene.geometry)
-    result.pose_errors["target"] = _pose_error(by_target, truth)
+    one, other = (_sighting(target, scene.geometry) for target in seen)
+    markers = [cad.points[target.indices] for target in seen]
+    both = np.intersect1d(seen[0].indices, seen[1].indices)
+    by_markers = found_or_none(
+        triangulate_together,
+        one.chosen(np.isin(seen[0].indices, both)),
+        other.chosen(np.isin(seen[1].indices, both)),
+    )
+    if by_markers is not None:
+        result.pose_errors["markers"] = _pose_error(by_markers.relative, truth)
+    by_target = found_or_none(relative_pose_by_target, one, markers[0], other, markers[1])
     if by_target is None:
         return result
-    shared = _match(views, by_target, scene.geometry)
-    result.sought, result.matched = shared.sought, len(shared.first.image_points)
-    pixels = shared.first.image_points[:, :2]
-    result.matches = np.column_stack([pixels, shared.second.image_points[:, :2]])
+    result.pose_errors["target"] = _pose_error(by_target, truth)
+    one, other, result.sought = _match(views, by_target, scene.geometry)
+    pixels = one.image_points[:, :2]
+    result.matches = np.column_stack([pixels, other.image_points[:, :2]])
     if len(pixels):
-        depths = scene.true_depths(scene.robot_names[0], pixels)
-        disparities = scene.geometry.fx * scene.geometry.baseline / depths
-        true = scene.geometry.points(np.column_stack([pixels, disparities]))
-        _triangulate(result, shared, true, truth, by_target)
+        true = scene.true_points(scene.robot_names[0], pixels)
+        _triangulate(result, one, other, true, by_target, truth)
     return result
 
 
 def face_panel(scene: StereoScene, name: str, rng: np.random.Generator) -> None:
-    """Put an arm where the panel's markers are in view, near the middle and 1.1 m away if it can.
+    """Move an arm until the panel's markers are in view, near the middle and 1.1 m away if it can.
 
     Args:
-        scene: Its arm is moved.
+        scene: Scene whose arm is moved.
         name: Name of the robot.
         rng: Random generator for the postures.
 
@@ -208,9 +177,7 @@ def face_panel(scene: StereoScene, name: str, rng: np.random.Generator) -> None:
         scene.set_joints(name, angles)
         pose = scene.transform_camera_to_world(name)
         seen = g.project(pose.apply(markers, inverse=True))
-        inside = (seen[:, 0] - seen[:, 2] > MARGIN) & (seen[:, 0] < g.width - MARGIN)
-        inside &= (seen[:, 1] > MARGIN) & (seen[:, 1] < g.height - MARGIN)
-        if not inside.all() or scene.arm_touches(name):
+        if not in_both_images(g, seen, MARGIN).all() or scene.arm_touches(name):
             continue
         middle = g.project(pose.apply(panel.translation, inverse=True))[:2]
         away = float(np.linalg.norm(pose.translation - panel.translation))
@@ -222,22 +189,10 @@ def face_panel(scene: StereoScene, name: str, rng: np.random.Generator) -> None:
     scene.set_joints(name, best[1])
 
 
-def _nothing(views: Sequence[CapturedPair]) -> RenderedPair:
-    """Return the result of a scene in which nothing succeeds."""
-    places = [view.transform_camera_to_world.translation for view in views]
-    return RenderedPair(
-        dict.fromkeys(CASES, np.inf),
-        dict.fromkeys(CASES, np.nan),
-        {way: np.full(2, np.inf) for way in WAYS},
-        float(np.linalg.norm(places[1] - places[0])),
-        np.stack([view.pair[0] for view in views]),
-    )
-
-
 def _marker_errors(
     scene: StereoScene, views: Sequence[CapturedPair], seen: Sequence[SeenTarget]
 ) -> FloatArray:
-    """Hold markers (N, 3) [px] against where the faces of their dark discs truly are."""
+    """Return the errors (N, 3) [px] of the markers against the true faces of their dark discs."""
     errors: list[FloatArray] = []
     for view, target in zip(views, seen, strict=True):
         places = scene.panel.marker_points[target.indices]
@@ -247,29 +202,6 @@ def _marker_errors(
     return np.concatenate(errors)
 
 
-def _by_markers(seen: Sequence[SeenTarget], geometry: StereoGeometry) -> RelativePose | None:
-    """Return the relative pose by the markers as points of which nothing is known."""
-    both = np.intersect1d(seen[0].indices, seen[1].indices)
-    first, second = (
-        _sighting(target, geometry).chosen(np.isin(target.indices, both)) for target in seen
-    )
-    try:
-        return triangulate_together(first, second).relative
-    except RegistrationError:
-        return None
-
-
-def _by_target(
-    seen: Sequence[SeenTarget], markers: FloatArray, geometry: StereoGeometry
-) -> RelativePose | None:
-    """Return the relative pose by the target's CAD."""
-    one, two = (_sighting(target, geometry) for target in seen)
-    try:
-        return relative_pose_by_target(one, markers[seen[0].indices], two, markers[seen[1].indices])
-    except RegistrationError:
-        return None
-
-
 def _sighting(target: SeenTarget, geometry: StereoGeometry) -> Sighting:
     sigma = np.tile(MARKER_SIGMA, (len(target.indices), 1))
     return Sighting(target.image_points, sigma, geometry)
@@ -277,31 +209,25 @@ def _sighting(target: SeenTarget, geometry: StereoGeometry) -> Sighting:
 
 def _match(
     views: Sequence[CapturedPair], relative: RelativePose, geometry: StereoGeometry
-) -> _Shared:
-    """Find points of the first robot's stereo in the second's view."""
+) -> tuple[Sighting, Sighting, int]:
+    """Find points of the first robot's stereo in the second's view; also how many were sought."""
     cloud = StereoMatcher(geometry).match(views[0].pair)
     second = relative.transform_second_to_first
     there = geometry.project(second.apply(cloud.points, inverse=True))
-    inside = (there[:, 0] - there[:, 2] > MARGIN) & (there[:, 0] < geometry.width - MARGIN)
-    inside &= (there[:, 1] > MARGIN) & (there[:, 1] < geometry.height - MARGIN)
+    inside = in_both_images(geometry, there, MARGIN)
     chosen = _spaced(cloud.pixels, np.flatnonzero(inside))
     seen = np.column_stack([cloud.pixels[chosen], cloud.disparities[chosen]])
     normals = surface_normals(cloud.points[chosen], cloud.points)
     across = match_across(views[0].pair, views[1].pair, seen, normals, geometry, second)
-    found = across.found
-    sigma = np.full((len(chosen), 3), PLACE_SIGMA)
-    sigma[:, 2] = cloud.sigmas[chosen]
-    return _Shared(
-        Sighting(seen[found], sigma[found], geometry),
-        Sighting(across.image_points[found], across.sigma[found], geometry),
-        len(chosen),
-    )
+    sigma = np.column_stack([np.full((len(chosen), 2), PLACE_SIGMA), cloud.sigmas[chosen]])
+    first = Sighting(seen, sigma, geometry).chosen(across.found)
+    other = Sighting(across.image_points, across.sigma, geometry).chosen(across.found)
+    return first, other, len(chosen)
 
 
-def _spaced(pixels: FloatArray, candidates: NDArray[np.intp]) -> NDArray[np.intp]:
+def _spaced(pixels: FloatArray, candidates: IndexArray) -> IndexArray:
     """Return some candidates, no two of them near one another: one for each cell of a grid."""
-    edge = APART
-    cells = np.floor(pixels[candidates] / edge).astype(int)
+    cells = np.floor(pixels[candidates] / APART).astype(int)
     _, first = np.unique(cells, axis=0, return_index=True)
     step = max(1, -(-len(first) // POINTS))
     return candidates[np.sort(first)[::step]]
@@ -309,54 +235,36 @@ def _spaced(pixels: FloatArray, candidates: NDArray[np.intp]) -> NDArray[np.intp
 
 def _triangulate(
     result: RenderedPair,
-    shared: _Shared,
+    first: Sighting,
+    second: Sighting,
     true: FloatArray,
-    truth: RigidTransform,
     by_target: RelativePose,
+    truth: RigidTransform,
 ) -> None:
-    """Enter what each case makes of the matched points."""
-    first, second = shared.first, shared.second
+    """Triangulate the matched points in each way and score them."""
     result.range_m = float(np.median(true[:, 2]))
     found: dict[str, SharedPoints] = {}
-    priors = {
-        "bundle": None,
-        "target": by_target,
-        "perfect": RelativePose(truth, np.zeros((6, 6))),
-    }
-    for case, prior in priors.items():
-        try:
-            found[case] = triangulate_together(first, second, prior)
-        except RegistrationError:
-            continue
-        result.errors[case] = rms(found[case].points - true[found[case].inliers])
-        result.nees[case] = joint_nees(found[case], true, DEPTH)
+    exact = RelativePose(truth, np.zeros((6, 6)))
+    for case, prior in (("bundle", None), ("target", by_target), ("perfect", exact)):
+        shared = found_or_none(triangulate_together, first, second, prior)
+        if shared is not None:
+            found[case] = shared
+            result.score_shared(case, shared, true, DEPTH)
     for way, case in (("bundle", "bundle"), ("joint", "target")):
         if case in found:
             result.pose_errors[way] = _pose_error(found[case].relative, truth)
     if "target" not in found:
         return
-    kept = found["target"].inliers
-    alone = first.geometry.points(first.image_points)
-    other = second.geometry.points(second.image_points)
-    fused = fuse_views(
-        alone[kept],
-        first.geometry.covariance(alone, first.sigma)[kept],
-        other[kept],
-        second.geometry.covariance(other, second.sigma)[kept],
-        by_target,
-    )
-    result.errors["single"] = rms(alone[kept] - true[kept])
-    result.errors["fused"] = rms(fused.points - true[kept])
-    result.nees["fused"] = single_nees(fused.points - true[kept], fused.covariances, DEPTH)
-    gross = np.zeros(len(kept))
-    gross[kept] = np.linalg.norm(found["target"].points - true[kept], axis=1) > GROSS
-    result.agreed, result.gross = kept.astype(float), gross
+    result.agreed = kept = found["target"].inliers
+    first, second, true = first.chosen(kept), second.chosen(kept), true[kept]
+    result.errors["single"] = rms(first.geometry.points(first.image_points) - true)
+    result.score_fused("fused", fuse_sightings(first, second, by_target), true, DEPTH)
+    result.gross = np.zeros(len(kept), np.bool_)
+    result.gross[kept] = np.linalg.norm(found["target"].points - true, axis=1) > GROSS
 
 
-def _pose_error(estimate: RelativePose | None, truth: RigidTransform) -> FloatArray:
-    """Return how far off a relative pose is, [mm, deg]; infinite if there is none."""
-    if estimate is None:
-        return np.full(2, np.inf)
+def _pose_error(estimate: RelativePose, truth: RigidTransform) -> FloatArray:
+    """Return the error of a relative pose [mm, deg]."""
     off = truth * estimate.transform_second_to_first.inv()
     apart = estimate.transform_second_to_first.translation - truth.translation
     return np.array([1000.0 * float(np.linalg.norm(apart)), np.degrees(off.rotation.magnitude())])

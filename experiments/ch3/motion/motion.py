@@ -16,11 +16,11 @@ from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.motion.figures import error_figure
 from experiments.ch3.motion.scores import Followed, millimetres, normalised_error
+from experiments.ch3.stereo.scene import HEAD
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from models.datasheets import CAMERA
 from perception.geometry.arrays import FloatArray
 from perception.registration.fiducial_map import FiducialMap
 from perception.registration.motion import SOLVERS, RegistrationError, estimate_motion
@@ -29,15 +29,16 @@ from perception.stereo.geometry import StereoGeometry
 
 STEPS = 30
 REPORTED = (1, 5, 15, 30)
-RANGES = {"1100mm": 1.1, "350mm": 0.35}  # [m], mean distance of the fiducials
-DEPTH_SPREAD = 0.2  # Depths are within this share of the mean distance.
+RANGES = {"1100mm": 1.1, "350mm": 0.35}  # Mean distance of the fiducials [m]
+DEPTH_SHARE = 0.2  # Depths are within this share of the mean distance.
 FEW, MANY = 6, 30
 PERSISTENT = "persistent"
+FOLLOWED = (*SOLVERS, PERSISTENT)
 SPARE = 6  # Fiducials of the map in view beyond those measured, so that a next view has enough.
 COARSE = 0.25
-"""Image noise [px] at which the thesis' solvers are compared: what its cameras may have had."""
+"""Image noise [px] at which the thesis' solvers are compared; its cameras may have had as much."""
 FINE = 0.05
-"""Image noise [px] of the tracker here on rendered pairs, see `ch3_motion_rendered`."""
+"""Image noise [px] of the tracker here on rendered pairs, see `rendered`."""
 
 COLUMNS = (
     "range",
@@ -53,43 +54,12 @@ COLUMNS = (
 )
 RATIO_BOUND = 0.1
 GROWTH_BOUND = 1.5
-BORDER = 10.0  # [px] that tracking needs around a fiducial
-
-HEAD = StereoGeometry(*CAMERA.pinhole.intrinsics, CAMERA.baseline)
-
-
-@dataclasses.dataclass(frozen=True)
-class ArmMotion:
-    """Random motion about where the arm began; each step forgets a little of the last.
-
-    Shifts scale with the range, so that successive views overlap as much far away as near.
-
-    Attributes:
-        share: Standard deviation of the camera's position along each axis, in the long run, over
-            the mean distance of the fiducials: 6 cm at 1.1 m.
-        degrees: Standard deviation of its rotation about each axis [deg].
-        memory: Correlation of one step with the last; 0.9 makes steps 0.45 of the deviations.
-    """
-
-    share: float = 0.055
-    degrees: float = 8.0
-    memory: float = 0.9
-
-    def draw(self, rng: np.random.Generator, steps: int, distance: float) -> list[RigidTransform]:
-        """Return steps + 1 poses of the camera in the first one's frame.
-
-        Args:
-            rng: Random generator for the motion.
-            steps: Number of motions.
-            distance: Mean distance of the fiducials [m].
-        """
-        scale = np.repeat([np.radians(self.degrees), self.share * distance], 3)
-        away, poses = np.zeros(6), [RigidTransform.identity()]
-        for _ in range(steps):
-            fresh = np.sqrt(1.0 - self.memory**2) * rng.standard_normal(6)
-            away = self.memory * away + fresh
-            poses.append(RigidTransform.from_exp_coords(scale * away))
-        return poses
+BORDER = 10.0  # Width that tracking needs around a fiducial [px]
+SHIFT, TURN = 0.055, np.radians(8.0)
+"""Standard deviations, in the long run, of the camera's position along each axis over the mean
+distance of the fiducials (6 cm at 1.1 m), and of its rotation about each axis [rad]."""
+MEMORY = 0.9
+"""Correlation of one step with the last; 0.9 makes steps 0.45 of the deviations."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,34 +86,41 @@ def measure_motion(options: contract.Options, output: Output) -> None:
 
     Args:
         options: ``quick`` takes 6 seeds instead of 100, and the coarse noise alone.
-        output: Receives ``motion_error_mm/<solver>/<range>/<steps>`` and what hangs on them, the
-            table ``motion_error`` and the figure ``figure_3-24``.
+        output: Receives ``motion_error_mm/<solver>/<range>/<steps>`` and the quantities derived
+            from them, the table ``motion_error`` and the figure ``figure_3-24``.
     """
-    cases = [(FEW, COARSE), (MANY, COARSE)] if options.quick else _all_cases()
-    configs = [
-        CameraTrial(seed, name, count, sigma)
-        for count, sigma in cases
-        for name in RANGES
-        for seed in options.job_seeds(100, 6)
-    ]
+    noises = (COARSE,) if options.quick else (COARSE, FINE)
+    cases = [(name, count, sigma) for sigma in noises for count in (FEW, MANY) for name in RANGES]
+    configs = [CameraTrial(seed, *case) for case in cases for seed in options.job_seeds(100, 6)]
     results = sweep(accumulate, configs, options, output, label="motions")
-    groups: dict[tuple[int, float, str], list[Followed]] = {}
-    for config, result in zip(configs, results, strict=True):
-        key = (config.fiducials, config.sigma, config.range)
-        groups.setdefault(key, []).append(result)
-    rows: list[list[Any]] = []
-    for (count, sigma, name), group in groups.items():
-        _measure_errors(group, count, sigma, name, output)
-        rows += _rows(group, (name, count, sigma))
+    each = len(results) // len(cases)
+    groups = {case: results[i * each : (i + 1) * each] for i, case in enumerate(cases)}
+    rows = [row for case, group in groups.items() for row in _measure_errors(group, *case, output)]
     output.table("motion_error", COLUMNS, rows)
-    _check(groups, output)
-    few = {name: groups[FEW, COARSE, name] for name in RANGES}
-    many = {name: groups[MANY, COARSE, name] for name in RANGES}
-    output.figure("figure_3-24", error_figure(few, many, (*SOLVERS, PERSISTENT), COARSE))
+    _check({name: groups[name, FEW, COARSE] for name in RANGES}, output)
+    drawn = {(name, count): groups[name, count, COARSE] for name in RANGES for count in (FEW, MANY)}
+    output.figure("figure_3-24", error_figure(drawn, FOLLOWED, COARSE))
 
 
-def _all_cases() -> list[tuple[int, float]]:
-    return [(count, sigma) for sigma in (COARSE, FINE) for count in (FEW, MANY)]
+def draw_motion(rng: np.random.Generator, steps: int, distance: float) -> list[RigidTransform]:
+    """Draw a random motion about the first pose; each step forgets a little of the last.
+
+    Shifts scale with the distance, so that successive views overlap as much far away as near.
+
+    Args:
+        rng: Random generator for the motion.
+        steps: Number of motions.
+        distance: Mean distance of the fiducials [m].
+
+    Returns:
+        steps + 1 poses of the camera in the first one's frame.
+    """
+    scale = np.repeat([TURN, SHIFT * distance], 3)
+    away, poses = np.zeros(6), [RigidTransform.identity()]
+    for _ in range(steps):
+        away = MEMORY * away + np.sqrt(1.0 - MEMORY**2) * rng.standard_normal(6)
+        poses.append(RigidTransform.from_exp_coords(scale * away))
+    return poses
 
 
 def accumulate(trial: CameraTrial) -> Followed:
@@ -151,7 +128,7 @@ def accumulate(trial: CameraTrial) -> Followed:
     streams = np.random.SeedSequence(trial.seed).spawn(3)
     path, chain, world = (np.random.default_rng(stream) for stream in streams)
     distance = RANGES[trial.range]
-    poses = ArmMotion().draw(path, trial.steps, distance)
+    poses = draw_motion(path, trial.steps, distance)
     chained = follow_by_motions(poses, distance, trial.fiducials, trial.sigma, chain)
     mapped = follow_by_map(poses, distance, trial.fiducials, trial.sigma, world)
     return Followed(chained.errors | mapped.errors, chained.nees | mapped.nees)
@@ -212,7 +189,7 @@ def follow_by_map(
 ) -> Followed:
     """Register each view to a growing map of fiducials that stay.
 
-    Of those in the map a view measures `count` at most, those known best, to be registered; new
+    A view measures at most `count` fiducials of the map, those known best, to be registered; new
     ones are added until some are to spare for the next view.
 
     Args:
@@ -224,12 +201,12 @@ def follow_by_map(
     """
     truth = _surroundings(rng, distance, 15.0 if count <= FEW else 2.5 * count)
     fiducials = FiducialMap(HEAD, np.full(3, sigma))
-    numbers = np.full(len(truth), -1)  # Of the truth's points in the map.
+    numbers = np.full(len(truth), -1)  # Index of each true point in the map.
     errors, nees = np.full(len(poses) - 1, np.inf), np.full(len(poses) - 1, np.nan)
     for step, pose in enumerate(poses):
         image = HEAD.project(pose.apply(truth, inverse=True))
         image = image + sigma * rng.standard_normal(image.shape)
-        visible = np.flatnonzero(_in_view(image))
+        visible = np.flatnonzero(in_both_images(HEAD, image, BORDER))
         known, new = visible[numbers[visible] >= 0], visible[numbers[visible] < 0]
         new = new[: max(count + SPARE - len(known), 0)]
         if step == 0:
@@ -240,7 +217,7 @@ def follow_by_map(
         try:
             seen = fiducials.observe(numbers[known], image[known], new=image[new], rng=rng)
         except RegistrationError:
-            continue  # Too few are in view; a later view may know its place again.
+            continue  # Too few are in view; a later view may be registered again.
         numbers[new] = seen.added
         registration = seen.registration
         errors[step - 1] = millimetres(registration.transform_camera_to_world, pose)
@@ -266,7 +243,7 @@ def points_in_both_views(
     """
     found = np.zeros((0, 3))
     for _ in range(100):
-        depths = distance * rng.uniform(1.0 - DEPTH_SPREAD, 1.0 + DEPTH_SPREAD, 4 * count)
+        depths = distance * rng.uniform(1.0 - DEPTH_SHARE, 1.0 + DEPTH_SHARE, 4 * count)
         image = np.column_stack(
             [
                 rng.uniform(0.0, HEAD.width, 4 * count),
@@ -274,24 +251,32 @@ def points_in_both_views(
                 HEAD.fx * HEAD.baseline / depths,
             ]
         )
-        points = HEAD.points(image[_in_view(image)])
-        again = _in_view(HEAD.project(motion.apply(points, inverse=True)))
-        found = np.concatenate([found, points[again]])
+        points = HEAD.points(image[in_both_images(HEAD, image, BORDER)])
+        again = HEAD.project(motion.apply(points, inverse=True))
+        found = np.concatenate([found, points[in_both_images(HEAD, again, BORDER)]])
         if len(found) >= count:
             return found[:count]
     raise ValueError(f"two views overlap too little for {count} fiducials at {distance} m")
 
 
-def _in_view(image: FloatArray) -> NDArray[np.bool_]:
-    """Say which points both eyes see, away from the border."""
-    columns, rows, disparities = image.T
-    inside = (columns - disparities >= BORDER) & (columns < HEAD.width - BORDER)
-    return inside & (rows >= BORDER) & (rows < HEAD.height - BORDER) & (disparities > 0.0)
+def in_both_images(
+    geometry: StereoGeometry, image_points: FloatArray, border: float
+) -> NDArray[np.bool_]:
+    """Return (N,) which points both cameras see, away from the border.
+
+    Args:
+        geometry: Geometry of the stereo pair.
+        image_points: (N, 3) columns, rows and disparities [px].
+        border: Least distance from the border of either image [px].
+    """
+    columns, rows, disparities = image_points.T
+    inside = (columns - disparities > border) & (columns < geometry.width - border)
+    return inside & (rows > border) & (rows < geometry.height - border)
 
 
 def _surroundings(rng: np.random.Generator, distance: float, in_view: float) -> FloatArray:
     """Draw (N, 3) points around a view, so that about so many are in one view."""
-    depth = np.array([1.0 - DEPTH_SPREAD, 1.0 + DEPTH_SPREAD]) * distance
+    depth = np.array([1.0 - DEPTH_SHARE, 1.0 + DEPTH_SHARE]) * distance
     half = np.tan(np.radians([40.0, 35.0])) * distance + 0.1
     view = np.array([HEAD.width / HEAD.fx, HEAD.height / HEAD.fy]) / 2.0 * distance
     count = int(in_view * np.prod(half / view))
@@ -300,58 +285,46 @@ def _surroundings(rng: np.random.Generator, distance: float, in_view: float) -> 
 
 
 def _measure_errors(
-    group: Sequence[Followed], count: int, sigma: float, name: str, output: Output
-) -> None:
-    """Store the errors of one case, with its number of fiducials and noise if not the usual."""
+    group: Sequence[Followed], name: str, count: int, sigma: float, output: Output
+) -> list[list[Any]]:
+    """Store the errors of one case, with its number of fiducials and noise if not the usual.
+
+    Returns:
+        A row of the table for each solver and reported step.
+    """
+    rows: list[list[Any]] = []
     suffix = "" if count == FEW else f"_{count}"
     prefix = "motion_error_mm" if sigma == COARSE else f"motion_error_mm_at_{sigma:g}px"
-    for solver in (*SOLVERS, PERSISTENT):
+    for solver in FOLLOWED:
         errors = np.array([result.errors[solver] for result in group])
         for steps in REPORTED:
-            key = f"{prefix}/{solver}{suffix}/{name}/{steps}"
-            output.measure(key, distribution(errors[:, steps - 1]))
+            reached = errors[:, steps - 1]
+            summary = distribution(reached)
+            output.measure(f"{prefix}/{solver}{suffix}/{name}/{steps}", summary)
+            interval = [summary[key] for key in ("median", "low", "high")]
+            square = float(np.sqrt(np.mean(reached**2)))
+            rows.append([name, count, sigma, solver, steps, *interval, square, summary["n"]])
         lost = fraction(int(np.isinf(errors).sum()), errors.size)
         output.measure(f"{prefix}/views_lost/{solver}{suffix}/{name}", lost)
     for solver in ("ml", PERSISTENT):
         values = np.array([result.nees[solver] for result in group])
         kind = prefix.replace("error_mm", "nees")
         output.measure(f"{kind}/{solver}{suffix}/{name}", float(np.nanmean(values)))
-
-
-def _rows(group: Sequence[Followed], case: tuple[Any, ...]) -> list[list[Any]]:
-    """Return one row for each solver and reported step."""
-    rows: list[list[Any]] = []
-    for solver in (*SOLVERS, PERSISTENT):
-        errors = np.array([result.errors[solver] for result in group])
-        for steps in REPORTED:
-            summary = distribution(errors[:, steps - 1])
-            square = float(np.sqrt(np.mean(errors[:, steps - 1] ** 2)))
-            row = [*case, solver, steps, summary["median"], summary["low"], summary["high"], square]
-            rows.append([*row, summary["n"]])
     return rows
 
 
-def _check(groups: Mapping[tuple[int, float, str], Sequence[Followed]], output: Output) -> None:
-    """Hold likelihood against the linear solution, and the map against its own start."""
+def _check(groups: Mapping[str, Sequence[Followed]], output: Output) -> None:
+    """Hold likelihood against the linear solution, and the map against its own start, by range."""
 
     def median(solver: str, steps: int, name: str) -> float:
-        group = groups[FEW, COARSE, name]
-        return float(np.median([result.errors[solver][steps - 1] for result in group]))
+        return float(np.median([result.errors[solver][steps - 1] for result in groups[name]]))
 
     ratio = median("ml", 15, "1100mm") / median("linear", 15, "1100mm")
     output.measure("motion_error_ratio/ml_over_linear", ratio)
-    output.check(
-        "error of ml over linear at 1100 mm after 15 steps",
-        ratio,
-        f"<= {RATIO_BOUND:g}",
-        ratio <= RATIO_BOUND,
-    )
-    for name in RANGES:
+    subject, bound = "error of ml over linear at 1100 mm after 15 steps", f"<= {RATIO_BOUND:g}"
+    output.check(subject, ratio, bound, ratio <= RATIO_BOUND)
+    for name in groups:
         growth = median(PERSISTENT, 30, name) / median(PERSISTENT, 5, name)
         output.measure(f"motion_error_ratio/persistent_30_over_5/{name}", growth)
-        output.check(
-            f"error with persistent fiducials at {name}, step 30 over step 5",
-            growth,
-            f"<= {GROWTH_BOUND:g}",
-            growth <= GROWTH_BOUND,
-        )
+        subject = f"error with persistent fiducials at {name}, step 30 over step 5"
+        output.check(subject, growth, f"<= {GROWTH_BOUND:g}", growth <= GROWTH_BOUND)

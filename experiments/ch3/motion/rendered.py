@@ -1,8 +1,8 @@
 """Camera motion on rendered pairs: fiducials chosen, tracked and registered, as on the robots.
 
 A stereo head looks at a cluttered scene from a mean distance and moves as an arm would move it.
-What the arm's joints say of a motion is wrong by some millimetres and tenths of a degree; it only
-starts the search. The true poses serve to score.
+The motion by the arm's joints is wrong by some millimetres and tenths of a degree; it only starts
+the search. The true poses serve to score.
 """
 
 import dataclasses
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from experiments.ch3.motion.figures import tracking_figure
-from experiments.ch3.motion.motion import PERSISTENT, RANGES, ArmMotion
-from experiments.ch3.motion.scores import Followed, millimetres, normalised_error
+from experiments.ch3.motion.motion import FOLLOWED, PERSISTENT, RANGES, draw_motion
+from experiments.ch3.motion.scores import Followed, found_or_none, millimetres, normalised_error
 from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
@@ -36,28 +36,37 @@ CHOSEN = 10  # A few more are chosen, since some are lost on the way.
 MAPPED = 14  # Fiducials of the map that are wanted in view.
 SHOWN = 3  # Views of figure 3-23.
 SIGMA = (0.03, 0.03, 0.05)
-"""Deviations of a column, row and disparity [px] by which sets of fiducials are judged; each match
-brings its own."""
+"""Standard deviations of a column, row and disparity [px] by which sets of fiducials are judged;
+each match brings its own."""
 
 NEAREST, RANGE_TOLERANCE = 0.6, 0.15
-"""Nearest and mean depth in the first view over the range that is asked for."""
+"""Least nearest depth in the first view, and greatest error of its mean depth, over the range."""
 
 PLACE_SIGMA = 0.01
-"""Deviation of the column and row of a new fiducial [px]: it is where it was chosen to be."""
+"""Standard deviation of the column and row of a new fiducial [px]: it is where it was chosen to
+be."""
 
 ARM_DEGREES, ARM_METRES = 0.3, 0.003
-"""Standard deviation of what the joints say of a step, about and along each axis."""
+"""Standard deviations of a step by the joints, about and along each axis."""
 
 
 @dataclasses.dataclass
 class _View:
-    """One pose of the head: what it saw, where it was, and what the joints said of the step."""
+    """One view of the head.
+
+    Attributes:
+        pair: (2, H, W) uint8 left and right image.
+        pose: True transform from the left camera to the world.
+        reported: Transform from this view's camera to the last one's, by the arm's joints.
+        measured: (N, 3) columns, rows and disparities of the stereo match [px].
+        sigma: (N, 3) standard deviations of `measured` [px].
+    """
 
     pair: NDArray[np.uint8]
     pose: RigidTransform
-    reported: RigidTransform  # To the last view, by the arm's joints.
-    measured: FloatArray  # (N, 3) columns, rows, disparities of the stereo match [px].
-    sigma: FloatArray  # (N, 3) of them.
+    reported: RigidTransform
+    measured: FloatArray
+    sigma: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +75,7 @@ class RenderedTrial:
 
     Attributes:
         seed: Random seed of scene and motion.
-        range: Mean distance of what is seen, a key of `RANGES`.
+        range: Mean distance of the surface in view, a key of `RANGES`.
         steps: Number of motions.
     """
 
@@ -81,16 +90,14 @@ class RenderedRun(Followed):
 
     Attributes:
         tracking: (N, 3) errors of the tracked columns, rows and disparities [px].
-        sought: Number of fiducials sought.
-        found: Number of fiducials tracked.
+        sought: Number of fiducials searched for.
         images: (SHOWN, H, W) uint8 first left images.
-        with_previous: For each image (N, 3) the fiducials tracked from the one before.
-        with_next: For each image (N, 3) the fiducials tracked to the one after.
+        with_previous: (N, 3) fiducials of each image that were tracked from the one before [px].
+        with_next: (N, 3) fiducials of each image that were tracked to the one after [px].
     """
 
     tracking: FloatArray
     sought: int
-    found: int
     images: NDArray[np.uint8]
     with_previous: tuple[FloatArray, ...]
     with_next: tuple[FloatArray, ...]
@@ -108,22 +115,22 @@ def measure_rendered_motion(options: contract.Options, output: Output) -> None:
     results = sweep(follow_rendered, configs, options, output, label="rendered motions")
     for name in RANGES:
         group = [r for c, r in zip(configs, results, strict=True) if c.range == name]
-        for solver in (*SOLVERS, PERSISTENT):
+        for solver in FOLLOWED:
             errors = np.array([result.errors[solver] for result in group])
             for steps in REPORTED:
                 key = f"motion_rendered_mm/{solver}/{name}/{steps}"
                 output.measure(key, distribution(errors[:, steps - 1]))
         for solver in ("ml", PERSISTENT):
             values = np.concatenate([result.nees[solver] for result in group])
-            output.measure(f"motion_rendered_nees/{solver}/{name}", _median(values))
+            output.measure(f"motion_rendered_nees/{solver}/{name}", float(np.nanmedian(values)))
         errors = np.concatenate([result.tracking for result in group])
         for axis, column in zip(("column", "row", "disparity"), errors.T, strict=True):
-            output.measure(f"tracking_error_px/{axis}/{name}", _robust_sigma(column))
+            sigma = 1.4826 * float(np.median(np.abs(column)))
+            output.measure(f"tracking_error_px/{axis}/{name}", sigma)
         outliers = int(np.sum(np.abs(errors).max(axis=1) > 1.0))
         output.measure(f"tracking_outlier_fraction/{name}", fraction(outliers, len(errors)))
-        found = sum(result.found for result in group)
         sought = sum(result.sought for result in group)
-        output.measure(f"tracked_fraction/{name}", fraction(found, sought))
+        output.measure(f"tracked_fraction/{name}", fraction(len(errors), sought))
     shown = results[0]
     figure = tracking_figure(list(shown.images), shown.with_previous, shown.with_next)
     output.figure("figure_3-23", figure)
@@ -131,11 +138,10 @@ def measure_rendered_motion(options: contract.Options, output: Output) -> None:
 
 def follow_rendered(trial: RenderedTrial) -> RenderedRun:
     """Move a rendered camera and follow it by every solver and by the map; a job of the sweep."""
-    steps = trial.steps
     views, scene = _views(trial)
     chained = {solver: RigidTransform.identity() for solver in SOLVERS}
-    errors = {solver: np.full(steps, np.inf) for solver in SOLVERS}
-    nees = np.full(steps, np.nan)
+    errors = {solver: np.full(trial.steps, np.inf) for solver in SOLVERS}
+    nees = np.full(trial.steps, np.nan)
     tracks: list[Tracks] = []
     for step, (last, view) in enumerate(zip(views[:-1], views[1:], strict=True)):
         chosen = select_fiducials(
@@ -147,55 +153,49 @@ def follow_rendered(trial: RenderedTrial) -> RenderedRun:
         )
         found = track(last.pair, view.pair, chosen.image_points, scene.geometry, view.reported)
         tracks.append(found)
-        motion = last.pose.inv() * view.pose
         used = _best(found)
         before, after = (
             Sighting(seen[used], found.sigma[used], scene.geometry)
             for seen in (found.before, found.after)
         )
         for solver in SOLVERS:
-            try:
-                estimate = estimate_motion(
-                    solver,
-                    before,
-                    after,
-                    guess=view.reported if solver == "ml" else None,
-                    reject=solver == "ml",
-                )
-                moved = estimate.transform_after_to_before
-            except RegistrationError:
-                # Nothing better is known than what the joints say.
-                moved = view.reported
-            else:
-                if solver == "ml":
-                    nees[step] = normalised_error(moved, motion, estimate.covariance)
+            likelihood = solver == "ml"
+            guess = view.reported if likelihood else None
+            estimate = found_or_none(
+                estimate_motion, solver, before, after, guess=guess, reject=likelihood
+            )
+            # Where a solver fails, the joints' report is the best estimate.
+            moved = view.reported if estimate is None else estimate.transform_after_to_before
+            if likelihood and estimate is not None:
+                motion = last.pose.inv() * view.pose
+                nees[step] = normalised_error(moved, motion, estimate.covariance)
             chained[solver] = chained[solver] * moved
             errors[solver][step] = millimetres(views[0].pose * chained[solver], view.pose)
-    tracking, sought = _tracking_errors(views, tracks, scene)
+    steps = zip(views[:-1], views[1:], tracks, strict=True)
     mapped = _follow_by_map(views, scene)
-    previous = tuple(_points(tracks, k - 1, after=True) for k in range(SHOWN))
-    following = tuple(_points(tracks, k, after=False) for k in range(SHOWN))
+    nothing = np.zeros((0, 3))
+    previous = (nothing, *(found.after[_best(found)] for found in tracks))
+    following = (*(found.before[_best(found)] for found in tracks), nothing)
     return RenderedRun(
         errors=errors | mapped.errors,
         nees={"ml": nees} | mapped.nees,
-        tracking=tracking,
-        sought=sought,
-        found=len(tracking),
+        tracking=np.concatenate([_tracking_error(*each, scene) for each in steps]),
+        sought=sum(len(found.found) for found in tracks),
         images=np.array([view.pair[0] for view in views[:SHOWN]]),
-        with_previous=previous,
-        with_next=following,
+        with_previous=previous[:SHOWN],
+        with_next=following[:SHOWN],
     )
 
 
 def _views(trial: RenderedTrial) -> tuple[list[_View], StereoScene]:
-    """Move the free head about a random place before the panel."""
+    """Move the free head about a random pose before the panel."""
     scene = StereoScene(trial.seed)
     rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 324)))
     distance = RANGES[trial.range]
     first = _first_pose(scene, distance, rng)
     matcher = StereoMatcher(scene.geometry)
     views: list[_View] = []
-    for offset in ArmMotion().draw(rng, trial.steps, distance):
+    for offset in draw_motion(rng, trial.steps, distance):
         scene.set_rig(first * offset)
         seen = scene.capture(RIG)
         points = matcher.match(seen.pair)
@@ -211,10 +211,10 @@ def _views(trial: RenderedTrial) -> tuple[list[_View], StereoScene]:
 
 
 def _first_pose(scene: StereoScene, distance: float, rng: np.random.Generator) -> RigidTransform:
-    """Draw where the free head begins: before the panel, with what it sees at the range.
+    """Draw a first pose of the free head: before the panel, with the surface in view at the range.
 
     Raises:
-        ExperimentError: If the scene has no such place.
+        ExperimentError: If the scene has no such pose.
     """
     size = (scene.geometry.width, scene.geometry.height)
     columns, rows = np.meshgrid(*(np.linspace(20.0, n - 20.0, 7) for n in size))
@@ -229,9 +229,9 @@ def _first_pose(scene: StereoScene, distance: float, rng: np.random.Generator) -
         pose = look_at(target + distance * away, target)
         scene.set_rig(pose)
         depths = scene.true_depths(RIG, pixels)
-        if np.isnan(depths).any() or depths.min() < NEAREST * distance:
-            continue
-        if abs(float(np.mean(depths)) / distance - 1.0) < RANGE_TOLERANCE:
+        # NaN, where there is only sky, fails both.
+        far = depths.min() >= NEAREST * distance
+        if far and abs(float(np.mean(depths)) / distance - 1.0) < RANGE_TOLERANCE:
             return pose
     raise ExperimentError(f"scene {scene.seed}: no view of it is {distance} m away")
 
@@ -239,7 +239,7 @@ def _first_pose(scene: StereoScene, distance: float, rng: np.random.Generator) -
 def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> Followed:
     """Register each view to fiducials that stay.
 
-    Each is tracked from the view that it was chosen in: from view to view its place would drift.
+    Each is tracked from the view that it was chosen in: from view to view it would drift.
     """
     errors, nees = np.full(len(views) - 1, np.inf), np.full(len(views) - 1, np.nan)
     fiducials = FiducialMap(scene.geometry, SIGMA)
@@ -290,24 +290,15 @@ def _follow_by_map(views: Sequence[_View], scene: StereoScene) -> Followed:
     return Followed({PERSISTENT: errors}, {PERSISTENT: nees})
 
 
-def _tracking_errors(
-    views: Sequence[_View], tracks: Sequence[Tracks], scene: StereoScene
-) -> tuple[FloatArray, int]:
-    """Return errors (N, 3) of tracked fiducials against the true surface [px], and those sought."""
-    errors, sought = [np.zeros((0, 3))], 0
-    for last, view, found in zip(views[:-1], views[1:], tracks, strict=True):
-        sought += len(found.found)
-        scene.set_rig(last.pose)
-        before, after = found.before[found.found], found.after[found.found]
-        depths = scene.true_depths(RIG, before[:, :2])
-        disparities = scene.geometry.fx * scene.geometry.baseline / depths
-        points = scene.geometry.points(np.column_stack([before[:, :2], disparities]))
-        motion = last.pose.inv() * view.pose
-        if len(points):
-            expected = scene.geometry.project(motion.apply(points, inverse=True))
-            error = after - expected
-            errors.append(error[np.isfinite(error).all(axis=1)])
-    return np.concatenate(errors), sought
+def _tracking_error(last: _View, view: _View, found: Tracks, scene: StereoScene) -> FloatArray:
+    """Return errors (N, 3) of the tracked fiducials against the true surface [px]."""
+    if not found.found.any():
+        return np.zeros((0, 3))
+    scene.set_rig(last.pose)
+    points = scene.true_points(RIG, found.before[found.found, :2])
+    motion = last.pose.inv() * view.pose
+    error = found.after[found.found] - scene.geometry.project(motion.apply(points, inverse=True))
+    return error[np.isfinite(error).all(axis=1)]
 
 
 def _best(found: Tracks) -> NDArray[np.intp]:
@@ -315,21 +306,3 @@ def _best(found: Tracks) -> NDArray[np.intp]:
     there = np.flatnonzero(found.found)
     order = np.argsort(found.sigma[there].max(axis=1), kind="stable")
     return there[order[:USED]]
-
-
-def _points(tracks: Sequence[Tracks], index: int, after: bool) -> FloatArray:
-    """Return (N, 3) where the fiducials of one step of the first views are, after or before it."""
-    if not 0 <= index < len(tracks):
-        return np.zeros((0, 3))
-    found = tracks[index]
-    return (found.after if after else found.before)[_best(found)]
-
-
-def _robust_sigma(values: FloatArray) -> float:
-    """Return 1.4826 times the median absolute value; NaN without any."""
-    return 1.4826 * float(np.median(np.abs(values))) if len(values) else float("nan")
-
-
-def _median(values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else float("nan")

@@ -203,6 +203,11 @@ class StereoScene:
         """
         return self.true_hits(name, pixels)[0]
 
+    def true_points(self, name: str, pixels: FloatArray) -> FloatArray:
+        """Return (N, 3) points as `true_depths`, in the camera's frame [m]; NaN for sky."""
+        disparities = self.geometry.fx * self.geometry.baseline / self.true_depths(name, pixels)
+        return self.geometry.points(np.column_stack([pixels, disparities]))
+
     def true_hits(self, name: str, pixels: ArrayLike) -> tuple[FloatArray, NDArray[np.int32]]:
         """Return (N,) depths as `true_depths`, and (N,) indices of the geoms in view."""
         pose = self.transform_camera_to_world(name)

@@ -7,17 +7,17 @@ import pytest
 
 from experiments.ch3.motion.figures import tracking_figure
 from experiments.ch3.motion.motion import (
-    DEPTH_SPREAD,
-    HEAD,
+    DEPTH_SHARE,
     PERSISTENT,
-    ArmMotion,
     CameraTrial,
     accumulate,
+    draw_motion,
     follow_by_map,
     follow_by_motions,
     measure_motion,
     points_in_both_views,
 )
+from experiments.ch3.stereo.scene import HEAD
 from experiments.harness import contract
 from experiments.harness.output import Output
 from perception.registration.motion import SOLVERS
@@ -25,12 +25,12 @@ from perception.registration.motion import SOLVERS
 
 def test_fiducials_are_in_both_views_at_the_range():
     rng = np.random.default_rng(1)
-    path = ArmMotion().draw(rng, 10, 1.1)
+    path = draw_motion(rng, 10, 1.1)
     for last, pose in zip(path[:-1], path[1:]):
         motion = last.inv() * pose
         points = points_in_both_views(rng, motion, 1.1, 6)
         assert points.shape == (6, 3)
-        assert np.abs(points[:, 2] / 1.1 - 1.0).max() <= DEPTH_SPREAD + 1e-9
+        assert np.abs(points[:, 2] / 1.1 - 1.0).max() <= DEPTH_SHARE + 1e-9
         for view in (points, motion.apply(points, inverse=True)):
             seen = HEAD.project(view)
             assert ((seen[:, 0] > 0) & (seen[:, 0] < HEAD.width)).all()
@@ -39,7 +39,7 @@ def test_fiducials_are_in_both_views_at_the_range():
 
 def test_without_noise_nothing_accumulates():
     rng = np.random.default_rng(2)
-    path = ArmMotion().draw(rng, 3, 1.1)
+    path = draw_motion(rng, 3, 1.1)
     chained = follow_by_motions(path, 1.1, 8, 1e-7, rng)
     mapped = follow_by_map(path, 1.1, 8, 1e-7, rng)
     for errors in (*(chained.errors[solver] for solver in SOLVERS), mapped.errors[PERSISTENT]):
@@ -78,7 +78,7 @@ def test_rendered_fiducials_are_tracked_and_give_the_motion():
     from experiments.ch3.motion.rendered import RenderedTrial, follow_rendered  # noqa: PLC0415
 
     result = follow_rendered(RenderedTrial(3, "350mm", steps=2))
-    assert result.found >= 0.6 * result.sought
+    assert len(result.tracking) >= 0.6 * result.sought
     assert np.median(np.abs(result.tracking)) < 0.06
     assert result.errors["ml"].max() < 2.0  # [mm]
     assert result.errors[PERSISTENT].max() < 2.0
