@@ -1,7 +1,7 @@
 """Depth noise of the stereo heads, a part of ``ch3-stereo``: how well eq. 3-6 holds.
 
-A free rig looks at the cluttered scenes from 0.35 to 2 m, and the rovers' arms from where they
-rest. Every matched point is held against the exact depth of its pixel.
+A free rig takes pairs of the cluttered scenes from 0.35 to 2 m, and the rovers' arms from their
+home posture. Every matched point is held against the exact depth of its pixel.
 """
 
 import dataclasses
@@ -11,45 +11,27 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy import stats
 
 from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
 
-RANGES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # From the rig to where it looks [m]
-EDGES = np.geomspace(0.35, 2.0, 9)  # Of the bins of depth [m]
-ELEVATIONS = (np.deg2rad(35.0), np.deg2rad(60.0))  # Of the rig above where it looks
-POINTS = 1500  # Scored in each view
-GROSS = 1.0  # Errors beyond this are outliers [px]
+RANGES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # Distances of the rig from the point that it faces [m]
+EDGES = np.geomspace(0.35, 2.0, 9)  # Edges of the bins of depth [m]
+ELEVATIONS = (np.deg2rad(35.0), np.deg2rad(60.0))  # Elevations of the rig above that point [rad]
+POINTS = 1500  # Number of points scored in each view
+GROSS = 1.0  # Errors beyond this are outliers [px].
 LEAST_IN_BIN = 30
 SLOPE_BOUNDS = (1.8, 2.2)
 NEES_BOUNDS = (0.5, 2.0)
 METHODS = ("refined", "bm", "sgbm")
 LABELS = {"refined": "ours", "bm": "StereoBM", "sgbm": "StereoSGBM"}
-
-
-@dataclasses.dataclass(frozen=True)
-class ScoredView:
-    """What one view's matches are worth; n points.
-
-    Attributes:
-        depths: (n,) true depth [m].
-        predicted: (n,) deviation of the depth by our covariance [m].
-        errors: Disparity errors by method, (n,) each [px]; NaN where that method has none.
-        matched: Fraction of the image's pixels where each method has a disparity.
-        bare: Number of points of ours that were drawn for scoring and show no surface at all.
-    """
-
-    depths: FloatArray
-    predicted: FloatArray
-    errors: Mapping[str, FloatArray]
-    matched: Mapping[str, float]
-    bare: int
 
 
 def measure_noise(options: Options, output: Output) -> None:
@@ -72,7 +54,7 @@ class StereoNoiseTrial:
 
     Attributes:
         seed: Random seed of the scene and of the views.
-        ranges: Distances from which the rig looks [m].
+        ranges: Distances of the rig from the points that it faces [m].
     """
 
     seed: int
@@ -80,15 +62,15 @@ class StereoNoiseTrial:
 
 
 @dataclasses.dataclass(frozen=True)
-class SceneNoise:
-    """The stereo's errors in one scene, over the scored points; or pooled over several.
+class StereoNoise:
+    """Errors of the stereo over the scored points of one view, or pooled over several.
 
     Attributes:
         focal_baseline: Focal length times baseline of the heads [px m].
         depth: (n,) true depth [m].
-        predicted: (n,) predicted deviation of the depth [m].
-        arm: (n,) 1 for views of the arms, 0 for those of the rig.
-        errors: (n,) error of the disparity by each matcher [px].
+        predicted: (n,) predicted standard deviation of the depth [m].
+        arm: (n,) whether the point is of a view by an arm; others are by the rig.
+        errors: (n,) error of the disparity by each matcher [px]; NaN where it has none.
         matched: Share of the pixels that each matcher matches.
         bare: Number of points that show no surface.
     """
@@ -96,55 +78,50 @@ class SceneNoise:
     focal_baseline: float
     depth: FloatArray
     predicted: FloatArray
-    arm: FloatArray
+    arm: BoolArray
     errors: dict[str, FloatArray]
     matched: dict[str, float]
     bare: int
 
+    def depth_errors(self, method: str) -> tuple[FloatArray, FloatArray]:
+        """Return (m,) depths and (m,) their errors [m] where a matcher has a disparity (3-3)."""
+        known = np.isfinite(self.errors[method])
+        depth, error = self.depth[known], self.errors[method][known]
+        return depth, self.focal_baseline / (self.focal_baseline / depth + error) - depth
 
-def measure_scene(trial: StereoNoiseTrial) -> SceneNoise:
+
+def measure_scene(trial: StereoNoiseTrial) -> StereoNoise:
     """Score the stereo of one scene; a job of the sweep."""
     scene = StereoScene(trial.seed)
     matcher = StereoMatcher(scene.geometry)
     rng = np.random.default_rng(np.random.SeedSequence((trial.seed, 3)))
-    names = [RIG] * len(trial.ranges) + list(scene.robot_names)
-    scored: list[ScoredView] = []
-    for index, name in enumerate(names):
-        if name == RIG:
-            place_rig(scene, trial.ranges[index], rng)
-        scored.append(score_view(scene, name, matcher, rng))
-    sizes = [len(view.depths) for view in scored]
-    return SceneNoise(
-        focal_baseline=scene.geometry.fx * scene.geometry.baseline,
-        depth=np.concatenate([view.depths for view in scored]),
-        predicted=np.concatenate([view.predicted for view in scored]),
-        arm=np.repeat([float(name != RIG) for name in names], sizes),
-        errors={m: np.concatenate([view.errors[m] for view in scored]) for m in METHODS},
-        matched={m: float(np.mean([view.matched[m] for view in scored])) for m in METHODS},
-        bare=sum(view.bare for view in scored),
-    )
+    views: list[StereoNoise] = []
+    for distance in trial.ranges:
+        place_rig(scene, distance, rng)
+        views.append(score_view(scene, RIG, matcher, rng))
+    return pooled_noise([*views, *(score_view(scene, n, matcher, rng) for n in scene.robot_names)])
 
 
-def pooled_noise(scenes: Sequence[SceneNoise]) -> SceneNoise:
-    """Return the points of several scenes as one."""
-    return SceneNoise(
-        focal_baseline=scenes[0].focal_baseline,
-        depth=np.concatenate([scene.depth for scene in scenes]),
-        predicted=np.concatenate([scene.predicted for scene in scenes]),
-        arm=np.concatenate([scene.arm for scene in scenes]),
-        errors={m: np.concatenate([scene.errors[m] for scene in scenes]) for m in METHODS},
-        matched={m: float(np.mean([scene.matched[m] for scene in scenes])) for m in METHODS},
-        bare=sum(scene.bare for scene in scenes),
+def pooled_noise(parts: Sequence[StereoNoise]) -> StereoNoise:
+    """Return the points of several views or scenes as one."""
+    return StereoNoise(
+        focal_baseline=parts[0].focal_baseline,
+        depth=np.concatenate([part.depth for part in parts]),
+        predicted=np.concatenate([part.predicted for part in parts]),
+        arm=np.concatenate([part.arm for part in parts]),
+        errors={m: np.concatenate([part.errors[m] for part in parts]) for m in METHODS},
+        matched={m: float(np.mean([part.matched[m] for part in parts])) for m in METHODS},
+        bare=sum(part.bare for part in parts),
     )
 
 
 def place_rig(scene: StereoScene, distance: float, rng: np.random.Generator) -> None:
-    """Put the free rig somewhere with an open view of the ground.
+    """Draw a pose of the free rig with an open view of the ground.
 
     Args:
-        scene: Its rig is moved.
-        distance: To the point that it looks at [m].
-        rng: Source of randomness.
+        scene: Scene whose rig is moved.
+        distance: Distance from the point that the rig faces [m].
+        rng: Random generator for that point and the direction from it.
 
     Raises:
         RuntimeError: If no open view is found, which a sparse field excludes.
@@ -164,11 +141,11 @@ def place_rig(scene: StereoScene, distance: float, rng: np.random.Generator) -> 
 
 def score_view(
     scene: StereoScene, name: str, matcher: StereoMatcher, rng: np.random.Generator
-) -> ScoredView:
+) -> StereoNoise:
     """Capture a pair, match it in three ways and compare with the truth.
 
     Args:
-        scene: The scene as it is.
+        scene: Scene with the robots or the rig where they shall be.
         name: Name of the robot or of the rig.
         matcher: Our matcher.
         rng: Random generator that chooses the points to score.
@@ -184,15 +161,16 @@ def score_view(
     depths = scene.true_depths(name, pixels)
     visible = np.isfinite(depths)
     pixels, depths, chosen = pixels[visible], depths[visible], chosen[visible]
-    truth = scene.geometry.fx * scene.geometry.baseline / depths
+    scale = scene.geometry.fx * scene.geometry.baseline
+    truth = scale / depths
     columns, rows = pixels.astype(int).T
     errors = {method: disparity[rows, columns] - truth for method, disparity in maps.items()}
     errors["refined"] = seen.disparities[chosen] - truth
     matched = {m: float(np.isfinite(disparity).mean()) for m, disparity in maps.items()}
-    stride = matcher.config.stride
-    matched["refined"] = len(seen) * stride**2 / pair[0].size
+    matched["refined"] = len(seen) * matcher.config.stride**2 / pair[0].size
     predicted = np.sqrt(seen.covariances[chosen, 2, 2])
-    return ScoredView(depths, predicted, errors, matched, int(np.sum(~visible)))
+    arm = np.full(len(depths), name != RIG)
+    return StereoNoise(scale, depths, predicted, arm, errors, matched, int(np.sum(~visible)))
 
 
 def semi_global_disparities(
@@ -224,22 +202,19 @@ def robust_sigma(errors: FloatArray) -> float:
 
 
 def binned_sigma(depths: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return robust deviations by range.
+    """Return robust standard deviations by range.
 
     Args:
-        depths: (n,) [m].
-        errors: (n,) any unit.
+        depths: (n,) depth of each point [m].
+        errors: (n,) error of each point, any unit.
 
     Returns:
         (bins,) median depth [m] and (bins,) deviation; NaN where there are too few points.
     """
-    middle, sigma = np.full((2, len(EDGES) - 1), np.nan)
-    index = np.digitize(depths, EDGES) - 1
-    for n in range(len(middle)):
-        inside = index == n
-        if inside.sum() >= LEAST_IN_BIN:
-            middle[n], sigma[n] = np.median(depths[inside]), robust_sigma(errors[inside])
-    return middle, sigma
+    few = np.histogram(depths, EDGES)[0] < LEAST_IN_BIN
+    middle = stats.binned_statistic(depths, depths, "median", EDGES).statistic
+    sigma = stats.binned_statistic(depths, errors, robust_sigma, EDGES).statistic
+    return np.where(few, np.nan, middle), np.where(few, np.nan, sigma)
 
 
 def log_slope(x: FloatArray, y: FloatArray) -> float:
@@ -248,12 +223,7 @@ def log_slope(x: FloatArray, y: FloatArray) -> float:
     return float(np.polyfit(np.log(x[known]), np.log(y[known]), 1)[0])
 
 
-def depth_errors(depths: FloatArray, errors: FloatArray, focal_baseline: float) -> FloatArray:
-    """Return what errors of disparity (n,) [px] do to depths (n,) [m]; [m] (eq. 3-3)."""
-    return focal_baseline / (focal_baseline / depths + errors) - depths
-
-
-def report(scenes: Sequence[SceneNoise], output: Output) -> None:
+def report(scenes: Sequence[StereoNoise], output: Output) -> None:
     """Store metrics, checks, table and figure of `measure_scene`'s results.
 
     Args:
@@ -262,32 +232,24 @@ def report(scenes: Sequence[SceneNoise], output: Output) -> None:
     """
     pooled = pooled_noise(scenes)
     _report_disparities(pooled, output)
-    bare, scale = pooled.bare, pooled.focal_baseline
-    output.measure("points_without_surface_fraction", bare / (bare + len(pooled.depth)))
-    slopes = []
-    for scene in scenes:
-        errors = depth_errors(scene.depth, scene.errors["refined"], scale)
-        slopes.append(log_slope(*binned_sigma(scene.depth, errors)))
+    bare = pooled.bare / (pooled.bare + len(pooled.depth))
+    output.measure("points_without_surface_fraction", bare)
+    slopes = [log_slope(*binned_sigma(*scene.depth_errors("refined"))) for scene in scenes]
     summary = distribution(slopes)
     output.measure("depth_sigma_slope", summary, thesis=2.0)
-    _check("slope of log depth sigma over log range", summary["median"], SLOPE_BOUNDS, output)
-    errors = depth_errors(pooled.depth, pooled.errors["refined"], scale)
-    squares = (errors / pooled.predicted) ** 2
+    subject = "slope of log depth sigma over log range"
+    output.check_within(subject, summary["median"], SLOPE_BOUNDS)
+    squares = (pooled.depth_errors("refined")[1] / pooled.predicted) ** 2
     output.measure("depth_nees", float(squares.mean()))
-    output.measure("depth_nees/arm", float(squares[pooled.arm > 0.5].mean()))
+    output.measure("depth_nees/arm", float(squares[pooled.arm].mean()))
     # The median of chi^2 with one degree of freedom is 0.4549.
     output.measure("depth_nees_by_median", float(np.median(squares) / 0.4549))
     output.measure("depth_beyond_4_sigma_fraction", float(np.mean(squares > 16.0)))
-    _check("squared depth error over its prediction", squares.mean(), NEES_BOUNDS, output)
-    _report_bins(pooled, scale, output)
+    output.check_within("squared depth error over its prediction", squares.mean(), NEES_BOUNDS)
+    _report_bins(pooled, output)
 
 
-def _check(name: str, value: float, bounds: tuple[float, float], output: Output) -> None:
-    low, high = bounds
-    output.check(name, float(value), f"{low:g} to {high:g}", bool(low <= value <= high))
-
-
-def _report_disparities(pooled: SceneNoise, output: Output) -> None:
+def _report_disparities(pooled: StereoNoise, output: Output) -> None:
     """Store the three matchers beside each other, all at the pixels that ours keeps."""
     for method in METHODS:
         errors = pooled.errors[method][np.isfinite(pooled.errors[method])]
@@ -299,48 +261,39 @@ def _report_disparities(pooled: SceneNoise, output: Output) -> None:
         output.measure(f"disparity_matched_fraction/{method}", pooled.matched[method])
 
 
-def _report_bins(pooled: SceneNoise, scale: float, output: Output) -> None:
-    """Store, tabulate and draw the deviation of the depth over the range."""
-    depths = pooled.depth
+def _report_bins(pooled: StereoNoise, output: Output) -> None:
+    """Store, tabulate and draw the standard deviation of the depth over the range."""
+    scale = pooled.focal_baseline
     sigma_px = robust_sigma(pooled.errors["refined"])
-    curves = {}
-    for method in METHODS:
-        known = np.isfinite(pooled.errors[method])
-        errors = depth_errors(depths[known], pooled.errors[method][known], scale)
-        curves[method] = binned_sigma(depths[known], errors)
+    curves = {method: binned_sigma(*pooled.depth_errors(method)) for method in METHODS}
     middle, measured = curves["refined"]
     constant = middle**2 / scale * sigma_px  # eq. 3-6 with one sigma for all ranges
-    index = np.digitize(depths, EDGES) - 1
-    predicted = [_median(pooled.predicted[index == n]) for n in range(len(middle))]
     ratio = measured / constant
     output.measure("eq_3-6_ratio/worst", float(np.nanmax(np.maximum(ratio, 1.0 / ratio))))
     output.measure("eq_3-6_ratio/one_pixel", float(1.0 / sigma_px))
     columns = ("range [m]", "points", "depth sigma [mm]", "predicted [mm]", "eq. 3-6 [mm]")
     columns = (*columns, "StereoBM [mm]", "StereoSGBM [mm]")
-    counts = [int(np.sum(index == n)) for n in range(len(middle))]
-    values = [measured, np.array(predicted), constant, curves["bm"][1], curves["sgbm"][1]]
+    counts = np.histogram(pooled.depth, EDGES)[0].tolist()
+    predicted = stats.binned_statistic(pooled.depth, pooled.predicted, "median", EDGES).statistic
+    values = [measured, predicted, constant, curves["bm"][1], curves["sgbm"][1]]
     rows = [
-        [round(float(middle[n]), 3), counts[n], *(round(1e3 * float(v[n]), 3) for v in values)]
-        for n in range(len(middle))
-        if counts[n] >= LEAST_IN_BIN
+        [round(float(middle[n]), 3), count, *(round(1e3 * float(v[n]), 3) for v in values)]
+        for n, count in enumerate(counts)
+        if count >= LEAST_IN_BIN
     ]
     output.table("depth_sigma", columns, rows)
     output.figure("depth_sigma", depth_figure(curves, scale, sigma_px))
 
 
-def _median(values: FloatArray) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
-
-
 def depth_figure(
     curves: Mapping[str, tuple[FloatArray, FloatArray]], scale: float, sigma_px: float
 ) -> Figure:
-    """Draw the deviation of the depth over the range.
+    """Draw the standard deviation of the depth over the range.
 
     Args:
-        curves: By method, range [m] and deviation [m].
+        curves: Range [m] and deviation [m] by method.
         scale: Focal length times baseline [px m].
-        sigma_px: Measured deviation of our disparities [px].
+        sigma_px: Measured standard deviation of our disparities [px].
     """
     figure = Figure(figsize=(7, 5))
     axes = figure.add_subplot()

@@ -1,9 +1,9 @@
 """``ch3-stereo``: two rovers map a cluttered field with stereo heads on their arms.
 
-Four parts, each of which can be run alone: how certain stereo is, how well the camera's motion is
-told by fiducials, how fast the map grows under three ways to choose views, and what two robots gain
-by triangulating together. The truth only scores. Mapping drives robots, simulated or behind
-emulated boards; the other three parts set cameras or draw points themselves, and need none.
+Four parts, each of which can be run alone: the noise of stereo, the camera's motion by fiducials,
+the growth of the map under three methods to choose views, and the gain of two robots that
+triangulate together. The truth only scores. Mapping drives robots, simulated or behind emulated
+boards; the other three parts set cameras or draw points themselves, and need none.
 """
 
 import dataclasses
@@ -19,9 +19,9 @@ from experiments.ch3.motion.motion import measure_motion
 from experiments.ch3.motion.rendered import measure_rendered_motion
 from experiments.ch3.stereo.figures import growth_figure, points_figure, scene_figure, views_figure
 from experiments.ch3.stereo.noise import measure_noise
-from experiments.ch3.stereo.record import MapRecorder
+from experiments.ch3.stereo.record import record_map
 from experiments.ch3.stereo.scene import StereoScene
-from experiments.ch3.stereo.trial import MappingRun, MappingTrial, map_scene, run_trial
+from experiments.ch3.stereo.trial import MappingRun, MappingTrial, run_trial
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.intervals import distribution, fraction
@@ -41,11 +41,11 @@ class Options(contract.SimulatedOptions):
     """Options of stereo mapping.
 
     Attributes:
-        targets: What the experiment runs on.
-        robot: What maps: sim, quantised or emulated. The parts noise, motion and cooperation need
-            no robot.
-        parts: Which parts to run: noise, motion, mapping, cooperation (unless said, all).
-        scans: Looks of each robot (unless said, 12; with --quick, 3).
+        targets: Valid values of `robot`.
+        robot: Robots that map: sim, quantised or emulated. The parts noise, motion and cooperation
+            need no robot.
+        parts: Parts to run: noise, motion, mapping, cooperation (all by default).
+        scans: Number of views of each robot (by default 12; with --quick, 3).
     """
 
     targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
@@ -72,7 +72,7 @@ class Options(contract.SimulatedOptions):
 
 
 def run(options: Options, output: Output) -> None:
-    """Run the parts that were asked for.
+    """Run the chosen parts.
 
     Args:
         options: ``quick`` takes fewer scenes, scans and repetitions.
@@ -83,18 +83,18 @@ def run(options: Options, output: Output) -> None:
 
 
 def measure_all_motion(options: Options, output: Output) -> None:
-    """Measure how well fiducials tell the camera's motion, in geometry and on rendered pairs."""
+    """Measure the camera's motion by fiducials, in geometry alone and on rendered pairs."""
     measure_motion(options, output)
     measure_rendered_motion(options, output)
 
 
 def measure_mapping(options: Options, output: Output) -> None:
-    """Let two rovers map scenes under each way to choose views, and compare at equal scans.
+    """Let two rovers map scenes by each method to choose views, and compare at equal scans.
 
     Args:
-        options: ``seeds`` scenes, 6 unless said; ``quick`` takes 1, and no random views.
-        output: Receives ``surface_ratio/information_over_raster``, ``nees`` and what they are
-            made of.
+        options: ``seeds`` scenes, 6 by default; ``quick`` takes 1, and no random views.
+        output: Receives ``surface_ratio/information_over_raster``, ``nees`` and the quantities
+            behind them.
 
     Raises:
         ExperimentError: If no robot found the target in any scene.
@@ -119,25 +119,22 @@ def measure_mapping(options: Options, output: Output) -> None:
         output.measure(f"surface_share/{method}", distribution(curves[method][:, -1, 0]))
         output.measure(f"points_mapped/{method}", distribution(curves[method][:, -1, 1]))
         output.measure(f"nees/{method}", distribution([float(r.nees.mean()) for r in runs[method]]))
-        pooled = np.concatenate([r.corrected_error for r in runs[method]])
-        guessed = np.concatenate([r.guess_error for r in runs[method]])
-        output.measure(f"camera_error_mm/{method}/arm", distribution(1e3 * guessed))
-        output.measure(f"camera_error_mm/{method}/corrected", distribution(1e3 * pooled))
+        guess, corrected = np.hstack([r.camera_errors for r in runs[method]])
+        output.measure(f"camera_error_mm/{method}/arm", distribution(1e3 * guess))
+        output.measure(f"camera_error_mm/{method}/corrected", distribution(1e3 * corrected))
         shares = [r.corrected_share for r in runs[method]]
         output.measure(f"corrected_share/{method}", distribution(shares))
     located = sum(r.located for r in results)
     output.measure("located_fraction", fraction(located, 2 * len(results)))
     turns = [1e3 * r.frame_turn for r in results if r.located]
     output.measure("frame_turn_mrad", distribution(turns))
-    lost = max(r.lost_share for r in results)
-    output.measure("surface_nowhere_near_share/worst", lost)
+    output.measure("surface_nowhere_near_share/worst", max(r.lost_share for r in results))
     _compare(curves, runs["information"], output)
     output.figure("figure_3-25", growth_figure(curves))
     _show(dict(zip(methods, results, strict=False)), seeds[0], output)
     if options.record:
-        with MapRecorder(output.file("run.rrd")) as recorder:
-            trial = MappingTrial(seeds[0], "information", scans, robot=options.robot)
-            voxels = map_scene(trial, recorder.take).mapper.shared.voxels
+        trial = MappingTrial(seeds[0], "information", scans, robot=options.robot)
+        voxels = record_map(trial, output.file("run.rrd"))
         if len(voxels.surface().means):  # Else no robot has found the target.
             export_points(voxels, output.file("map_points.ply"))
             export_mesh(voxels, output.file("map_mesh.stl"))
@@ -149,30 +146,23 @@ def _compare(curves: dict[str, np.ndarray], informed: Sequence[MappingRun], outp
         ratios = curves["information"][:, -1, 0] / curves[other][:, -1, 0]
         output.measure(f"surface_ratio/information_over_{other}", distribution(ratios))
         if other == "raster":
+            subject = "surface mapped, information over raster, mean"
             mean = float(ratios.mean())
-            bound = f">= {RATIO_BOUND:g}"
-            output.check(
-                "surface mapped, information over raster, mean", mean, bound, mean >= RATIO_BOUND
-            )
+            output.check(subject, mean, f">= {RATIO_BOUND:g}", mean >= RATIO_BOUND)
     nees = float(np.mean([r.nees.mean() for r in informed]))
     output.measure("nees", nees)
-    low, high = NEES_BOUNDS
-    bound = f"{low:g} to {high:g}"
-    output.check("squared normalised error of fused points", nees, bound, low <= nees <= high)
+    output.check_within("squared normalised error of fused points", nees, NEES_BOUNDS)
 
 
 def _aligned(curves: Sequence[np.ndarray], scans: int) -> np.ndarray:
-    """Return (runs, looks, 2) share and voxels after each look; a run that ended early stays."""
-    whole = np.zeros((len(curves), 2 * scans, 2))
-    for row, curve in zip(whole, curves, strict=True):
-        row[: len(curve)] = curve[:, 1:]
-        row[len(curve) :] = curve[-1, 1:]
-    return whole
+    """Return (runs, views, 2) share and voxels after each view; a run that ended early stays."""
+    missing = [2 * scans - len(curve) for curve in curves]
+    return np.array([np.pad(c, ((0, n), (0, 0)), "edge") for c, n in zip(curves, missing)])
 
 
 def _show(runs: Mapping[str, MappingRun], seed: int, output: Output) -> None:
-    """Draw one scene as it is, and as it was seen and mapped by each method."""
-    output.figure("figure_3-22", scene_figure(StereoScene(seed=seed)))
+    """Draw one scene, and the views and the map of it by each method."""
+    output.figure("figure_3-22", scene_figure(StereoScene(seed)))
     for method, name in FIGURE.items():
         shown = runs[method].shown
         assert shown is not None

@@ -1,7 +1,7 @@
 """One scene of ``ch3-stereo``, mapped by two rovers; the truth only scores."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +26,14 @@ from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 
 VOXEL = 0.005
-"""[m]"""
+"""Side of a voxel [m]."""
 BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
 """Corners of the map [m], about the target."""
 MOUNT_ERROR = (0.004, 0.001)
-"""Deviations of the turn [rad] and place [m] by which a head sits differently from its drawing;
-assumed, and known to the robots as such (`LocalizationConfig`)."""
-IMAGE_RATE = 0.5  # [Hz]; in software a pair takes some 0.3 s to render
-LONGEST = 300.0  # [s]
+"""Standard deviations of the rotation [rad] and position [m] of a head's mounting against its
+drawing; assumed, and known to the robots as such (`LocalizationConfig`)."""
+IMAGE_RATE = 0.5  # Rate of the pairs [Hz]; in software one takes some 0.3 s to render.
+LONGEST = 300.0  # Greatest duration of a run [s]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,10 +42,10 @@ class MappingTrial:
 
     Attributes:
         seed: Seed of the scene and of all noise.
-        method: How views are chosen.
+        method: Method that chooses the views, one of `METHODS` of the mapper.
         scans: Number of views of each robot.
         shown: Whether the result has what its figures need.
-        robot: What is driven: sim, quantised or emulated.
+        robot: Kind of the robots: sim, quantised or emulated.
     """
 
     seed: int
@@ -57,20 +57,21 @@ class MappingTrial:
 
 @dataclasses.dataclass
 class Scored:
-    """What a run leaves.
+    """A mapped scene with its truth.
 
     Attributes:
-        mapper: The mapper, with its map and views.
+        mapper: Mapper with its map and views.
         scene: The same scene, for its truth.
-        curve: Number of views so far, true surface mapped [fraction], occupied voxels.
-        transform_scene_to_map: True; of the frame that the robots named, see `named_frame`.
-        cameras: True, from camera to map when a pair was taken, by robot and time stamp.
-        frame_turn: How far that frame is turned from one that is truly level [rad].
+        curve: Share of the true surface mapped, and number of occupied voxels, after each view.
+        transform_scene_to_map: True transform to the frame that the robots map in, see
+            `named_frame`.
+        cameras: True transforms from camera to map of the pairs taken, by robot and time stamp.
+        frame_turn: Angle between the map's frame and a truly level one [rad].
     """
 
     mapper: StereoMapper
     scene: StereoScene
-    curve: list[tuple[float, float, float]]
+    curve: list[tuple[float, int]]
     transform_scene_to_map: RigidTransform
     cameras: dict[tuple[str, float], RigidTransform]
     frame_turn: float
@@ -78,10 +79,10 @@ class Scored:
 
 @dataclasses.dataclass(frozen=True)
 class Shown:
-    """What one run saw and mapped, for the figures; whole images would be too large to store.
+    """Views and map of one run, for the figures; whole images would be too large to store.
 
     Attributes:
-        panoramas: (robots, rows, columns) float32 grey levels by direction, NaN where not seen.
+        panoramas: (robots, rows, columns) float32 grey levels by direction, NaN outside all views.
         images: Number of images in each panorama.
         surface: (N, 3) mapped surface points [m].
     """
@@ -96,59 +97,52 @@ class MappingRun:
     """One scene mapped and scored.
 
     Attributes:
-        curve: (n, 3) number of views, share of the true surface mapped, and occupied voxels.
-        guess_error: (n,) error of each camera's position by the arm alone [m].
-        corrected_error: (n,) error of each camera's position after correction [m].
+        curve: (n, 2) share of the true surface mapped, and number of occupied voxels, after each
+            view.
+        camera_errors: (2, n) error of each camera's position by the arm alone, and after
+            correction [m].
         corrected_share: Share of the views whose camera was corrected.
-        nees: Squared normalised error of each fused point.
+        nees: (k,) squared normalised error of each fused point.
         lost_share: Share of the mapped points that are near no true surface.
         located: Number of robots that found the target.
-        frame_turn: Angle of the map's frame to the level one [rad].
-        shown: What was seen and mapped, if the trial is shown.
+        frame_turn: Angle between the map's frame and a truly level one [rad].
+        shown: Views and map, if the trial is shown.
     """
 
     curve: FloatArray
-    guess_error: FloatArray
-    corrected_error: FloatArray
+    camera_errors: FloatArray
     corrected_share: float
     nees: FloatArray
     lost_share: float
     located: int
     frame_turn: float
-    shown: Shown | None = None
+    shown: Shown | None
 
 
 def run_trial(trial: MappingTrial) -> MappingRun:
     """Map a scene and score it; a job of the sweep."""
     scored = map_scene(trial)
-    guess, corrected = pose_errors(scored.mapper.views, scored.cameras)
-    nees, lost = surface_errors(
-        scored.mapper.shared.voxels.surface(),
-        scored.scene,
-        scored.transform_scene_to_map,
-        np.random.default_rng((trial.seed, 6)),
-    )
-    corrections = [view.correction for view in scored.mapper.views if view.correction]
+    mapper = scored.mapper
+    surface = mapper.shared.voxels.surface()
+    rng = np.random.default_rng((trial.seed, 6))
+    nees, lost = surface_errors(surface, scored.scene, scored.transform_scene_to_map, rng)
+    corrections = [view.correction for view in mapper.views if view.correction]
     return MappingRun(
-        curve=np.array(scored.curve),
-        guess_error=guess,
-        corrected_error=corrected,
+        curve=np.array(scored.curve, dtype=float),
+        camera_errors=pose_errors(mapper.views, scored.cameras),
         corrected_share=sum(c.corrected for c in corrections) / max(len(corrections), 1),
         nees=nees,
         lost_share=lost,
-        located=len(scored.mapper.localizations),
+        located=len(mapper.localizations),
         frame_turn=scored.frame_turn,
-        shown=_shown(scored) if trial.shown else None,
+        shown=_shown(mapper, scored.scene.robot_names) if trial.shown else None,
     )
 
 
-def _shown(scored: Scored) -> Shown:
-    """Return what was seen and mapped."""
-    mapper = scored.mapper
-    placed = [
-        [view for view in mapper.views if view.robot == name and view.correction is not None]
-        for name in scored.scene.robot_names
-    ]
+def _shown(mapper: StereoMapper, robots: Sequence[str]) -> Shown:
+    """Return the views and the map of a run."""
+    corrected = [view for view in mapper.views if view.correction is not None]
+    placed = [[view for view in corrected if view.robot == name] for name in robots]
     return Shown(
         np.array([panorama(views, mapper.shared.geometry) for views in placed], np.float32),
         tuple(len(views) for views in placed),
@@ -166,18 +160,17 @@ def map_scene(
         on_view: Called after each view with the mapper, the view and the share of the true surface
             that is mapped by now, for recording.
     """
-    scene = StereoScene(seed=trial.seed)
+    scene = StereoScene(trial.seed)
     how = MapperConfig(method=trial.method, scans=trial.scans)
     truth = true_surface(scene, how.reach, np.random.default_rng((trial.seed, 3)))
     mount, plan = (np.random.default_rng((trial.seed, k)) for k in (4, 5))
-    curve: list[tuple[float, float, float]] = []
+    curve: list[tuple[float, int]] = []
 
     def score(view: StereoView) -> None:
         pieces = named_frame(mapper.shared, scene).apply(truth)
-        share, cells = mapped_share(mapper.shared.voxels, pieces)
-        curve.append((len(mapper.views), share, float(cells)))
+        curve.append(mapped_share(mapper.shared.voxels, pieces))
         if on_view is not None:
-            on_view(mapper, view, share)
+            on_view(mapper, view, curve[-1][0])
 
     with connect(
         trial.robot,
@@ -211,12 +204,12 @@ def map_scene(
 def named_frame(shared: SharedMap, scene: StereoScene) -> RigidTransform:
     """Return the true transform from the scene to the frame in which the robots map.
 
-    The robot that finds the target first says how it leans, and so names the frame. Its head's
-    error turns the frame by some milliradians from the level; that is no error of the map.
+    The robot that finds the target first defines the frame by its measured tilt. Its head's error
+    turns the frame by some milliradians from the level; that is no error of the map.
 
     Args:
-        shared: The robots' map; as long as nobody has seen the target, a level frame stands in.
-        scene: The truth.
+        shared: The robots' map; before the target was seen, its frame is taken for level.
+        scene: Scene with the true pose of the panel.
     """
     panel = scene.transform_panel_to_world
     named = shared.transform_target_to_world
@@ -224,15 +217,18 @@ def named_frame(shared: SharedMap, scene: StereoScene) -> RigidTransform:
 
 
 class Witness(LoopRecorder):
-    """Notes where the cameras truly are when they look; a recorder of the loop."""
+    """Records the true poses of the cameras when pairs are taken; a recorder of the loop.
+
+    Args:
+        connection: Robots in a simulation, or in another process behind emulated boards.
+    """
 
     def __init__(self, connection: Connection) -> None:
-        """Watch a simulation, or one in another process behind emulated boards."""
         self.cameras: dict[tuple[str, float], RigidTransform] = {}
         self._connection = connection
 
     def record(self, tick: Tick) -> None:
-        """Take one tick."""
+        """Store the poses of the cameras that took a pair at this tick."""
         for name, seen in tick.observations.items():
             if seen.stereo.stamp == tick.time:
                 self.cameras[name, tick.time] = self._camera(name)
@@ -258,17 +254,16 @@ def shared_errors(config: MapperConfig) -> float:
 
 
 def target_cad(scene: StereoScene) -> TargetCad:
-    """Return what robots know of the panel."""
+    """Return the CAD of the panel's markers."""
     marker = scene.panel.markers[0]
     return TargetCad(scene.panel.marker_points, marker.radius, marker.dark)
 
 
 def _drawn(scene: StereoScene, name: str, rng: np.random.Generator) -> RobotDescription:
-    """Return a robot as drawn, but for its head: that does not sit quite as drawn."""
+    """Return a robot as drawn, but for a random error of its head's mounting."""
     drawn = describe(scene.model, name)
     assert drawn.head is not None
-    turn, place = (d * rng.standard_normal(3) for d in MOUNT_ERROR)
-    off = RigidTransform.from_exp_coords(np.concatenate([turn, place]))
+    off = RigidTransform.from_exp_coords(np.repeat(MOUNT_ERROR, 3) * rng.standard_normal(6))
     mounted = drawn.head.transform_camera_to_wrist * off
     head = dataclasses.replace(drawn.head, transform_camera_to_wrist=mounted)
     return dataclasses.replace(drawn, head=head)

@@ -15,11 +15,11 @@ from perception.voxels.map import Surface, VoxelMap
 TRUTH_VIEWS = 60
 TRUTH_CELL = 0.02  # [m]
 WITHIN = 0.015
-"""A piece of true surface is mapped when the map has an occupied voxel so near [m]."""
+"""Greatest distance from an occupied voxel at which a piece of true surface is mapped [m]."""
 SAMPLES = 2000
-"""Surface estimates that are compared with the truth."""
+"""Greatest number of surface estimates that are compared with the truth."""
 BACK = 0.06
-"""From so far before an estimate the true surface is sought [m]."""
+"""Distance before an estimate from which the true surface is searched for [m]."""
 LOST = 0.04
 """An estimate farther from the true surface is counted apart: it belongs to another one [m]."""
 _CUBE = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)).reshape(3, -1).T
@@ -32,9 +32,9 @@ def true_surface(
     """Return (N, 3) pieces of surface [m], scene frame, that the arms can see: 2 cm each.
 
     Args:
-        scene: Its arms are moved about.
+        scene: Scene whose arms are moved about.
         reach: Nearest and farthest depth that counts [m].
-        rng: Draws postures of the arms.
+        rng: Random generator for the postures of the arms.
     """
     geometry = scene.geometry
     columns, rows = np.meshgrid(
@@ -62,11 +62,11 @@ def true_surface(
 
 
 def mapped_share(voxels: VoxelMap, pieces: FloatArray) -> tuple[float, int]:
-    """Return which share of true surface (N, 3) [m] is mapped, and the number of occupied voxels.
+    """Return the share of true surface that is mapped, and the number of occupied voxels.
 
     Args:
-        voxels: The map.
-        pieces: Of true surface, in the map's frame.
+        voxels: Map of the scene.
+        pieces: (N, 3) pieces of true surface [m], map frame.
     """
     cells, _ = voxels.occupied_cells()
     if not len(cells):
@@ -77,25 +77,21 @@ def mapped_share(voxels: VoxelMap, pieces: FloatArray) -> tuple[float, int]:
 
 def pose_errors(
     views: Sequence[StereoView], cameras: Mapping[tuple[str, float], RigidTransform]
-) -> tuple[FloatArray, FloatArray]:
-    """Return (L,) errors of the cameras' places [m], by the arm and as corrected by fiducials.
+) -> FloatArray:
+    """Return (2, L) errors of the cameras' positions [m], by the arm and corrected by fiducials.
 
     Args:
         views: Views taken.
-        cameras: True, by robot and time stamp.
+        cameras: True transforms from camera to map, by robot and time stamp.
     """
-    errors = [np.zeros((0, 2))]
+    errors = [np.zeros((2, 0))]
     for view in views:
-        if view.prediction is None or view.correction is None:
-            continue
-        true = cameras[view.robot, view.time].translation
-        told = [
-            camera.transform_camera_to_world.translation
-            for camera in (view.prediction, view.correction.camera)
-        ]
-        errors.append(np.linalg.norm(np.array(told) - true, axis=1)[None])
-    guess, corrected = np.concatenate(errors).T
-    return guess, corrected
+        if view.prediction is not None and view.correction is not None:
+            true = cameras[view.robot, view.time].translation
+            poses = (view.prediction, view.correction.camera)
+            estimates = np.array([p.transform_camera_to_world.translation for p in poses])
+            errors.append(np.linalg.norm(estimates - true, axis=1)[:, None])
+    return np.hstack(errors)
 
 
 def surface_errors(
@@ -107,14 +103,14 @@ def surface_errors(
     """Return squared normalised errors of the map's surface, and the share that is nowhere near.
 
     The error of an estimate is its distance from the nearest true surface that faces one of 26
-    directions, over the deviation that its covariance says it has across that surface: where along
-    the surface it lies, nothing can tell.
+    directions, over the standard deviation of its covariance across that surface: its position
+    along the surface cannot be compared.
 
     Args:
-        surface: What the map says.
-        scene: The truth.
-        transform_scene_to_map: True.
-        rng: Draws which estimates are compared.
+        surface: Surface estimates of the map.
+        scene: Scene with the true surface.
+        transform_scene_to_map: True transform from the scene to the map's frame.
+        rng: Random generator that chooses the estimates to compare.
     """
     count = len(surface.means)
     if not count:
@@ -125,8 +121,7 @@ def surface_errors(
     turn = to_scene.rotation.as_matrix()
     covariances = turn @ surface.covariances[chosen] @ turn.T
     hits = [_nearest(scene, mean) for mean in means]
-    errors = np.array([error for error, _ in hits])
-    normals = np.array([normal for _, normal in hits])
+    errors, normals = (np.array(part) for part in zip(*hits))
     near = np.abs(errors) < LOST
     variances = np.einsum("ni,nij,nj->n", normals, covariances, normals)
     return errors[near] ** 2 / variances[near], 1.0 - float(np.mean(near))

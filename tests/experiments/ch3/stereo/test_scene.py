@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments.ch3.stereo.noise import (
-    SceneNoise,
+    StereoNoise,
     StereoNoiseTrial,
     binned_sigma,
     log_slope,
@@ -144,17 +144,17 @@ def test_layouts_of_many_seeds_can_be_built_and_differ():
         assert np.hypot(*np.subtract(robots[0].position, robots[1].position)) > 0.7
 
 
-def synthetic(seed: int) -> SceneNoise:
+def synthetic(seed: int) -> StereoNoise:
     """Return what `measure_scene` would of a head with 0.03 px of noise at all ranges."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.35, 2.0, 6000)
     noise = {m: 0.03 * rng.standard_normal(6000) for m in ("refined", "bm", "sgbm")}
     scale = 25.7
-    return SceneNoise(
+    return StereoNoise(
         focal_baseline=scale,
         depth=depth,
         predicted=depth**2 / scale * 0.03,
-        arm=np.zeros(6000) + (depth < 0.6),
+        arm=depth < 0.6,
         errors=noise,
         matched=dict.fromkeys(noise, 0.8),
         bare=0,

@@ -28,7 +28,7 @@ def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
     mapper = scored.mapper
     assert set(mapper.localizations) == {"rover1", "rover2"} and mapper.done
     assert len({(view.robot, view.number) for view in mapper.views}) == len(mapper.views) == 4
-    shares = [share for _, share, _ in scored.curve]
+    shares = [share for share, _ in scored.curve]
     assert len(shares) == 4 and np.all(np.diff(shares) >= 0.0) and shares[-1] > 0.02
     errors, lost = surface_errors(
         mapper.shared.voxels.surface(),
@@ -60,7 +60,7 @@ def check_camera(view, true):
 def test_rovers_on_emulated_boards_map_as_well():
     scored = map_scene(MappingTrial(3, "information", 1, robot="emulated"))
     assert set(scored.mapper.localizations) == {"rover1", "rover2"} and scored.mapper.done
-    assert len(scored.curve) == 2 and scored.curve[-1][1] > 0.005
+    assert len(scored.curve) == 2 and scored.curve[-1][0] > 0.005
     for view in scored.mapper.views:
         # The pair was taken while the arm was at rest, and the emulator said where the camera was.
         stamps = [stamp for robot, stamp in scored.cameras if robot == view.robot]
