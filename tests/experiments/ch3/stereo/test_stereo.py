@@ -4,11 +4,13 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
 from controllers.mapping.stereo_view import MapperConfig
 from experiments.__main__ import main
+from experiments.ch3.stereo import record
 from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch3.stereo.trial import MappingTrial, map_scene
 from experiments.ch3.stereo.truth import mapped_share, surface_errors, true_surface
@@ -39,10 +41,10 @@ def test_two_rovers_share_one_map_whose_surface_is_where_it_truly_is():
     assert lost < 0.01 and np.mean(errors) < 4.0
     for view in mapper.views:
         check_camera(view, scored.cameras[view.robot, view.time])
-    # A robot stands where nothing is in its way: the map has its own arm not in it.
-    for standing in mapper.localizations.values():
-        arm = standing.arm.cover_points(np.zeros((1, 4)))[0]
-        world = standing.transform_level_to_world.apply(arm)
+    # The robots' own arms are left out of the map.
+    for localization in mapper.localizations.values():
+        arm = localization.arm.cover_points(np.zeros((1, 4)))[0]
+        world = localization.transform_level_to_world.apply(arm)
         assert not np.any(mapper.shared.voxels.states(world) == State.OCCUPIED)
 
 
@@ -62,13 +64,21 @@ def test_rovers_on_emulated_boards_map_as_well():
     assert set(scored.mapper.localizations) == {"rover1", "rover2"} and scored.mapper.done
     assert len(scored.curve) == 2 and scored.curve[-1][0] > 0.005
     for view in scored.mapper.views:
-        # The pair was taken while the arm was at rest, and the emulator said where the camera was.
+        # The pair was taken while the arm was at rest, and the emulator reported the camera's pose.
         stamps = [stamp for robot, stamp in scored.cameras if robot == view.robot]
         check_camera(view, scored.cameras[view.robot, max(s for s in stamps if s <= view.time)])
 
 
 @pytest.mark.slow
-def test_quick_run_of_the_mapping_writes_everything(tmp_path):
+def test_quick_run_of_the_mapping_writes_figures_recording_points_and_mesh(tmp_path, monkeypatch):
+    maps = []
+
+    def map_and_keep(*args):
+        scored = map_scene(*args)
+        maps.append(scored.mapper.shared.voxels)
+        return scored
+
+    monkeypatch.setattr(record, "map_scene", map_and_keep)
     words = ["ch3-stereo", "--parts", "mapping", "--quick", "--scans", "1", "--record"]
     assert main([*words, "--jobs", "1", "--out", str(tmp_path)]) == 0
     folder = tmp_path / "ch3-stereo"
@@ -78,10 +88,24 @@ def test_quick_run_of_the_mapping_writes_everything(tmp_path):
     names = {path.name for path in (folder / "figures").iterdir()}
     assert {"figure_3-22.png", "figure_3-25.png", "figure_3-27a.png", "figure_3-27b.png"} <= names
     assert (folder / "run.rrd").stat().st_size > 100_000
+    (voxels,) = maps
+    surface = voxels.surface()
+    cloud = trimesh.load(folder / "map_points.ply")
+    np.testing.assert_allclose(cloud.vertices, surface.means, atol=1e-6)
+    certain = np.clip(2.0 * surface.probabilities - 1.0, 0.0, 1.0)
+    np.testing.assert_array_equal(cloud.colors[:, 0], (255 * certain).astype(np.uint8))
+    mesh = trimesh.load(folder / "map_mesh.stl")
+    cells, _ = voxels.occupied_cells()
+    # The faces enclose the occupied voxels and nothing else.
+    assert mesh.volume == pytest.approx(len(cells) * voxels.grid.resolution**3, rel=1e-3)
+    centres = voxels.grid.centres(cells)
+    half = voxels.grid.resolution / 2.0
+    bounds = [centres.min(axis=0) - half, centres.max(axis=0) + half]
+    np.testing.assert_allclose(mesh.bounds, bounds, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    "words, told",
+    "words, message",
     [
         (["--parts", "dreams"], "cooperation"),
         (["--scans", "0"], "--scans"),
@@ -90,12 +114,12 @@ def test_quick_run_of_the_mapping_writes_everything(tmp_path):
         (["--robot", "emulated", "--parts", "noise"], "add mapping to --parts"),
     ],
 )
-def test_bad_options_are_told_in_one_line(words, told, capsys):
+def test_bad_options_are_refused_in_one_line(words, message, capsys):
     assert main(["ch3-stereo", *words]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_unknown_method_is_told():
+def test_unknown_method_is_refused():
     with pytest.raises(ValueError, match="information, raster, random"):
         MapperConfig(method="magic")
 
