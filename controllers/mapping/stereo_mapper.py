@@ -21,7 +21,6 @@ from controllers.mapping.stereo_view import MapperConfig, StereoView
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.registration.target import possible_markers
-from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoMatcher
 from perception.voxels.views import planning_grid
 from twin.description import RobotDescription
@@ -111,7 +110,7 @@ class StereoMapper:
         geometry = shared.geometry
         self.localizer = FiducialLocalizer(geometry, config.localizer)
         self._matcher = StereoMatcher(geometry, config.stereo)
-        self._lens = ViewRays(_rays(geometry, config.rays), config.reach)
+        self._lens = ViewRays(geometry.directions(*config.rays), config.reach)
         self._robots = dict(robots)
         self._heads: dict[str, _Head] = {}
         self.reset()
@@ -287,12 +286,6 @@ class StereoMapper:
             return occupied | ~(free | clear)
 
         return collides
-
-
-def _rays(geometry: StereoGeometry, counts: tuple[int, int]) -> FloatArray:
-    """Return (R, 3) unit vectors over the field of view of the left camera."""
-    rays = geometry.rays(geometry.pixel_grid(*counts)).reshape(-1, 3)
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def _arms(observations: Mapping[str, Observation]) -> dict[str, FloatArray]:

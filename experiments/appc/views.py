@@ -214,9 +214,9 @@ def _ratings(
     grid = planning_grid(voxels)
     occupancy = expected_occupancy(grid.states)
     cameras = RigidTransform.concatenate([view.camera for view in views])
-    rays = _rays(geometry, RAYS)
+    rays = geometry.directions(RAYS, RAYS)
     rated = [view_information(grid, occupancy, cameras, rays, how.reach)]
-    fine = _rays(geometry, PICTURE // 2)
+    fine = geometry.directions(PICTURE // 2, PICTURE // 2)
     expected = [expected_pictures(grid, occupancy, v.camera, fine, how.reach) for v in views]
     rated += [
         np.array([image_information(depth, 1) for depth, _ in expected]),
@@ -272,12 +272,6 @@ def expected_pictures(
 
 def _picture(values: FloatArray, side: int) -> ByteArray:
     return np.round(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8).reshape(side, side)
-
-
-def _rays(geometry: StereoGeometry, count: int) -> FloatArray:
-    """Return (count * count, 3) unit vectors over the left camera's field of view."""
-    rays = geometry.rays(geometry.pixel_grid(count, count)).reshape(-1, 3)
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
 def _correlations(ratings: FloatArray, gains: FloatArray) -> FloatArray:

@@ -74,6 +74,11 @@ class Pinhole:
         x, y = (p[..., 0] - self.cx) / self.fx, (p[..., 1] - self.cy) / self.fy
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
+    def directions(self, columns: int | None = None, rows: int | None = None) -> FloatArray:
+        """Return unit vectors (rows * columns, 3) through `pixel_grid`, camera frame."""
+        rays = self.rays(self.pixel_grid(columns, rows)).reshape(-1, 3)
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
     def pixel_grid(self, columns: int | None = None, rows: int | None = None) -> FloatArray:
         """Return evenly spaced pixels (rows, columns, 2) over the image; by default all [px]."""
         u, v = _centres(self.width, columns), _centres(self.height, rows)

@@ -109,20 +109,15 @@ def _blob_sums(hat: Any, labels: Any, chosen: Any, boxes: Any) -> Any:
     sums = np.zeros((len(chosen), 7))
     for k in range(len(chosen)):
         left, top, width, height = boxes[k]
-        s = sums[k]
-        for y in range(top, top + height):
-            for x in range(left, left + width):
-                if labels[y, x] == chosen[k]:
-                    s[0] = max(s[0], float(hat[y, x]))
-        for y in range(top, top + height):
-            for x in range(left, left + width):
-                if labels[y, x] == chosen[k] and hat[y, x] > 0.5 * s[0]:
-                    s[1] += 1.0
-                    s[2] += x
-                    s[3] += y
-                    s[4] += x * x
-                    s[5] += x * y
-                    s[6] += y * y
+        box = hat[top : top + height, left : left + width].copy()
+        for y in range(height):
+            for x in range(width):
+                if labels[top + y, left + x] != chosen[k]:
+                    box[y, x] = 0
+        rows, columns = np.nonzero(box > 0.5 * np.max(box))
+        x, y = columns + left, rows + top
+        moments = (np.sum(x), np.sum(y), np.sum(x * x), np.sum(x * y), np.sum(y * y))
+        sums[k] = np.array((np.max(box), len(rows), *moments))
     return sums
 
 

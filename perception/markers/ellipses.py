@@ -232,8 +232,7 @@ def keep_plausible(
     for number in np.argsort(measured.misfits, kind="stable"):
         ellipse = measured.ellipses[number]
         square = ellipse[2:] * np.array([1.0, geometry.fx / geometry.fy, 1.0])
-        square[0] *= (geometry.fy / geometry.fx) ** 2
-        square[1] *= (geometry.fy / geometry.fx) ** 2
+        square[:2] *= (geometry.fy / geometry.fx) ** 2
         middle, half = (square[0] + square[2]) / 2.0, (square[0] - square[2]) / 2.0
         span = math.hypot(half, square[1])
         if not middle > span:
@@ -273,19 +272,14 @@ def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: 
     size = 2 * half + 1
     if column < half or row < half or column + half >= width or row + half >= height:
         return np.nan
-    top, left = row - half, column - half
+    window = image[row - half : row + half + 1, column - half : column + half + 1]
     peak, seed_x, seed_y = -1, half, half
     for y in range(half - 1, half + 2):
         for x in range(half - 1, half + 2):
-            if image[top + y, left + x] > peak:
-                peak, seed_x, seed_y = int(image[top + y, left + x]), x, y
-    ring = np.empty(4 * size)
-    for i in range(size):
-        ring[4 * i] = image[top, left + i]
-        ring[4 * i + 1] = image[top + size - 1, left + i]
-        ring[4 * i + 2] = image[top + i, left]
-        ring[4 * i + 3] = image[top + i, left + size - 1]
-    background = np.median(ring)
+            if window[y, x] > peak:
+                peak, seed_x, seed_y = int(window[y, x]), x, y
+    border = np.concatenate((window[0], window[-1], window[:, 0], window[:, -1]))
+    background = np.median(border.astype(np.float64))
     stack = np.empty((size * size, 2), np.int32)
     around = np.empty(size * size)
     # Twice: the region's own surroundings tell the background better than the window's border.
@@ -305,7 +299,7 @@ def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: 
                 return np.nan
             x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
             for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                if stamp[y + dy, x + dx] == 0 and image[top + y + dy, left + x + dx] > level:
+                if stamp[y + dy, x + dx] == 0 and window[y + dy, x + dx] > level:
                     stamp[y + dy, x + dx] = 1
                     stack[used, 0], stack[used, 1] = x + dx, y + dy
                     used += 1
@@ -322,7 +316,7 @@ def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: 
                                 if stamp[y + dy, x + dx] == 0:
                                     stamp[y + dy, x + dx] = layer + 1
                                     if layer == 3:
-                                        around[count] = image[top + y + dy, left + x + dx]
+                                        around[count] = window[y + dy, x + dx]
                                         count += 1
         background = np.median(around[:count])
     return background
@@ -354,70 +348,50 @@ def measure_region(
         Whether there is such a region.
     """
     half, (noise, sampling) = limits.half, pixels
-    size = 2 * half + 1
-    stamp = np.zeros((size, size), np.uint8)
+    stamp = np.zeros((2 * half + 1, 2 * half + 1), np.uint8)
     background = grow_region(image, column, row, limits, stamp)
     if np.isnan(background):
         return False
-    total, su, sv, bright, top = 0.0, 0.0, 0.0, 0.0, 0.0
-    inside, reached = 0, 0
-    for y in range(size):
-        for x in range(size):
-            if stamp[y, x] == 1 or stamp[y, x] == 2 or stamp[y, x] == 3:
-                w = image[row - half + y, column - half + x] - background
-                total += w
-                su += w * x
-                sv += w * y
-                reached += 1
-                top = max(top, w)
-                if stamp[y, x] == 1:
-                    inside += 1
-                    bright += w
-    u, v = su / total, sv / total
-    muu, muv, mvv = 0.0, 0.0, 0.0
-    core, cores = 0.0, 0
-    for y in range(size):
-        for x in range(size):
-            if stamp[y, x] == 1 or stamp[y, x] == 2 or stamp[y, x] == 3:
-                w = image[row - half + y, column - half + x] - background
-                muu += w * (x - u) * (x - u)
-                muv += w * (x - u) * (y - v)
-                mvv += w * (y - v) * (y - v)
-                # Whole neighbourhoods inside: no rim crosses these, they tell the contrast.
-                if stamp[y, x] == 1 and (
-                    stamp[y - 1, x] + stamp[y + 1, x] + stamp[y, x - 1] + stamp[y, x + 1] == 4
-                ):
-                    core += w
-                    cores += 1
-    muu, muv, mvv = muu / total, muv / total, mvv / total
-    contrast = core / cores if cores > 0 else top
+    window = image[row - half : row + half + 1, column - half : column + half + 1]
+    rows, columns = np.nonzero((stamp > 0) & (stamp < 4))
+    levels, core, cores = np.empty(len(rows)), 0.0, 0
+    for k in range(len(rows)):
+        x, y = columns[k], rows[k]
+        levels[k] = window[y, x] - background
+        # Whole neighbourhoods inside: no rim crosses these, they tell the contrast.
+        if stamp[y, x] == 1 and (
+            stamp[y - 1, x] + stamp[y + 1, x] + stamp[y, x - 1] + stamp[y, x + 1] == 4
+        ):
+            core += levels[k]
+            cores += 1
+    total = np.sum(levels)
+    u, v = np.sum(levels * columns) / total, np.sum(levels * rows) / total
+    across, down = columns - u, rows - v
+    muu = np.sum(levels * across * across) / total
+    muv = np.sum(levels * across * down) / total
+    mvv = np.sum(levels * down * down) / total
+    contrast = core / cores if cores > 0 else max(np.max(levels), 0.0)
     suu, suv, svv = 4.0 * (muu - 1.0 / 12.0), 4.0 * muv, 4.0 * (mvv - 1.0 / 12.0)
     if suu <= 0.0 or svv <= 0.0 or suu * svv <= suv * suv:
         return False
-    covariance = np.zeros((5, 5))
-    gain, drift = np.empty(5), np.zeros(5)
-    for y in range(size):
-        for x in range(size):
-            if stamp[y, x] == 1 or stamp[y, x] == 2 or stamp[y, x] == 3:
-                w = (image[row - half + y, column - half + x] - background) / contrast
-                rim = min(max(4.0 * w * (1.0 - w), 0.0), 1.0)
-                variance = noise * noise + (sampling * contrast) ** 2 * rim
-                gain[0], gain[1] = (x - u) / total, (y - v) / total
-                gain[2] = 4.0 * ((x - u) * (x - u) - muu) / total
-                gain[3] = 4.0 * ((x - u) * (y - v) - muv) / total
-                gain[4] = 4.0 * ((y - v) * (y - v) - mvv) / total
-                for i in range(5):
-                    drift[i] += gain[i]
-                    for j in range(5):
-                        covariance[i, j] += variance * gain[i] * gain[j]
+    share = levels / contrast
+    rim = np.minimum(np.maximum(4.0 * share * (1.0 - share), 0.0), 1.0)
+    variances = noise * noise + (sampling * contrast) ** 2 * rim
+    gains = np.empty((5, len(rows)))
+    gains[0], gains[1] = across / total, down / total
+    gains[2] = 4.0 * (across * across - muu) / total
+    gains[3] = 4.0 * (across * down - muv) / total
+    gains[4] = 4.0 * (down * down - mvv) / total
     # The background comes from a ring of about as many pixels as the region's own root.
-    unsure = noise * noise / max(4.0 * math.sqrt(reached), 1.0)
+    unsure = noise * noise / max(4.0 * math.sqrt(len(rows)), 1.0)
+    for i in range(5):
+        for j in range(5):
+            by_background = unsure * np.sum(gains[i]) * np.sum(gains[j])
+            own = np.sum(variances * gains[i] * gains[j])
+            found.covariances[number, i, j] = own + by_background
     ellipse = found.ellipses[number]
     ellipse[0], ellipse[1] = column - half + u, row - half + v
     ellipse[2], ellipse[3], ellipse[4] = suu, suv, svv
-    for i in range(5):
-        for j in range(5):
-            found.covariances[number, i, j] = covariance[i, j] + unsure * drift[i] * drift[j]
     found.contrasts[number] = contrast
     area = math.pi * math.sqrt(suu * svv - suv * suv)
     found.misfits[number] = abs(math.log(total / contrast / area))

@@ -76,8 +76,10 @@ def drop_specks(image: ImageArray, fewest: int) -> ImageArray:
         image: (H, W) image of `black_markers`.
         fewest: Pixels of a region that stays; those that touch at corners hang together.
     """
-    kept = image.copy()
-    _whiten_specks(kept, fewest)
+    labels = np.asarray(cv2.connectedComponents(255 - image, connectivity=8)[1], np.int32)
+    black, kept = image == 0, image.copy()
+    regions = labels[black]
+    kept[black] = np.where(np.bincount(regions)[regions] < fewest, 255, 0)
     return kept
 
 
@@ -186,33 +188,6 @@ def _grow_all(
         if measured and found.misfits[count] < _UNALIKE:
             count += 1
     return count
-
-
-@numba.njit(cache=True)
-def _whiten_specks(image: Any, fewest: int) -> None:
-    """Make white, in place, what is black and hangs together in fewer pixels."""
-    height, width = image.shape
-    seen = np.zeros((height, width), np.bool_)
-    group = np.empty((height * width, 2), np.int32)
-    for row in range(height):
-        for column in range(width):
-            if image[row, column] != 0 or seen[row, column]:
-                continue
-            seen[row, column] = True
-            group[0, 0], group[0, 1] = column, row
-            done, used = 0, 1
-            while done < used:
-                c, r = group[done, 0], group[done, 1]
-                done += 1
-                for y in range(max(r - 1, 0), min(r + 2, height)):
-                    for x in range(max(c - 1, 0), min(c + 2, width)):
-                        if image[y, x] == 0 and not seen[y, x]:
-                            seen[y, x] = True
-                            group[used, 0], group[used, 1] = x, y
-                            used += 1
-            if used < fewest:
-                for k in range(used):
-                    image[group[k, 1], group[k, 0]] = 255
 
 
 LEAST_TURN = math.pi / 6.0

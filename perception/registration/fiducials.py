@@ -29,18 +29,12 @@ class Selection:
         indices: (K,) indices of the chosen points.
         image_points: (K, 3) columns, rows, disparities [px].
         ratings: (K,) F.E.F. without the penalty.
-        certainty: (K,) f, 0 to 1.
-        visual: (K,) g, 0 to 1.
-        depth: (K,) h, 0 to 1.
         trouble: Why the set cannot fix a motion; None if it can.
     """
 
     indices: IndexArray
     image_points: FloatArray
     ratings: FloatArray
-    certainty: FloatArray
-    visual: FloatArray
-    depth: FloatArray
     trouble: str | None
 
 
@@ -97,16 +91,8 @@ def select_fiducials(
     ratings = c.certainty_weight * certainty + c.visual_weight * visual + c.depth_weight * depth
     others = np.zeros((0, 2)) if taken is None else np.asarray(taken, dtype=float)[:, :2]
     best = _spaced(seen[chosen, :2], ratings, others, c)
-    picked = chosen[best]
-    return Selection(
-        picked,
-        seen[picked],
-        ratings[best],
-        certainty[best],
-        visual[best],
-        depth[best],
-        weakness(seen[picked], c.sigma),
-    )
+    picked = seen[chosen[best]]
+    return Selection(chosen[best], picked, ratings[best], weakness(picked, c.sigma))
 
 
 def _certainties(
@@ -216,6 +202,11 @@ class FiducialConfig:
     penalty: float = 1.5
     cell: int = 12
 
+    @property
+    def windows(self) -> range:
+        """Edges of the windows about a point, rising [px]."""
+        return range(3, self.largest_window + 1, 2)
+
     def __post_init__(self) -> None:
         """Check the values; an error names the wrong one."""
         for name in ("count", "shells", "cell"):
@@ -255,11 +246,10 @@ def visual_term(
     """Return (N,) g: contrast with the surroundings times the window's size, 0 to 1."""
     columns, rows = pixels(image_points)
     grey = image.astype(np.float32)
-    windows = _windows(config)
-    means = np.stack([_mean(grey, int(w))[rows, columns] for w in windows]).astype(float)
+    means = np.stack([_mean(grey, w)[rows, columns] for w in config.windows]).astype(float)
     means[means < _DARK] = np.nan
-    contrast, window = window_contrast(grey[rows, columns].astype(float), means, windows)
-    return np.minimum(contrast * window / config.largest_window / config.full_visual, 1.0)
+    contrast = _sized_contrast(grey[rows, columns].astype(float), means, config)
+    return np.minimum(contrast / config.full_visual, 1.0)
 
 
 def depth_term(
@@ -281,20 +271,39 @@ def depth_term(
         chosen: (N,) indices of the points to rate.
         config: Windows and scale.
     """
+    columns, rows = pixels(image_points[chosen])
+    mask, depth = (i.astype(np.float32) for i in _drawn(image_points, depths, shape))
+    means = [
+        _mean(depth, w)[rows, columns] / np.maximum(_mean(mask, w)[rows, columns], 1e-6)
+        for w in config.windows
+    ]
+    contrast = _sized_contrast(depths[chosen], np.stack(means).astype(float), config)
+    return np.minimum(contrast / config.full_depth, 1.0)
+
+
+def _sized_contrast(centre: FloatArray, means: FloatArray, config: FiducialConfig) -> FloatArray:
+    """Return (N,) contrasts times the window's size over the largest; see `window_contrast`."""
+    contrast, window = window_contrast(centre, means, np.array(config.windows, dtype=float))
+    return contrast * window / config.largest_window
+
+
+def _drawn(
+    image_points: FloatArray, values: FloatArray, shape: tuple[int, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return images of where a value was measured, 1 or 0, and of the values, else 0.
+
+    Args:
+        image_points: (M, 2 or more) columns and rows [px].
+        values: (M,) values; NaN where there is none.
+        shape: Shape of the images.
+    """
     columns, rows = pixels(image_points)
-    measured = np.isfinite(depths)
+    measured = np.isfinite(values)
     measured &= (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
-    depth, mask = np.zeros(shape[:2], np.float32), np.zeros(shape[:2], np.float32)
-    depth[rows[measured], columns[measured]] = depths[measured]
+    mask, image = np.zeros(shape[:2]), np.zeros(shape[:2])
     mask[rows[measured], columns[measured]] = 1.0
-    windows = _windows(config)
-    at = (rows[chosen], columns[chosen])
-    means = np.empty((len(windows), len(chosen)))
-    for k, window in enumerate(windows):
-        share = np.maximum(_mean(mask, int(window))[at], 1e-6)
-        means[k] = _mean(depth, int(window))[at] / share
-    contrast, window = window_contrast(depths[chosen], means, windows)
-    return np.minimum(contrast * window / config.largest_window / config.full_depth, 1.0)
+    image[rows[measured], columns[measured]] = values[measured]
+    return mask, image
 
 
 def match_sigma(
@@ -327,19 +336,14 @@ def on_one_surface(
 
     A plane is fitted to the disparities measured in a window, by sums over boxes.
     """
-    columns, rows = pixels(seen)
-    measured = np.isfinite(seen).all(axis=1)
-    measured &= (columns >= 0) & (columns < shape[1]) & (rows >= 0) & (rows < shape[0])
-    mask, disparity = np.zeros(shape[:2]), np.zeros(shape[:2])
-    mask[rows[measured], columns[measured]] = 1.0
-    disparity[rows[measured], columns[measured]] = seen[measured, 2]
+    columns, rows = pixels(seen[chosen])
+    mask, disparity = _drawn(seen, seen[:, 2], shape)
     down, right = np.indices(shape[:2], dtype=float)
-    at = (rows[chosen], columns[chosen])
     box, flags = (config.surface_window, config.surface_window), cv2.BORDER_CONSTANT
 
     def summed(values: FloatArray) -> FloatArray:
         total = cv2.boxFilter(mask * values, cv2.CV_64F, box, normalize=False, borderType=flags)
-        return np.asarray(total, dtype=float)[at]
+        return np.asarray(total, dtype=float)[rows, columns]
 
     # Each box's sums are taken about its own centre, or they would cancel badly.
     axes = (np.ones(shape[:2]), right, down, disparity)
@@ -364,24 +368,16 @@ def pixels(image_points: FloatArray) -> tuple[IndexArray, IndexArray]:
     return whole[:, 0], whole[:, 1]
 
 
-def _windows(config: FiducialConfig) -> FloatArray:
-    return np.arange(3, config.largest_window + 1, 2).astype(float)
-
-
 def _mean(image: NDArray[np.float32], window: int) -> NDArray[np.float32]:
     return np.asarray(
         cv2.blur(image, (window, window), borderType=cv2.BORDER_REFLECT_101), dtype=np.float32
     )
 
 
+@numba.njit(cache=True)
 def inverse_radius(
-    points: FloatArray,
-    certainties: FloatArray,
-    centres: FloatArray,
-    own: FloatArray,
-    shell: float,
-    shells: int,
-) -> FloatArray:
+    points: Any, certainties: Any, centres: Any, own: Any, shell: float, shells: int
+) -> Any:
     """Return 1 / r of the thesis' f: r is where certainty, falling from a centre, stops falling.
 
     Args:
@@ -395,15 +391,6 @@ def inverse_radius(
     Returns:
         (N,) inverse radii in shells, 1 / shells to 1.
     """
-    inverse: FloatArray = _radius_kernel(points, certainties, centres, own, shell, shells)
-    return inverse
-
-
-@numba.njit(cache=True)
-def _radius_kernel(
-    points: Any, certainties: Any, centres: Any, own: Any, shell: float, shells: int
-) -> Any:
-    """Return (N,) 1 / r in shells: r is where the neighbours' certainty stops falling."""
     result = np.empty(len(centres))
     reach = (shell * shells) ** 2
     for n in range(len(centres)):

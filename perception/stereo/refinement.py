@@ -13,7 +13,6 @@ certain the disparity is, and its residual betrays windows that hold no one surf
 
 import dataclasses
 import math
-from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -68,90 +67,72 @@ def refine(
     return Refinement(result[:, 0], result[:, 1:3], sigmas, residuals, contrasts, inner)
 
 
-class ImageWindow(NamedTuple):
-    """A square window of the left image.
-
-    Attributes:
-        column: Column of its middle [px].
-        row: Row of its middle [px].
-        half: Half of its edge [px].
-    """
-
-    column: int
-    row: int
-    half: int
-
-
-class DisparityPlane(NamedTuple):
-    """A plane of disparity over a window, and an offset of brightness.
-
-    Attributes:
-        disparity: In the middle of the window [px].
-        by_column: Change of disparity per column [-].
-        by_row: Change of disparity per row [-].
-        offset: Grey level of the left image over that of the right one.
-    """
-
-    disparity: float
-    by_column: float
-    by_row: float
-    offset: float
-
-
 @numba.njit(cache=True)
 def _refine(left, right, pixels, starts, half, iterations, result):
     rows, columns = left.shape
     count = (2 * half + 1) ** 2
-    normal, target, step = np.zeros((4, 4)), np.zeros(4), np.zeros(4)
+    normal, target, step, plane = np.zeros((4, 4)), np.zeros(4), np.zeros(4), np.zeros(4)
     for n in range(pixels.shape[0]):
         u, v = pixels[n, 0], pixels[n, 1]
         if u < half or u >= columns - half or v < half or v >= rows - half:
             continue
-        window = ImageWindow(u, v, half)
-        d, a, b = starts[n, 0], starts[n, 1], starts[n, 2]
-        offset = 0.0
+        window = left[v - half : v + half + 1, u - half : u + half + 1]
+        strip = right[v - half : v + half + 1]
+        plane[:3] = starts[n]
+        plane[3] = 0.0
         fitted = False
         for _ in range(iterations):
-            plane = DisparityPlane(d, a, b, offset)
-            squares = _accumulate(left, right, window, plane, normal, target)
+            squares = _accumulate(window, strip, u, plane, normal, target)
             if squares < 0.0 or not _solve(normal, target, step):
                 break
-            d, a, b = d + step[0], a + step[1], b + step[2]
-            offset += step[3]
+            plane += step
             # A window must not fold over itself, and what moved this far has lost its match.
-            if abs(d - starts[n, 0]) > 2.0 or abs(a) > 0.7 or abs(b) > 1.5:
+            moved = abs(plane[0] - starts[n, 0])
+            if moved > 2.0 or abs(plane[1]) > 0.7 or abs(plane[2]) > 1.5:
                 break
             if abs(step[0]) < 1e-3 and half * (abs(step[1]) + abs(step[2])) < 1e-2:
                 fitted = True
                 break
         if not fitted:
             continue
-        plane = DisparityPlane(d, a, b, offset)
-        squares = _accumulate(left, right, window, plane, normal, target)
-        target[0], target[1], target[2], target[3] = 1.0, 0.0, 0.0, 0.0
+        squares = _accumulate(window, strip, u, plane, normal, target)
+        target[:] = 0.0
+        target[0] = 1.0
         if squares < 0.0 or not _solve(normal, target, step):
             continue
-        variance = squares / (count - 4)
-        result[n, 0], result[n, 1], result[n, 2] = d, a, b
-        result[n, 3] = math.sqrt(step[0] * variance)
+        result[n, :3] = plane[:3]
+        result[n, 3] = math.sqrt(step[0] * (squares / (count - 4)))
         result[n, 4] = math.sqrt(squares / count)
-        result[n, 5] = _contrast(left, u, v, half)
-        result[n, 6] = _contrast(left, u, v, half // 2)
+        result[n, 5] = _contrast(window)
+        inner = half - half // 2
+        result[n, 6] = _contrast(window[inner : 2 * half + 1 - inner, inner : 2 * half + 1 - inner])
 
 
 @numba.njit(cache=True)
-def _accumulate(left, right, window, plane, normal, target):
-    """Fill the normal equations; return the sum of squares, or -1 where the window leaves."""
-    u, v, half = window
-    d, a, b, offset = plane
-    last = right.shape[1] - 3
+def _accumulate(window, strip, column, plane, normal, target):
+    """Fill the normal equations of a window's plane of disparity and offset of brightness.
+
+    Args:
+        window: (2 half + 1, 2 half + 1) window of the left image.
+        strip: (2 half + 1, W) the same rows of the right image.
+        column: Column of the window's middle [px].
+        plane: (4,) disparity in the middle [px], its change per column and per row, and the grey
+            level of the left image over that of the right one.
+        normal: (4, 4) normal matrix, of which the upper triangle is written.
+        target: (4,) right-hand side, written.
+
+    Returns:
+        The sum of squares, or -1 where the window leaves the right image.
+    """
+    half, last = window.shape[0] // 2, strip.shape[1] - 3
+    d, a, b, offset = plane[0], plane[1], plane[2], plane[3]
     normal[:] = 0.0
     target[:] = 0.0
     squares = 0.0
     for y in range(-half, half + 1):
-        row = right[v + y]
+        row = strip[y + half]
         for x in range(-half, half + 1):
-            at = u + x - (d + a * x + b * y)
+            at = column + x - (d + a * x + b * y)
             k = int(math.floor(at))
             if k < 1 or k > last:
                 return -1.0
@@ -163,24 +144,14 @@ def _accumulate(left, right, window, plane, normal, target):
             c3 = 0.5 * (s - p) + 1.5 * (q - r)
             value = q + t * (c1 + t * (c2 + t * c3))
             gradient = c1 + t * (2.0 * c2 + t * 3.0 * c3)
-            error = left[v + y, u + x] - value - offset
+            error = window[y + half, x + half] - value - offset
             squares += error * error
             # The picture moves to the left as the disparity grows.
-            g1, g2 = gradient * x, gradient * y
-            normal[0, 0] += gradient * gradient
-            normal[0, 1] += gradient * g1
-            normal[0, 2] += gradient * g2
-            normal[0, 3] -= gradient
-            normal[1, 1] += g1 * g1
-            normal[1, 2] += g1 * g2
-            normal[1, 3] -= g1
-            normal[2, 2] += g2 * g2
-            normal[2, 3] -= g2
-            target[0] -= gradient * error
-            target[1] -= g1 * error
-            target[2] -= g2 * error
-            target[3] += error
-    normal[3, 3] = (2 * half + 1) ** 2
+            slopes = (gradient, gradient * x, gradient * y, -1.0)
+            for i in range(4):
+                target[i] -= slopes[i] * error
+                for j in range(i, 4):
+                    normal[i, j] += slopes[i] * slopes[j]
     return squares
 
 
@@ -213,11 +184,11 @@ def _solve(normal, target, solution):
 
 
 @numba.njit(cache=True)
-def _contrast(image, u, v, half):
+def _contrast(window):
+    """Return the r.m.s. of a window about its mean."""
     total, squares = 0.0, 0.0
-    for y in range(v - half, v + half + 1):
-        for x in range(u - half, u + half + 1):
-            total += image[y, x]
-            squares += image[y, x] * image[y, x]
-    count = (2 * half + 1) ** 2
-    return math.sqrt(max(squares / count - (total / count) ** 2, 0.0))
+    for y in range(window.shape[0]):
+        for x in range(window.shape[1]):
+            total += window[y, x]
+            squares += window[y, x] * window[y, x]
+    return math.sqrt(max(squares / window.size - (total / window.size) ** 2, 0.0))

@@ -293,6 +293,7 @@ def _not_zero(component: float) -> float:
 
 StateArray = NDArray[np.int8]
 
+_BESIDE = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 _OPAQUE = 0.05
 """Chance that a ray still goes on, below which it is not followed."""
 
@@ -384,24 +385,35 @@ def view_information(
     cameras: RigidTransform,
     rays: FloatArray,
     reach: tuple[float, float],
+    claims: NDArray[np.bool_] | None = None,
 ) -> FloatArray:
-    """Return (N,) weighted bits that each view is expected to tell.
+    """Return (N,) weighted bits of information expected of each view.
 
     The entropy of each unknown cell that a ray meets, times -p log2 p and the chance that the ray
     gets there, is counted once a view.
 
     Args:
-        grid: What is known.
-        occupancy: (nx, ny, nz) from `expected_occupancy`.
+        grid: Coarse picture of the map.
+        occupancy: (nx, ny, nz) probabilities from `expected_occupancy`.
         cameras: N transforms from camera to world.
         rays: (R, 3) unit vectors, camera frame.
         reach: Nearest and farthest measurable distance along a ray [m].
+        claims: (nx, ny, nz) where cells that a view is expected to show are marked, if given.
 
     Raises:
         ValueError: If the probabilities are not of the grid's cells.
     """
-    value, _ = _look(grid, occupancy, cameras, rays, reach, None)
-    return value
+    if occupancy.shape != grid.states.shape:
+        raise ValueError(f"occupancy: expected shape {grid.states.shape}, got {occupancy.shape}")
+    low = np.asarray(grid.low, dtype=float)
+    return _views(
+        GuessedCells(grid.states, np.asarray(occupancy), low, float(grid.resolution)),
+        np.ascontiguousarray(cameras.translation.reshape(-1, 3)),
+        np.ascontiguousarray(cameras.rotation.as_matrix().reshape(-1, 3, 3)),
+        np.ascontiguousarray(rays, dtype=float),
+        (float(reach[0]), float(reach[1])),
+        np.zeros((0, 0, 0), np.bool_) if claims is None else claims,
+    )
 
 
 def claimed_by_view(
@@ -411,7 +423,7 @@ def claimed_by_view(
     rays: FloatArray,
     reach: tuple[float, float],
 ) -> NDArray[np.bool_]:
-    """Return (nx, ny, nz), which unknown cells a view is expected to see: others need not look.
+    """Return (nx, ny, nz) unknown cells that a view is expected to show; others may skip them.
 
     Args:
         grid: Coarse picture of the map.
@@ -421,42 +433,11 @@ def claimed_by_view(
         reach: Nearest and farthest measurable distance along a ray [m].
 
     Raises:
-        ValueError: As `view_information`.
+        ValueError: If the probabilities are not of the grid's cells.
     """
     claims = np.zeros(grid.states.shape, np.bool_)
-    _look(grid, occupancy, camera, rays, reach, claims)
+    view_information(grid, occupancy, camera, rays, reach, claims)
     return claims
-
-
-def _look(
-    grid: PlanningGrid,
-    occupancy: FloatArray,
-    cameras: RigidTransform,
-    rays: FloatArray,
-    reach: tuple[float, float],
-    claims: NDArray[np.bool_] | None,
-) -> tuple[FloatArray, NDArray[np.bool_]]:
-    if occupancy.shape != grid.states.shape:
-        raise ValueError(f"occupancy: expected shape {grid.states.shape}, got {occupancy.shape}")
-    places = np.ascontiguousarray(cameras.translation.reshape(-1, 3))
-    turns = np.ascontiguousarray(cameras.rotation.as_matrix().reshape(-1, 3, 3))
-    cells = GuessedCells(
-        grid.states,
-        np.asarray(occupancy),
-        np.asarray(grid.low, dtype=float),
-        float(grid.resolution),
-    )
-    seen = claims if claims is not None else np.zeros((1, 1, 1), np.bool_)
-    value: FloatArray = _views(
-        cells,
-        places,
-        turns,
-        np.ascontiguousarray(rays, dtype=float),
-        (float(reach[0]), float(reach[1])),
-        seen,
-        claims is not None,
-    )
-    return value, seen
 
 
 @numba.njit(cache=True)
@@ -481,18 +462,9 @@ def _relaxed(states: Any, rates: Any, neighbours: float, sweeps: int) -> Any:
                     if states[i, j, k] != UNKNOWN:
                         continue
                     total, count = 0.0, 0
-                    if i > 0:
-                        total, count = total + p[i - 1, j, k], count + 1
-                    if i < nx - 1:
-                        total, count = total + p[i + 1, j, k], count + 1
-                    if j > 0:
-                        total, count = total + p[i, j - 1, k], count + 1
-                    if j < ny - 1:
-                        total, count = total + p[i, j + 1, k], count + 1
-                    if k > 0:
-                        total, count = total + p[i, j, k - 1], count + 1
-                    if k < nz - 1:
-                        total, count = total + p[i, j, k + 1], count + 1
+                    for x, y, z in _BESIDE:
+                        if 0 <= i + x < nx and 0 <= j + y < ny and 0 <= k + z < nz:
+                            total, count = total + p[i + x, j + y, k + z], count + 1
                     around = total / count if count else rates[k]
                     p[i, j, k] = neighbours * around + (1.0 - neighbours) * rates[k]
     return p
@@ -514,10 +486,9 @@ def _views(
     rays: Any,
     reach: tuple[float, float],
     claims: Any,
-    writes: bool,
 ) -> Any:
-    """Walk all rays of all views; a stamp tells which cells a view has counted."""
-    states, occupancy, low, edge = cells.states, cells.occupancy, cells.low, cells.edge
+    """Walk all rays of all views; a stamp marks the cells that a view has counted."""
+    states, occupancy, low, edge = cells
     near, far = reach
     value = np.zeros(len(places))
     stamps = np.zeros(states.shape, np.int32)
@@ -570,7 +541,7 @@ def _views(
                     if stamps[i, j, k] != view + 1:
                         stamps[i, j, k] = view + 1
                         value[view] += passes * _weighted_entropy(p)
-                        if writes:
+                        if claims.size > 0:
                             claims[i, j, k] = True
                     passes *= (1.0 - p) ** ((leave - at) / edge)
                 at = leave

@@ -83,8 +83,7 @@ def panorama(views: Sequence[StereoView], geometry: StereoGeometry) -> FloatArra
         assert view.correction is not None
         pose = view.correction.camera.transform_camera_to_world
         image = view.pair[0]
-        rays = geometry.rays(geometry.pixel_grid()).reshape(-1, 3)
-        world = pose.rotation.apply(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+        world = pose.rotation.apply(geometry.directions())
         azimuth = np.rad2deg(np.arctan2(-world[:, 0], world[:, 1]))
         elevation = np.rad2deg(np.arcsin(np.clip(world[:, 2], -1.0, 1.0)))
         across = ((180.0 - azimuth) / 360.0 * width).astype(int) % width
