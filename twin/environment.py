@@ -41,7 +41,7 @@ class RoverTask(control.Task):
         """Take over a simulation that shares its state with the environment's physics.
 
         Args:
-            simulation: The scene; its present state is where every episode begins.
+            simulation: Scene, whose present state is the initial state of every episode.
             reward: Function from observations, by robot name, to the reward.
         """
         self._simulation = simulation
@@ -86,10 +86,8 @@ class RoverTask(control.Task):
 
     def get_reward(self, physics: Physics) -> float:
         """Return the reward of the latest observations."""
-        return self._reward(self._observations())
-
-    def _observations(self) -> dict[str, Observation]:
-        return {name: robot.observe() for name, robot in self._simulation.robots.items()}
+        robots = self._simulation.robots
+        return self._reward({name: robot.observe() for name, robot in robots.items()})
 
 
 def make_environment(
@@ -103,9 +101,9 @@ def make_environment(
     """Return a scene as a ``dm_env.Environment``.
 
     Args:
-        robots: Names and starting places.
-        field: The ground.
-        suite: How the sensors measure.
+        robots: Names and initial poses of the robots.
+        field: Ground of the scene.
+        suite: Specification of the sensors.
         seed: Random seed of all sensor noise; every episode has the same.
         time_limit: Length of an episode [s].
         reward: Function from observations, by robot name, to the reward.

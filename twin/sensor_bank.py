@@ -5,10 +5,9 @@ with dropout, and delay, in this order. A channel that has nothing to say is mis
 it never reads zero instead.
 """
 
-import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 import mujoco
@@ -39,119 +38,82 @@ _SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST, _OWNER = range(1
 _LAG, _PERIOD, _DROPOUT, _DELAY, _LUCK, _DUE = range(6)
 # then the filters, the true values, the held samples of the last ticks, and the block of noise.
 _FILTER, _INPUT, _RAW, _PAST = range(10, 14)
-_NO_HISTORY = np.zeros(0)
-_ORIENTATION = "orientation"
 _WRENCH = ("arm_base_force", "arm_base_torque")
-# Pitch and roll and the heading feed on the orientation. From the bank's end, where every robot's
-# channels are alike: behind the inclinometer come wrench, accelerometer, gyro and heading.
-_PITCH, _HEADING = 15, 1
-# These are computed with the accelerations, one physics step before the tick.
-_ACCELERATION_CHANNELS: tuple[str, ...] = ("arm_base_wrench", "accelerometer")
+_TILT = -1  # Samples of the wire that carries the orientation.
 
 
 class SensorWiring(NamedTuple):
-    """Where a robot's true values come from.
+    """Sources of a robot's true values.
 
     Attributes:
-        wires: (values, 4) for each value its place in the bank, where it or its first sample
-            lies, and of those that MuJoCo keeps a history of, how far apart the samples lie and
-            how many they are; 0 samples for a value of the present.
-        orientation: Where the quaternion of the front half begins; -1 for none.
+        wires: (wires, 4) for each value its place in the bank, the address of the value or of its
+            first sample and, of those that MuJoCo keeps a history of, the distance of the samples
+            and their number, 0 for a value of the present. One wire carries the front half's
+            orientation: place of the pitch, address of the quaternion, place of the heading, -1.
         missing: Channels without a sensor.
         lags: Age of the value at a tick by channel name [s].
     """
 
     wires: IndexArray
-    orientation: int
-    missing: tuple[str, ...]
-    lags: dict[str, float]
+    missing: Sequence[str]
+    lags: Mapping[str, float]
 
 
-def direct(widths: Mapping[str, int]) -> SensorWiring:
-    """Return a wiring in which every value comes from where it goes.
-
-    Args:
-        widths: How many values each channel has.
-    """
-    rows = [(i, i, 0, 0) for i in range(sum(widths.values()))]
-    return SensorWiring(np.array(rows, dtype=np.intp), -1, (), {})
-
-
-def wire(model: mujoco.MjModel, prefix: str, robot: RobotDescription) -> SensorWiring:
+def wire(model: mujoco.MjModel, robot: RobotDescription) -> SensorWiring:
     """Find a robot's sensors in the scene.
 
+    A force/torque transducer averages; one sample of a hundred a second would alias the steps of
+    the motors' duty into the wrench. So a sensor of forces or accelerations that has a history
+    gives its mean.
+
     Args:
-        model: The scene.
-        prefix: What the names of the robot's elements begin with.
-        robot: Its description.
+        model: Compiled scene.
+        robot: Description of the robot; its elements' names begin with its own and a slash.
     """
-    # MuJoCo sensors behind the channels, with their widths; orientation feeds the inclinometer and
-    # the heading.
+    # MuJoCo sensors behind the channels, with their widths.
     sensors: dict[str, list[tuple[str, int]]] = {
         "wheel_speeds": [(f"{wheel}_vel", 1) for wheel in robot.wheel_names],
         "centre_angle": [("centre_pos", 1)],
         "arm_angles": [(f"{joint}_pos", 1) for joint in robot.joint_names],
         "arm_rates": [(f"{joint}_vel", 1) for joint in robot.joint_names],
-        "inclinometer": [],
         "arm_base_wrench": [(name, 3) for name in _WRENCH],
         "accelerometer": [("accelerometer", 3)],
         "gyro": [("gyro", 3)],
-        "heading": [],
     }
+    widths, step = channel_widths(robot), float(model.opt.timestep)
+    places = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist()))
+    # These are computed with the accelerations, one physics step before the tick.
+    lags: dict[str, float] = {"arm_base_wrench": step, "accelerometer": step}
     wires: list[tuple[int, int, int, int]] = []
     missing: list[str] = []
-    place = wrench = 0
-    for channel, width in channel_widths(robot).items():
-        starts = [_sensor(model, prefix + sensor) for sensor, _ in sensors[channel]]
-        if min(starts, default=0) < 0 or width == 0:
+    for channel, parts in sensors.items():
+        indices = [_sensor(model, f"{robot.name}/{name}") for name, _ in parts]
+        if not widths[channel] or min(indices) < 0:
             missing.append(channel)
-        else:
-            first = place
-            for start, (_, part) in zip(starts, sensors[channel]):
-                wires.extend((first + i, start + i, 0, 0) for i in range(part))
-                first += part
-        wrench = place if channel == "arm_base_wrench" else wrench
-        place += width
-    averaged, samples = _averaged_wrench(model, prefix, wrench)
-    replaced = {row[0] for row in averaged}
-    wires = [row for row in wires if row[0] not in replaced] + averaged
-    orientation = _sensor(model, prefix + _ORIENTATION)
+            continue
+        place = places[channel]
+        for index, (_, width) in zip(indices, parts):
+            first, samples = int(model.sensor_adr[index]), 0
+            if channel in lags and model.sensor_history[index, 0] > 0:
+                samples = int(model.sensor_history[index, 0])
+                # The buffer holds two words of book-keeping, the times, then the samples.
+                first = int(model.sensor_historyadr[index]) + 2 + samples
+                # A mean of n samples, the last of them a step old, stands for its middle.
+                lags[channel] = step * (1 + samples) / 2
+            wires.extend((place + i, first + i, width, samples) for i in range(width))
+            place += width
+    orientation = _sensor(model, f"{robot.name}/orientation")
     if orientation < 0:
         missing.extend(("inclinometer", "heading"))
-    step = float(model.opt.timestep)
-    lags = dict.fromkeys(_ACCELERATION_CHANNELS, step)
-    # A mean of n samples, the last of them a step old, stands for its middle.
-    lags["arm_base_wrench"] = step * (1 + samples) / 2
-    rows = np.array(wires, dtype=np.intp).reshape(-1, 4)
-    return SensorWiring(rows, orientation, tuple(missing), lags)
+    else:
+        first = int(model.sensor_adr[orientation])
+        wires.append((places["inclinometer"], first, places["heading"], _TILT))
+    return SensorWiring(np.array(wires, dtype=np.intp).reshape(-1, 4), missing, lags)
 
 
 def _sensor(model: mujoco.MjModel, name: str) -> int:
-    """Return where a sensor's data begins, or -1 if the scene lacks it."""
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
-    return int(model.sensor_adr[index]) if index >= 0 else -1
-
-
-def _averaged_wrench(
-    model: mujoco.MjModel, prefix: str, place: int
-) -> tuple[list[tuple[int, int, int, int]], int]:
-    """Return the wires of the wrench into MuJoCo's history, and how many samples that has.
-
-    A force/torque transducer averages; one sample of a hundred a second would alias the steps of
-    the motors' duty into the wrench. Without a history there are no wires, and one sample.
-    """
-    averaged: list[tuple[int, int, int, int]] = []
-    count = 1
-    width = 3
-    for offset, sensor in zip((0, width), _WRENCH):
-        index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, prefix + sensor)
-        if index < 0 or model.sensor_history[index, 0] < 1:
-            continue
-        count = int(model.sensor_history[index, 0])
-        # The buffer holds two words of book-keeping, the times, then the samples.
-        first = int(model.sensor_historyadr[index]) + 2 + count
-        averaged.extend((place + offset + i, first + i, width, count) for i in range(width))
-    return averaged, count
+    """Return the index of a sensor, or -1 if the scene lacks it."""
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SENSOR, name)
 
 
 @numba.njit(cache=True)
@@ -171,65 +133,41 @@ def tilt(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
 
 
 @numba.njit(cache=True)
-def gather(
-    present: FloatArray,
-    history: FloatArray,
-    wires: IndexArray,
-    orientation: int,
-    raw: FloatArray,
-) -> None:
-    """Bring true values to their places, those with a history as its mean.
+def gather(present: FloatArray, history: FloatArray, wires: IndexArray, raw: FloatArray) -> None:
+    """Copy true values to their places, those with a history as its mean.
 
     Args:
-        present: MuJoCo's sensordata.
-        history: Its history.
+        present: Sensor data of MuJoCo.
+        history: Sensor history of MuJoCo.
         wires: Rows of wires, see `SensorWiring`.
-        orientation: Place of the orientation, see `SensorWiring`.
-        raw: (values,) receives them; what has no wire stays as it is.
+        raw: (values,) receives the values; one that has no wire stays as it is.
     """
     for i in range(wires.shape[0]):
         place, first, stride, samples = wires[i, 0], wires[i, 1], wires[i, 2], wires[i, 3]
         if samples == 0:
             raw[place] = present[first]
             continue
+        if samples == _TILT:
+            w, x, y, z = present[first : first + 4]
+            raw[place], raw[place + 1], raw[stride] = tilt(w, x, y, z)
+            continue
         total = 0.0
         for sample in range(samples):
             total += history[first + sample * stride]
         raw[place] = total / samples
-    if orientation >= 0:
-        w, x, y, z = present[orientation : orientation + 4]
-        pitch, heading = raw.size - _PITCH, raw.size - _HEADING
-        raw[pitch], raw[pitch + 1], raw[heading] = tilt(w, x, y, z)
 
 
-class BankState(NamedTuple):
+class SavedBank(NamedTuple):
     """Complete state of a `SensorBank`, enough to go on bit for bit.
 
     Attributes:
-        filters: (2, size) low-pass states, NaN before the first sample, and their last inputs.
-        due: (channels,) when the next sample is due [s].
-        past: (depth, size + channels) held samples of the last ticks, the latest last, and when
-            they were taken [s], NaN before the first.
-    """
-
-    filters: FloatArray
-    due: FloatArray
-    past: FloatArray
-
-
-@dataclasses.dataclass(frozen=True)
-class SavedBank:
-    """A `BankState` with what else a bank remembers.
-
-    Attributes:
-        state: Saved state of the channels.
+        table: All numbers of the bank, among them the present block of noise.
         connected: Whether each channel's wire is whole.
-        random: State of the generator, before it drew the present block of noise if some of
-            that is left.
+        random: State of the generator.
         used: Rows of the block that were used.
     """
 
-    state: BankState
+    table: FloatArray
     connected: tuple[bool, ...]
     random: Mapping[str, Any]
     used: int
@@ -244,19 +182,17 @@ class SensorBank:
         period: float,
         rng: np.random.Generator,
         widths: Mapping[str, int],
-        wiring: SensorWiring | None = None,
+        wiring: SensorWiring,
     ) -> None:
         """Lay the channels side by side.
 
         Args:
-            suite: How each channel is measured.
+            suite: Specification of each channel.
             period: Servo tick [s].
-            rng: Source of noise and dropout, owned by the bank from now on.
-            widths: How many values each channel has, by name in contract order.
-            wiring: Where the true values come from, and which channels lack them; None for values
-                in the order of the channels.
+            rng: Random generator of noise and dropout, owned by the bank from now on.
+            widths: Number of values of each channel, by name in contract order.
+            wiring: Sources of the true values, and which channels lack them.
         """
-        self.names = CHANNELS
         self.size = sum(widths.values())
         # One tick's readings, and when each was taken: NumPy makes an item's views all in one call.
         self._reading = np.dtype(
@@ -264,45 +200,46 @@ class SensorBank:
             + [(f"{name}_stamp", np.float64) for name in CHANNELS]
         )
         self._rng = rng
-        wiring = wiring or direct(widths)
-        self._wires, self._orientation = wiring.wires, wiring.orientation
-        specs = [suite.channels.get(name, ChannelSpec()) for name in self.names]
-        timing = _timing(specs, [wiring.lags.get(name, 0.0) for name in self.names], period)
+        self._wires = wiring.wires
+        specs = [suite.channels.get(name, ChannelSpec()) for name in CHANNELS]
+        timing = _timing(specs, [wiring.lags.get(name, 0.0) for name in CHANNELS], period)
         self._limits = [spec.age_limit + _TIME_SLACK for spec in specs]
         self._least_limit = min(self._limits)
         self._connected = [
-            spec.connected and name not in wiring.missing for name, spec in zip(self.names, specs)
+            spec.connected and name not in wiring.missing for name, spec in zip(CHANNELS, specs)
         ]
         # Noise is drawn in blocks; drop-outs are drawn between its rows, so then row by row.
         self._lossy = bool(np.any(timing[_DROPOUT] > 0.0))
         self._noise = np.zeros((1 if self._lossy else _BLOCK, self.size))
-        self._depth = 1 + int(timing[_DELAY].max())
-        self._table = np.zeros((_PAST + self._depth + len(self._noise), self.size + _COUNT))
+        self._first = _PAST + 1 + int(timing[_DELAY].max())
+        self._table = np.zeros((self._first + len(self._noise), self.size + _COUNT))
         self._table[: _OWNER + 1, : self.size] = _chain(specs, list(widths.values()), period)
         self._table[: _LUCK + 1, self.size :] = timing
         self._noisy = bool(np.any(self._table[_SIGMA, : self.size] > 0.0))
         self._luck = self._table[_LUCK, self.size :]
-        self._used, self._before_block = len(self._noise), {}
+        self._used = len(self._noise)
         self.reset()
 
     def reset(self) -> None:
         """Forget every sample; all channels are missing until the next `sample`."""
-        filters, due, past = self._state()
-        filters[0], filters[1], due[:], past[:] = math.nan, 0.0, -math.inf, math.nan
+        self._table[_FILTER, : self.size] = math.nan
+        self._table[_INPUT, : self.size] = 0.0
+        self._table[_DUE, self.size :] = -math.inf
+        self._table[_PAST : self._first] = math.nan
         self._show()
 
-    def sample(self, time: float, present: FloatArray, history: FloatArray = _NO_HISTORY) -> None:
+    def sample(self, time: float, present: FloatArray, history: FloatArray) -> None:
         """Take one sample of everything.
 
         Args:
             time: Robot time of this servo tick [s].
-            present: What the wires are connected to; without wires (size,) true values in the
-                order of the channels.
-            history: What the wires with several samples are connected to.
+            present: True values at this tick that the wires lead from.
+            history: Samples that the wires with a history lead from.
         """
         if self._noisy:
             if self._used == len(self._noise):
-                self._draw()
+                self._table[self._first :, : self.size] = self._rng.standard_normal(out=self._noise)
+                self._used = 0
             self._used += 1
         if self._lossy:
             self._rng.random(out=self._luck)
@@ -312,44 +249,23 @@ class SensorBank:
             row = 0
         self._row = row
         self._oldest = _advance(
-            time,
-            present,
-            history,
-            self._wires,
-            self._orientation,
-            self._table,
-            self._depth,
-            self._used,
-            self._readings,
-            row,
+            time, present, history, self._wires, self._table, self._used, self._readings[row]
         )
 
-    def _state(self) -> BankState:
-        """Return the state, as views of the table."""
-        table = self._table
-        past = table[_PAST : _PAST + self._depth]
-        return BankState(table[_FILTER : _INPUT + 1, : self.size], table[_DUE, self.size :], past)
-
-    def _draw(self) -> None:
-        """Draw the next block of noise."""
-        self._before_block = dict(self._rng.bit_generator.state)
-        self._table[_PAST + self._depth :, : self.size] = self._rng.standard_normal(out=self._noise)
-        self._used = 0
-
     def _lay_out(self) -> None:
-        """Make room for the next block of readings, which is written here and read-only outside."""
+        """Allocate the next block of readings, which is written here and read-only outside."""
         self._block: Any = np.zeros(_BLOCK, self._reading)
-        self._readings = self._block.view(np.float64).reshape(_BLOCK, -1)
+        self._readings = list(self._block.view(np.float64).reshape(_BLOCK, -1))
         self._block.flags.writeable = False
 
     def _show(self) -> None:
         """Set what the channels read: the samples of as many ticks ago as each is late."""
         self._lay_out()
         self._row = 0
-        self._oldest = _read(self._table, self._depth, self._readings[0])
+        self._oldest = _read(self._table, self._readings[0])
 
     def channels(self, time: float) -> Iterable[Channel]:
-        """Return every channel as it reads at `time` [s], read-only, in the order of `names`."""
+        """Return every channel as it reads at `time` [s], read-only, in the order of `CHANNELS`."""
         reading = self._block.item(self._row)
         stamps = reading[_COUNT:]
         if time - self._oldest <= self._least_limit and False not in self._connected:
@@ -367,28 +283,23 @@ class SensorBank:
     def disconnect(self, name: str) -> None:
         """Take a sensor away, as a broken wire does; it is missing from now on."""
         check_channel(name)
-        self._connected[self.names.index(name)] = False
+        self._connected[CHANNELS.index(name)] = False
 
     def connect(self, name: str) -> None:
         """Give a sensor back."""
         check_channel(name)
-        self._connected[self.names.index(name)] = True
+        self._connected[CHANNELS.index(name)] = True
 
     def save(self) -> SavedBank:
         """Return the complete state."""
-        state = BankState(*(part.copy() for part in self._state()))
-        left = self._used < len(self._noise)
-        random = self._before_block if left else dict(self._rng.bit_generator.state)
-        return SavedBank(state, tuple(self._connected), random, self._used)
+        random = dict(self._rng.bit_generator.state)
+        return SavedBank(self._table.copy(), tuple(self._connected), random, self._used)
 
     def restore(self, saved: SavedBank) -> None:
         """Go back to a saved state of this bank, bit for bit."""
-        for part, value in zip(self._state(), saved.state):
-            part[:] = value
+        self._table[:] = saved.table
         self._connected = list(saved.connected)
         self._rng.bit_generator.state = dict(saved.random)
-        if saved.used < len(self._noise):
-            self._draw()
         self._used = saved.used
         self._show()
 
@@ -396,19 +307,19 @@ class SensorBank:
 def _chain(specs: list[ChannelSpec], widths: list[int], period: float) -> FloatArray:
     """Return the coefficients of filter, noise, range and converter, (10, size)."""
 
-    def spread(values: list[Any]) -> FloatArray:
+    def by_value(values: list[Any]) -> FloatArray:
         parts = [np.broadcast_to(value, (width,)) for value, width in zip(values, widths)]
         return np.concatenate(parts).astype(float)
 
-    low, high = spread([spec.low for spec in specs]), spread([spec.high for spec in specs])
-    converted = spread([spec.bits is not None for spec in specs]) > 0.0
-    levels = spread([2.0 ** (spec.bits or 0) for spec in specs])
+    low, high = by_value([spec.low for spec in specs]), by_value([spec.high for spec in specs])
+    converted = by_value([spec.bits is not None for spec in specs]) > 0.0
+    levels = by_value([2.0 ** (spec.bits or 0) for spec in specs])
     step = np.zeros(low.size)
     step[converted] = ((high - low) / levels)[converted]
     weights = [_low_pass(spec.bandwidth, period) for spec in specs]
-    noise, bias = spread([spec.noise for spec in specs]), spread([spec.bias for spec in specs])
-    keep, before, now = (spread([weight[n] for weight in weights]) for n in range(3))
-    owner = spread(list(range(len(specs))))
+    noise, bias = by_value([spec.noise for spec in specs]), by_value([spec.bias for spec in specs])
+    keep, before, now = (by_value([weight[n] for weight in weights]) for n in range(3))
+    owner = by_value(list(range(len(specs))))
     return np.array([noise, bias, low, high, keep, before, now, step, levels - 1.0, owner])
 
 
@@ -439,9 +350,10 @@ def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, flo
 
 
 @numba.njit(cache=True)
-def _read(table: FloatArray, depth: int, reading: FloatArray) -> float:
+def _read(table: FloatArray, reading: FloatArray) -> float:
     """Write what each channel reads now, and return the oldest stamp; NaN if one is missing."""
-    latest, oldest, size = _PAST + depth - 1, math.inf, table.shape[1] - _COUNT
+    oldest, size = math.inf, table.shape[1] - _COUNT
+    latest = _PAST + int(table[_DELAY, size:].max())
     for channel in range(size, size + _COUNT):
         stamp = table[latest - int(table[_DELAY, channel]), channel]
         reading[channel] = stamp
@@ -459,16 +371,14 @@ def _advance(
     present: FloatArray,
     history: FloatArray,
     wires: IndexArray,
-    orientation: int,
     table: FloatArray,
-    depth: int,
     used: int,
-    readings: FloatArray,
-    row: int,
+    reading: FloatArray,
 ) -> float:
     """Filter, disturb, limit and quantise a sample, hold it where it arrives, and `_read`."""
-    latest, size = _PAST + depth - 1, table.shape[1] - _COUNT
-    gather(present, history, wires, orientation, table[_RAW, :size])
+    size = table.shape[1] - _COUNT
+    latest = _PAST + int(table[_DELAY, size:].max())
+    gather(present, history, wires, table[_RAW, :size])
     raw, noise, held = table[_RAW], table[latest + used], table[latest]
     for tick in range(_PAST, latest):
         table[tick] = table[tick + 1]
@@ -500,4 +410,4 @@ def _advance(
         if step > 0.0:
             value = low + step * min(np.rint((value - low) / step), table[_LAST, i])
         held[i] = value
-    return _read(table, depth, readings[row])
+    return _read(table, reading)

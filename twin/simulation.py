@@ -48,7 +48,11 @@ class RobotState:
 
 
 class SimRobot:
-    """One rover of a scene; made by `Simulation`, which steps it."""
+    """One rover of a scene; made by `Simulation`, which steps it.
+
+    Attributes:
+        sensors: Sensors of the robot, whose wires may be broken.
+    """
 
     def __init__(
         self,
@@ -88,8 +92,8 @@ class SimRobot:
         self._scattered = not row
         self._sensordata = data.sensordata
         self._history = data.history
-        self._bank = SensorBank(
-            suite, SERVO_PERIOD, rng, channel_widths(description), wire(model, prefix, description)
+        self.sensors = SensorBank(
+            suite, SERVO_PERIOD, rng, channel_widths(description), wire(model, description)
         )
         self._held = _AT_REST
         rest = np.zeros(len(axes))
@@ -101,7 +105,7 @@ class SimRobot:
 
     def configure(self, time: float) -> None:
         """Take the first samples and go to INACTIVE, with all axes at zero; the owner calls it."""
-        self._bank.reset()
+        self.sensors.reset()
         self._zero()
         self.lifecycle = Lifecycle.INACTIVE
         self.sense(time)
@@ -164,22 +168,6 @@ class SimRobot:
         self.lifecycle = Lifecycle.ERROR
         return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
 
-    def disconnect_sensor(self, channel: str) -> None:
-        """Break a sensor's wire: the channel is missing from the next tick on.
-
-        Raises:
-            ValueError: If there is no such channel.
-        """
-        self._bank.disconnect(channel)
-
-    def reconnect_sensor(self, channel: str) -> None:
-        """Mend a sensor's wire.
-
-        Raises:
-            ValueError: If there is no such channel.
-        """
-        self._bank.connect(channel)
-
     def drive(self) -> None:
         """Bring the held command to the motors for one servo tick; the owner calls it.
 
@@ -192,8 +180,8 @@ class SimRobot:
 
     def sense(self, time: float) -> None:
         """Sample all sensors at `time` [s], the end of a servo tick; the owner calls it."""
-        self._bank.sample(time, self._sensordata, self._history)
-        channels = self._bank.channels(time)
+        self.sensors.sample(time, self._sensordata, self._history)
+        channels = self.sensors.channels(time)
         self._observation = _observation((time, *channels, self._observation.stereo))
 
     def see(self, stereo: Channel) -> None:
@@ -204,7 +192,7 @@ class SimRobot:
         """Return the complete state beside the physics."""
         return RobotState(
             self.lifecycle,
-            self._bank.save(),
+            self.sensors.save(),
             self._servo.save(),
             self._held,
             self._duty,
@@ -215,7 +203,7 @@ class SimRobot:
     def restore(self, state: RobotState) -> None:
         """Go back to a saved state."""
         self.lifecycle = state.lifecycle
-        self._bank.restore(state.bank)
+        self.sensors.restore(state.bank)
         self._servo.restore(state.servo)
         self._held, self._duty = state.held, state.duty
         self._driven, self._observation = state.driven, state.observation

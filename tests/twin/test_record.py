@@ -166,7 +166,7 @@ def test_recorded_poses_are_those_of_the_simulation(tmp_path):
 
 def test_missing_channels_leave_no_curve(tmp_path):
     simulation = small()
-    simulation.robots["rover1"].disconnect_sensor("gyro")
+    simulation.robots["rover1"].sensors.disconnect("gyro")
     simulation.settle(0.02)
     with Recorder(tmp_path / "run.rrd", simulation.robots, simulation) as recorder:
         observations = {"rover1": simulation.robots["rover1"].observe()}

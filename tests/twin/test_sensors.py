@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from twin.describe import describe_rover
 from twin.robot import Observation, Validity
-from twin.sensor_bank import SensorBank
+from twin.sensor_bank import SensorBank, SensorWiring
 from twin.sensors import (
     CHANNELS,
     DATASHEET,
@@ -22,23 +22,26 @@ PERIOD = 0.01
 WIDTHS = channel_widths(describe_rover())
 OFFSETS = dict(zip(WIDTHS, np.cumsum([0, *WIDTHS.values()])))
 GYRO = OFFSETS["gyro"]
+DIRECT = SensorWiring(np.outer(np.arange(28), [1, 1, 0, 0]), (), {})
+"""Every value comes from the place that it goes to."""
+NO_HISTORY = np.zeros(0)
 
 
 def bank(seed=0, suite=IDEAL, **gyro):
     if gyro:
         suite = suite.with_channel("gyro", **gyro)
-    return SensorBank(suite, PERIOD, np.random.default_rng(seed), WIDTHS)
+    return SensorBank(suite, PERIOD, np.random.default_rng(seed), WIDTHS, DIRECT)
 
 
 def read(sensors, time):
-    return dict(zip(sensors.names, sensors.channels(time), strict=True))
+    return dict(zip(CHANNELS, sensors.channels(time), strict=True))
 
 
 def feed(sensors, signal):
     """Sample `signal`, and return the gyro's first value and channel at each tick."""
     values, channels = [], []
     for tick, value in enumerate(signal):
-        sensors.sample(tick * PERIOD, np.full(sensors.size, float(value)))
+        sensors.sample(tick * PERIOD, np.full(sensors.size, float(value)), NO_HISTORY)
         channel = read(sensors, tick * PERIOD)["gyro"]
         channels.append(channel)
         values.append(channel.value[0] if channel.value.size else math.nan)
@@ -57,7 +60,7 @@ def test_channels_are_those_of_an_observation_in_its_order():
 def test_ideal_channels_pass_values_unchanged():
     raw = np.random.default_rng(1).normal(size=bank().size)
     sensors = bank()
-    sensors.sample(0.5, raw)
+    sensors.sample(0.5, raw, NO_HISTORY)
     for name, channel in read(sensors, 0.5).items():
         start = OFFSETS[name]
         np.testing.assert_array_equal(channel.value, raw[start : start + WIDTHS[name]])
@@ -76,7 +79,7 @@ def test_noise_may_differ_between_components():
     sensors = bank(noise=(0.0, 0.1, 0.2))
     rows = []
     for _ in range(4000):
-        sensors.sample(0.0, np.zeros(sensors.size))
+        sensors.sample(0.0, np.zeros(sensors.size), NO_HISTORY)
         rows.append(read(sensors, 0.0)["gyro"].value)
     np.testing.assert_allclose(np.std(rows, axis=0), [0.0, 0.1, 0.2], rtol=0.05)
 
@@ -159,7 +162,7 @@ def test_lost_samples_make_a_channel_stale_and_never_zero():
 
 def test_disconnected_sensor_is_missing_and_empty():
     sensors = bank()
-    sensors.sample(0.0, np.ones(sensors.size))
+    sensors.sample(0.0, np.ones(sensors.size), NO_HISTORY)
     sensors.disconnect("gyro")
     channel = read(sensors, 0.0)["gyro"]
     assert channel.validity is Validity.MISSING
@@ -175,11 +178,11 @@ def test_nothing_is_measured_before_the_first_sample():
 
 def test_values_are_read_only_and_outlive_later_samples():
     sensors = bank()
-    sensors.sample(0.0, np.ones(sensors.size))
+    sensors.sample(0.0, np.ones(sensors.size), NO_HISTORY)
     value = read(sensors, 0.0)["gyro"].value
     with pytest.raises(ValueError):
         value[0] = 5.0
-    sensors.sample(PERIOD, np.zeros(sensors.size))
+    sensors.sample(PERIOD, np.zeros(sensors.size), NO_HISTORY)
     np.testing.assert_array_equal(value, np.ones(3))
 
 
@@ -224,7 +227,7 @@ def test_noise_is_the_generators_own_row_after_row():
 def test_one_missing_channel_leaves_the_others_measured():
     sensors = bank(dropout=1.0)
     for tick in range(20):
-        sensors.sample(tick * PERIOD, np.ones(sensors.size))
+        sensors.sample(tick * PERIOD, np.ones(sensors.size), NO_HISTORY)
     worth = {name: channel.validity for name, channel in read(sensors, 0.19).items()}
     assert worth.pop("gyro") is Validity.MISSING
     assert set(worth.values()) == {Validity.MEASURED}

@@ -230,7 +230,7 @@ def test_missing_tachometer_stops_a_speed_loop_with_all_axes_zero():
     robot.activate()
     robot.command(Command(np.ones(4), np.ones(4), WheelMode.SPEED))
     simulation.tick()
-    robot.disconnect_sensor("wheel_speeds")
+    robot.sensors.disconnect("wheel_speeds")
     simulation.tick()
     assert robot.observe().wheel_speeds.validity is Validity.MISSING
     with pytest.raises(RobotError, match="wheel_speeds, which is missing"):
@@ -243,7 +243,7 @@ def test_missing_tachometer_stops_a_speed_loop_with_all_axes_zero():
     assert robot.lifecycle is Lifecycle.ERROR
     robot.activate()
     assert robot.lifecycle is Lifecycle.ACTIVE
-    robot.reconnect_sensor("wheel_speeds")
+    robot.sensors.connect("wheel_speeds")
     simulation.tick()
     robot.command(Command(np.ones(4), np.ones(4), WheelMode.SPEED))
     assert np.all(simulation.data.ctrl > 0.0)

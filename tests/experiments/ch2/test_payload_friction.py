@@ -33,7 +33,7 @@ def test_disconnected_wrench_sensor_is_one_clear_error():
     identifier = PayloadIdentifier("rover1", ch2_payload.payload_config(arm))
     with connect("sim", field=ch2_payload.FIELD) as connection:
         assert connection.simulation is not None
-        connection.simulation.robots["rover1"].disconnect_sensor("arm_base_wrench")
+        connection.simulation.robots["rover1"].sensors.disconnect("arm_base_wrench")
         connection.clock.tick()
         with pytest.raises(IdentificationError, match="arm_base_wrench, which is missing"):
             run(connection.robots, [identifier], connection.clock, duration=0.1)

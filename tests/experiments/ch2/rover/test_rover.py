@@ -38,7 +38,7 @@ def test_a_disconnected_sensor_is_named(sensor):
         RoverIdentifierConfig(ROBOT, known_swinging_arm()), np.random.default_rng(0)
     )
     with connect("sim", robots=[RobotPlacement(ROBOT)]) as connection:
-        connection.robots[ROBOT].disconnect_sensor(sensor)
+        connection.robots[ROBOT].sensors.disconnect(sensor)
         with pytest.raises(RobotError, match=sensor):
             run(connection.robots, [controller], connection.clock, duration=0.1)
 
