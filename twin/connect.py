@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 
 import numpy as np
 
@@ -92,12 +91,7 @@ class Connection:
     def __enter__(self) -> "Connection":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -111,11 +105,11 @@ def connect(
     seed: int = 0,
     lines: LineConfig | None = None,
 ) -> Connection:
-    """Return robots that stand still and wait to be activated.
+    """Return robots at rest that wait to be activated.
 
     Args:
         target: One of `TARGETS`.
-        robots: Names and starting places; simulated and emulated robots only.
+        robots: Names and initial poses of simulated and emulated robots.
         field: Ground of a simulated scene.
         suite: Sensors of simulated robots; boards have their own.
         stereo: Stereo heads of simulated, quantised and emulated robots; None leaves the channel

@@ -8,6 +8,7 @@ rover as its drawings have it.
 import dataclasses
 import functools
 import math
+from collections.abc import Iterable
 
 import mujoco
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.compose import FieldConfig, RobotPlacement, make_model
-from models.datasheets import ARM_MOTOR, CAMERA, ROVER, WHEEL_MOTOR, MotorSheet
+from models.datasheets import ARM_MOTOR, CAMERA, ROVER, WHEEL_MOTOR
 from perception.geometry.arrays import FloatArray
 from twin.camera import camera_model, camera_pose
 from twin.description import (
@@ -30,9 +31,9 @@ from twin.description import (
 from twin.sensors import DATASHEET
 
 COVER_SPACING = 0.03
-"""Distance between the points that stand for a link's or a body's collision shapes [m]."""
+"""Distance between the points in a link's or a body's collision shapes [m]."""
 COVER_RADIUS = 0.03
-"""Radius of the spheres about these points, half the spacing and a reserve [m]."""
+"""Radius of the spheres about these points [m]: half the spacing and a reserve."""
 
 _COLLISION_GROUP = 3
 _BARE = FieldConfig(texture_pixels=16)
@@ -63,7 +64,11 @@ def describe_rover(
         drawn,
         centre_height=ROVER.centre_height,
         head=head,
-        motors=tuple(map(_motor_by_sheet, motors)),
+        # The friction that the sheets' shaft torque leaves out is a control loop's to find.
+        motors=tuple(
+            MotorDescription(sheet.gross_stall_torque, sheet.gross_no_load_speed)
+            for sheet in motors
+        ),
     )
 
 
@@ -147,14 +152,9 @@ def camera_in_world(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> Ri
     return RigidTransform.from_components(translation, Rotation.from_matrix(rotation))
 
 
-def merge(masses: list[float], centres: list[FloatArray], tensors: list[FloatArray]) -> RigidBody:
-    """Return several rigid parts as one body.
-
-    Args:
-        masses: Mass of each part [kg].
-        centres: Centre of mass (3,) of each part, in one frame [m].
-        tensors: Inertia (3, 3) of each part about its own centre, in the same axes [kg m^2].
-    """
+def _merge(parts: Iterable[tuple[float, FloatArray, FloatArray]]) -> RigidBody:
+    """Return rigid parts as one body: masses, centres and inertias about them, in one frame."""
+    masses, centres, tensors = zip(*parts, strict=True)
     weights = np.array(masses)
     mass = float(weights.sum())
     centre = weights @ np.array(centres) / mass
@@ -193,13 +193,8 @@ def _motor(model: mujoco.MjModel, actuator: str) -> MotorDescription:
     )
 
 
-def _motor_by_sheet(sheet: MotorSheet) -> MotorDescription:
-    # The friction that the sheets' shaft torque leaves out is a control loop's to find.
-    return MotorDescription(sheet.gross_stall_torque, sheet.gross_no_load_speed)
-
-
 def _descendants(model: mujoco.MjModel, ancestor: int) -> NDArray[np.bool_]:
-    """Return (nbody,) whether a body is another or hangs on it."""
+    """Return (nbody,) whether a body is the ancestor or one of its descendants."""
     below = np.zeros(model.nbody, dtype=bool)
     below[ancestor] = True
     for body in range(ancestor + 1, model.nbody):  # parents come before their children
@@ -281,20 +276,19 @@ def _head(
 def _rigid_body(model: mujoco.MjModel, body: int) -> RigidBody:
     """Return a body with all that is fixed to it, in its frame."""
     parts = [(body, np.zeros(3), np.eye(3))]
-    masses: list[float] = []
-    centres: list[FloatArray] = []
-    tensors: list[FloatArray] = []
+    found: list[tuple[float, FloatArray, FloatArray]] = []
     while parts:
         part, offset, rotation = parts.pop()
         axes = rotation @ _matrix(model.body_iquat[part])
-        masses.append(float(model.body_mass[part]))
-        centres.append(offset + rotation @ model.body_ipos[part])
-        tensors.append(axes @ np.diag(model.body_inertia[part]) @ axes.T)
+        tensor = axes @ np.diag(model.body_inertia[part]) @ axes.T
+        found.append(
+            (float(model.body_mass[part]), offset + rotation @ model.body_ipos[part], tensor)
+        )
         for child in np.flatnonzero(model.body_parentid == part):
             if child != part and model.body_jntnum[child] == 0:
                 place = offset + rotation @ model.body_pos[child]
                 parts.append((int(child), place, rotation @ _matrix(model.body_quat[child])))
-    return merge(masses, centres, tensors)
+    return _merge(found)
 
 
 def _body(
@@ -303,8 +297,8 @@ def _body(
     """Return bodies as one in the frame of another, whose axes are the world's."""
     axes = data.ximat[parts].reshape(-1, 3, 3)
     tensors = [a @ np.diag(i) @ a.T for a, i in zip(axes, model.body_inertia[parts])]
-    centres = list(data.xipos[parts] - data.xpos[frame])
-    return merge(model.body_mass[parts].tolist(), centres, tensors)
+    centres = data.xipos[parts] - data.xpos[frame]
+    return _merge(zip(model.body_mass[parts].tolist(), centres, tensors))
 
 
 def _points_on(

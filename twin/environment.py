@@ -27,7 +27,6 @@ from twin.sensors import DATASHEET, SensorSuite, channel_widths
 from twin.simulation import Simulation
 
 Reward = Callable[[Mapping[str, Observation]], float]
-_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 def _no_reward(observations: Mapping[str, Observation]) -> float:
@@ -111,10 +110,7 @@ def make_environment(
     model = make_model(field, robots)
     physics = Physics.from_model(wrapper.MjModel(model))
     data = physics.data.ptr
-    rest = settle(model)
-    state = np.empty(mujoco.mj_stateSize(model, _STATE))
-    mujoco.mj_getState(model, rest, state, _STATE)
-    mujoco.mj_setState(model, data, state, _STATE)
+    mujoco.mj_copyData(data, model, settle(model))
     drawn = [describe_placement(robot) for robot in robots]
     simulation = Simulation(model, drawn, suite=suite, seed=seed, data=data)
     return control.Environment(

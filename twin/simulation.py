@@ -350,11 +350,6 @@ class Simulation:
             if pair is not None:
                 self.robots[name].see(pair)
 
-    def settle(self, duration: float) -> None:
-        """Advance for `duration` [s], with the robots in their present state."""
-        for _ in range(round(duration / self.period)):
-            self.tick()
-
     def save(self) -> SavedRun:
         """Return the complete state."""
         physics = np.empty(mujoco.mj_stateSize(self.model, _STATE))

@@ -2,11 +2,11 @@
 
 - `bench`: the experiment ``bench``: which benchmarks, in which order.
 - `loop`: the control loop beside bare physics.
-- `identification`, `sysid_peer`: our estimator beside ``mujoco.sysid``.
+- `identification`: our estimator beside ``mujoco.sysid``.
 - `mapping`: voxel maps beside OctoMap.
 - `mapping_scene`: analytic shapes with a closed-form truth, for `mapping` and `scaling`.
 - `placement`: placing a camera again within a vision period.
-- `markers`, `markers_figures`: marker detectors beside OpenCV's circles (figures 5-5 to 5-10).
+- `markers`: marker detectors beside OpenCV's circles (figures 5-5 to 5-10).
 - `braid`: exact inverse kinematics beside brute force.
 - `compression`: the nine predictors beside NumPy.
 - `scaling`: how the cost grows with the size of a problem.

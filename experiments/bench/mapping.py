@@ -38,6 +38,7 @@ BOX = ((-1.5, -1.5, -0.25), (1.5, 1.5, 1.1))
 FINE_BOX = ((-0.75, -0.75, -0.2), (0.75, 0.75, 1.3))
 """1.5 m each way, for voxels of 1 mm."""
 MEMORY = 1e9
+OCTOMAP_CONFIG = VoxelMapConfig(UpdateModel())
 NOTHING = 1e-6
 """Range of rays that end where they start [m]: what is left is the cost of the call."""
 
@@ -81,14 +82,30 @@ def frustum() -> Frustum:
     return view.resized(WIDTH, HEIGHT)
 
 
-def fast_map(resolution: float, clouds: list[Cloud], model: UpdateModel | None = None) -> VoxelMap:
-    """Return our sparse map of clouds, with OctoMap's update model unless said."""
-    config = VoxelMapConfig(UpdateModel() if model is None else model)
-    voxels = VoxelMap(VoxelGrid(resolution, *BOX), config)
+def fast_map(
+    resolution: float,
+    clouds: list[Cloud],
+    config: VoxelMapConfig = OCTOMAP_CONFIG,
+    box: tuple[tuple[float, float, float], tuple[float, float, float]] = BOX,
+) -> VoxelMap:
+    """Return our sparse map of clouds.
+
+    Args:
+        resolution: Edge of a voxel [m].
+        clouds: Clouds to insert.
+        config: Properties of the map; unless given, OctoMap's update model.
+        box: Lower and upper corner of the map [m].
+    """
+    voxels = VoxelMap(VoxelGrid(resolution, *box), config)
+    insert_clouds(voxels, clouds)
+    return voxels
+
+
+def insert_clouds(voxels: VoxelMap, clouds: list[Cloud]) -> None:
+    """Insert clouds into a sparse map, one after the other."""
     view = frustum()
     for cloud in clouds:
         voxels.insert(cloud.transform_camera_to_world, view, cloud.points, cloud.covariances)
-    return voxels
 
 
 def exact_map(resolution: float, clouds: list[Cloud]) -> DenseVoxelMap:
@@ -278,10 +295,8 @@ def normalised_error(voxels: VoxelMap, scene: Scene) -> FloatArray:
 def _millimetre(scene: Scene, clouds: list[Cloud], output: Output) -> None:
     config = VoxelMapConfig(UpdateModel(), coarse=True, memory_limit=int(MEMORY))
     voxels = VoxelMap(VoxelGrid(0.001, *FINE_BOX), config)
-    view = frustum()
     start = time.process_time()
-    for cloud in clouds:
-        voxels.insert(cloud.transform_camera_to_world, view, cloud.points, cloud.covariances)
+    insert_clouds(voxels, clouds)
     rate = sum(len(cloud.points) for cloud in clouds) / (time.process_time() - start)
     output.measure("points_per_s/1mm", rate)
     output.measure("memory_bytes/1mm", voxels.memory)

@@ -4,9 +4,12 @@ import math
 
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Ellipse
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from experiments.bench.markers_figures import draw_steps
 from experiments.ch3.stereo.scene import HEAD
 from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation
 from experiments.harness.contract import Options
@@ -15,20 +18,39 @@ from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.bodies import DETECTORS, MarkerPairs, match_bodies, triangulate
-from perception.markers.ellipses import MarkerExpectation
+from perception.markers.ellipses import MarkerExpectation, Markers
+from perception.markers.hough import (
+    BELOW_PEAK,
+    LEAST_COVERAGE,
+    black_markers,
+    circle_of_three,
+    drop_specks,
+    equalise,
+    fewest_pixels,
+    hough_circles,
+    low_pass,
+    rim_points,
+    signed_laplacian,
+    threshold_level,
+)
 from perception.markers.poses import BodyPrior
+from perception.stereo.geometry import StereoGeometry
 
 RANGES = (0.35, 0.5, 0.7, 0.9, 1.1)
-"""From the cameras to the middle of the markers [m]."""
+"""Distances from the cameras to the middle of the markers [m]."""
 QUICK_RANGES = (0.35, 0.5, 1.1)
 SLANTS = (0.0, 20.0, 40.0, 60.0)
-"""Between the markers' normal and the line of sight [deg]."""
+"""Angles between the markers' normal and the line of sight [deg]."""
 VIEWS, QUICK_VIEWS = 12, 2
-"""Pairs of each range and slant."""
+"""Number of pairs of each range and slant."""
 HEAD_ON = (0.5, 0.0)
 TILT_SIGMA = math.radians(2.0)
 """Deviation of the faces' normal where a prior is used: tilt sensor and the planar task."""
-_FAR = 3.0  # Farther off, a detection is another thing [px].
+_FAR = 3.0  # Largest distance of a detection from the marker that it belongs to [px].
+
+
+Crop = tuple[float, float, float, float]
+"""Left, right, bottom and top of a part of an image [px]."""
 
 
 def hough_peer(image: ImageArray, view: MarkerView) -> FloatArray:
@@ -162,13 +184,13 @@ def _times(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
 
 
 def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> BodyPrior:
-    """Return what a tilt sensor tells: two turns of a body to `TILT_SIGMA`, nothing else."""
+    """Return the prior of a tilt sensor: two turns of a body to `TILT_SIGMA`, nothing else."""
     normal = pose.rotation.apply([0.0, 0.0, 1.0])
     level = np.eye(3) - np.outer(normal, normal)
     turned = Rotation.from_rotvec(level @ rng.normal(0.0, TILT_SIGMA, 3))
     information = np.zeros((6, 6))
     information[:3, :3] = level / TILT_SIGMA**2
-    # Roughly which way it heads: two markers look the same upside down.
+    # Roughly its heading: two markers look the same upside down.
     information[:3, :3] += np.outer(normal, normal) / math.radians(30.0) ** 2
     guess = RigidTransform.from_components(pose.translation, turned * pose.rotation)
     return BodyPrior(guess, information)
@@ -223,3 +245,158 @@ def _poses_of(
     median = float(np.median(head_on)) if head_on else math.nan
     text = f"markers, head-on pose at 0.5 m, {key} [mm]"
     output.check(text, median, "<= 0.2", median <= 0.2)
+
+
+def draw_steps(
+    image: ImageArray, geometry: StereoGeometry, expected: MarkerExpectation, found: Markers
+) -> dict[str, Figure]:
+    """Draw what each step makes of an image.
+
+    Args:
+        image: (H, W) uint8.
+        geometry: Geometry of the camera.
+        expected: Sizes and range of the markers.
+        found: What `detect_hough` found in it, at least one.
+
+    Returns:
+        Figures by name.
+
+    Raises:
+        ValueError: If nothing was found.
+    """
+    if not len(found):
+        raise ValueError("marker figures: no marker was found in the image, needs at least one")
+    level = threshold_level(image, geometry, expected)
+    black = black_markers(image, level)
+    kept = drop_specks(black, fewest_pixels(geometry, expected))
+    laplacian = signed_laplacian(kept)
+    blurred = low_pass(laplacian)
+    rims = rim_points(blurred)
+    circles = hough_circles(rims, geometry, expected)
+    reduced = [
+        (f"equalised and cut at grey level {level}", black),
+        ("specks dropped", kept),
+        ("Laplacian about mid-grey", laplacian),
+        ("low pass", blurred),
+        ("cut below the peak: rim points", ~rims),
+    ]
+    around = _around(found, image.shape)
+    return {
+        "figure_5-5": _plain(image, "card and slot with their markers"),
+        "figure_5-7": _histograms(laplacian, blurred),
+        "figure_5-8": _reduction(image, reduced, around),
+        "figure_5-9": _three_points(rims, geometry, circles, found),
+        "figure_5-10": _found(image, geometry, circles, found, around),
+    }
+
+
+def _show(axes: Axes, image: NDArray[np.generic], title: str, around: Crop | None = None) -> None:
+    """Show an image, or a part of it."""
+    axes.imshow(image, cmap="gray", interpolation="nearest")
+    axes.set_title(title, fontsize=9)
+    axes.set_axis_off()
+    if around is not None:
+        axes.axis(around)
+
+
+def _plain(image: ImageArray, title: str) -> Figure:
+    figure = Figure(figsize=(5, 5))
+    _show(figure.add_subplot(), image, title)
+    return figure
+
+
+def _around(found: Markers, shape: tuple[int, ...]) -> Crop:
+    """Return left, right, bottom and top of a frame about all markers [px]."""
+    low, high = found.centres.min(axis=0) - 25.0, found.centres.max(axis=0) + 25.0
+    low, high = np.maximum(low, 0.0), np.minimum(high, [shape[1] - 1.0, shape[0] - 1.0])
+    (left, top), (right, bottom) = low.tolist(), high.tolist()
+    return left, right, bottom, top
+
+
+def _histograms(laplacian: ImageArray, blurred: ImageArray) -> Figure:
+    figure = Figure(figsize=(9, 3), layout="tight")
+    pictures = ("after the Laplacian", laplacian), ("after the low pass", blurred)
+    for axes, (name, image) in zip(figure.subplots(1, 2), pictures, strict=True):
+        counts = np.asarray(cv2.calcHist([image], [0], None, [256], [0, 256])).ravel()
+        axes.bar(np.arange(256), counts, width=1.0)
+        cut = int(np.argmax(counts)) - BELOW_PEAK
+        axes.axvline(cut, color="tab:red", label=f"peak less {BELOW_PEAK}")
+        axes.set(yscale="log", xlabel="grey level", ylabel="pixels", title=name)
+        axes.legend()
+    return figure
+
+
+def _reduction(
+    image: ImageArray,
+    steps: list[tuple[str, NDArray[np.generic]]],
+    around: Crop,
+) -> Figure:
+    figure = Figure(figsize=(12, 8), layout="tight")
+    whole, *panels = figure.subplots(2, 3).flat
+    _show(whole, equalise(image), "equalised")
+    for axes, (name, picture) in zip(panels, steps, strict=True):
+        _show(axes, picture, name, around)
+    return figure
+
+
+def _three_points(
+    rims: NDArray[np.bool_], geometry: StereoGeometry, circles: FloatArray, found: Markers
+) -> Figure:
+    """Draw the circle through three rim points about the first marker, in square pixels."""
+    stretch = geometry.fy / geometry.fx
+    middle = found.centres[0] * [stretch, 1.0]
+    away = np.hypot(circles[:, 0] * stretch - middle[0], circles[:, 1] - middle[1])
+    circle = circles[np.argmin(away - circles[:, 3])]
+    rows, columns = np.nonzero(rims)
+    points = np.column_stack([columns * stretch, rows])
+    offsets = points - [circle[0] * stretch, circle[1]]
+    near = np.hypot(*offsets.T) < 2.0 * circle[2]
+    points, offsets = points[near], offsets[near]
+    # The points next to the circle in three directions.
+    chosen = []
+    for angle in np.radians([20.0, 140.0, 260.0]):
+        place = circle[2] * np.array([np.cos(angle), np.sin(angle)])
+        chosen.append(points[np.argmin(np.hypot(*(offsets - place).T))])
+    x, y, radius, turn = circle_of_three(*np.concatenate(chosen).tolist())
+    figure = Figure(figsize=(5, 5))
+    axes = figure.add_subplot()
+    axes.plot(*points.T, "s", color="0.75", label="rim points")
+    axes.plot(*np.array(chosen).T, "o", color="tab:red", label="three of them")
+    axes.add_patch(Circle((x, y), radius, fill=False, color="tab:blue"))
+    axes.plot(x, y, "+", color="tab:blue", label="centre (eq. 5-7)")
+    for first, second in ((0, 1), (1, 2)):
+        half = 0.5 * (chosen[first] + chosen[second])
+        axes.plot([half[0], x], [half[1], y], ":", color="tab:blue")
+    axes.set_title(f"radius {radius:.2f} px, bisectors at {np.degrees(turn):.0f} deg", fontsize=9)
+    axes.set(xlabel="column, square pixels", ylabel="row", aspect="equal")
+    axes.invert_yaxis()
+    axes.legend(fontsize=8)
+    return figure
+
+
+def _found(
+    image: ImageArray,
+    geometry: StereoGeometry,
+    circles: FloatArray,
+    found: Markers,
+    around: Crop,
+) -> Figure:
+    figure = Figure(figsize=(10, 5), layout="tight")
+    left, right = figure.subplots(1, 2)
+    _show(left, image, f"circles by the Hough transform, above {LEAST_COVERAGE:.0%}", around)
+    for column, row, radius, coverage in circles:
+        if coverage > LEAST_COVERAGE:
+            width = 2.0 * radius * geometry.fx / geometry.fy
+            left.add_patch(
+                Ellipse((column, row), width, 2.0 * radius, fill=False, color="tab:orange")
+            )
+    _show(right, image, "markers by region growing", around)
+    for (column, row), (major, minor), angle in zip(
+        found.centres, found.axes, found.angles, strict=True
+    ):
+        right.add_patch(
+            Ellipse((column, row), 2 * major, 2 * minor, angle=float(np.degrees(angle)), fill=False,
+                    color="tab:red")
+        )  # fmt: skip
+        right.plot(column, row, "+", color="tab:red")
+    return figure

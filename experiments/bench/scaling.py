@@ -1,8 +1,9 @@
 """How the cost grows: with robots, with finer voxels, with stages, and with processes."""
 
 import dataclasses
+import functools
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,17 +11,16 @@ from matplotlib.figure import Figure
 from controllers.braid.arm.inverse import BinaryArm, solve
 from controllers.motion.simple_motions import DriveAndHold
 from experiments.appe.arm.inverse_trial import draw_targets
-from experiments.bench.loop import WHEEL_SPEED
-from experiments.bench.mapping import FINE_BOX, MEMORY, frustum
-from experiments.bench.mapping_scene import Cloud, Scene, random_view, see
+from experiments.bench.loop import SPAN, WHEEL_SPEED
+from experiments.bench.mapping import FINE_BOX, MEMORY, fast_map
+from experiments.bench.mapping_scene import Scene, random_view, see
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.provenance import free_cores
 from experiments.harness.sweep import sweep
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
-from perception.voxels.grid import VoxelGrid
-from perception.voxels.map import VoxelMap, VoxelMapConfig
+from perception.voxels.map import VoxelMapConfig
 from perception.voxels.occupancy import UpdateModel
 from twin.loop import run
 from twin.simulation import Simulation
@@ -30,7 +30,6 @@ VOXELS, QUICK_VOXELS = (0.01, 0.005, 0.002, 0.001), (0.01, 0.005)  # [m]
 STAGES, QUICK_STAGES = (7, 10, 14, 20), (7, 10)
 """Up to six stages a tree answers at once: no search, and no part of its curve."""
 JOBS = (1, 2)
-SPAN = 0.5  # [s] of simulated time in one timed call
 SPACING = 1.0  # [m] between robots
 TARGETS, QUICK_TARGETS = 10, 3
 SWEPT, LOOPS = 8, 1_500_000
@@ -46,13 +45,19 @@ class Curve:
 
     Attributes:
         axis: What grows, with its unit.
-        times: Seconds of each round, by size.
-        exponents: Of ``time = a size^exponent``, one fit for each round; none for a single size.
+        times: Time of each round [s], by size.
     """
 
     axis: str
     times: Times
-    exponents: list[float]
+
+    @property
+    def exponents(self) -> list[float]:
+        """Exponents of ``time = a size^exponent``, one a round; none on a machine of one core."""
+        if len(self.times) == 1:
+            return []
+        rounds = zip(*self.times.values(), strict=True)
+        return [exponent(dict(zip(self.times, each, strict=True))) for each in rounds]
 
 
 def bench_scaling(options: Options, output: Output) -> None:
@@ -122,15 +127,7 @@ def _curve(axis: str, works: Mapping[float, Callable[[], object]], rounds: int) 
             start = time.process_time()
             work()
             times[size].append(time.process_time() - start)
-    return Curve(axis, times, _exponents(times))
-
-
-def _exponents(times: Times) -> list[float]:
-    """Return one exponent a round; none for a single size, as on a machine of one core."""
-    if len(times) == 1:
-        return []
-    rounds = zip(*times.values(), strict=True)
-    return [exponent(dict(zip(times, each, strict=True))) for each in rounds]
+    return Curve(axis, times)
 
 
 def _robots(quick: bool) -> dict[float, Callable[[], object]]:
@@ -158,15 +155,8 @@ def _voxels(quick: bool, seed: int) -> dict[float, Callable[[], object]]:
     scene = Scene.random(rng)
     clouds = [see(scene, random_view(rng), rng) for _ in range(1 if quick else 2)]
     config = VoxelMapConfig(UpdateModel(), memory_limit=int(MEMORY))
-
-    def insert(resolution: float, clouds: Sequence[Cloud] = clouds) -> None:
-        voxels = VoxelMap(VoxelGrid(resolution, *FINE_BOX), config)
-        for cloud in clouds:
-            voxels.insert(
-                cloud.transform_camera_to_world, frustum(), cloud.points, cloud.covariances
-            )
-
-    return {edge: lambda e=edge: insert(e) for edge in (QUICK_VOXELS if quick else VOXELS)}
+    edges = QUICK_VOXELS if quick else VOXELS
+    return {edge: functools.partial(fast_map, edge, clouds, config, FINE_BOX) for edge in edges}
 
 
 def _stages(quick: bool, seed: int) -> dict[float, Callable[[], object]]:
@@ -196,7 +186,7 @@ def _sweeps(options: Options, output: Output, rounds: int) -> Curve:
             sweep(spin, configs, chosen, output, label=f"sweep by {jobs:g}")
             if index >= 0:
                 times[jobs].append(time.perf_counter() - start)
-    return Curve("processes", times, _exponents(times))
+    return Curve("processes", times)
 
 
 def spin(config: tuple[int, float, int]) -> int:

@@ -38,8 +38,8 @@ class DoctorOptions:
     """Options of the doctor.
 
     Attributes:
-        robot: Look at this robot too, before it moves: serial:PORT[,NAME=VALUE...], or emulated.
-        patience: How long to wait for a person at the e-stop [s].
+        robot: Robot to examine too, before it moves: serial:PORT[,NAME=VALUE...], or emulated.
+        patience: Longest wait for a person at the e-stop [s].
     """
 
     robot: str = ""
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _findings(options: DoctorOptions) -> Iterator[Finding]:
-    """Look at the machine, then at the robot if there is one."""
+    """Examine the machine, then the robot if there is one."""
     yield from examine_python()
     yield from examine_packages(pins(CHECKOUT))
     yield from examine_rendering()
@@ -78,7 +78,7 @@ def _findings(options: DoctorOptions) -> Iterator[Finding]:
 
 
 def examine_python() -> list[Finding]:
-    """Look at the interpreter and the machine."""
+    """Examine the interpreter and the machine."""
     old = sys.version_info[:2] < OLDEST_PYTHON
     return [
         Finding("python", platform.python_version(), "needs python 3.11 or newer" if old else ""),
@@ -119,7 +119,7 @@ def examine_packages(wanted: Mapping[str, str]) -> list[Finding]:
 
 
 def examine_rendering() -> list[Finding]:
-    """Look for the GL libraries and render a frame."""
+    """Render a frame, and if that fails examine the GL libraries."""
     backend = os.environ.get("MUJOCO_GL", "")
     findings = [Finding("MUJOCO_GL", backend or "unset")]
     frame = examine_frame()

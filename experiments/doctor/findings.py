@@ -1,4 +1,4 @@
-"""What the doctor finds."""
+"""Findings of the doctor."""
 
 import dataclasses
 
@@ -8,9 +8,9 @@ class Finding:
     """One line of the doctor's report.
 
     Attributes:
-        what: What was looked at.
-        value: What was found.
-        remedy: What to do about it; empty when it is in order.
+        what: Name of the thing examined.
+        value: State in which it was found.
+        remedy: Remedy for a problem; empty when there is none.
         required: Whether the project cannot work without it.
     """
 
@@ -26,7 +26,7 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """As it is printed."""
+        """Line of the printed report."""
         mark = "PROBLEM" if self.fatal else "note" if self.remedy else "ok"
         remedy = f"  -> {self.remedy}" if self.remedy else ""
         return f"{mark:8}{self.what:24}{self.value}{remedy}"

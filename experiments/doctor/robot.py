@@ -1,7 +1,6 @@
 """``doctor --robot``: is a robot on its boards well, before anything moves?"""
 
 import contextlib
-import dataclasses
 import time
 from collections.abc import Callable, Iterator
 
@@ -30,36 +29,30 @@ from twin.robot import Channel, Observation, RobotError
 from twin.servo import SERVO_PERIOD
 
 WATCHING = 2.0
-"""For which the sensors are watched [s]."""
+"""Duration of the watch on the sensors [s]."""
 FRESH = 0.95
 """Share of the cycles in which a channel must be usable."""
 MISSED = 0.01
+"""Share of the cycles that may be missed."""
 STILL = 0.02
 """Speed of a shaft above which it is not at rest [rad/s]."""
 POLL = 0.05  # [s]
 
 
-@dataclasses.dataclass(frozen=True)
-class Patient:
-    """What is looked at.
-
-    Attributes:
-        wiring: Where its boards are.
-        press: Presses the e-stop of emulated boards; a person does it on real ones.
-        patience: How long to wait for that [s].
-    """
-
-    wiring: Wiring
-    press: Callable[[], None]
-    patience: float
+SENSORS = {
+    "inclinometer": ("pitch {:+.2f}, roll {:+.2f} degrees", 180.0 / np.pi),
+    "centre_angle": ("{:+.2f} degrees", 180.0 / np.pi),
+    "arm_base_wrench": ("force {:+.2f}, {:+.2f}, {:+.2f} N", 1.0),
+}
+"""Text of each watched channel, and factor of the values in it."""
 
 
 def examine_robot(target: str, patience: float) -> Iterator[Finding]:
-    """Look at a robot's calibration, boards, limits, sensors and e-stop; nothing is driven.
+    """Examine a robot's calibration, boards, limits, sensors and e-stop; nothing is driven.
 
     Args:
         target: ``serial:PORT[,NAME=VALUE...]`` or ``emulated``.
-        patience: How long to wait for a person at the e-stop [s].
+        patience: Longest wait for a person at the e-stop [s].
 
     Raises:
         OptionError: If the target is unknown or misspelt.
@@ -67,7 +60,7 @@ def examine_robot(target: str, patience: float) -> Iterator[Finding]:
     if target == "emulated":
         yield from _examine_emulated(patience)
     else:
-        yield from _examine(Patient(wiring_of(target), _ask_person, patience))
+        yield from _examine(wiring_of(target), _ask_person, patience)
 
 
 def wiring_of(target: str) -> Wiring:
@@ -103,12 +96,17 @@ def _examine_emulated(patience: float) -> Iterator[Finding]:
             for address in wiring.load_calibration().drive.boards:
                 emulator.inject(name, RobotFault.E_STOP.value, address=address)
 
-        yield from _examine(Patient(wiring, press, patience))
+        yield from _examine(wiring, press, patience)
 
 
-def _examine(patient: Patient) -> Iterator[Finding]:
-    """Look at one thing after the other, until one is needed that is not there."""
-    wiring = patient.wiring
+def _examine(wiring: Wiring, press_stop: Callable[[], None], patience: float) -> Iterator[Finding]:
+    """Examine one thing after the other, until one is missing that the next needs.
+
+    Args:
+        wiring: Ports of the boards.
+        press_stop: Presses the e-stop of emulated boards; on real ones asks a person to.
+        patience: Longest wait for the e-stop [s].
+    """
     yield _calibration_finding(wiring)
     try:
         # Whatever its age, it is good enough to look at the boards.
@@ -121,12 +119,9 @@ def _examine(patient: Patient) -> Iterator[Finding]:
         yield Finding("ports", str(error), "check cable, name and permissions of the port")
         return
     with contextlib.closing(boards):
-        absent = False
-        for address in boards.addresses:
-            finding = _board_finding(boards, address)
-            absent = absent or "no answer" in finding.value
-            yield finding
-        if absent:
+        found = [_board_finding(boards, address) for address in boards.addresses]
+        yield from found
+        if any("no answer" in finding.value for finding in found):
             return
         robot = BoardRobot(describe_rover(wiring.robot), boards, calibration, time.monotonic)
         try:
@@ -136,7 +131,7 @@ def _examine(patient: Patient) -> Iterator[Finding]:
             return
         yield Finding("limits", _limits(calibration))
         yield from _sensor_findings(robot)
-        yield _stop_finding(boards, patient)
+        yield _stop_finding(boards, press_stop, patience)
 
 
 def _calibration_finding(wiring: Wiring) -> Finding:
@@ -148,7 +143,7 @@ def _calibration_finding(wiring: Wiring) -> Finding:
 
 
 def _board_finding(boards: WiredBoards, address: int) -> Finding:
-    """Ask a motor board for all that it says of itself."""
+    """Read a motor board's version, voltages, temperature and status."""
     what = f"motor board {address:#x}"
     try:
         version = boards.bus.version(address)
@@ -177,11 +172,8 @@ def _sensor_findings(robot: BoardRobot) -> Iterator[Finding]:
         seen.append(robot.observe())
     battery = {a: robot.boards.state(a).battery for a in robot.boards.addresses}
     yield _battery_finding(battery, robot.calibration)
-    last = seen[-1]
-    tilt, wrench = last.inclinometer, last.arm_base_wrench
-    yield _fresh("inclinometer", [o.inclinometer for o in seen], _tilt_text(tilt))
-    yield _fresh("centre angle", [o.centre_angle for o in seen], _angle_text(last.centre_angle))
-    yield _fresh("arm base wrench", [o.arm_base_wrench for o in seen], _wrench_text(wrench))
+    for name in SENSORS:
+        yield _fresh(name, [getattr(observation, name) for observation in seen])
     yield _rest_finding(seen)
     share = clock.misses / (clock.misses + len(seen))
     slow = "other programs, or an adapter with a long latency timer" if share > MISSED else ""
@@ -196,39 +188,22 @@ def _battery_finding(volts: dict[int, float], calibration: Calibration) -> Findi
     return Finding("battery", f"{text} V", "" if well else f"needs {low:g} to {high:g} V")
 
 
-def _fresh(what: str, channels: list[Channel], text: str) -> Finding:
-    """Tell in how many cycles a channel could be used."""
+def _fresh(name: str, channels: list[Channel]) -> Finding:
+    """Return a channel's last value, and in how many cycles it was usable."""
+    what, last = name.replace("_", " "), channels[-1]
+    text, factor = SENSORS[name]
+    text = text.format(*factor * last.value.astype(float)) if last.usable else last.validity.value
     usable = sum(channel.usable for channel in channels)
     value = f"{text}, fresh in {usable} of {len(channels)} cycles"
     if usable >= FRESH * len(channels):
         return Finding(what, value)
     if not usable:
-        value = f"{channels[-1].validity.value} in all cycles"
+        value = f"{last.validity.value} in all cycles"
     return Finding(what, value, "check its wiring and its name in --robot")
 
 
-def _tilt_text(channel: Channel) -> str:
-    if not channel.usable:
-        return channel.validity.value
-    pitch, roll = np.degrees(channel.value.astype(float))
-    return f"pitch {pitch:+.2f}, roll {roll:+.2f} degrees"
-
-
-def _angle_text(channel: Channel) -> str:
-    if not channel.usable:
-        return channel.validity.value
-    return f"{np.degrees(float(channel.value[0])):+.2f} degrees"
-
-
-def _wrench_text(channel: Channel) -> str:
-    if not channel.usable:
-        return channel.validity.value
-    force = channel.value[:3].astype(float)
-    return f"force {force[0]:+.2f}, {force[1]:+.2f}, {force[2]:+.2f} N"
-
-
 def _rest_finding(seen: list[Observation]) -> Finding:
-    """Tell whether the encoders are at rest."""
+    """Check that the encoders are at rest."""
     speeds = [
         float(np.max(np.abs(channel.value)))
         for o in seen
@@ -242,14 +217,14 @@ def _rest_finding(seen: list[Observation]) -> Finding:
     return Finding("encoders", f"at {fastest:.3f} rad/s", moves, required=False)
 
 
-def _stop_finding(boards: WiredBoards, patient: Patient) -> Finding:
-    """See whether every board notices the e-stop, and lets go of it again."""
-    patient.press()
-    deaf = _await_stop(boards, pressed=True, patience=patient.patience)
+def _stop_finding(boards: WiredBoards, press_stop: Callable[[], None], patience: float) -> Finding:
+    """Check that every board notices the e-stop, and its release."""
+    press_stop()
+    deaf = _await_stop(boards, pressed=True, patience=patience)
     if deaf:
         remedy = "press it; set S3 of each board to e-stop and wire the switch to all"
         return Finding("e-stop", f"not seen by {deaf}", remedy)
-    stuck = _await_stop(boards, pressed=False, patience=patient.patience)
+    stuck = _await_stop(boards, pressed=False, patience=patience)
     if stuck:
         remedy = "release it; some firmware wants its power switched off and on"
         return Finding("e-stop", f"still pressed, says {stuck}", remedy)
@@ -257,7 +232,7 @@ def _stop_finding(boards: WiredBoards, patient: Patient) -> Finding:
 
 
 def _await_stop(boards: WiredBoards, pressed: bool, patience: float) -> str:
-    """Wait until all boards say that it is pressed, or not; return the names of the others."""
+    """Wait until all boards report it as pressed, or as released; return the others' names."""
     end = time.monotonic() + patience
     while True:
         others = [a for a in boards.addresses if _stopped(boards, a, pressed) != pressed]
@@ -267,7 +242,7 @@ def _await_stop(boards: WiredBoards, pressed: bool, patience: float) -> str:
 
 
 def _stopped(boards: WiredBoards, address: int, pressed: bool) -> bool:
-    """Tell whether a board is stopped; one that is silent is not as it should be."""
+    """Return whether a board is stopped; a silent one counts as the opposite of what it should."""
     try:
         if not pressed:
             boards.reset_e_stop()

@@ -1,3 +1,4 @@
+import dataclasses
 import json
 
 import numpy as np
@@ -8,9 +9,14 @@ from controllers.identification.compliant_base import ArmOnMount, BaseState, sim
 from controllers.identification.output_error import FINAL_SUBSTEPS, OutputError, Window
 from controllers.identification.parameters import Prior, from_mapping
 from experiments.__main__ import main
-from experiments.bench import sysid_peer
-from experiments.bench.identification import FINE_SUBSTEPS, fit_ours, peer_optimum, record
-from experiments.bench.sysid_peer import SysidPeer
+from experiments.bench.identification import (
+    FINE_SUBSTEPS,
+    PEER_SUBSTEPS,
+    SysidPeer,
+    fit_ours,
+    peer_optimum,
+    record,
+)
 from models.datasheets import TABLE_2_1_TRUTH
 
 ARMS = {mode: ArmOnMount.of(RigidArm(), mode) for mode in MODES}
@@ -28,6 +34,11 @@ def test_window_after_window_gives_what_all_at_once_gives():
     assert np.max(np.abs(difference)) < 0.05
 
 
+def without_noise(recording):
+    still = [{mode: np.zeros_like(y) for mode, y in part.items()} for part in recording.clean]
+    return dataclasses.replace(recording, noise=still)
+
+
 def largest_misfit(recording, substeps):
     """Return what the peer's model leaves of the data at the truth, in deviations of the noise."""
     motions, outputs = recording.motions(), recording.joined()
@@ -36,12 +47,12 @@ def largest_misfit(recording, substeps):
 
 
 def test_the_data_are_finer_than_either_side_integrates():
-    data = record(0.4, seed=4).without_noise()
-    own = data.integrated(sysid_peer.SUBSTEPS)
-    coarse = largest_misfit(data, sysid_peer.SUBSTEPS)
+    data = without_noise(record(0.4, seed=4))
+    own = data.integrated(PEER_SUBSTEPS)
+    coarse = largest_misfit(data, PEER_SUBSTEPS)
     # RK4's error falls with the fourth power of the step, and on its own steps there is none.
     assert largest_misfit(data, FINE_SUBSTEPS) < coarse / 12
-    assert largest_misfit(own, sysid_peer.SUBSTEPS) < coarse / 50
+    assert largest_misfit(own, PEER_SUBSTEPS) < coarse / 50
     motions, outputs = data.motions(), data.joined()
     for mode, arm in ARMS.items():
         start = BaseState.at_rest()
@@ -50,8 +61,8 @@ def test_the_data_are_finer_than_either_side_integrates():
 
 
 def test_the_peer_s_least_cost_is_at_the_truth_where_its_steps_made_the_data():
-    data = record(0.8, seed=4).without_noise().integrated(sysid_peer.SUBSTEPS)
-    found = peer_optimum(data, ARMS, sysid_peer.SUBSTEPS, near=1.02 * TRUTH)
+    data = without_noise(record(0.8, seed=4)).integrated(PEER_SUBSTEPS)
+    found = peer_optimum(data, ARMS, PEER_SUBSTEPS, near=1.02 * TRUTH)
     np.testing.assert_allclose(found, TRUTH, rtol=1e-4, atol=1e-5)
 
 

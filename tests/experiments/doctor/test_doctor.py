@@ -72,8 +72,7 @@ class Boards:
 
 
 def test_board_that_does_not_notice_the_e_stop_is_named():
-    patient = doctor_robot.Patient(doctor_robot.wiring_of("serial:x"), lambda: None, 0.1)
-    finding = doctor_robot._stop_finding(Boards(), patient)
+    finding = doctor_robot._stop_finding(Boards(), lambda: None, 0.1)
     assert finding.fatal and "0x81, 0x82" in finding.value and "0x80" not in finding.value
 
 

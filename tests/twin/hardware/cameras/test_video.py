@@ -121,7 +121,8 @@ def test_twins_own_frames_come_back_bit_for_bit(tmp_path):
     pairs = []
     for _ in range(3):
         pairs.append(simulation.robots["rover1"].observe().stereo.value)
-        simulation.settle(0.1)
+        for _ in range(10):
+            simulation.tick()
     left = sequence(tmp_path, "left", [pair[0] for pair in pairs])
     right = sequence(tmp_path, "right", [pair[1] for pair in pairs])
     source = StereoCapture((left, right), rate=10.0)
