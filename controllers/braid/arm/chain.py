@@ -3,6 +3,8 @@
 A word is (n,) states of 0 to 7, base first. Poses are rows of 12 as in `stage`.
 """
 
+import math
+
 import numba
 import numpy as np
 
@@ -17,7 +19,7 @@ STRAIGHT = (0, STATES - 1)
 
 @numba.njit(cache=True)
 def compose(a, b, out):
-    """Write the product of poses a and b into ``out``, which is neither."""
+    """Write the product of poses a and b into ``out``, which may be a but not b."""
     for i in range(3):
         x, y, z = a[3 + 3 * i], a[4 + 3 * i], a[5 + 3 * i]
         out[i] = a[i] + x * b[0] + y * b[1] + z * b[2]
@@ -27,18 +29,22 @@ def compose(a, b, out):
 
 @numba.njit(cache=True)
 def relative(a, b, out):
-    """Write the pose of b in the frame of a, inverse(a) b, into ``out``."""
+    """Write inverse(a) b, the pose of b in the frame of a, into ``out``: b perhaps, but not a."""
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     for i in range(3):
-        p, q, r = a[3 + i], a[6 + i], a[9 + i]
-        out[i] = p * x + q * y + r * z
-        for j in range(3):
-            out[3 + 3 * i + j] = p * b[3 + j] + q * b[6 + j] + r * b[9 + j]
+        out[i] = a[3 + i] * x + a[6 + i] * y + a[9 + i] * z
+    for j in range(3, 6):
+        x, y, z = b[j], b[3 + j], b[6 + j]
+        for i in range(3):
+            out[3 * i + j] = a[3 + i] * x + a[6 + i] * y + a[9 + i] * z
 
 
-def identity() -> FloatArray:
+@numba.njit(cache=True)
+def identity():
     """Return the pose (12,) of the base itself."""
-    return np.concatenate([np.zeros(3), np.eye(3).ravel()])
+    pose = np.zeros(12)
+    pose[3] = pose[7] = pose[11] = 1.0
+    return pose
 
 
 def forward(stages: FloatArray, words: IntArray) -> FloatArray:
@@ -57,26 +63,23 @@ def forward(stages: FloatArray, words: IntArray) -> FloatArray:
     words = np.asarray(words, dtype=np.int64)
     if words.size and not (words.min() >= 0 and words.max() < STATES):
         raise ValueError(f"states {words.min()} to {words.max()}: expected 0 to 7")
-    return _forward(stages[words.reshape(-1, words.shape[-1])]).reshape(*words.shape[:-1], 12)
+    return chain_pose(stages[words])
 
 
 def chain_pose(stage_poses: FloatArray) -> FloatArray:
     """Return the product (..., 12) of stages (..., n, 12) of any leg lengths."""
-    flat = np.ascontiguousarray(stage_poses).reshape(-1, *stage_poses.shape[-2:])
+    chains = math.prod(stage_poses.shape[:-2])
+    flat = np.ascontiguousarray(stage_poses).reshape(chains, *stage_poses.shape[-2:])
     return _forward(flat).reshape(*stage_poses.shape[:-2], 12)
 
 
 @numba.njit(cache=True)
 def _forward(stages):
-    poses = np.zeros((stages.shape[0], 12))
-    here, after = np.empty(12), np.empty(12)
+    poses = np.empty((stages.shape[0], 12))
     for i in range(stages.shape[0]):
-        here[:] = 0.0
-        here[3] = here[7] = here[11] = 1.0
+        poses[i] = identity()
         for k in range(stages.shape[1]):
-            compose(here, stages[i, k], after)
-            here[:] = after
-        poses[i] = here
+            compose(poses[i], stages[i, k], poses[i])
     return poses
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from controllers.braid.arm.chain import compose, relative
+from controllers.braid.arm.chain import compose, identity, relative
 from perception.geometry.arrays import FloatArray
 
 _CHANGED = 3
@@ -72,12 +72,10 @@ def exchange(goal, word):
 @numba.njit(cache=True)
 def _tips(stages, word, tips):
     """Write the tip in the frame before stage k, if k is in state s and the rest as in the word."""
-    rest, after = np.zeros(12), np.empty(12)
-    rest[3] = rest[7] = rest[11] = 1.0
+    rest = identity()
     for k in range(word.shape[0] - 1, -1, -1):
         for state in range(8):
-            compose(stages[state], rest, after)
-            tips[k, state] = after
+            compose(stages[state], rest, tips[k, state])
         rest[:] = tips[k, word[k]]
 
 
@@ -90,15 +88,14 @@ def _best_move(goal, word, tips, bound, move):
     """
     stages, count = goal.stages, word.shape[0]
     stage, state = np.zeros(_CHANGED, dtype=np.int64), np.full(_CHANGED, -1, dtype=np.int64)
-    legs, here, after = np.full(_CHANGED, _CHANGED), np.empty((_CHANGED, 12)), np.empty(12)
+    legs, here = np.full(_CHANGED, _CHANGED), np.empty((_CHANGED, 12))
     here[0], level = goal.target, 0
     move[:] = -1
     while level >= 0:
         state[level] += 1
         k, tried = stage[level], state[level]
         if tried == 8:
-            relative(stages[word[k]], here[level], after)
-            here[level] = after
+            relative(stages[word[k]], here[level], here[level])
             stage[level], state[level] = k + 1, -1
             if k + 1 == count:
                 level -= 1
@@ -221,10 +218,8 @@ def _better(costs, rng):
 
 @numba.njit(cache=True)
 def _cost(goal, bits):
-    here, after = np.zeros(12), np.empty(12)
-    here[3] = here[7] = here[11] = 1.0
+    here = identity()
     for k in range(bits.shape[0] // 3):
         state = 1 * bits[3 * k] + 2 * bits[3 * k + 1] + 4 * bits[3 * k + 2]
-        compose(here, goal.stages[state], after)
-        here[:] = after
+        compose(here, goal.stages[state], here)
     return squared_cost(here, goal.target, goal.turn_weight)

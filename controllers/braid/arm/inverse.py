@@ -5,6 +5,7 @@ What is minimised is ``cost^2 = |dp|^2 + w^2 |dR|_F^2 / 2`` of the tip; for smal
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -12,9 +13,15 @@ import numpy as np
 from controllers.braid.arm.chain import MAX_ENUMERATED, all_words, forward, identity, reduced_words
 from controllers.braid.arm.heuristics import GeneticConfig, TipGoal, breed, exchange_from_random
 from controllers.braid.arm.lattice_walk import TailShape, WalkEffort, describe_tails, walk
-from controllers.braid.arm.meeting import first_clear, improve_free_stages, meet, search_clear
-from controllers.braid.arm.obstacles import LinkCheck, free_words
-from controllers.braid.arm.pose_tree import PoseTree, build_tree, nearest
+from controllers.braid.arm.meeting import (
+    WordTable,
+    first_clear,
+    improve_free_stages,
+    meet,
+    search_clear,
+)
+from controllers.braid.arm.obstacles import LinkCheck
+from controllers.braid.arm.pose_tree import build_tree, nearest
 from controllers.braid.arm.stage import StageGeometry, state_poses
 from perception.geometry.arrays import FloatArray, IntArray
 
@@ -82,21 +89,6 @@ class WordSolution:
     angle: float
 
 
-@dataclasses.dataclass(frozen=True)
-class WordTable:
-    """All words of a few stages, their poses and a tree of them.
-
-    Attributes:
-        words: (m, k) states.
-        poses: (m, 12) poses.
-        tree: KD-tree of the poses.
-    """
-
-    words: IntArray
-    poses: FloatArray
-    tree: PoseTree
-
-
 class BinaryArm:
     """A chain of binary stages, with what its searches keep between targets.
 
@@ -125,7 +117,6 @@ class BinaryArm:
         self.config = config or InverseConfig()
         self.stages = state_poses(self.geometry)
         self._parts: dict[tuple[int, bool], WordTable] = {}
-        self._shape: TailShape | None = None
 
     @property
     def turn_weight(self) -> float:
@@ -135,11 +126,6 @@ class BinaryArm:
     def goal(self, target: FloatArray) -> TipGoal:
         """Return what compiled searches minimise for a target pose (12,)."""
         return TipGoal(self.stages, target, self.turn_weight)
-
-    @property
-    def tail(self) -> int:
-        """Stages of the tree."""
-        return min(TAIL, self.count)
 
     def part(self, count: int, bodies: bool = False) -> WordTable:
         """Return all words of the first (or any other) few stages.
@@ -155,11 +141,10 @@ class BinaryArm:
             self._parts[key] = WordTable(words, poses, build_tree(poses, self.config.weight))
         return self._parts[key]
 
+    @functools.cached_property
     def tail_shape(self) -> TailShape:
-        """Return what the last `TAIL` stages reach."""
-        if self._shape is None:
-            self._shape = describe_tails(self.part(TAIL).poses, self.stages)
-        return self._shape
+        """Distribution of the poses that the last `TAIL` stages reach."""
+        return describe_tails(self.part(TAIL).poses, self.stages)
 
     def score(self, word: IntArray, target: FloatArray) -> WordSolution:
         """Return how near a word (n,) comes to a target pose (12,)."""
@@ -201,6 +186,9 @@ def solve(
         raise ValueError(f"method {method}: expected one of {', '.join(METHODS)}")
     if check is not None and method not in CLEAR_METHODS:
         raise ValueError(f"method {method} and obstacles: expected {', '.join(CLEAR_METHODS)}")
+    most = EXACT_LIMIT.get(method, arm.count)
+    if arm.count > most:
+        raise ValueError(f"{method} with {arm.count} stages: expected {most} at most")
     target = np.ascontiguousarray(target, dtype=float)
     if target.shape != (12,) or not np.all(np.isfinite(target)):
         raise ValueError(f"target {target.shape}: expected 12 finite numbers")
@@ -208,34 +196,23 @@ def solve(
     return None if word is None else arm.score(word, target)
 
 
-def _limit(arm: BinaryArm, method: str, most: int) -> None:
-    if arm.count > most:
-        raise ValueError(f"{method} with {arm.count} stages: expected {most} at most")
-
-
 def _exhaustive(
     arm: BinaryArm, target: FloatArray, rng: np.random.Generator, check: Check
 ) -> IntArray | None:
     """Cost every word."""
-    _limit(arm, "exhaustive", MAX_ENUMERATED - 1)
-    if check is None:
-        part = arm.part(arm.count)
-        words, poses = part.words, part.poses
-    else:
-        words = free_words(check, arm.count)
-        poses = forward(arm.stages, words)
-    if len(words) == 0:
-        return None
+    words, poses, _ = arm.part(arm.count, bodies=check is not None)
     off = poses - target
     costs = np.sum(off[:, :3] ** 2, axis=1) + arm.turn_weight * np.sum(off[:, 3:] ** 2, axis=1)
-    return words[int(np.argmin(costs))].copy()
+    if check is not None:
+        costs[~check.free(words)] = np.inf
+    best = int(np.argmin(costs))
+    return words[best].copy() if np.isfinite(costs[best]) else None
 
 
 def _tree(
     arm: BinaryArm, target: FloatArray, rng: np.random.Generator, check: Check
 ) -> IntArray | None:
     """Find the nearest pose in the tree of all words."""
-    _limit(arm, "kd-tree", TAIL)
     if check is not None:
         return first_clear(
             arm.part(arm.count, bodies=True), identity()[None], np.empty((1, 0), int), target, check
@@ -263,7 +240,6 @@ def _meet(
     arm: BinaryArm, target: FloatArray, rng: np.random.Generator, check: Check
 ) -> IntArray | None:
     """Meet in the middle: exact."""
-    _limit(arm, "meet", MAX_MET)
     if arm.count <= TAIL:
         return _tree(arm, target, rng, check)
     bodies = check is not None
@@ -329,7 +305,7 @@ def _walk(
     word, cost = exchange_from_random(arm.goal(target), arm.count, 1, rng)
     head = word[:ahead].copy()
     effort = WalkEffort(own.looks, own.steps)
-    last, cost = walk(part.tree, arm.tail_shape(), arm.goal(target), head, cost, effort, rng)
+    last, cost = walk(part.tree, arm.tail_shape, arm.goal(target), head, cost, effort, rng)
     if last >= 0:
         word = np.concatenate([head, part.words[last]])
     windows = own.polish if last >= 0 else own.neighbourhoods

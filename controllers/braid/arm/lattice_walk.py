@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from controllers.braid.arm.chain import compose, relative
+from controllers.braid.arm.chain import compose, identity, relative
 from controllers.braid.arm.pose_tree import nearest
 from controllers.braid.arm.stage import STATES
 from perception.geometry.arrays import FloatArray
@@ -191,20 +191,16 @@ def _frames(stages, word, target, i, j, before, after):
         before: (8, 12) receives the target in the frame before stage j, for each state of i.
         after: (8, 12) receives the pose from there to the last stage, for each state of j.
     """
-    wanted, moved, rest = target.copy(), np.empty(12), np.zeros(12)
+    wanted, rest = target.copy(), identity()
     for k in range(i):
-        relative(stages[word[k]], wanted, moved)
-        wanted[:] = moved
+        relative(stages[word[k]], wanted, wanted)
+    for k in range(word.shape[0] - 1, j, -1):
+        compose(stages[word[k]], rest, after[0])
+        rest[:] = after[0]
     for state in range(STATES):
         relative(stages[state], wanted, before[state])
         for k in range(i + 1, j):
-            relative(stages[word[k]], before[state], moved)
-            before[state] = moved
-    rest[3] = rest[7] = rest[11] = 1.0
-    for k in range(word.shape[0] - 1, j, -1):
-        compose(stages[word[k]], rest, moved)
-        rest[:] = moved
-    for state in range(STATES):
+            relative(stages[word[k]], before[state], before[state])
         compose(stages[state], rest, after[state])
 
 

@@ -7,12 +7,12 @@ candidates are taken in the order of their cost until one is clear.
 """
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from controllers.braid.arm.chain import all_words, compose, forward, relative
+from controllers.braid.arm.chain import all_words, compose, forward, identity, relative
 from controllers.braid.arm.obstacles import LinkCheck
 from controllers.braid.arm.pose_tree import PoseTree, gather, nearest
 from controllers.braid.arm.stage import STATES
@@ -99,20 +99,16 @@ def _runs(stages, word, free):
         stages (f,) are free.
     """
     where = np.flatnonzero(free)
-    runs, start, after = np.empty((where.shape[0], 8, 12)), np.zeros(12), np.empty(12)
-    start[3] = start[7] = start[11] = 1.0
-    begun = -1
+    runs, start, begun = np.empty((where.shape[0], 8, 12)), identity(), -1
     for k in range(word.shape[0]):
         if free[k]:
             begun += 1
             runs[begun] = stages
         elif begun < 0:
-            compose(start, stages[word[k]], after)
-            start[:] = after
+            compose(start, stages[word[k]], start)
         else:
             for state in range(8):
-                compose(runs[begun, state], stages[word[k]], after)
-                runs[begun, state] = after
+                compose(runs[begun, state], stages[word[k]], runs[begun, state])
     return start, runs, where
 
 
@@ -143,22 +139,22 @@ def pairs_below(tree, heads, target, bound, capacity):
     return pairs[:kept], costs[:kept], total
 
 
-class Tails(Protocol):
-    """All words of the last stages, those of like pose included."""
+class WordTable(NamedTuple):
+    """All words of a few stages, their poses and a tree of them.
 
-    @property
-    def words(self) -> IntArray:
-        """Return the words (m, k)."""
-        ...
+    Attributes:
+        words: (m, k) states.
+        poses: (m, 12) poses.
+        tree: KD-tree of the poses.
+    """
 
-    @property
-    def tree(self) -> PoseTree:
-        """Return the tree of their poses."""
-        ...
+    words: IntArray
+    poses: FloatArray
+    tree: PoseTree
 
 
 def first_clear(
-    tails: Tails,
+    tails: WordTable,
     heads: FloatArray,
     head_words: IntArray,
     target: FloatArray,
@@ -180,9 +176,8 @@ def first_clear(
     Returns:
         The word (h + k,), or None.
     """
-    if head_words.shape[1] > 0:
-        clear = check.free(head_words)
-        heads, head_words = heads[clear], head_words[clear]
+    clear = check.free(head_words)
+    heads, head_words = heads[clear], head_words[clear]
     if len(heads) == 0:
         return None
     first, _, least = meet(tails.tree, heads, target, bound)
@@ -209,7 +204,7 @@ def first_clear(
 
 def search_clear(
     stages: FloatArray,
-    tails: Tails,
+    tails: WordTable,
     ahead: int,
     choices: Sequence[IntArray],
     target: FloatArray,
@@ -243,7 +238,7 @@ def search_clear(
     return word
 
 
-def _cost(tails: Tails, stages: FloatArray, word: IntArray, target: FloatArray) -> float:
+def _cost(tails: WordTable, stages: FloatArray, word: IntArray, target: FloatArray) -> float:
     """Return a word's squared cost in the coordinates of the tree."""
     off = (forward(stages, word) - target) @ tails.tree.basis
     return float(off @ off)

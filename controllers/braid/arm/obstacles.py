@@ -15,12 +15,10 @@ from collections.abc import Callable
 
 import numba
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
-from controllers.braid.arm.chain import MAX_ENUMERATED, compose, forward, identity
+from controllers.braid.arm.chain import compose, forward
 from controllers.braid.arm.stage import STATES, StageGeometry, rim_joints, state_poses
 from perception.geometry.arrays import FloatArray, IntArray
-from perception.voxels.map import VoxelMap
 
 Occupancy = Callable[[FloatArray], FloatArray]
 """Probability (n,) that places (n, 3) [m], arm's base frame, are occupied."""
@@ -66,25 +64,6 @@ class VoxelObstacles:
         return 0.5 * float(np.sqrt(3.0)) * self.side + self.margin
 
 
-def occupied_voxels(
-    voxels: VoxelMap, transform_base_to_world: RigidTransform, margin: float = 0.0
-) -> VoxelObstacles:
-    """Return a map's occupied voxels as obstacles; unknown ones are none.
-
-    To keep out of unknown space too, give `LinkCheck` a function of `VoxelMap.probabilities`, which
-    are NaN there.
-
-    Args:
-        voxels: Voxel map with the occupied voxels.
-        transform_base_to_world: Where the arm stands in the map.
-        margin: As in `VoxelObstacles`.
-    """
-    cells, _ = voxels.occupied_cells()
-    middles = voxels.grid.centres(cells).reshape(-1, 3)
-    centres = transform_base_to_world.inv().apply(middles) if len(middles) else middles
-    return VoxelObstacles(centres, voxels.grid.resolution, margin)
-
-
 def body_points(geometry: StageGeometry) -> FloatArray:
     """Return points (8, s, 3) [m] of a stage's body in its base frame, for each state."""
     joints = rim_joints(geometry.radius)
@@ -124,16 +103,15 @@ class LinkCheck:
     def free(self, words: IntArray) -> np.ndarray:
         """Return which words (m, n) keep every stage clear, (m,) bool.
 
-        Beginnings that words share are looked at once.
+        Beginnings that words share are checked once.
         """
         words = np.asarray(words, dtype=np.int64)
-        clear = np.ones(len(words), dtype=bool)
+        clear, beginning = np.ones(len(words), dtype=bool), np.zeros(len(words), dtype=np.int64)
         for k in range(words.shape[1]):
             at = np.flatnonzero(clear)
-            if at.size == 0:
-                break
-            beginnings, which = np.unique(words[at, : k + 1], axis=0, return_inverse=True)
-            clear[at] = self.last_stage_free(beginnings)[which.ravel()]
+            longer = beginning[at] * STATES + words[at, k]
+            _, first, beginning[at] = np.unique(longer, return_index=True, return_inverse=True)
+            clear[at] = self.last_stage_free(words[at[first], : k + 1])[beginning[at]]
         return clear
 
     def last_stage_free(self, beginnings: IntArray) -> np.ndarray:
@@ -145,10 +123,7 @@ class LinkCheck:
         Raises:
             ValueError: If the occupancy does not answer for every place.
         """
-        if beginnings.shape[1] > 1:
-            base = forward(self.stages, beginnings[:, :-1])
-        else:
-            base = np.tile(identity(), (len(beginnings), 1))
+        base = forward(self.stages, beginnings[:, :-1])
         if isinstance(self._obstacles, VoxelObstacles):
             centres, reach = self._obstacles.centres, self._obstacles.reach
             states = np.ascontiguousarray(beginnings[:, -1])
@@ -160,25 +135,6 @@ class LinkCheck:
         if chance.shape != (points.shape[0] * points.shape[1],):
             raise ValueError(f"occupancy returned {chance.shape}: expected one chance a place")
         return np.all(chance.reshape(points.shape[:2]) < FREE_BELOW, axis=1)
-
-
-def free_words(check: LinkCheck, count: int) -> IntArray:
-    """Return all words (m, n) of a few stages that keep clear, grown stage by stage.
-
-    Raises:
-        ValueError: If the stages are too many to list.
-    """
-    if not 1 <= count <= MAX_ENUMERATED:
-        raise ValueError(f"{count} stages: expected 1 to {MAX_ENUMERATED} to list all words")
-    words = np.empty((1, 0), dtype=np.int64)
-    for _ in range(count):
-        grown = np.repeat(words, STATES, axis=0)
-        last = np.tile(np.arange(STATES), len(words))
-        words = np.column_stack([grown, last])
-        words = words[check.last_stage_free(words)]
-        if len(words) == 0:
-            return np.empty((0, count), dtype=np.int64)
-    return words
 
 
 @numba.njit(cache=True)

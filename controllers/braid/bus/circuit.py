@@ -33,10 +33,9 @@ from controllers.braid.bus.decoder_chips import (
     BusModel,
     BusState,
     ChipValues,
-    Decoding,
     LinePieces,
     LineValues,
-    TraceArrays,
+    Trace,
     run_chips,
 )
 from controllers.braid.bus.trains import Train, sampled_segments
@@ -145,37 +144,13 @@ def with_rc_buffer(
     """
     if margin <= 1.0:
         raise ValueError(f"margin: expected more than 1, got {margin}")
-    longest = code.pulses(code.commands) * timing.period
-    delay = margin * longest
+    delay = margin * (code.pulses(code.commands) * timing.period)
     rc_time = delay / rc_delay(1.0, circuit.threshold, circuit.logic_supply)
     quiet = delay * margin + timing.gap
     return (
         dataclasses.replace(circuit, rc_time=rc_time),
         dataclasses.replace(timing, quiet=quiet),
     )
-
-
-@dataclasses.dataclass(frozen=True)
-class Trace:
-    """What an oscilloscope sees, at the first chip.
-
-    Attributes:
-        time: (k,) time [s].
-        line: (k,) voltage of the power line [V].
-        signal: (k,) signal behind the first divider [V].
-        debounced: (k,) voltage into the counter's trigger [V].
-        flag: (k,) voltage into the flag's trigger [V].
-        count: (k,) the counter.
-        words: (k, n) the latches.
-    """
-
-    time: FloatArray
-    line: FloatArray
-    signal: FloatArray
-    debounced: FloatArray
-    flag: FloatArray
-    count: NDArray[np.int64]
-    words: BoolArray
 
 
 class PowerBus:
@@ -205,15 +180,7 @@ class PowerBus:
         n = code.actuators
         self._rng = rng
         chips = _draw_chips(circuit, n, rng)
-        decoding = Decoding(
-            code.spacing,
-            code.tolerance,
-            code.singles,
-            code.commands,
-            int(code.mode == "set"),
-            2**code.counter_bits,
-            int(circuit.rc_time is not None),
-        )
+        decoding = code.decoding(circuit.rc_time is not None)
         self._model = BusModel(_line_values(circuit), chips, decoding)
         voltages, waits, limits = np.zeros((2, n)), np.ones((2, n)), np.vstack((chips.upper,) * 2)
         counts, latches, refused = np.zeros((3, n), np.int64)
@@ -248,22 +215,21 @@ class PowerBus:
         Returns:
             (m, n) the latches after each train.
         """
-        return self._run(trains, self._trace_arrays(0))
+        return self._run(trains, self._trace(0))
 
     def observe(self, trains: Sequence[Train]) -> Trace:
         """Put trains on the line and return what an oscilloscope sees."""
         _, lengths, _ = sampled_segments(trains, self.timing, self.circuit.sample)
-        samples = int(lengths.sum())
-        trace = self._trace_arrays(samples)
+        trace = self._trace(int(lengths.sum()))
         self._run(trains, trace)
-        time = self.circuit.sample * np.arange(1, samples + 1, dtype=np.float64)
-        return Trace(time, self.circuit.supply + trace.line, *trace[1:])
+        return trace._replace(line=self.circuit.supply + trace.line)
 
-    def _trace_arrays(self, samples: int) -> TraceArrays:
-        """Return arrays for a trace of so many samples."""
+    def _trace(self, samples: int) -> Trace:
+        """Return a trace of so many samples, to be filled."""
+        time = self.circuit.sample * np.arange(1, samples + 1, dtype=np.float64)
         line, signal, debounced, flag = np.zeros((4, samples))
-        words = np.zeros((samples, self.code.actuators), np.bool_)
-        return TraceArrays(line, signal, debounced, flag, np.zeros(samples, np.int64), words)
+        counts, words = np.zeros(samples, np.int64), np.zeros((samples, self.code.actuators), bool)
+        return Trace(time, line, signal, debounced, flag, counts, words)
 
     def sense(self) -> int:
         """Return the number of actuators that are on by a measurement of the supply current.
@@ -278,9 +244,9 @@ class PowerBus:
         current += circuit.sense_noise * self._rng.standard_normal()
         return round(current / circuit.actuator_current)
 
-    def _run(self, trains: Sequence[Train], trace: TraceArrays) -> BoolArray:
-        levels, lengths, starts = sampled_segments(trains, self.timing, self.circuit.sample)
+    def _run(self, trains: Sequence[Train], trace: Trace) -> BoolArray:
         circuit = self.circuit
+        levels, lengths, starts = sampled_segments(trains, self.timing, circuit.sample)
         volts = np.array([0.0, circuit.address_signal, circuit.flag_signal])
         pieces = LinePieces(volts[levels.astype(int)] * circuit.signal_divider, lengths, starts)
         return run_chips(pieces, self._model, self._state, self._rng, trace)

@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controllers.braid.bus.decoder_chips import Decoding
 from perception.geometry.arrays import BoolArray
 
 
@@ -99,13 +100,21 @@ class AddressCode:
             raise ValueError(f"command {command}: expected 1 to {self.commands}")
         return self.spacing * command - self.spacing // 2
 
-    def command(self, pulses: int) -> int:
-        """Return the command that a number of counted address pulses means, 0 if none."""
-        half = self.spacing // 2
-        command = (pulses + half + self.tolerance) // self.spacing
-        if not 1 <= command <= self.commands:
-            return 0
-        return command if abs(pulses - self.pulses(command)) <= self.tolerance else 0
+    def decoding(self, rc_buffer: bool = False) -> Decoding:
+        """Return what is wired into the decoder chips, for `decoder_chips`.
+
+        Args:
+            rc_buffer: Whether the RC buffer takes the count rather than the flag.
+        """
+        return Decoding(
+            self.spacing,
+            self.tolerance,
+            self.singles,
+            self.commands,
+            int(self.mode == "set"),
+            2**self.counter_bits,
+            int(rc_buffer),
+        )
 
     def obey(self, word: ArrayLike, command: int) -> BoolArray:
         """Return the word after a command.

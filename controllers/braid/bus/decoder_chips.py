@@ -129,11 +129,12 @@ class LinePieces(NamedTuple):
     starts: IntArray
 
 
-class TraceArrays(NamedTuple):
+class Trace(NamedTuple):
     """What an oscilloscope sees at the first chip, by sample; empty arrays record nothing.
 
     Attributes:
-        line: (s,) voltage of the line from rest [V].
+        time: (s,) time [s].
+        line: (s,) voltage of the power line [V]; `run_chips` writes it from rest.
         signal: (s,) signal behind the first divider [V].
         debounced: (s,) voltage into the counter's trigger [V].
         flag: (s,) voltage into the flag's trigger [V].
@@ -141,6 +142,7 @@ class TraceArrays(NamedTuple):
         words: (s, n) the latches of all chips.
     """
 
+    time: FloatArray
     line: FloatArray
     signal: FloatArray
     debounced: FloatArray
@@ -150,14 +152,22 @@ class TraceArrays(NamedTuple):
 
 
 @numba.njit(cache=True)
+def command_of(pulses, decoding):
+    """Return the command that a number of counted address pulses means, 0 if none."""
+    half = decoding.spacing // 2
+    command = (pulses + half + decoding.tolerance) // decoding.spacing
+    away = pulses - (decoding.spacing * command - half)
+    known = 1 <= command <= decoding.commands and abs(away) <= decoding.tolerance
+    return command if known else 0
+
+
+@numba.njit(cache=True)
 def _act(chip, pulses, decoding, state):
     """Let one chip's latch obey a count of address pulses."""
     if pulses <= 0:
         return
-    half = decoding.spacing // 2
-    command = (pulses + half + decoding.tolerance) // decoding.spacing
-    away = pulses - (decoding.spacing * command - half)
-    if command < 1 or command > decoding.commands or abs(away) > decoding.tolerance:
+    command = command_of(pulses, decoding)
+    if command == 0:
         state.refused[chip] += 1
     elif command > decoding.singles:
         state.latches[chip] = command - decoding.singles - 1
@@ -231,7 +241,7 @@ def run_chips(pieces, model, state, rng, trace):
         model: `BusModel`.
         state: `BusState`, which is changed.
         rng: Random generator for the signal's noise.
-        trace: `TraceArrays`, which is filled as far as it is not empty.
+        trace: `Trace`, which is filled as far as it is not empty.
 
     Returns:
         (m, n) the latches after each train.

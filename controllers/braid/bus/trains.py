@@ -1,8 +1,8 @@
 """Pulse trains as the master puts them on the power line, and the faults that befall them (E.4)."""
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterable, Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from controllers.braid.bus.code import AddressCode, PulseTiming
 from perception.geometry.arrays import FloatArray
 
-FaultKind = Literal["missed", "extra", "missed_flag"]
-
-FAULT_KINDS: tuple[FaultKind, ...] = ("missed", "extra", "missed_flag")
+FAULT_KINDS = ("missed", "extra", "missed_flag")
 
 _MISSED, _PULSE, _DOUBLE = 0, 1, 2
 _QUIET, _ADDRESS, _FLAG = 0.0, 1.0, 2.0
@@ -41,53 +39,44 @@ def trains_of(code: AddressCode, commands: Iterable[int]) -> list[Train]:
     return [Train((_PULSE,) * code.pulses(command)) for command in commands]
 
 
-class RandomFaults:
-    """Faults that hit each pulse and each flag by itself."""
+def random_faults(
+    rng: np.random.Generator, missed: float = 0.0, extra: float = 0.0, missed_flag: float = 0.0
+) -> Disturbance:
+    """Return faults that hit each pulse and each flag independently.
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        missed: float = 0.0,
-        extra: float = 0.0,
-        missed_flag: float = 0.0,
-    ) -> None:
-        """Set the rates.
+    Args:
+        rng: Random generator for the faults.
+        missed: Probability that a pulse is missed.
+        extra: Probability that an extra pulse follows one.
+        missed_flag: Probability that a flag is missed.
 
-        Args:
-            rng: Source of all randomness.
-            missed: Probability that a pulse is missed.
-            extra: Probability that an extra pulse follows one.
-            missed_flag: Probability that a flag is missed.
+    Raises:
+        ValueError: If a probability is out of range.
+    """
+    for name, rate in {"missed": missed, "extra": extra, "missed_flag": missed_flag}.items():
+        if not 0.0 <= rate <= 1.0:
+            raise ValueError(f"{name}: expected a probability, got {rate}")
+    if missed + extra > 1.0:
+        raise ValueError(f"missed + extra: expected at most 1, got {missed + extra}")
 
-        Raises:
-            ValueError: If a probability is out of range.
-        """
-        rates = {"missed": missed, "extra": extra, "missed_flag": missed_flag}
-        for name, rate in rates.items():
-            if not 0.0 <= rate <= 1.0:
-                raise ValueError(f"{name}: expected a probability, got {rate}")
-        if missed + extra > 1.0:
-            raise ValueError(f"missed + extra: expected at most 1, got {missed + extra}")
-        self._rng, self._rates = rng, rates
-
-    def __call__(self, train: Train) -> Train:
-        """Return the train as it appears on the line."""
-        drawn = self._rng.random(len(train.pulses))
-        missed, extra = self._rates["missed"], self._rates["extra"]
+    def disturb(train: Train) -> Train:
+        drawn = rng.random(len(train.pulses))
         kinds = np.where(drawn < missed, _MISSED, np.where(drawn < missed + extra, _DOUBLE, _PULSE))
-        flag = train.flag and not self._rng.random() < self._rates["missed_flag"]
-        return Train(tuple(int(kind) for kind in kinds), flag)
+        flag = train.flag and not rng.random() < missed_flag
+        return Train(tuple(kinds.tolist()), flag)
+
+    return disturb
 
 
 class OneFault:
     """One fault in all that is sent: at one pulse, or at one flag, counted from the first train."""
 
-    def __init__(self, kind: FaultKind, index: int) -> None:
-        """Say what goes wrong and where.
+    def __init__(self, kind: str, index: int) -> None:
+        """Choose the fault.
 
         Args:
-            kind: What goes wrong.
-            index: Which pulse (or flag) is hit, counted from 0.
+            kind: Kind of the fault.
+            index: Index of the pulse (or flag) that is hit, from 0.
 
         Raises:
             ValueError: If there is no such fault.
@@ -112,7 +101,7 @@ class OneFault:
 
 
 def segments(train: Train, timing: PulseTiming) -> list[tuple[float, float]]:
-    """Return what the master does to the line, piece by piece.
+    """Return the pieces of constant level that make a train on the line.
 
     Returns:
         Level and length [s] of each piece; level 0 is rest, 1 an address pulse, 2 the flag.
@@ -147,7 +136,7 @@ def sampled_segments(
     """Return the pieces of several trains in samples.
 
     Args:
-        trains: What is sent, one after another.
+        trains: Trains in the order in which they are sent.
         timing: Pulse timing of the master.
         sample: Time of one sample [s].
 
@@ -155,12 +144,7 @@ def sampled_segments(
         (k,) levels; (k,) lengths in samples, 1 or more; (m + 1,) the piece at which each train
         starts, and the number of pieces.
     """
-    levels: list[float] = []
-    lengths: list[int] = []
-    starts = [0]
-    for train in trains:
-        for level, seconds in segments(train, timing):
-            levels.append(level)
-            lengths.append(max(1, round(seconds / sample)))
-        starts.append(len(levels))
-    return np.array(levels), np.array(lengths, np.int64), np.array(starts, np.int64)
+    pieces = [segments(train, timing) for train in trains]
+    starts = np.cumsum([0, *map(len, pieces)])
+    levels, seconds = np.array([*itertools.chain(*pieces)]).reshape(-1, 2).T
+    return levels, np.maximum(np.rint(seconds / sample), 1).astype(np.int64), starts

@@ -11,13 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.braid.arm.chain import all_words, count_poses, forward, reduced_count
-from controllers.braid.arm.flexure import (
-    MATERIALS,
-    Flexure,
-    greatest_thickness,
-    joint_angles,
-    stiffness,
-)
+from controllers.braid.arm.flexure import MATERIALS, greatest_thickness, joint_angles, stiffness
 from controllers.braid.arm.stage import (
     StageGeometry,
     closure_residual,
@@ -138,9 +132,9 @@ def _tabulate_flexures(geometry: StageGeometry, output: Output) -> None:
     rows = []
     for name, material in MATERIALS.items():
         thickness = greatest_thickness(STRIP_LENGTH, max(base, platform), material)
-        strip = Flexure(STRIP_LENGTH, STRIP_WIDTH, thickness)
-        # Torque that holds a leg at its greatest lean, as a force across a leg of one disc radius.
-        force = stiffness(strip, material) * max(base, platform) / DISC
+        torque = stiffness(STRIP_LENGTH, STRIP_WIDTH, thickness, material)
+        # Torque that holds a leg at its greatest tilt, as a force across a leg of one disc radius.
+        force = torque * max(base, platform) / DISC
         rows.append([name, material.bendability, 1e3 * thickness, force])
     columns = ("material", "M", "strip at most [mm]", "force to bend it [N]")
     output.table("flexures", columns, rows)

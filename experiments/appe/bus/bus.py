@@ -10,9 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from controllers.braid.bus.circuit import BusCircuit, PowerBus, Trace, with_rc_buffer
+from controllers.braid.bus.circuit import BusCircuit, PowerBus, with_rc_buffer
 from controllers.braid.bus.code import DEFAULT_TIMING, AddressCode, duration, shortest_commands
-from controllers.braid.bus.master import Protocol, planned_commands, protocols
+from controllers.braid.bus.decoder_chips import Trace
+from controllers.braid.bus.master import planned_commands, protocols
 from controllers.braid.bus.trains import FAULT_KINDS, OneFault, trains_of
 from experiments.appe.bus.figures import (
     draw_durations,
@@ -59,12 +60,12 @@ class Sizes:
     """Numbers of words.
 
     Attributes:
-        clean: By protocol and buffer, without any fault.
-        chunk: In one job, with components of their own.
-        fault: For each protocol and kind of fault.
-        rate: For each protocol and rate or noise.
-        lasting: In one run.
-        runs: Of those that last.
+        clean: Number of words without any fault, by protocol and buffer.
+        chunk: Number of words in one job, with components of their own.
+        fault: Number of words for each protocol and kind of fault.
+        rate: Number of words for each protocol and rate or noise.
+        lasting: Number of words in one run where errors stay.
+        runs: Number of runs where errors stay.
     """
 
     clean: dict[tuple[str, str], int]
@@ -118,16 +119,13 @@ def run(options: Options, output: Output) -> None:
     durations = _durations(options.seed, 200 if options.quick else 2000)
     _measure_durations(durations, output)
     traces = {
-        "thesis: actuators 2 and 4 are toggled": _observe(protocols(ACTUATORS)["thesis"], False),
-        "the same, one pulse missed: 1 and 4 are": _observe(protocols(ACTUATORS)["thesis"], True),
-        "odd addresses, one pulse missed: 4 is, 2 refused": _observe(
-            protocols(ACTUATORS)["parity"], True
-        ),
+        "thesis: actuators 2 and 4 are toggled": _observe("thesis", False),
+        "the same, one pulse missed: 1 and 4 are": _observe("thesis", True),
+        "odd addresses, one pulse missed: 4 is, 2 refused": _observe("parity", True),
     }
     output.figure("figure_e-8_waveform", draw_waveform(traces, BusCircuit()))
     output.figure("bus_one_fault", draw_faults(found["faults"]))
-    curves = draw_rates(found["noise"], found["missed"], found["extra"])
-    output.figure("bus_word_errors", curves)
+    output.figure("bus_word_errors", draw_rates(found))
     output.figure("bus_lasting_and_rc", draw_lasting(found["lasting"], found["spread"]))
     output.figure("bus_change_time", draw_durations(durations))
 
@@ -136,50 +134,43 @@ def _plans(options: Options, sizes: Sizes) -> dict[str, list[BusTrialConfig]]:
     """Return the trials of each part."""
     root = np.random.SeedSequence(options.seed)
     seeds = iter(int(word) for word in root.generate_state(1000))
-    runs = options.job_seeds(sizes.runs, sizes.runs)
     count = sizes.rate
-    both = [(name, "flag") for name in PROTOCOLS] + [("thesis", "rc")]
-    clean = [
-        BusTrialConfig(name, min(sizes.chunk, total - first), next(seeds), buffer, lasting=True)
-        for (name, buffer), total in sizes.clean.items()
-        for first in range(0, total, sizes.chunk)
-    ]
-    faults = [
-        BusTrialConfig(name, sizes.fault, next(seeds), fault=kind)
-        for kind in FAULT_KINDS
-        for name in PROTOCOLS
-    ]
-    noise = [
-        BusTrialConfig(name, count, next(seeds), buffer, noise=level)
-        for name, buffer in both
-        for level in NOISE
-    ]
-    missed = [
-        BusTrialConfig(name, count, next(seeds), missed=rate)
-        for name in PROTOCOLS
-        for rate in RATES
-    ]
-    extra = [
-        BusTrialConfig(name, count, next(seeds), extra=rate) for name in PROTOCOLS for rate in RATES
-    ]
-    lasting = [
-        BusTrialConfig(name, sizes.lasting, seed, missed=LASTING_RATE, lasting=True)
-        for name in PROTOCOLS
-        for seed in runs
-    ]
-    spread = [
-        BusTrialConfig("thesis", count, next(seeds), "rc", rc_sigma=share, margin=margin)
-        for margin in MARGINS
-        for share in SPREADS
-    ]
     return {
-        "clean": clean,
-        "faults": faults,
-        "noise": noise,
-        "missed": missed,
-        "extra": extra,
-        "lasting": lasting,
-        "spread": spread,
+        "clean": [
+            BusTrialConfig(name, min(sizes.chunk, total - first), next(seeds), buffer, lasting=True)
+            for (name, buffer), total in sizes.clean.items()
+            for first in range(0, total, sizes.chunk)
+        ],
+        "faults": [
+            BusTrialConfig(name, sizes.fault, next(seeds), fault=kind)
+            for kind in FAULT_KINDS
+            for name in PROTOCOLS
+        ],
+        "noise": [
+            BusTrialConfig(name, count, next(seeds), buffer, noise=level)
+            for name, buffer in (*((name, "flag") for name in PROTOCOLS), ("thesis", "rc"))
+            for level in NOISE
+        ],
+        "missed": [
+            BusTrialConfig(name, count, next(seeds), missed=rate)
+            for name in PROTOCOLS
+            for rate in RATES
+        ],
+        "extra": [
+            BusTrialConfig(name, count, next(seeds), extra=rate)
+            for name in PROTOCOLS
+            for rate in RATES
+        ],
+        "lasting": [
+            BusTrialConfig(name, sizes.lasting, seed, missed=LASTING_RATE, lasting=True)
+            for name in PROTOCOLS
+            for seed in options.job_seeds(sizes.runs, sizes.runs)
+        ],
+        "spread": [
+            BusTrialConfig("thesis", count, next(seeds), "rc", rc_sigma=share, margin=margin)
+            for margin in MARGINS
+            for share in SPREADS
+        ],
     }
 
 
@@ -200,31 +191,25 @@ def _measure_clean(rows: Sequence[BusTrial], output: Output, quick: bool) -> Non
 
 def _measure_faults(rows: Sequence[BusTrial], output: Output) -> None:
     """Store what one fault does to a word, and whether the promises are kept."""
+    table = []
     for row in rows:
         name, kind = row.config.protocol, row.config.fault
+        fates = [row.fates[fate] for fate in FATES]
+        table.append([kind, name, row.sent, *fates, row.resent, row.rewritten])
         for fate in FATES:
             output.measure(f"fate/{kind}/{name}/{fate}", fraction(row.fates[fate], row.sent))
         output.measure(f"resent_per_word/{kind}/{name}", row.resent / row.sent)
-        silent = row.wrong - row.fates["told"]
         if kind in MENDED.get(name, ()):
             label = f"words wrong unknown to the master, {name}, one {kind} each, of {row.sent}"
-            output.check(label, silent, "== 0", silent == 0)
+            output.check(label, row.silent, "== 0", row.silent == 0)
         elif name == "correct":
             label = f"wrong actuators moved, {name}, one {kind} each, of {row.sent} words"
             output.check(label, row.fates["wrong"], "== 0", row.fates["wrong"] == 0)
         elif kind == "missed":
             label = f"the thesis' protocol goes wrong by one missed pulse, of {row.sent}"
-            output.check(label, silent, f"== {row.sent}", silent == row.sent)
-    output.table(
-        "bus_one_fault",
-        ["fault", "protocol", "words", *FATES, "trains resent", "words rewritten"],
-        [
-            [row.config.fault, row.config.protocol, row.sent]
-            + [row.fates[fate] for fate in FATES]
-            + [row.resent, row.rewritten]
-            for row in rows
-        ],
-    )
+            output.check(label, row.silent, f"== {row.sent}", row.silent == row.sent)
+    columns = ["fault", "protocol", "words", *FATES, "trains resent", "words rewritten"]
+    output.table("bus_one_fault", columns, table)
 
 
 def _measure_curves(found: dict[str, list[BusTrial]], output: Output) -> None:
@@ -232,13 +217,11 @@ def _measure_curves(found: dict[str, list[BusTrial]], output: Output) -> None:
     for part in ("noise", "missed", "extra"):
         for row in found[part]:
             where = f"{row.config.protocol}/{row.config.buffer}/{getattr(row.config, part):g}"
-            wrong = row.wrong
-            output.measure(f"word_errors_by_{part}/{where}", fraction(wrong, row.sent))
-            silent = fraction(wrong - row.fates["told"], row.sent)
-            output.measure(f"silent_errors_by_{part}/{where}", silent)
+            output.measure(f"word_errors_by_{part}/{where}", fraction(row.wrong, row.sent))
+            output.measure(f"silent_errors_by_{part}/{where}", fraction(row.silent, row.sent))
     for row in found["spread"]:
-        wrong = fraction(row.wrong, row.sent)
-        output.measure(f"word_errors_by_rc/{row.config.margin:g}/{row.config.rc_sigma:g}", wrong)
+        where = f"{row.config.margin:g}/{row.config.rc_sigma:g}"
+        output.measure(f"word_errors_by_rc/{where}", fraction(row.wrong, row.sent))
     for name in PROTOCOLS:
         last = [row.wrong_bits[-1] for row in found["lasting"] if row.config.protocol == name]
         output.measure(f"lasting_wrong_bits/{name}", distribution(last))
@@ -253,17 +236,14 @@ def _durations(seed: int, words: int) -> dict[str, dict[int, np.ndarray]]:
         pairs = rng.random((words, 2, count)) < 0.5
         for name, protocol in protocols(count).items():
             bus = PowerBus(protocol.code, rng)
-            durations.setdefault(name, {})[count] = np.array(
-                [duration(protocol.code, planned_commands(protocol, bus, *pair)) for pair in pairs]
-            )
+            changes = (planned_commands(protocol, bus, *pair) for pair in pairs)
+            times = np.array([duration(protocol.code, commands) for commands in changes])
+            durations.setdefault(name, {})[count] = times
         code = AddressCode(count)
         _, timing = with_rc_buffer(BusCircuit(), code, DEFAULT_TIMING, 1.3)
-        durations.setdefault("thesis, RC buffer", {})[count] = np.array(
-            [
-                duration(code, shortest_commands(code, start, goal, timing), timing)
-                for start, goal in pairs
-            ]
-        )
+        changes = (shortest_commands(code, start, goal, timing) for start, goal in pairs)
+        times = np.array([duration(code, commands, timing) for commands in changes])
+        durations.setdefault("thesis, RC buffer", {})[count] = times
     return durations
 
 
@@ -274,12 +254,9 @@ def _measure_durations(durations: dict[str, dict[int, np.ndarray]], output: Outp
             output.measure(f"change_ms/{label}/{count // 3}", distribution(1e3 * times))
 
 
-def _observe(protocol: Protocol, faulty: bool) -> Trace:
+def _observe(protocol: str, faulty: bool) -> Trace:
     """Return what the first chip sees of two trains, the first with a missed pulse or not."""
     circuit = BusCircuit(sample=FINE_SAMPLE, noise=0.03)
-    bus = PowerBus(protocol.code, np.random.default_rng(0), circuit)
-    trains = trains_of(protocol.code, (3, 5))
-    if faulty:
-        fault = OneFault("missed", 1)
-        trains = [fault(train) for train in trains]
-    return bus.observe(trains)
+    bus = PowerBus(protocols(ACTUATORS)[protocol].code, np.random.default_rng(0), circuit)
+    trains = trains_of(bus.code, (3, 5))
+    return bus.observe(list(map(OneFault("missed", 1), trains)) if faulty else trains)

@@ -4,5 +4,5 @@
 - `bench`: an arm of some stages in MuJoCo, driven by its muscle wires.
 - `trial`: settled states, detents, sag, and words in sequence.
 - `figures`: figures E-1, E-2 and E-9.
-- `record`, `braid_record`: a recording of words, and of an arm in any scene.
+- `record`: a recording of words, and of what an arm does in any scene.
 """

@@ -9,7 +9,7 @@
 """
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from experiments.appe.mechanism.bench import make_bench
 from experiments.appe.mechanism.record import record_words
 from experiments.appe.mechanism.trial import (
     SagTrial,
-    WordRun,
     WordTrial,
     find_barrier,
     pull,
@@ -32,7 +31,7 @@ from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
-from experiments.harness.sweep import sweep
+from experiments.harness.sweep import concatenated, sweep
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID
 
@@ -53,8 +52,8 @@ class Options(contract.Options):
 
     Attributes:
         stages: Number of stages of the arm that is driven through random words.
-        words: Random words (unless said, 200; with --quick, 16).
-        at_once: Legs that are heated together; all legs of the arm unless said.
+        words: Number of random words (default 200; with --quick, 16).
+        at_once: Number of legs that are heated together (default: all legs of the arm).
     """
 
     stages: int = 5
@@ -117,9 +116,9 @@ def _states(output: Output) -> None:
 def _detents(options: Options, output: Output) -> None:
     """Pull at legs with less and more than the barrier."""
     bench = make_bench(BraidConfig(1, head=False), gravity=False)
-    cases = [(leg, extend) for leg in range(3) for extend in (True, False)]
-    held = sum(not pull(bench, leg, way, HOLDS * BRAID.barrier) for leg, way in cases)
-    switched = sum(pull(bench, leg, way, TOGGLES * BRAID.barrier) for leg, way in cases)
+    cases = list(itertools.product(range(3), (True, False)))
+    held = sum(not pull(bench, *case, HOLDS * BRAID.barrier) for case in cases)
+    switched = sum(pull(bench, *case, TOGGLES * BRAID.barrier) for case in cases)
     output.check(f"pulls of {HOLDS:g} x barrier held", held, f"== {len(cases)}", held == len(cases))
     name = f"pulls of {TOGGLES:g} x barrier that switch"
     output.check(name, switched, f"== {len(cases)}", switched == len(cases))
@@ -138,18 +137,16 @@ def _sag(options: Options, output: Output) -> None:
     rows = []
     for trial, result in zip(trials, results):
         suffix = f"{trial.stages}" if trial.head else f"{trial.stages}/no_head"
-        sag, load, held = result.sag, result.load, result.held
+        held = result.wrong == 0
         output.measure(f"words_held_fraction/{suffix}", float(held.mean()))
-        still = held == 1
-        if not still.any():
+        if not held.any():
             continue
-        output.measure(f"sag_mm/{suffix}", distribution(1e3 * sag[still]))
-        output.measure(f"sag_mm_max/{suffix}", float(1e3 * sag[still].max()))
-        output.measure(f"detent_load/{suffix}", float(load[still].max()))
-        rows.append(
-            [trial.stages, int(trial.head), 1e3 * float(np.median(sag[still])),
-             1e3 * float(sag[still].max()), float(load[still].max()), float(held.mean())]
-        )  # fmt: skip
+        sag, load = distribution(1e3 * result.sag[held]), float(result.load[held].max())
+        most = float(1e3 * result.sag[held].max())
+        output.measure(f"sag_mm/{suffix}", sag)
+        output.measure(f"sag_mm_max/{suffix}", most)
+        output.measure(f"detent_load/{suffix}", load)
+        rows.append([trial.stages, int(trial.head), sag["median"], most, load, float(held.mean())])
     columns = ("stages", "head", "median sag [mm]", "greatest sag [mm]", "load / barrier", "held")
     output.table("sag", columns, rows)
     output.figure("sag", figures.sag(trials, results))
@@ -163,26 +160,21 @@ def _words(options: Options, output: Output) -> None:
     group = options.group()
     trials = [WordTrial(options.stages, int(s), n, group) for s, n in zip(seeds, sizes)]
     results = sweep(run_words, trials, options, output, label="words")
-    wrong, sag, load, changed = (
-        np.concatenate([getattr(result, key) for result in results])
-        for key in ("wrong", "sag", "load", "changed")
-    )
+    errors = concatenated([result.errors for result in results])
+    wrong = int(errors.wrong.sum())
     output.measure("words", count)
-    output.measure("wrong_bits", int(wrong.sum()))
-    output.check(f"wrong bits in {count} words", int(wrong.sum()), "== 0", not wrong.any())
-    output.measure("words_sag_mm", distribution(1e3 * sag))
-    output.measure("words_detent_load", float(load.max()))
+    output.measure("wrong_bits", wrong)
+    output.check(f"wrong bits in {count} words", wrong, "== 0", wrong == 0)
+    output.measure("words_sag_mm", distribution(1e3 * errors.sag))
+    output.measure("words_detent_load", float(errors.load.max()))
+    changed = np.concatenate([result.changed for result in results])
     power = BRAID.leg_power * np.minimum(changed, group)
     output.measure("peak_power_W", float(power.max()))
     output.measure("energy_per_leg_J", BRAID.leg_power * DriveConfig().heating)
-    _speed(results, output)
-
-
-def _speed(results: Sequence[WordRun], output: Output) -> None:
-    seconds = [result.seconds for result in results]
-    factor = sum(seconds) / sum(result.wall for result in results)
+    seconds = sum(result.seconds for result in results)
+    factor = seconds / sum(result.wall for result in results)
     output.measure("real_time_factor", factor)
     output.check("simulated over wall time", factor, "> 1", factor > 1.0)
-    output.measure("simulated_s", sum(seconds))
+    output.measure("simulated_s", seconds)
     warnings = sum(result.warnings for result in results)
     output.check("warnings of the physics", warnings, "== 0", warnings == 0)

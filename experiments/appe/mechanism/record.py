@@ -1,26 +1,36 @@
-"""An arm that goes from word to word as a recording for the rerun viewer."""
+"""Words that BRAID goes to, as a recording for the rerun viewer."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from controllers.braid.arm.stage import STATES
 from controllers.braid.bus.drive import DriveConfig, WireDrive
-from experiments.appe.mechanism.bench import TICK, make_bench
-from experiments.appe.mechanism.braid_record import BraidRecord
+from experiments.appe.mechanism.bench import TICK, BraidBench, make_bench
 from experiments.appe.mechanism.trial import WordTrial
-from experiments.harness.recording import recording
 from models.braid.build import BraidConfig
+from models.datasheets import BRAID, MUSCLE_WIRE
 from twin.layout import scene_view, side_by_side
+from twin.loop import Tick
+from twin.record import Recorder
 
-EVERY = 4
-"""Ticks of the drive from one picture to the next."""
+LEGS_VIEW = rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long")
+
+
+def recorded_ticks(recorder: Recorder, bench: BraidBench, drive: WireDrive) -> Iterator[float]:
+    """Carry out a change of word as `BraidBench.ticks` does, and record bodies, wires and legs."""
+    for time in bench.ticks(drive):
+        recorder.record(Tick(round(bench.data.time / TICK), bench.data.time, {}, {}))
+        hot = MUSCLE_WIRE.ambient + bench.data.act[bench.model.actuator_actadr[bench.wires]]
+        recorder.log_scalars("curves/hottest_wire", float(hot.max()))
+        recorder.log_scalars("curves/legs", (bench.travel() / BRAID.half_stroke).ravel())
+        yield time
 
 
 def record_words(trial: WordTrial, path: Path) -> None:
-    """Write an arm with the stereo head in random words.
+    """Write an arm with the stereo head that goes to random words.
 
     Args:
         trial: The arm and its words.
@@ -30,26 +40,19 @@ def record_words(trial: WordTrial, path: Path) -> None:
     layout = side_by_side(
         scene_view("world", "BRAID", (0.45, -0.45, 0.35), (0.0, 0.0, 0.12)),
         rrb.Vertical(
-            rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long"),
+            LEGS_VIEW,
             rrb.TimeSeriesView(origin="curves/hottest_wire", name="Hottest wire [degC]"),
             rrb.TextLogView(origin="word", name="Word"),
         ),
     )
-    with recording(path, layout) as stream:
-        record = BraidRecord(stream, bench)
-        rng = np.random.default_rng(trial.seed)
-        word = np.zeros(trial.stages, dtype=np.int64)
-        bench.put(word)
-        drive = WireDrive(word, DriveConfig(at_once=trial.at_once))
-        time = 0.0
+    rng = np.random.default_rng(trial.seed)
+    word = np.zeros(trial.stages, dtype=np.int64)
+    bench.put(word)
+    drive = WireDrive(word, DriveConfig(at_once=trial.at_once))
+    with Recorder(path, simulation=bench, blueprint=layout) as recorder:
         for _ in range(trial.words):
             word = rng.integers(0, STATES, trial.stages)
             drive.change(word)
-            stream.set_time("sim_time", duration=time)
-            stream.log("word", rr.TextLog("".join(map(str, word))))
-            for tick in range(round(drive.duration / TICK)):
-                bench.heat(drive.levels((tick + 0.5) * TICK))
-                bench.step(TICK)
-                time += TICK
-                if tick % EVERY == 0:
-                    record.take(time)
+            recorder.log_text("word", "".join(map(str, word)))
+            for _ in recorded_ticks(recorder, bench, drive):
+                pass

@@ -7,7 +7,7 @@ import numpy as np
 
 from controllers.braid.arm.stage import STATES
 from controllers.braid.bus.drive import EXTEND, RETRACT, DriveConfig, WireDrive, word_bits
-from experiments.appe.mechanism.bench import TICK, BraidBench, ideal_tip, make_bench
+from experiments.appe.mechanism.bench import BraidBench, ideal_tip, make_bench
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
 from perception.geometry.arrays import FloatArray, IntArray
@@ -26,8 +26,8 @@ class SagTrial:
     Attributes:
         stages: Number of the arm's stages.
         seed: Seed of the words.
-        words: Drawn at random, besides the eight of equal stages.
-        head: Whether it carries the stereo head.
+        words: Number of random words, besides the eight of equal stages.
+        head: Whether the arm carries the stereo head.
     """
 
     stages: int
@@ -43,8 +43,8 @@ class WordTrial:
     Attributes:
         stages: Number of the arm's stages.
         seed: Seed of the words.
-        words: How many.
-        at_once: Legs that are heated together.
+        words: Number of words.
+        at_once: Number of legs that are heated together.
     """
 
     stages: int
@@ -114,8 +114,8 @@ def toggle_course() -> FloatArray:
     """Follow one leg of a stage there and back.
 
     Returns:
-        (n, 5) time [s], both wires' temperatures [K above ambient], the leg's place from its
-        middle [m], and the wires' force along it [N].
+        (n, 5) time [s], temperatures of both bundles of wires [K above ambient], travel of the leg
+        from its middle [m], and the wires' force along it [N].
     """
     bench = make_bench(BraidConfig(1, head=False), gravity=False)
     bench.put(np.array([0]))
@@ -123,30 +123,35 @@ def toggle_course() -> FloatArray:
     start, rows = 0.0, []
     for state in (1, 0):
         drive.change(np.array([state]))
-        for tick in range(round(drive.duration / TICK)):
-            bench.heat(drive.levels((tick + 0.5) * TICK))
-            bench.step(TICK)
+        for elapsed in bench.ticks(drive):
             index = bench.wires[0, 0]
             force = bench.data.actuator_force[index] @ [1.0, -1.0]
-            row = (start + (tick + 1) * TICK, *bench.data.act[index], bench.travel()[0, 0], force)
-            rows.append(row)
+            heat = bench.data.act[index]
+            rows.append((start + elapsed, *heat, bench.travel()[0, 0], force))
         start = rows[-1][0]
     return np.array(rows)
 
 
 @dataclasses.dataclass(frozen=True)
-class SagRun:
-    """How an arm sags in each word.
+class WordErrors:
+    """How an arm holds m words.
 
     Attributes:
+        wrong: (m,) number of legs whose state is not the word's.
         sag: (m,) distance of the tip from the exact kinematics [m].
         load: (m,) greatest load on a detent, over its barrier.
-        held: (m,) whether all legs kept their state, 0 or 1.
     """
 
+    wrong: IntArray
     sag: FloatArray
     load: FloatArray
-    held: IntArray
+
+
+def word_errors(bench: BraidBench, word: IntArray) -> tuple[int, float, float]:
+    """Return wrong legs, sag [m] and greatest load over the barrier of an arm in a word."""
+    wrong = int(np.count_nonzero(bench.bits() != word_bits(word)))
+    sag = float(np.linalg.norm(bench.tip()[:3] - ideal_tip(word)[:3]))
+    return wrong, sag, float(bench.loads().max())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,42 +159,31 @@ class WordRun:
     """An arm driven from word to word.
 
     Attributes:
-        wrong: (m,) number of wrong bits after each word.
-        sag: (m,) distance of the tip from the exact kinematics [m].
-        load: (m,) greatest load on a detent, over its barrier.
+        errors: Errors of the arm in each word.
         changed: (m,) number of legs that changed.
         seconds: Simulated time [s].
         wall: Computing time [s].
         warnings: Number of MuJoCo's warnings.
     """
 
-    wrong: IntArray
-    sag: FloatArray
-    load: FloatArray
+    errors: WordErrors
     changed: IntArray
     seconds: float
     wall: float
     warnings: int
 
 
-def run_sag(trial: SagTrial) -> SagRun:
+def run_sag(trial: SagTrial) -> WordErrors:
     """Put an arm into words and let it sag."""
     bench = make_bench(BraidConfig(trial.stages, head=trial.head))
     rng = np.random.default_rng(trial.seed)
     equal = np.tile(np.arange(STATES)[:, None], trial.stages)
-    words = np.vstack([equal, rng.integers(0, STATES, (trial.words, trial.stages))])
-    sag, load, held = np.empty(len(words)), np.empty(len(words)), np.empty(len(words), dtype=int)
-    for index, word in enumerate(words):
+    rows = []
+    for word in np.vstack([equal, rng.integers(0, STATES, (trial.words, trial.stages))]):
         bench.put(word)
         bench.step(SETTLE)
-        sag[index] = np.linalg.norm(bench.tip()[:3] - ideal_tip(word)[:3])
-        load[index] = bench.loads().max()
-        held[index] = int(np.all(bench.bits() == word_bits(word)))
-    return SagRun(
-        sag=sag,
-        load=load,
-        held=held,
-    )
+        rows.append(word_errors(bench, word))
+    return WordErrors(*map(np.array, zip(*rows)))
 
 
 def run_words(trial: WordTrial) -> WordRun:
@@ -199,24 +193,14 @@ def run_words(trial: WordTrial) -> WordRun:
     word: IntArray = np.zeros(trial.stages, dtype=np.int64)
     bench.put(word)
     drive = WireDrive(word, DriveConfig(at_once=trial.at_once))
-    rows = []
+    rows, changed = [], []
     begun, since = time.perf_counter(), bench.data.time
     for _ in range(trial.words):
         before, word = word, rng.integers(0, STATES, trial.stages)
         drive.change(word)
         bench.drive(drive)
-        wrong = int(np.count_nonzero(bench.bits() != word_bits(word)))
-        changed = int(np.count_nonzero(word_bits(before) != word_bits(word)))
-        sag = float(np.linalg.norm(bench.tip()[:3] - ideal_tip(word)[:3]))
-        rows.append((wrong, sag, float(bench.loads().max()), changed))
-    wall = time.perf_counter() - begun
-    wrong, sag, load, changed = (np.array(column) for column in zip(*rows))
-    return WordRun(
-        wrong=wrong,
-        sag=sag,
-        load=load,
-        changed=changed,
-        seconds=bench.data.time - since,
-        wall=wall,
-        warnings=bench.warnings(),
-    )
+        rows.append(word_errors(bench, word))
+        changed.append(np.count_nonzero(word_bits(before) != word_bits(word)))
+    errors, wall = WordErrors(*map(np.array, zip(*rows))), time.perf_counter() - begun
+    seconds = bench.data.time - since
+    return WordRun(errors, np.array(changed), seconds, wall, bench.warnings())

@@ -1,7 +1,7 @@
 """A camera placement that BRAID takes on a rover.
 
-- `placement`: the experiment ``appe-placement``: options, metrics and checks.
+- `placement`: the experiment ``appe-placement``: options, metrics, checks and figures.
 - `scene`: the rover with BRAID among blocks.
 - `trial`: one setting: plan, drive and count what is seen.
-- `figures`, `record`: figures and a recording.
+- `record`: a recording of one setting.
 """

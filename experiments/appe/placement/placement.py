@@ -9,15 +9,17 @@ driven in physics by the muscle wires, and what the camera then sees is rendered
 import dataclasses
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from experiments.appe.placement.figures import draw_settings, draw_views
+from experiments.appe.mechanism.figures import gallery
 from experiments.appe.placement.record import record_placement
-from experiments.appe.placement.trial import PlacementTrial, run_placement
+from experiments.appe.placement.trial import REST, PlacementTrial, prepare, run_placement
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.geometry.arrays import FloatArray
 
 SETTINGS, QUICK_SETTINGS = 24, 3
 MOST_STAGES = 5
@@ -32,7 +34,7 @@ class Options(contract.Options):
     """Options of appe-placement.
 
     Attributes:
-        stages: Of BRAID. --seeds sets the number of settings.
+        stages: Number of BRAID's stages. --seeds sets the number of settings.
     """
 
     stages: int = MOST_STAGES
@@ -73,13 +75,11 @@ def run(options: Options, output: Output) -> None:
     seen = np.array([r.seen for *_, r in placed])
     random = np.concatenate([r.random for *_, r in placed])
     home = np.array([r.home for r in results])
-    output.measure("visible_fraction/placed", distribution(seen))
-    output.measure("visible_fraction/random_words", distribution(random))
-    output.measure("visible_fraction/home", distribution(home))
-    output.measure("all_seen_fraction/placed", fraction(int((seen >= SEEN).sum()), len(seen)))
-    output.measure(
-        "all_seen_fraction/random_words", fraction(int((random >= SEEN).sum()), len(random))
-    )
+    for name, parts in (("placed", seen), ("random_words", random), ("home", home)):
+        output.measure(f"visible_fraction/{name}", distribution(parts))
+    for name, parts in (("placed", seen), ("random_words", random)):
+        whole = fraction(int((parts >= SEEN).sum()), len(parts))
+        output.measure(f"all_seen_fraction/{name}", whole)
     for key in MEASURED:
         output.measure(key, distribution([getattr(r, key) for *_, r in placed]))
     wrong = sum(r.wrong for *_, r in placed)
@@ -95,7 +95,36 @@ def run(options: Options, output: Output) -> None:
     columns = ("seed", "seen from home", "seen", "mean seen by random words", "wrong bits", "word",
                *MEASURED)  # fmt: skip
     output.table("settings", columns, rows)
-    output.figure("views", draw_views(placed[0][0]))
-    output.figure("seen", draw_settings(home, seen, random))
+    output.figure("views", _draw_views(placed[0][0]))
+    output.figure("seen", _draw_settings(home, seen, random))
     if options.record:
         record_placement(placed[0][0], output.file("run.rrd"))
+
+
+def _draw_views(trial: PlacementTrial) -> Figure:
+    """Show a setting from outside and by the camera, at home and in the word that is planned."""
+    scene, plan, _ = prepare(trial)
+    if plan is None:
+        raise ValueError(f"seed {trial.seed}: BRAID can take no placement there")
+    pictures = [("at home: from outside", scene.from_outside())]
+    pictures.append(("at home: left camera", scene.picture()))
+    scene.bench.put(plan.word)
+    scene.bench.step(REST)
+    word = "word " + "".join(map(str, plan.word))
+    pictures.append((f"{word}: from outside", scene.from_outside()))
+    pictures.append((f"{word}: left camera", scene.picture()))
+    return gallery(pictures, 2, (11, 8))
+
+
+def _draw_settings(home: FloatArray, seen: FloatArray, random: FloatArray) -> Figure:
+    """Show the visible parts of the target: at home, by random words, and as placed."""
+    figure = Figure(figsize=(6, 3.6), layout="tight")
+    axes = figure.add_subplot()
+    groups = {"home": home, "random words": random, "placed": seen}
+    rng = np.random.default_rng(0)
+    for index, values in enumerate(groups.values()):
+        axes.plot(index + rng.uniform(-0.2, 0.2, len(values)), values, "o", ms=4, alpha=0.6)
+    axes.set_xticks(range(len(groups)), list(groups))
+    axes.set(ylabel="visible part of the target", ylim=(-0.05, 1.05))
+    axes.grid(alpha=0.3)
+    return figure

@@ -71,7 +71,7 @@ def test_misfit_is_the_squared_deviation_from_tails_and_lattice(tails):
 
 
 def test_walk_returns_the_word_of_the_cost_that_it_says(tails):
-    shape, rng = ARM.tail_shape(), np.random.default_rng(4)
+    shape, rng = ARM.tail_shape, np.random.default_rng(4)
     for target in targets(20, 3, 5):
         head = rng.integers(0, 8, 14)
         last, cost = walk(

@@ -7,7 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.braid.arm.chain import all_words, forward, identity
 from controllers.braid.arm.inverse import CLEAR_METHODS, BinaryArm, solve
-from controllers.braid.arm.obstacles import LinkCheck, VoxelObstacles, occupied_voxels
+from controllers.braid.arm.obstacles import LinkCheck, VoxelObstacles
 from controllers.braid.arm.stage import StageGeometry, rim_joints
 from experiments.appe.arm.inverse_trial import draw_targets
 from perception.geometry.pinhole import Frustum
@@ -99,22 +99,10 @@ def seen_map():
     return voxels
 
 
-def test_obstacles_of_a_map_are_its_occupied_voxels_in_the_arms_frame():
-    voxels = seen_map()
-    base = RigidTransform.from_components([0.2, -0.1, 0.3], Rotation.from_rotvec([0.1, 0.2, 0.9]))
-    obstacles = occupied_voxels(voxels, base, margin=0.02)
-    cells = np.stack(np.indices(voxels.grid.shape), axis=-1).reshape(-1, 3)
-    centres = voxels.grid.centres(cells)
-    occupied = centres[voxels.states(centres) == State.OCCUPIED]
-    assert 100 < len(occupied) == len(obstacles.centres)
-    gaps = KDTree(occupied).query(base.apply(obstacles.centres))[0]
-    assert gaps.max() < 1e-9
-    assert obstacles.reach == pytest.approx(0.1 * 3**0.5 / 2 + 0.02)
-
-
 def test_arm_solves_beside_a_mapped_wall_without_touching_it():
-    voxels, base = seen_map(), RigidTransform.identity()
-    check = LinkCheck(ARM.geometry, occupied_voxels(voxels, base))
+    voxels = seen_map()
+    occupied, _ = voxels.occupied_cells()
+    check = LinkCheck(ARM.geometry, VoxelObstacles(voxels.grid.centres(occupied), 0.1))
     rng, touched = np.random.default_rng(0), 0
     for target in draw_targets("reachable", 3, 30, ARM.geometry, np.random.default_rng(3)):
         plain, word = (solve(ARM, target, "kd-tree", rng, how).word for how in (None, check))
@@ -125,8 +113,7 @@ def test_arm_solves_beside_a_mapped_wall_without_touching_it():
 
 
 def test_no_voxels_are_no_obstacle_and_what_is_none_is_named():
-    empty = VoxelMap(VoxelGrid(0.1, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
-    none = occupied_voxels(empty, RigidTransform.identity())
+    none = VoxelObstacles(np.empty((0, 3)), 0.1)
     assert LinkCheck(StageGeometry(), none).free(WORDS).all()
     with pytest.raises(ValueError, match="side 0"):
         VoxelObstacles(np.zeros((1, 3)), 0.0)

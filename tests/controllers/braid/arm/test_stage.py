@@ -5,16 +5,7 @@ import pytest
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
-from controllers.braid.arm.flexure import (
-    MATERIALS,
-    Flexure,
-    greatest_angle,
-    greatest_thickness,
-    joint_angles,
-    least_bend_radius,
-    stiffness,
-    surface_strain,
-)
+from controllers.braid.arm.flexure import MATERIALS, greatest_thickness, joint_angles, stiffness
 from controllers.braid.arm.stage import (
     RADIAL,
     StageGeometry,
@@ -93,20 +84,19 @@ def test_bad_stages_are_named():
         stage_pose(np.array([0.1, 9.0, 0.1]), 1.0)
 
 
-def test_strip_bent_to_its_greatest_angle_is_strained_to_the_limit():
+def test_thickest_strip_for_an_angle_is_strained_to_the_limit():
+    length, width, angle = 5e-3, 10e-3, 0.4
     for material in MATERIALS.values():
-        strip = Flexure(5e-3, 10e-3, 0.4e-3)
-        angle = greatest_angle(strip, material)
-        strain = surface_strain(strip.thickness, strip.length / angle)
+        thickness = greatest_thickness(length, angle, material)
+        strain = thickness / (2.0 * length / angle)  # on the outside of an arc (E-1)
         assert strain == pytest.approx(material.bendability)
-        assert strain * material.modulus == pytest.approx(material.fatigue_strength)
-        assert greatest_thickness(strip.length, angle, material) == pytest.approx(strip.thickness)
         # The bending moment of a beam strained so, from its stress: sigma w t^2 / 6.
-        moment = material.fatigue_strength * strip.width * strip.thickness**2 / 6.0
-        assert stiffness(strip, material) * angle == pytest.approx(moment)
-    assert least_bend_radius(1e-3, MATERIALS["spring steel"]) == pytest.approx(0.1)
-    with pytest.raises(ValueError, match="thickness 0"):
-        Flexure(1.0, 1.0, 0.0)
+        moment = strain * material.modulus * width * thickness**2 / 6.0
+        assert stiffness(length, width, thickness, material) * angle == pytest.approx(moment)
+    # Spring steel of 1 mm may be bent to a radius of 0.1 m (E-2).
+    assert greatest_thickness(0.1, 1.0, MATERIALS["spring steel"]) == pytest.approx(1e-3)
+    with pytest.raises(ValueError, match="angle 0"):
+        greatest_thickness(1.0, 0.0, MATERIALS["nylon"])
 
 
 def test_joint_angles_bound_those_of_all_states():

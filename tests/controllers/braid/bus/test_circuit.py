@@ -11,7 +11,7 @@ from scipy import signal
 
 from controllers.braid.bus.circuit import BusCircuit, PowerBus, rc_delay, with_rc_buffer
 from controllers.braid.bus.code import AddressCode, PulseTiming, shortest_commands
-from controllers.braid.bus.trains import OneFault, RandomFaults, Train, segments, trains_of
+from controllers.braid.bus.trains import OneFault, Train, random_faults, segments, trains_of
 
 CODES = [
     AddressCode(5),
@@ -88,12 +88,12 @@ def test_random_words_arrive_one_after_another_despite_moderate_noise(buffer):
 def test_flag_is_counted_then_latched_and_clears_the_counter_when_it_falls():
     bus = bus_of(AddressCode(5), sample=1e-6)
     trace = bus.observe(trains_of(bus.code, [3]))
-    assert trace.count.max() == 4
+    assert trace.counts.max() == 4
     latched = np.flatnonzero(trace.words[:, 2])[0]
-    assert trace.count[latched] == 4
+    assert trace.counts[latched] == 4
     assert 300e-6 < trace.time[latched] < 320e-6  # The flag starts after three periods.
-    assert trace.count[-1] == 0
-    cleared = trace.time[np.flatnonzero(trace.count == 4)[-1]]
+    assert trace.counts[-1] == 0
+    cleared = trace.time[np.flatnonzero(trace.counts == 4)[-1]]
     assert 400e-6 < cleared < 420e-6
     assert not np.any(trace.words[:, [0, 1, 3, 4]])
 
@@ -147,7 +147,7 @@ def test_a_glitch_shorter_than_the_debouncer_is_not_counted():
         timing = PulseTiming(high=high)
         bus = PowerBus(code, np.random.default_rng(0), BusCircuit(sample=1e-6), timing)
         trace = bus.observe([Train((1, 1, 1, 1), flag=False)])
-        assert trace.count[-1] == counted
+        assert trace.counts[-1] == counted
 
 
 def test_rc_delay_is_the_time_at_which_the_capacitor_reaches_the_threshold():
@@ -158,7 +158,7 @@ def test_rc_delay_is_the_time_at_which_the_capacitor_reaches_the_threshold():
     exact = BusCircuit(rc_sigma=0.0, threshold_sigma=0.0, divider_sigma=0.0, sample=1e-6)
     circuit, timing = with_rc_buffer(exact, code, PulseTiming(), 1.5)
     trace = PowerBus(code, np.random.default_rng(0), circuit, timing).observe(trains_of(code, [2]))
-    start = trace.time[np.flatnonzero(trace.count)[0]]
+    start = trace.time[np.flatnonzero(trace.counts)[0]]
     latched = trace.time[np.flatnonzero(trace.words[:, 1])[0]]
     assert latched - start == pytest.approx(1.5 * 500e-6, abs=5e-6)
 
@@ -181,7 +181,7 @@ def test_refused_trains_are_seen_by_every_decoder():
 
 
 def test_random_faults_come_at_their_rates_and_one_fault_once():
-    faults = RandomFaults(np.random.default_rng(0), missed=0.1, extra=0.05, missed_flag=0.2)
+    faults = random_faults(np.random.default_rng(0), missed=0.1, extra=0.05, missed_flag=0.2)
     sent = [faults(Train((1,) * 10)) for _ in range(4000)]
     pulses = np.array([train.pulses for train in sent])
     assert np.mean(pulses == 0) == pytest.approx(0.1, abs=0.01)
@@ -212,9 +212,9 @@ def test_bad_values_are_refused():
     with pytest.raises(ValueError, match="rc_time and quiet"):
         PowerBus(AddressCode(3), rng, BusCircuit(rc_time=1e-3))
     with pytest.raises(ValueError, match="missed: expected a probability, got 2"):
-        RandomFaults(rng, missed=2.0)
+        random_faults(rng, missed=2.0)
     with pytest.raises(ValueError, match="at most 1"):
-        RandomFaults(rng, missed=0.6, extra=0.6)
+        random_faults(rng, missed=0.6, extra=0.6)
     with pytest.raises(ValueError, match="fault 'lost'"):
         OneFault("lost", 0)
     with pytest.raises(ValueError, match="do not fit"):

@@ -15,6 +15,7 @@ from controllers.braid.bus.code import (
     rewriting_commands,
     shortest_commands,
 )
+from controllers.braid.bus.decoder_chips import command_of
 
 CODES = [
     AddressCode(4),
@@ -104,7 +105,7 @@ def test_counts_within_the_tolerance_decode_and_all_others_do_not(actuators, spa
             assert code.pulses(command) + away not in meaning
             meaning[code.pulses(command) + away] = command
     for pulses in range(code.pulses(code.commands) + 2 * spacing):
-        assert code.command(pulses) == meaning.get(pulses, 0)
+        assert command_of(pulses, code.decoding()) == meaning.get(pulses, 0)
 
 
 @pytest.mark.parametrize("spacing, tolerance", [(2, 0), (4, 1)])
@@ -113,16 +114,18 @@ def test_guarded_addresses_refuse_one_fault_more_and_merged_trains(spacing, tole
     lengths = [code.pulses(command) for command in range(1, code.commands + 1)]
     for length in lengths:
         for away in (-tolerance - 1, tolerance + 1):
-            assert code.command(length + away) == 0
+            assert command_of(length + away, code.decoding()) == 0
     for first, second in itertools.product(lengths, lengths):
         # The counter wraps, and the flag is counted.
         wrapped = (first + second + 1) % 2**code.counter_bits - 1
-        assert code.command(wrapped) == 0
+        assert command_of(wrapped, code.decoding()) == 0
 
 
 def test_in_the_thesis_code_every_missed_pulse_means_another_actuator():
     code = AddressCode(15)
-    assert [code.command(code.pulses(k) - 1) for k in range(1, 16)] == list(range(15))
+    assert [command_of(code.pulses(k) - 1, code.decoding()) for k in range(1, 16)] == list(
+        range(15)
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from controllers.braid.bus.circuit import BusCircuit, PowerBus
 from controllers.braid.bus.code import AddressCode
 from controllers.braid.bus.master import BusMaster, Protocol, planned_commands, protocols
-from controllers.braid.bus.trains import FAULT_KINDS, OneFault, RandomFaults, Train
+from controllers.braid.bus.trains import FAULT_KINDS, OneFault, Train, random_faults
 
 START, GOAL = np.array([0, 1, 1, 0, 1, 0], bool), np.array([1, 1, 0, 0, 1, 1], bool)
 
@@ -63,7 +63,7 @@ def test_words_keep_right_with_parity_while_toggles_drift():
         protocol = protocols(6)[name]
         bus = PowerBus(protocol.code, rng, BusCircuit())
         master = BusMaster(
-            protocol, bus, RandomFaults(rng, missed=3e-3, extra=3e-3, missed_flag=1e-3)
+            protocol, bus, random_faults(rng, missed=3e-3, extra=3e-3, missed_flag=1e-3)
         )
         errors[name] = 0
         for goal in rng.random((150, 6)) < 0.5:

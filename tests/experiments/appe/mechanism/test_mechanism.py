@@ -80,15 +80,15 @@ def test_a_straight_arm_sinks_as_its_weight_presses_its_detents_in():
 
 def test_words_change_bit_by_bit_without_a_wrong_one():
     result = run_words(WordTrial(stages=3, seed=0, words=4, at_once=9))
-    assert result.wrong.sum() == 0
+    assert result.errors.wrong.sum() == 0
     assert result.changed.sum() > 4
     assert result.warnings == 0
 
 
 def test_longer_arms_sag_more():
     short, long = (run_sag(SagTrial(n, 0, 0, True)) for n in (1, 3))
-    assert short.held.all()
-    assert long.held.all()
+    assert not short.wrong.any()
+    assert not long.wrong.any()
     assert long.sag.max() > 5.0 * short.sag.max()
 
 
