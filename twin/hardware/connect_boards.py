@@ -26,7 +26,7 @@ from twin.hardware.cameras.camera import StereoCapture
 from twin.hardware.emulator.direct import DirectBoards
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
-from twin.hardware.force_torque.net_ft import PORT, NetForceTorque
+from twin.hardware.force_torque.net_ft import DEADLINE, PORT, NetForceTorque
 from twin.hardware.roboclaw.client import BusTiming, RoboClawBus
 from twin.hardware.serial_link import SerialLink
 
@@ -179,11 +179,18 @@ def open_boards(wiring: Wiring, calibration: Calibration) -> WiredBoards:
         opened.callback(bus.close)
         analogue = force_torque = camera = None
         if wiring.analogue:
-            analogue = _analogue_board(wiring)
+            link = SerialLink(wiring.analogue, BAUD)
+            analogue = (
+                AnalogueBoard(link, deadline=_PATIENCE, silence=_PATIENCE / 5)
+                if wiring.patient
+                else AnalogueBoard(link)
+            )
             opened.callback(analogue.close)
             analogue.open()
         if wiring.wrench:
-            force_torque = _force_torque(wiring)
+            host, _, port = wiring.wrench.partition(":")
+            deadline = _PATIENCE if wiring.patient else DEADLINE
+            force_torque = NetForceTorque(host, int(port or PORT), deadline)
             opened.callback(force_torque.close)
         if wiring.stereo:
             camera = _camera(wiring)
@@ -200,21 +207,6 @@ def _camera(wiring: Wiring) -> StereoCapture:
     source = named[0] if len(named) == 1 else (named[0], named[1])
     scene_time = wiring.patient and wiring.slow_down == 1.0
     return StereoCapture(source, scene_time=scene_time, slow_down=wiring.slow_down)
-
-
-def _analogue_board(wiring: Wiring) -> AnalogueBoard:
-    link = SerialLink(wiring.analogue, BAUD)
-    if wiring.patient:
-        return AnalogueBoard(link, deadline=_PATIENCE, silence=_PATIENCE / 5)
-    return AnalogueBoard(link)
-
-
-def _force_torque(wiring: Wiring) -> NetForceTorque:
-    host, _, port = wiring.wrench.partition(":")
-    number = int(port) if port else PORT
-    if wiring.patient:
-        return NetForceTorque(host, number, _PATIENCE)
-    return NetForceTorque(host, number)
 
 
 def wired_robot(
@@ -279,8 +271,7 @@ def emulated_robots(emulator: EmulatorProcess, scene: SceneConfig) -> dict[str, 
     robots: dict[str, BoardRobot] = {}
     with contextlib.ExitStack() as opened:
         for placement in scene.robots:
-            wiring = emulated_wiring(emulator, placement.name)
-            wiring = dataclasses.replace(wiring, patient=True)
+            wiring = dataclasses.replace(emulated_wiring(emulator, placement.name), patient=True)
             robot = wired_robot(wiring, lambda: emulator.time, _patience(scene))
             opened.callback(robot.close)
             robot.home(np.array(state[placement.name]["arm_angles"]))

@@ -1,5 +1,6 @@
 """A serial port with deadlines, and what may go wrong on it."""
 
+import contextlib
 import os
 import select
 import time
@@ -24,10 +25,8 @@ def at_rest(step: Callable[[], None]) -> None:
         LinkError: If no try succeeds.
     """
     for _ in range(_TRIES_AT_REST - 1):
-        try:
+        with contextlib.suppress(LinkError):
             return step()
-        except LinkError:
-            continue
     step()
 
 
@@ -64,7 +63,7 @@ class SerialLink:
             sent = os.write(self._serial.fileno(), data)
         except BlockingIOError:
             sent = 0
-        except (serial.SerialException, OSError) as error:
+        except OSError as error:
             raise LinkError(f"{self.port}: {error}") from None
         if sent < len(data):
             raise LinkError(f"{self.port}: takes no bytes")
@@ -87,7 +86,7 @@ class SerialLink:
                 if not ready:
                     break
                 part = self._take(count - len(received))
-            except (serial.SerialException, OSError) as error:
+            except OSError as error:
                 raise LinkError(f"{self.port}: {error}") from None
             if not part:
                 raise LinkError(f"{self.port}: is ready and gives nothing; is it unplugged?")
@@ -107,7 +106,7 @@ class SerialLink:
         while True:
             try:
                 dropped = self._take(4096)
-            except (serial.SerialException, OSError) as error:
+            except OSError as error:
                 raise LinkError(f"{self.port}: {error}") from None
             # Twice for every call: not to wait costs no more than one look.
             if not dropped and quiet > 0.0:

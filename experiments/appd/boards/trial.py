@@ -3,6 +3,7 @@
 The truth are the duty codes that drive the eight motors, read at the emulator beside the wires.
 """
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Callable
@@ -88,20 +89,16 @@ class FaultTrial:
     """What one fault did to a rover in motion.
 
     Attributes:
-        kind: What happened, of `KINDS`.
-        address: Address of the motor board concerned.
-        gives_up: Whether the host stops at the first error.
+        kind: Fault, one of `KINDS`.
         moving: Number of motors driven when the fault began.
         stop_time: Time from the fault until no axis is driven [s]; infinite if one still is.
         active: Whether the robot stayed active.
         wrong: Number of wrong speeds.
         early: Number of stops before the fault, on a busy machine.
-        fault: What the robot reported.
+        fault: Error that the robot reported.
     """
 
     kind: str
-    address: int
-    gives_up: bool
     moving: int
     stop_time: float
     active: bool
@@ -117,11 +114,8 @@ def run_batch(batch: Batch) -> list[FaultTrial]:
         ExperimentError: If a robot cannot be brought to drive without a fault.
     """
     rng = np.random.default_rng(batch.seed)
-    bench = BoardBench(batch.seed % 2**31)
-    try:
+    with contextlib.closing(BoardBench(batch.seed % 2**31)) as bench:
         return [_FaultInjection(bench, kind, rng).run() for kind in batch.kinds]
-    finally:
-        bench.close()
 
 
 class BoardBench:
@@ -134,8 +128,7 @@ class BoardBench:
 
     def __init__(self, seed: int) -> None:
         """Start the emulator."""
-        self._scene = SceneConfig((RobotPlacement(ROBOT),), seed=seed)
-        self.emulator = EmulatorProcess(self._scene)
+        self.emulator = EmulatorProcess(SceneConfig((RobotPlacement(ROBOT),), seed=seed))
         self.robot: BoardRobot | None = None
 
     @property
@@ -159,14 +152,15 @@ class BoardBench:
         """
         self.disconnect()
         self.wait(REST)
-        for attempt in range(_TRIES):
+        said = ""
+        for _ in range(_TRIES):
             for address in ADDRESSES:
                 self.emulator.inject(ROBOT, RobotFault.BOARD_RESET.value, 0.0, address)
             if preset is not None:
                 self.emulator.inject(ROBOT, WRAP, 0.0, preset)
             self.emulator.tick()
-            wiring = emulated_wiring(self.emulator, ROBOT)
             try:
+                wiring = emulated_wiring(self.emulator, ROBOT)
                 self.robot = wired_robot(wiring, lambda: self.emulator.time)
                 self.robot.home(self.angles[4:])
                 self.robot.activate()
@@ -174,9 +168,8 @@ class BoardBench:
             except (LinkError, RobotError) as error:
                 # A machine that is busy elsewhere may miss a deadline of a millisecond.
                 self.disconnect()
-                if attempt == _TRIES - 1:
-                    raise ExperimentError(f"the emulated rover cannot be set up: {error}") from None
-        raise AssertionError
+                said = str(error)
+        raise ExperimentError(f"the emulated rover cannot be set up: {said}")
 
     def wait(self, duration: float) -> None:
         """Let time pass [s]."""
@@ -238,8 +231,6 @@ class _FaultInjection:
         ended = robot.lifecycle is Lifecycle.ERROR or killed
         result = FaultTrial(
             kind=self._kind,
-            address=self._address,
-            gives_up=self._gives_up,
             moving=moving,
             stop_time=last * PERIOD if last < len(codes) and ended else float("inf"),
             active=robot.lifecycle is Lifecycle.ACTIVE,
@@ -270,11 +261,9 @@ class _FaultInjection:
     def _cycle(self, robot: BoardRobot, command: Command | None) -> None:
         """Let one cycle pass, of a host that does not mind errors."""
         robot.observe()
-        try:
-            if command is not None:
+        if command is not None:
+            with contextlib.suppress(RobotError):
                 robot.command(command)
-        except RobotError:
-            pass
         self._bench.emulator.tick()
 
     def _after(self) -> Callable[[BoardRobot, _Motion], list[list[int]]]:
@@ -293,14 +282,16 @@ class _FaultInjection:
         codes: list[list[int]] = []
         gone = False
         while len(codes) < AFTER:
-            if not gone:
-                self._cycle(robot, motion.next_command())
-            else:
+            if gone:
                 bench.emulator.tick()
+            else:
+                self._cycle(robot, motion.next_command())
             codes.append(bench.codes)
             if self._gives_up and not gone and robot.lifecycle is Lifecycle.ERROR:
                 gone = True
-                _deactivate(robot)
+                # As `twin.loop.run` does when a robot fails.
+                with contextlib.suppress(RobotError):
+                    robot.deactivate()
         return codes
 
     def _hang(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
@@ -322,15 +313,18 @@ class _FaultInjection:
     def _kill(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
         """The kernel closes the ports of a process that it kills; nothing more is sent."""
         robot.boards.close()
-        return self._watch()
-
-    def _command_nan(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
         codes: list[list[int]] = []
         for _ in range(AFTER):
-            try:
-                command = Command(np.full(4, np.nan))
-            except ValueError:
-                command = None
+            self._bench.emulator.tick()
+            codes.append(self._bench.codes)
+        return codes
+
+    def _command_nan(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
+        command = None
+        with contextlib.suppress(ValueError):
+            command = Command(np.full(4, np.nan))
+        codes: list[list[int]] = []
+        for _ in range(AFTER):
             self._cycle(robot, command)
             codes.append(self._bench.codes)
         return codes
@@ -361,23 +355,6 @@ class _FaultInjection:
     def _counters(self, robot: BoardRobot) -> tuple[int, int]:
         """Return the counters of the trial's board; a busy machine may have to ask again."""
         for _ in range(_TRIES):
-            try:
+            with contextlib.suppress(LinkError):
                 return robot.boards.encoders(self._address)
-            except LinkError:
-                pass
         raise ExperimentError(f"board {self._address:#x} does not answer")
-
-    def _watch(self) -> list[list[int]]:
-        codes: list[list[int]] = []
-        for _ in range(AFTER):
-            self._bench.emulator.tick()
-            codes.append(self._bench.codes)
-        return codes
-
-
-def _deactivate(robot: BoardRobot) -> None:
-    """Do what `twin.loop.run` does when a robot fails."""
-    try:
-        robot.deactivate()
-    except RobotError:
-        pass

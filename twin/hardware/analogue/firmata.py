@@ -41,6 +41,7 @@ from twin.hardware.serial_link import LinkError, SerialLink
 
 BAUD = 57600
 _LONGEST_INTERVAL = LARGEST  # [ms]
+_ATTEMPTS = 3  # Requests in a call.
 _ROUNDS = 2  # Polls of a pin in one request.
 _TOKENS = range(72, 128)  # Numbers beyond the pins of the Arduinos, whose echo is shortest.
 _QUERY_PERIOD = 0.25  # [s]
@@ -82,21 +83,18 @@ class AnalogueBoard:
         window: int = 2,
         deadline: float = 0.008,
         silence: float = 0.003,
-        attempts: int = 3,
     ) -> None:
         """Take a link; nothing is sent yet.
 
         Args:
-            link: To the board, at `BAUD`.
-            window: Counts by which two polls of a pin may differ.
+            link: Serial port of the board, at `BAUD`.
+            window: Largest difference of two polls of a pin, in counts.
             deadline: Longest call of `poll` [s]; a request that the port does not take ends in a
                 `LinkError` by the link's own time.
             silence: Time without a byte after which a request is given up [s].
-            attempts: Most requests in a call.
         """
         self._link = link
-        self._window, self._deadline = window, deadline
-        self._silence, self._attempts = silence, attempts
+        self._window, self._deadline, self._silence = window, deadline, silence
         self._parser = Parser()
         self._token = 0
         self._asked: set[int] = set()  # Numbers of the present call.
@@ -151,7 +149,7 @@ class AnalogueBoard:
             self._interval_lost = False
         values: dict[int, int | None] = dict.fromkeys(wanted)
         previous: dict[int, int] = {}
-        for attempt in range(self._attempts):
+        for attempt in range(_ATTEMPTS):
             missing = [pin for pin in wanted if values[pin] is None]
             if not missing or time.monotonic() >= deadline:
                 break
@@ -271,7 +269,7 @@ class AnalogueBoard:
 
     def _probe(self) -> bool:
         """Tell whether the board echoes, and reports an input at once when told to report."""
-        for _ in range(self._attempts):
+        for _ in range(_ATTEMPTS):
             self._drain()
             self._request([0])
             echoed = False

@@ -5,7 +5,6 @@ camera is unplugged) and the control loop must not; the newest pair is kept. Fil
 rate. Images are as the cameras give them: rectification is not done here.
 """
 
-import dataclasses
 import functools
 import threading
 import time
@@ -25,33 +24,14 @@ Source: TypeAlias = int | str | Path
 _STOP_TIME = 2.0  # [s] A capture that hangs is left behind after this.
 
 
-@dataclasses.dataclass
-class CameraStatistics:
-    """What became of the pairs so far.
-
-    Attributes:
-        frames: Pairs returned.
-        skipped: Pairs replaced by a newer one before they were asked for.
-        stale: Pairs refused for their age.
-        skewed: Pairs refused because too much time lay between their images.
-    """
-
-    frames: int = 0
-    skipped: int = 0
-    stale: int = 0
-    skewed: int = 0
-
-
 class _Feed(Protocol):
-    """Where pairs come from."""
+    """Source of stereo pairs."""
 
     def newest(self, now: float) -> Channel | None:
         """Return the newest pair not returned before, stamped on the caller's clock [s]."""
-        ...
 
     def close(self) -> None:
         """Release the captures."""
-        ...
 
 
 class StereoCapture:
@@ -90,27 +70,19 @@ class StereoCapture:
         if len(devices) > 1:
             raise ValueError(f"a device and a file make no pair: {sources}")
         self._max_age = max_age
-        self.statistics = CameraStatistics()
         if Path(str(source)).suffix == frames.SUFFIX:
-            self._feed: _Feed = _SceneFeed(
-                Path(str(source)), scene_time, slow_down, self.statistics
-            )
+            self._feed: _Feed = _SceneFeed(Path(str(source)), scene_time, slow_down)
             return
         eyes = _Eyes(sources)
         try:
             self._feed = (
-                _DeviceFeed(eyes, max_skew, self.statistics)
+                _DeviceFeed(eyes, max_skew)
                 if devices == {True}
-                else _FileFeed(eyes, rate, self.statistics)
+                else _FileFeed(eyes, rate)
             )
         except LinkError:
             eyes.release()
             raise
-
-    @property
-    def finished(self) -> bool:
-        """Whether a file has come to its end."""
-        return isinstance(self._feed, _FileFeed) and self._feed.finished
 
     def read(self, now: float) -> Channel | None:
         """Return the newest pair; None if there is none that is new and young enough.
@@ -125,13 +97,7 @@ class StereoCapture:
             LinkError: If a capture has failed or gave an empty image.
         """
         taken = self._feed.newest(now)
-        if taken is None:
-            return None
-        if now - taken.stamp > self._max_age:
-            self.statistics.stale += 1
-            return None
-        self.statistics.frames += 1
-        return taken
+        return None if taken is None or now - taken.stamp > self._max_age else taken
 
     def close(self) -> None:
         """Release the captures."""
@@ -197,8 +163,8 @@ class _Eyes:
 class _FileFeed:
     """Pairs of files, each due at its time after the first `newest`."""
 
-    def __init__(self, eyes: _Eyes, rate: float | None, statistics: CameraStatistics) -> None:
-        self._eyes, self._statistics = eyes, statistics
+    def __init__(self, eyes: _Eyes, rate: float | None) -> None:
+        self._eyes = eyes
         rate = eyes.rate() if rate is None else rate
         if not rate > 0.0:
             raise LinkError(f"{eyes.names[0]}: says no rate; give one")
@@ -206,7 +172,6 @@ class _FileFeed:
         self._start: float | None = None
         self._count = 0
         self._next = eyes.take()
-        self.finished = False
         if self._next is None:
             raise LinkError(f"{' and '.join(eyes.names)}: no image")
 
@@ -216,13 +181,10 @@ class _FileFeed:
             self._start = now
         newest: Channel | None = None
         while self._next is not None and now >= self._due() - 1e-9:
-            self._statistics.skipped += newest is not None
             newest = Channel(self._next[0], self._due(), Validity.MEASURED)
             self._count += 1
             self._next = None  # So that a failure does not bring the same pair again.
-            self.finished = True
             self._next = self._eyes.take()
-        self.finished = self._next is None
         return newest
 
     def close(self) -> None:
@@ -237,31 +199,28 @@ class _FileFeed:
 class _SceneFeed:
     """Pairs of an emulator's own scene."""
 
-    def __init__(
-        self, path: Path, scene_time: bool, slow_down: float, statistics: CameraStatistics
-    ) -> None:
+    def __init__(self, path: Path, scene_time: bool, slow_down: float) -> None:
         self._reader = frames.FrameReader(path)
-        self._scene_time, self._slow_down, self._statistics = scene_time, slow_down, statistics
+        self._scene_time, self._slow_down = scene_time, slow_down
 
     def newest(self, now: float) -> Channel | None:
         """Return the newest pair, its time as the scene says or carried over to `now` [s]."""
         found = self._reader.newest()
         if found is None:
             return None
-        self._statistics.skipped += found.skipped
         carried = now - (time.monotonic() - found.moment) / self._slow_down
         stamp = found.stamp if self._scene_time else carried
         return ImageChannel.deferred(functools.partial(self._reader.fetch, found.number), stamp)
 
     def close(self) -> None:
-        """Nothing is held but memory."""
+        """Do nothing: only memory is held."""
 
 
 class _DeviceFeed:
     """Pairs of cameras, taken by a thread of its own."""
 
-    def __init__(self, eyes: _Eyes, max_skew: float, statistics: CameraStatistics) -> None:
-        self._eyes, self._max_skew, self._statistics = eyes, max_skew, statistics
+    def __init__(self, eyes: _Eyes, max_skew: float) -> None:
+        self._eyes, self._max_skew = eyes, max_skew
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._error: str | None = None
@@ -302,12 +261,9 @@ class _DeviceFeed:
         if taken is None:
             raise LinkError(f"{' and '.join(self._eyes.names)}: no more images; is it plugged in?")
         images, moment, skew = taken
-        with self._lock:
-            if skew > self._max_skew:
-                self._statistics.skewed += 1
-                return
-            self._statistics.skipped += self._newest is not None
-            self._newest = Channel(images, moment, Validity.MEASURED)
+        if skew <= self._max_skew:
+            with self._lock:
+                self._newest = Channel(images, moment, Validity.MEASURED)
 
 
 def _name(source: Source) -> str:

@@ -53,13 +53,11 @@ class Taken(NamedTuple):
         number: Its number.
         stamp: When it was taken, in the scene's time [s].
         moment: When it was announced, on the clock of `time.monotonic` [s].
-        skipped: Pairs since the one returned before that were never returned.
     """
 
     number: int
     stamp: float
     moment: float
-    skipped: int
 
 
 class FrameWriter:
@@ -172,9 +170,8 @@ class FrameReader:
                 return None
             stamp, moment = float(header["stamp"]), float(header["moment"])
             if int(header["begun"]) == count:
-                skipped = count - self._count - 1
                 self._count = count
-                return Taken(count, stamp, moment, skipped)
+                return Taken(count, stamp, moment)
         return None
 
     def fetch(self, number: int) -> ImageArray:

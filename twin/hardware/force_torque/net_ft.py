@@ -22,6 +22,8 @@ from twin.hardware.roboclaw.codec import signed_difference
 from twin.hardware.serial_link import LinkError
 
 PORT = 49152
+DEADLINE = 0.005  # [s]
+_ATTEMPTS = 2  # Requests in a call.
 HEADER = 0x1234
 STOP = 0x0000
 START_REALTIME = 0x0002
@@ -108,21 +110,18 @@ class ForceTorqueStatistics:
 class NetForceTorque:
     """Reads a Net F/T, one sample a call."""
 
-    def __init__(
-        self, host: str, port: int = PORT, deadline: float = 0.005, attempts: int = 2
-    ) -> None:
+    def __init__(self, host: str, port: int = PORT, deadline: float = DEADLINE) -> None:
         """Find the sensor's address; nothing is sent yet.
 
         Args:
             host: Sensor; records from other hosts are not received.
             port: UDP port of the sensor.
             deadline: Longest call of `read` [s].
-            attempts: Largest number of requests in a call.
 
         Raises:
             LinkError: If there is no such host.
         """
-        self._deadline, self._attempts = deadline, attempts
+        self._deadline = deadline
         try:
             found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
         except OSError as error:
@@ -144,10 +143,10 @@ class NetForceTorque:
         deadline = time.monotonic() + self._deadline
         self._drain()
         record, sent = None, 0
-        while record is None and sent < self._attempts:
+        while record is None and sent < _ATTEMPTS:
             sent += 1
             self._request()
-            waiting = (deadline - time.monotonic()) / (self._attempts - sent + 1)
+            waiting = (deadline - time.monotonic()) / (_ATTEMPTS - sent + 1)
             record = self._await(time.monotonic() + max(0.0, waiting))
         if record is None or sent > 1:
             self._renew()

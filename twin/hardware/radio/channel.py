@@ -18,7 +18,6 @@ class ByteChannel(Protocol):
 
     def write(self, data: bytes) -> None:
         """Send bytes, without waiting."""
-        ...
 
     def read(self) -> bytes:
         """Return what has come, without waiting."""

@@ -1,7 +1,7 @@
 """The radio between two rovers at 9600 baud: the link in frames, which no byte error gets past.
 
-The modems may lose, change and insert bytes, but do not reorder them. `radio_frames` are the frames
-themselves, `radio_handshake` is the thesis' own protocol (appendix D).
+The modems may lose, change and insert bytes, but do not reorder them. `frames` has the frames
+themselves, `handshake` the thesis' own protocol (appendix D).
 
 Nothing here waits: `poll` is called in the servo loop, takes what came and sends what the line
 has room for.
@@ -82,7 +82,6 @@ class LinkStatistics:
 
     Attributes:
         bytes_sent: All bytes put on the line.
-        frames_sent: All frames, retransmissions and acknowledgements among them.
         retransmissions: Frames sent again.
         rejected: Received frames that COBS, the CRC or their header refused.
         duplicates: Received messages that had come before.
@@ -92,7 +91,6 @@ class LinkStatistics:
     """
 
     bytes_sent: int = 0
-    frames_sent: int = 0
     retransmissions: int = 0
     rejected: int = 0
     duplicates: int = 0
@@ -292,7 +290,6 @@ class FramedLink:
                 return
             self._channel.write(line)
             self.statistics.bytes_sent += len(line)
-            self.statistics.frames_sent += 1
 
     def _next_line(self, now: float) -> bytes | None:
         """Acknowledgements first; then latest values and messages in turn, so that none starves."""
@@ -301,12 +298,12 @@ class FramedLink:
             bits = sum(1 << ((held - self._expected - 1) & 0xFF) for held in self._held)
             body = bytes([bits])
             return self._line(Frame(_ACKNOWLEDGE, 0, self._peer or 0, self._expected, body), now)
-        if self._latest and not (self._latest_went and self._find_message(now)):
+        pending = self._find_message(now)
+        if self._latest and not (self._latest_went and pending):
             self._latest_went = True
             body = self._latest.pop(next(iter(self._latest)))
             self._next_latest = (self._next_latest + 1) & 0xFF
             return self._line(Frame(_LATEST, 0, self._session, self._next_latest, body), now)
-        pending = self._find_message(now)
         if pending is None:
             return None
         self._latest_went = False
@@ -317,10 +314,8 @@ class FramedLink:
 
     def _find_message(self, now: float) -> _Pending | None:
         """Return the message to send next: one that is due again before a new one."""
-        for pending in self._flight:
-            if now >= pending.due:
-                return pending
-        return self._queue[0] if self._can_begin() else None
+        due = (pending for pending in self._flight if now >= pending.due)
+        return next(due, self._queue[0] if self._can_begin() else None)
 
     def _message_line(self, pending: _Pending, now: float) -> bytes:
         self._transmissions += 1

@@ -99,7 +99,7 @@ def test_two_video_files_give_pairs_at_their_rate(tmp_path):
         np.testing.assert_allclose(means, [20 + 10 * k, 120 + 10 * k], atol=2)
         with pytest.raises(ValueError):
             frame.value[0, 0, 0] = 1
-    assert source.finished and source.statistics.frames == 5
+    assert len(frames) == 5 and source.read(200.0) is None
     source.close()
 
 
@@ -137,9 +137,7 @@ def test_frames_missed_in_a_pause_are_skipped_and_old_ones_refused(tmp_path):
     assert source.read(0.0) is not None
     frame = source.read(0.55)
     assert frame.stamp == pytest.approx(0.5) and frame.value.max() == 50
-    assert source.statistics.skipped == 4
     assert source.read(5.0) is None
-    assert source.statistics.stale == 1 and source.finished
     source.close()
 
 
@@ -152,8 +150,6 @@ def test_devices_give_the_newest_pair_stamped_on_the_callers_clock(devices):
     assert 0.0 <= age < 0.15
     np.testing.assert_array_equal(frame.value.max(axis=(1, 2)), [50, 200])
     assert source.read(time.monotonic() + offset) is None
-    assert source.statistics.skipped > 0
-    assert not source.finished
     source.close()
     assert devices[0].released and devices[1].released
 
@@ -167,7 +163,6 @@ def test_reading_never_waits_for_a_camera_and_its_last_pair_grows_too_old(device
     assert source.read(start) is None
     assert source.read(start) is None
     assert time.monotonic() - start < 0.05
-    assert source.statistics.stale <= 1
     devices[0].hold.set()
     until_frame(source)
     source.close()
@@ -178,7 +173,6 @@ def test_pair_of_images_too_far_apart_in_time_is_refused(devices):
     source = StereoCapture((0, 1), max_skew=0.02)
     time.sleep(0.15)
     assert source.read(time.monotonic()) is None
-    assert source.statistics.skewed > 0
     source.close()
 
 
@@ -215,7 +209,7 @@ def test_file_with_a_damaged_image_says_so_once_and_repeats_nothing(devices):
     devices["right.avi"].image = flat(2, 10, 10)
     with pytest.raises(LinkError, match="differ in size"):
         source.read(0.0)
-    assert source.read(1.0) is None and source.finished
+    assert source.read(1.0) is source.read(9.0) is None
     source.close()
 
 
