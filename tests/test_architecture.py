@@ -126,7 +126,6 @@ def _files(house: str) -> dict[str, Path]:
 
 
 LAYERS = (
-    {"checks"},
     {"kinematics"},
     {"identification", "braid"},
     {"motion"},

@@ -11,10 +11,10 @@ from typing import Literal
 
 import numpy as np
 
-from controllers.checks import check_choice, check_numbers
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_choice, check_numbers
 from twin.robot import ArmMode, Command, Observation, RobotError
 
 Law = Literal["pd", "pd_gravity", "feed_forward"]

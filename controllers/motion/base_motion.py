@@ -10,9 +10,9 @@ import math
 
 import numpy as np
 
-from controllers.checks import check_numbers
 from controllers.kinematics.frame_motion import LEVEL, FrameMotion, at_rest
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 from twin.robot import Observation
 
 

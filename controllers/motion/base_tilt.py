@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.checks import check_numbers
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 from twin.description import RobotDescription
 
 

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controllers.checks import check_numbers
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 from twin.robot import Channel, Observation
 
 

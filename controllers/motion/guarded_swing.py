@@ -10,11 +10,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from controllers.checks import check_choice
 from controllers.motion.arm_control import ArmControlConfig, ArmController, Reference
 from controllers.motion.base_motion import level_of
 from controllers.motion.online_guard import OnlineGuard
 from controllers.motion.tip_over import Footing, Guarded, Sweep, guard
+from perception.geometry.checks import check_choice
 from twin.robot import Command, Observation
 
 GUARDS = ("unguarded", "planned", "online")

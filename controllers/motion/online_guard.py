@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from controllers.checks import check_numbers
 from controllers.kinematics.frame_motion import FrameMotion
 from controllers.motion.tip_over import Footing
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 
 Path = Callable[[float], tuple[FloatArray, FloatArray, FloatArray]]
 """Angles [rad], rates [rad/s] and accelerations [rad/s^2] of the joints at a time [s]."""

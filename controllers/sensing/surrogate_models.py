@@ -14,12 +14,12 @@ import scipy.stats
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from controllers.checks import check_numbers
 from controllers.kinematics.frame_motion import FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from controllers.motion.base_tilt import TiltAxis, tilting_moments
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 from perception.geometry.se3 import adjoint, cross_matrix
 from twin.robot import Observation
 

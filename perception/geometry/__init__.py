@@ -3,4 +3,5 @@
 - `se3`: rigid motions: exponential, logarithm, adjoint, transport of covariances.
 - `pinhole`: intrinsics of cameras, lens distortion, field of view.
 - `gravity`: the acceleration of free fall.
+- `arrays`: names of array types; `checks`: checks of configurations.
 """

@@ -75,11 +75,7 @@ class StereoCapture:
             return
         eyes = _Eyes(sources)
         try:
-            self._feed = (
-                _DeviceFeed(eyes, max_skew)
-                if devices == {True}
-                else _FileFeed(eyes, rate)
-            )
+            self._feed = _DeviceFeed(eyes, max_skew) if devices == {True} else _FileFeed(eyes, rate)
         except LinkError:
             eyes.release()
             raise

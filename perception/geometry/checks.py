@@ -1,4 +1,4 @@
-"""Checks of configurations that all rooms of the controllers share."""
+"""Checks of configurations, for every room."""
 
 import dataclasses
 import math
