@@ -6,7 +6,7 @@ is given, lies in the middle of its face: x right and y up as one looks at the f
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import mujoco
 import numpy as np
@@ -19,6 +19,27 @@ STRUT_RADIUS = 0.006
 """Of the two rods that hold the panel up [m]."""
 _DISC = 2e-4  # Each disc of a marker stands out of what it lies on by this [m].
 _SUNK = 0.005  # A block goes this deep into the ground, so that no gap shows on a slope [m].
+
+
+def finite(*values: float) -> bool:
+    """Return whether all values are finite."""
+    return all(math.isfinite(value) for value in values)
+
+
+def require(condition: bool, what: str, value: object, valid: str) -> None:
+    """Refuse a setting of a scene.
+
+    Args:
+        condition: Whether the value is valid.
+        what: Name of the value.
+        value: The value.
+        valid: Description of valid values.
+
+    Raises:
+        ValueError: If the value is not valid.
+    """
+    if not condition:
+        raise ValueError(f"{what}: got {value!r}, needs {valid}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,20 +94,17 @@ class PanelConfig:
         Raises:
             ValueError: If a number is out of its range or a marker hangs over the edge.
         """
-        pose = (*self.position, self.yaw)
-        if not all(math.isfinite(number) for number in pose):
-            raise ValueError(f"panel pose: got {pose!r}, needs finite numbers [m, rad]")
-        if not 0.0 <= self.tilt <= 1.2:
-            raise ValueError(f"panel tilt: got {self.tilt!r}, needs 0 to 1.2 rad")
-        lengths = (*self.size, self.thickness)
-        if not all(0.0 < length < 5.0 for length in lengths):
-            raise ValueError(f"panel size: got {lengths!r}, needs positive lengths below 5 m")
+        pose, lengths = (*self.position, self.yaw), (*self.size, self.thickness)
+        require(finite(*pose), "panel pose", pose, "finite numbers [m, rad]")
+        require(0.0 <= self.tilt <= 1.2, "panel tilt", self.tilt, "0 to 1.2 rad")
+        small = all(0.0 < length < 5.0 for length in lengths)
+        require(small, "panel size", lengths, "positive lengths below 5 m")
         for index, marker in enumerate(self.markers):
             reach = np.abs([marker.x, marker.y]) + marker.radius
-            if not (marker.radius > 0.0 and 0.0 < marker.dark < 1.0):
-                raise ValueError(f"panel marker {index}: got {marker!r}, needs dark within 0 to 1")
-            if not np.all(reach <= np.asarray(self.size) / 2.0):
-                raise ValueError(f"panel marker {index}: got {marker!r}, needs to lie on the face")
+            round_and_dark = marker.radius > 0.0 and 0.0 < marker.dark < 1.0
+            require(round_and_dark, f"panel marker {index}", marker, "dark within 0 to 1")
+            inside = bool(np.all(reach <= np.asarray(self.size) / 2.0))
+            require(inside, f"panel marker {index}", marker, "to lie on the face")
 
     @property
     def marker_points(self) -> FloatArray:
@@ -111,12 +129,12 @@ class PanelConfig:
 
 
 @dataclasses.dataclass(frozen=True)
-class Blocks:
-    """Boxes that stand upright on the ground.
+class Solids:
+    """Boxes or ellipsoids that stand upright on the ground.
 
     Attributes:
         centres: (N, 3) [m], world.
-        half_sizes: (N, 3) [m], in each block's own frame.
+        half_sizes: (N, 3) half edges or semi-axes [m], in each solid's own frame.
         yaws: (N,) rotation of that frame about the vertical [rad].
     """
 
@@ -126,21 +144,27 @@ class Blocks:
 
     @property
     def radii(self) -> FloatArray:
-        """(N,) radius of the upright cylinder about each block [m]."""
+        """(N,) radius of the upright cylinder about each box [m]."""
         return np.hypot(self.half_sizes[:, 0], self.half_sizes[:, 1])
 
-    def raise_heights(self, points: FloatArray, heights: FloatArray) -> FloatArray:
-        """Return `heights` [m] at `points` (..., 2) [m], or a block's top where that is higher."""
+    def above(self, points: FloatArray) -> Iterator[tuple[float, FloatArray, FloatArray]]:
+        """Yield each solid as points see it.
+
+        Args:
+            points: (..., 2) [m], world.
+
+        Yields:
+            Height of the centre [m], half sizes (3,) [m], and the points (2, ...) [m] in the
+            solid's own frame.
+        """
         for centre, half, yaw in zip(self.centres, self.half_sizes, self.yaws, strict=True):
             offset = points - centre[:2]
             along = offset[..., 0] * np.cos(yaw) + offset[..., 1] * np.sin(yaw)
             across = offset[..., 1] * np.cos(yaw) - offset[..., 0] * np.sin(yaw)
-            inside = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
-            heights = np.where(inside, np.maximum(heights, centre[2] + half[2]), heights)
-        return heights
+            yield centre[2], half, np.stack([along, across])
 
 
-NO_BLOCKS = Blocks(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+NO_SOLIDS = Solids(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
 
 
 def make_blocks(
@@ -151,7 +175,7 @@ def make_blocks(
     edge: tuple[float, float],
     clear: ArrayLike,
     clear_radius: ArrayLike,
-) -> Blocks:
+) -> Solids:
     """Put blocks on a field, none in another.
 
     Args:
@@ -181,22 +205,34 @@ def make_blocks(
         if np.all(apart) and np.all(others) and np.all(np.abs(place) + reach[index] <= half):
             kept.append(index)
     heights = ground_at(places[kept]) + half_sizes[kept, 2] - _SUNK
-    return Blocks(np.column_stack([places[kept], heights]), half_sizes[kept], yaws[kept])
+    return Solids(np.column_stack([places[kept], heights]), half_sizes[kept], yaws[kept])
 
 
-def add_blocks(scene: mujoco.MjSpec, blocks: Blocks) -> None:
-    """Add geoms ``block0``, ``block1``, ... of the material ``block`` to a scene."""
+def add_solids(scene: mujoco.MjSpec, name: str, kind: mujoco.mjtGeom, solids: Solids) -> None:
+    """Add geoms to a scene, for instance ``block0``, ``block1``, ... of the material ``block``.
+
+    Args:
+        scene: Scene with the material.
+        name: Name of the material, and of each geom before its number.
+        kind: Type of the geoms.
+        solids: Solids to add.
+    """
     for index, (centre, half, yaw) in enumerate(
-        zip(blocks.centres, blocks.half_sizes, blocks.yaws, strict=True)
+        zip(solids.centres, solids.half_sizes, solids.yaws, strict=True)
     ):
         scene.worldbody.add_geom(
-            name=f"block{index}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
+            name=f"{name}{index}",
+            type=kind,
             pos=centre,
             size=half,
-            quat=[math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)],
-            material="block",
+            quat=yaw_quaternion(yaw),
+            material=name,
         )
+
+
+def yaw_quaternion(yaw: float) -> list[float]:
+    """Return the quaternion, w first, of a turn about the vertical [rad]."""
+    return [math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)]
 
 
 def add_panel(scene: mujoco.MjSpec, panel: PanelConfig, ground: float) -> None:

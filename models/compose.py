@@ -150,8 +150,7 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
     heights = terrain.make_heights(
         np.random.default_rng(height_seed), field.size, field.relief, field.cell
     )
-    none = terrain.Rocks(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
-    bare = terrain.Terrain(field.size, heights, none)
+    bare = terrain.Terrain(field.size, heights)
     discs = [(*robot.position, START_RADIUS) for robot in robots]
     if field.panel is not None:
         discs.append((*field.panel.position, field.panel.footprint))
@@ -202,8 +201,8 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
     scene.default.name = "main"
     add_materials(scene, field)
     _add_ground(scene, ground)
-    _add_rocks(scene, ground.rocks)
-    clutter.add_blocks(scene, ground.blocks)
+    clutter.add_solids(scene, "rock", mujoco.mjtGeom.mjGEOM_ELLIPSOID, ground.rocks)
+    clutter.add_solids(scene, "block", mujoco.mjtGeom.mjGEOM_BOX, ground.blocks)
     if field.panel is not None:
         clutter.add_panel(
             scene, field.panel, float(ground.ground_at(np.array(field.panel.position)))
@@ -346,24 +345,6 @@ def _add_ground(scene: mujoco.MjSpec, ground: terrain.Terrain) -> None:
     )
 
 
-def _add_rocks(scene: mujoco.MjSpec, rocks: terrain.Rocks) -> None:
-    for index, (centre, axes, yaw) in enumerate(
-        zip(rocks.centres, rocks.semi_axes, rocks.yaws, strict=True)
-    ):
-        scene.worldbody.add_geom(
-            name=f"rock{index}",
-            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-            pos=centre,
-            size=axes,
-            quat=_yaw_quaternion(yaw),
-            material="rock",
-        )
-
-
-def _yaw_quaternion(yaw: float) -> list[float]:
-    return [math.cos(yaw / 2.0), 0.0, 0.0, math.sin(yaw / 2.0)]
-
-
 def _start_height(ground: terrain.Terrain, robot: RobotPlacement) -> float:
     """Height that leaves every wheel a tenth of a millimetre above what is below the rover."""
     sheet = datasheets.ROVER
@@ -381,7 +362,7 @@ def _start_height(ground: terrain.Terrain, robot: RobotPlacement) -> float:
 def _add_robot(scene: mujoco.MjSpec, robot: RobotPlacement, height: float, friction: float) -> None:
     prefix = f"{robot.name}/"
     frame = scene.worldbody.add_frame(
-        pos=[*robot.position, height], quat=_yaw_quaternion(robot.yaw)
+        pos=[*robot.position, height], quat=clutter.yaw_quaternion(robot.yaw)
     )
     if robot.model:
         scene.attach(load_robot(robot.model).spec, frame=frame, prefix=prefix)

@@ -8,20 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from models import datasheets
-from models.clutter import PanelConfig
+from models.clutter import PanelConfig, finite, require
 
 START_RADIUS = 0.4
 """Kept clear of rocks and blocks about a robot's start [m]."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-
-
-def _finite(*values: float) -> bool:
-    return all(math.isfinite(value) for value in values)
-
-
-def _require(condition: bool, what: str, value: object, valid: str) -> None:
-    if not condition:
-        raise ValueError(f"{what}: got {value!r}, needs {valid}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,34 +58,34 @@ class FieldConfig:
         Raises:
             ValueError: If a number is out of its range.
         """
-        _require(
-            _finite(*self.size) and min(self.size) > 0.0,
+        require(
+            finite(*self.size) and min(self.size) > 0.0,
             "field size",
             self.size,
             "two positive lengths [m]",
         )
-        _require(0.0 <= self.relief <= 1.0, "field relief", self.relief, "0 to 1 m")
-        _require(0.01 <= self.cell <= 1.0, "field cell", self.cell, "0.01 to 1 m")
-        _require(0 <= self.rocks <= 20000, "field rocks", self.rocks, "0 to 20000")
+        require(0.0 <= self.relief <= 1.0, "field relief", self.relief, "0 to 1 m")
+        require(0.01 <= self.cell <= 1.0, "field cell", self.cell, "0.01 to 1 m")
+        require(0 <= self.rocks <= 20000, "field rocks", self.rocks, "0 to 20000")
         low, high = self.rock_radius
-        _require(0.0 < low <= high, "field rock_radius", self.rock_radius, "0 < low <= high [m]")
-        _require(0.0 < self.friction <= 3.0, "field friction", self.friction, "above 0, at most 3")
+        require(0.0 < low <= high, "field rock_radius", self.rock_radius, "0 < low <= high [m]")
+        require(0.0 < self.friction <= 3.0, "field friction", self.friction, "above 0, at most 3")
         power = self.texture_pixels > 0 and self.texture_pixels & (self.texture_pixels - 1) == 0
-        _require(
+        require(
             power and 16 <= self.texture_pixels <= 4096,
             "field texture_pixels",
             self.texture_pixels,
             "a power of two from 16 to 4096",
         )
-        _require(
+        require(
             0.01 <= self.texture_tile <= 10.0,
             "field texture_tile",
             self.texture_tile,
             "a tile of 0.01 to 10 m",
         )
-        _require(0 <= self.blocks <= 2000, "field blocks", self.blocks, "0 to 2000")
+        require(0 <= self.blocks <= 2000, "field blocks", self.blocks, "0 to 2000")
         low, high = self.block_edge
-        _require(0.0 < low <= high <= 2.0, "field block_edge", self.block_edge, "0 < low <= high")
+        require(0.0 < low <= high <= 2.0, "field block_edge", self.block_edge, "0 < low <= high")
 
 
 FLAT = FieldConfig()
@@ -123,10 +114,10 @@ class PayloadConfig:
         Raises:
             ValueError: If mass or size is not positive.
         """
-        _require(0.0 < self.mass < math.inf, "payload mass", self.mass, "a positive mass [kg]")
-        _require(_finite(*self.centre), "payload centre", self.centre, "three finite numbers [m]")
-        _require(
-            _finite(*self.half_size) and min(self.half_size) > 0.0,
+        require(0.0 < self.mass < math.inf, "payload mass", self.mass, "a positive mass [kg]")
+        require(finite(*self.centre), "payload centre", self.centre, "three finite numbers [m]")
+        require(
+            finite(*self.half_size) and min(self.half_size) > 0.0,
             "payload half_size",
             self.half_size,
             "three positive lengths [m]",
@@ -168,26 +159,24 @@ class RobotPlacement:
             ValueError: If the name cannot be a prefix, there is a payload or a card but no arm, or
                 both at once, or what is the thesis' rover's is asked of another model.
         """
-        _require(
+        require(
             _NAME.fullmatch(self.name) is not None,
             "robot name",
             self.name,
             "a letter, then letters, digits and underscores",
         )
         start = (*self.position, self.yaw)
-        _require(_finite(*start), f"start of {self.name}", start, "finite numbers [m, rad]")
-        _require(
-            self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm"
-        )
+        require(finite(*start), f"start of {self.name}", start, "finite numbers [m, rad]")
+        require(self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm")
         held = self.arm and self.payload is None
         asked = self.arm, self.stereo, self.centre_locked, self.payload, self.card
-        _require(
+        require(
             not self.model or asked == (True, True, False, None, False),
             f"model of {self.name}",
             self.model,
             "nothing but name, position and yaw beside it",
         )
-        _require(held or not self.card, f"card of {self.name}", self.card, "an arm without payload")
+        require(held or not self.card, f"card of {self.name}", self.card, "an arm without payload")
 
 
 def check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:

@@ -61,12 +61,9 @@ def take(
     view = mujoco.MjvCamera()
     view.lookat[:] = shot.lookat
     view.distance, view.azimuth, view.elevation = shot.distance, shot.azimuth, shot.elevation
-    renderer = mujoco.Renderer(model, size[1], size[0])
-    try:
+    with mujoco.Renderer(model, size[1], size[0]) as renderer:
         renderer.update_scene(data, shot.camera or view)
         return renderer.render().copy()
-    finally:
-        renderer.close()
 
 
 def write(image: NDArray[np.uint8], path: Path) -> None:
@@ -98,21 +95,15 @@ def main() -> None:
     )
     rough_rest = settle(rough)
     size = (WIDTH, HEIGHT)
-    rover = Shot((0.0, 0.08, 0.1), 0.85, 150.0, -22.0)
-    arm = Shot((0.0, 0.18, 0.17), 0.55, 170.0, -12.0)
-    field = Shot((0.45, 0.3, 0.05), 2.2, 120.0, -25.0)
-    eye = Shot(camera="rover1/stereo_left")
     plant = mujoco.MjModel.from_xml_path(str(PLANT))
     plant_raised = mujoco.MjData(plant)
     plant_raised.qpos[6] = np.pi / 4
     mujoco.mj_forward(plant, plant_raised)
-    side = Shot((0.0, 0.15, 0.1), 1.7, 150.0, -18.0)
     bench = compile_bench(CARD_AND_SLOT.slot_widths[1])
     askew = mujoco.MjData(bench)
     askew.mocap_pos[0] = (0.004, -0.02, 0.0)
     askew.mocap_quat[0] = (np.cos(-3 * DEGREE), 0.0, 0.0, np.sin(-3 * DEGREE))
     mujoco.mj_forward(bench, askew)
-    above = Shot((0.0, -0.03, 0.0), 0.26, 75.0, -50.0)
     mast = build_rover(BraidConfig(5), FLAT, RobotPlacement()).compile()
     leaning = mujoco.MjData(mast)
     mujoco.mj_resetDataKeyframe(mast, leaning, mast.key("home").id)
@@ -121,15 +112,22 @@ def main() -> None:
     mujoco.mj_step(mast, leaning, nstep=2200)
     leaning.ctrl[:] = 0.0
     mujoco.mj_step(mast, leaning, nstep=3000)
-    standing = Shot((0.0, 0.05, 0.2), 1.0, 40.0, -15.0)
     pictures = {
-        "braid/braid.png": take(mast, leaning, standing, size),
-        "card_and_slot/card_and_slot.png": take(bench, askew, above, size),
-        "compliant_base/compliant_base.png": take(plant, plant_raised, side, size),
-        "rover/rover.png": take(flat, rest, rover, size),
-        "arm/arm.png": take(flat, rest, arm, size),
-        "field/field.png": take(rough, rough_rest, field, size),
-        "stereo_head/stereo_head.png": take(rough, rough_rest, eye, (CAMERA.width, CAMERA.height)),
+        "braid/braid.png": take(mast, leaning, Shot((0.0, 0.05, 0.2), 1.0, 40.0, -15.0), size),
+        "card_and_slot/card_and_slot.png": take(
+            bench, askew, Shot((0.0, -0.03, 0.0), 0.26, 75.0, -50.0), size
+        ),
+        "compliant_base/compliant_base.png": take(
+            plant, plant_raised, Shot((0.0, 0.15, 0.1), 1.7, 150.0, -18.0), size
+        ),
+        "rover/rover.png": take(flat, rest, Shot((0.0, 0.08, 0.1), 0.85, 150.0, -22.0), size),
+        "arm/arm.png": take(flat, rest, Shot((0.0, 0.18, 0.17), 0.55, 170.0, -12.0), size),
+        "field/field.png": take(
+            rough, rough_rest, Shot((0.45, 0.3, 0.05), 2.2, 120.0, -25.0), size
+        ),
+        "stereo_head/stereo_head.png": take(
+            rough, rough_rest, Shot(camera="rover1/stereo_left"), (CAMERA.width, CAMERA.height)
+        ),
     }
     for name, image in pictures.items():
         write(image, FOLDER / name)

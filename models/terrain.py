@@ -8,23 +8,8 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from models.clutter import NO_BLOCKS, Blocks
+from models.clutter import NO_SOLIDS, Solids
 from perception.geometry.arrays import FloatArray
-
-
-@dataclasses.dataclass(frozen=True)
-class Rocks:
-    """Ellipsoids that stand upright in the ground.
-
-    Attributes:
-        centres: (N, 3) [m], world.
-        semi_axes: (N, 3) [m], in each rock's own frame.
-        yaws: (N,) rotation of that frame about the vertical [rad].
-    """
-
-    centres: FloatArray
-    semi_axes: FloatArray
-    yaws: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,14 +19,14 @@ class Terrain:
     Attributes:
         size: (2,) lengths along x and y [m].
         heights: (rows, columns) [m]; row 0 lies at the smallest y. Flat ground has (2, 2) zeros.
-        rocks: The rocks.
-        blocks: The blocks.
+        rocks: Ellipsoids on the ground.
+        blocks: Boxes on the ground.
     """
 
     size: tuple[float, float]
     heights: FloatArray
-    rocks: Rocks
-    blocks: Blocks = NO_BLOCKS
+    rocks: Solids = NO_SOLIDS
+    blocks: Solids = NO_SOLIDS
 
     @property
     def is_flat(self) -> bool:
@@ -79,16 +64,14 @@ class Terrain:
         """
         points = np.asarray(points, dtype=float)
         heights = self.ground_at(points)
-        for centre, axes, yaw in zip(
-            self.rocks.centres, self.rocks.semi_axes, self.rocks.yaws, strict=True
-        ):
-            offset = points - centre[:2]
-            along = offset[..., 0] * np.cos(yaw) + offset[..., 1] * np.sin(yaw)
-            across = offset[..., 1] * np.cos(yaw) - offset[..., 0] * np.sin(yaw)
+        for height, axes, (along, across) in self.rocks.above(points):
             inside = 1.0 - (along / axes[0]) ** 2 - (across / axes[1]) ** 2
-            top = centre[2] + axes[2] * np.sqrt(np.maximum(inside, 0.0))
+            top = height + axes[2] * np.sqrt(np.maximum(inside, 0.0))
             heights = np.where(inside > 0.0, np.maximum(heights, top), heights)
-        return self.blocks.raise_heights(points, heights)
+        for height, half, (along, across) in self.blocks.above(points):
+            inside = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
+            heights = np.where(inside, np.maximum(heights, height + half[2]), heights)
+        return heights
 
 
 def noise_image(
@@ -172,7 +155,7 @@ def make_rocks(
     radius: tuple[float, float],
     clear: FloatArray,
     clear_radius: ArrayLike,
-) -> Rocks:
+) -> Solids:
     """Strew rocks over a terrain.
 
     Args:
@@ -201,4 +184,4 @@ def make_rocks(
     discs = np.asarray(clear, dtype=float).reshape(-1, 2)
     for disc, gap in zip(discs, np.broadcast_to(np.asarray(clear_radius), len(discs))):
         keep &= np.hypot(*(places - disc).T) > gap + axes[:, :2].max(axis=1)
-    return Rocks(centres[keep], axes[keep], yaws[keep])
+    return Solids(centres[keep], axes[keep], yaws[keep])

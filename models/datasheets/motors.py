@@ -37,16 +37,6 @@ class MotorSheet:
         """Speed at which the back-EMF equals the supply [rad/s]."""
         return self.no_load_speed * self.gross_stall_torque / self.stall_torque
 
-    def shaft_torque(self, duty: float, speed: float) -> float:
-        """Return the torque left at a shaft that turns forward [N m].
-
-        Args:
-            duty: Fraction of the nominal voltage in [-1, 1].
-            speed: Shaft speed, positive [rad/s].
-        """
-        drive = duty - speed / self.gross_no_load_speed
-        return self.gross_stall_torque * drive - self.friction
-
 
 WHEEL_RATED_TORQUE: Final = 208.0 * OUNCE_INCH
 """Load at which the wheel motor's speed is given [N m] (Thesis app. D)."""

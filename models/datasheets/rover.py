@@ -3,9 +3,7 @@
 import dataclasses
 from typing import Final
 
-from models.datasheets.tables import TABLE_2_2_TRUTH
 from models.datasheets.units import DEGREE
-from perception.geometry.gravity import GRAVITY
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,12 +25,12 @@ class RoverSheet:
     motor_half_length: float = 0.03  # Assumption: 37 mm gear motor
     deck_mass: float = 0.97  # What the weight leaves for each half's body
     deck_half_x: float = 0.09  # Assumption: body between the wheels
-    deck_half_y: float = 0.10886  # Chosen so that `pitch_inertia` is Table 2-2's 0.072
+    deck_half_y: float = 0.10886  # Chosen so that the pitch inertia is Table 2-2's 0.072
     deck_half_z: float = 0.022  # Assumption: computer cards and batteries in one layer
     deck_gap: float = 0.003  # Assumption: clearance of a half's body to the centre joint
     arm_mount: tuple[float, float, float] = (0.0, 0.054356, 0.036195)
     """Arm mount from the centre of gravity, in the body frame [m] (Thesis Table 2-2)."""
-    spring: float = 3530.0  # `required_spring`, rounded
+    spring: float = 3530.0  # Gives Table 2-2's pitch stiffness (README of the rover); rounded
     damper: float = 16.67  # 1.5 / (4 * 0.15^2) (Thesis Table 2-2, eq. A-1)
     travel: float = 0.02  # Assumption: the suspension reaches its bump stops after 2 cm
     centre_range: float = 30.0 * DEGREE  # Assumption: end stops of the centre joint
@@ -68,39 +66,6 @@ class RoverSheet:
         moment = 2.0 * self.deck_mass * self.deck_height
         moment += 4.0 * self.motor_mass * self.wheel_radius
         return moment / self.sprung_mass
-
-    @property
-    def pitch_inertia(self) -> float:
-        """Inertia of the base in pitch about the line where the tyres meet the ground [kg m^2].
-
-        Braked wheels roll with the body, so it turns about that line, not about its centre of
-        gravity: the sum over the parts of I + m h^2, where the wheels count with their height only
-        because the springs leave them on the ground (README of the rover).
-        """
-        half_y = self.deck_half_y
-        deck = (half_y**2 + self.deck_half_z**2) / 3.0 + self.deck_height**2
-        deck += (self.deck_gap + half_y) ** 2
-        motor = self.motor_radius**2 / 2.0 + self.wheel_radius**2 + self.half_wheelbase**2
-        wheel = 1.5 * self.wheel_radius**2
-        return 2.0 * self.deck_mass * deck + 4.0 * (
-            self.motor_mass * motor + self.wheel_mass * wheel
-        )
-
-    @property
-    def required_spring(self) -> float:
-        """Spring of one wheel that gives Table 2-2's pitch stiffness [N/m].
-
-        The sprung weight takes away m g h of what the four springs give, h above the axles, since
-        the wheels roll under the body as it pitches (README of the rover).
-        """
-        lever = self.sprung_height - self.wheel_radius
-        gravity = self.sprung_mass * GRAVITY * lever
-        return (TABLE_2_2_TRUTH["k_pitch"] + gravity) / (4.0 * self.half_wheelbase**2)
-
-    @property
-    def spring_reference(self) -> float:
-        """Wheel travel at which a spring is slack, so that the bare rover rides level at 0 [m]."""
-        return -self.sprung_mass * GRAVITY / (4.0 * self.spring)
 
 
 ROVER: Final = RoverSheet()

@@ -1,4 +1,4 @@
-"""Compiled scenes and what tests read off them."""
+"""Compiled scenes and what tests read off them, and the line of a motor."""
 
 import dataclasses
 
@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
+from models.datasheets import MotorSheet
 
 PLAIN = dataclasses.replace(FLAT, texture_pixels=16)
 """Flat ground with a small texture: quick to compile."""
@@ -46,3 +47,9 @@ def tilt(data: mujoco.MjData, body: str) -> np.ndarray:
     """Return pitch and roll of a body [rad]."""
     rotation = data.body(body).xmat.reshape(3, 3)
     return np.arctan2([rotation[2, 1], -rotation[2, 0]], [rotation[1, 1], rotation[2, 2]])
+
+
+def shaft_torque(motor: MotorSheet, duty: float, speed: float) -> float:
+    """Return the torque [N m] left at a shaft that turns forward [rad/s] at a duty of -1 to 1."""
+    drive = duty - speed / motor.gross_no_load_speed
+    return motor.gross_stall_torque * drive - motor.friction

@@ -63,7 +63,7 @@ def test_clutter_keeps_clear_of_starts_the_panel_and_itself():
     blocks, rocks = ground.blocks, ground.rocks
     assert len(blocks.yaws) > 10 and len(rocks.yaws) > 20
     places = np.concatenate([blocks.centres[:, :2], rocks.centres[:, :2]])
-    radii = np.concatenate([blocks.radii, rocks.semi_axes[:, :2].max(axis=1)])
+    radii = np.concatenate([blocks.radii, rocks.half_sizes[:, :2].max(axis=1)])
     for robot in ROBOTS:
         assert np.all(np.linalg.norm(places - robot.position, axis=1) > 0.4 + radii)
     gap = np.linalg.norm(places - PANEL.position, axis=1)

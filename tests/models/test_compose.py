@@ -158,7 +158,7 @@ def test_relief_and_rocks_are_as_large_as_asked():
     ground = make_terrain(ROUGH, TWO)
     assert ground.heights.std() == pytest.approx(ROUGH.relief, rel=0.1)
     low, high = ROUGH.rock_radius
-    mean = np.sqrt(ground.rocks.semi_axes[:, 0] * ground.rocks.semi_axes[:, 1])
+    mean = np.sqrt(ground.rocks.half_sizes[:, 0] * ground.rocks.half_sizes[:, 1])
     assert low <= mean.min() and mean.max() <= high
     for robot in TWO:
         gap = np.linalg.norm(ground.rocks.centres[:, :2] - robot.position, axis=1)

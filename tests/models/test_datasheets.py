@@ -9,6 +9,8 @@ import pytest
 from models import datasheets
 from models.compose import ARM_JOINTS, FOLDER, WHEELS
 from models.datasheets import ARM, ARM_MOTOR, CAMERA, ROVER, WHEEL_MOTOR
+from perception.geometry.gravity import GRAVITY
+from tests.models.scenes import shaft_torque
 
 
 def compiled(part: str) -> mujoco.MjModel:
@@ -52,8 +54,8 @@ def test_sensitivity_of_the_inclinometer_turns_millivolts_a_degree_into_radians(
 
 def test_rated_point_of_the_wheel_motor_is_49_rpm_at_208_oz_in_from_908_oz_in_stall():
     ounce_inch = 0.00706155
-    assert WHEEL_MOTOR.shaft_torque(1.0, 0.0) == pytest.approx(908 * ounce_inch, rel=1e-5)
-    rated = WHEEL_MOTOR.shaft_torque(1.0, 49 * 2 * math.pi / 60)
+    assert shaft_torque(WHEEL_MOTOR, 1.0, 0.0) == pytest.approx(908 * ounce_inch, rel=1e-5)
+    rated = shaft_torque(WHEEL_MOTOR, 1.0, 49 * 2 * math.pi / 60)
     assert rated == pytest.approx(208 * ounce_inch, rel=1e-5)
     assert WHEEL_MOTOR.no_load_speed * 60 / (2 * math.pi) == pytest.approx(63.56, abs=0.01)
 
@@ -79,9 +81,8 @@ def test_wheel_in_the_model_agrees_with_the_datasheet(rover, wheel):
     np.testing.assert_allclose(slide.range, [-ROVER.travel, ROVER.travel])
     np.testing.assert_allclose(rover.jnt_stiffness[slide.id].flat[0], ROVER.spring)
     np.testing.assert_allclose(rover.dof_damping[slide.dofadr[0]].flat[0], ROVER.damper)
-    np.testing.assert_allclose(
-        rover.qpos_spring[slide.qposadr[0]], ROVER.spring_reference, atol=1e-7
-    )
+    slack = -ROVER.sprung_mass * GRAVITY / (4.0 * ROVER.spring)  # the bare rover rides level at 0
+    np.testing.assert_allclose(rover.qpos_spring[slide.qposadr[0]], slack, atol=1e-7)
     tyre = rover.geom(f"{wheel}_tyre")
     radius, width = ROVER.wheel_radius, ROVER.wheel_half_width
     np.testing.assert_allclose(tyre.size, [width, radius, radius])
@@ -105,6 +106,12 @@ def check_motor(model: mujoco.MjModel, name: str, sheet: datasheets.MotorSheet) 
     assert tuple(model.actuator_ctrlrange[motor]) == (-volts, volts)
     assert constant / resistance * volts == pytest.approx(sheet.gross_stall_torque, rel=1e-5)
     assert volts / constant == pytest.approx(sheet.gross_no_load_speed, rel=1e-5)
+
+
+def test_spring_gives_the_pitch_stiffness_of_table_2_2_less_what_the_weight_takes_off():
+    weight = ROVER.sprung_mass * GRAVITY * (ROVER.sprung_height - ROVER.wheel_radius)
+    required = datasheets.TABLE_2_2_TRUTH["k_pitch"] + weight
+    assert 4.0 * ROVER.spring * ROVER.half_wheelbase**2 == pytest.approx(required, rel=1e-3)
 
 
 def test_decks_motors_and_mounts_in_the_model_agree_with_the_datasheet(rover):

@@ -4,6 +4,7 @@ import pytest
 
 from models.compose import FLAT, RobotPlacement, make_model
 from models.datasheets import ARM, ARM_MOTOR, WHEEL_MOTOR
+from tests.models.scenes import shaft_torque
 from twin.connect import connect
 from twin.describe import describe_rover
 from twin.description import MotorDescription
@@ -42,8 +43,8 @@ def test_effort_inverts_the_motor_line():
     command = Command(np.full(4, 1.0), np.full(4, -2.0), WheelMode.EFFORT, ArmMode.EFFORT)
     duty = servo.duty(command, observation(wheels=2.0, rates=-1.0))
     friction = (WHEEL_MOTOR.friction, ARM_MOTOR.friction)
-    assert WHEEL_MOTOR.shaft_torque(duty[0], 2.0) == pytest.approx(1.0 - friction[0])
-    assert ARM_MOTOR.shaft_torque(-duty[4], 1.0) == pytest.approx(2.0 - friction[1])
+    assert shaft_torque(WHEEL_MOTOR, duty[0], 2.0) == pytest.approx(1.0 - friction[0])
+    assert shaft_torque(ARM_MOTOR, -duty[4], 1.0) == pytest.approx(2.0 - friction[1])
 
 
 def test_line_agrees_with_the_compiled_motors():
