@@ -28,7 +28,6 @@ from controllers.mapping.planar_situation import (
     frontier_cells,
 )
 from perception.geometry.arrays import BoolArray, FloatArray, IntArray
-from perception.planar.beams import fan
 from perception.planar.information import (
     READINGS,
     KnownGround,
@@ -37,7 +36,7 @@ from perception.planar.information import (
     undecided_entropy,
 )
 from perception.planar.map import PlanarMap
-from perception.planar.raycast import RangeSensor, expected_view, ray_sums, sector_sums
+from perception.planar.raycast import RangeSensor, expected_view, fan, ray_sums, sector_sums
 
 Method: TypeAlias = Literal[
     "random", "raster", "max_new", "min_old", "information", "frontier", "rate"

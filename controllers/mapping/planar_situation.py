@@ -6,9 +6,8 @@ import numpy as np
 
 from controllers.mapping.planar_paths import Paths, shortest_paths
 from perception.geometry.arrays import BoolArray, FloatArray, IntArray
-from perception.planar.beams import Fan, fan
 from perception.planar.map import PlanarMap
-from perception.planar.raycast import RangeSensor
+from perception.planar.raycast import Fan, RangeSensor, fan
 
 
 @dataclasses.dataclass(frozen=True)

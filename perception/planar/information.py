@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from perception.geometry.arrays import BoolArray, FloatArray, IntArray
-from perception.planar.beams import Fan
 from perception.planar.map import FREE_BELOW
-from perception.planar.raycast import RangeSensor, ray_sums, sector_rays, sector_sums
+from perception.planar.raycast import Fan, RangeSensor, ray_sums, sector_rays, sector_sums
 from perception.voxels.occupancy import binary_entropy
 
 Reading: TypeAlias = Literal["histogram", "premultiplied", "entropy"]

@@ -38,13 +38,10 @@ class FusedPoints:
         points: (N, 3) [m], first left camera.
         covariances: (N, 3, 3) of each alone [m^2]. The pose's error is common to all, so that they
             are correlated: `triangulate_together` says how.
-        squared_distances: (N,) between the two measurements over their covariance; chi-squared
-            with 3 degrees of freedom if both are of the same point.
     """
 
     points: FloatArray
     covariances: FloatArray
-    squared_distances: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -159,10 +156,8 @@ def fuse_views(
         raise RegistrationError(f"point {exact[0]}: both robots say that a direction is exact")
     gain = np.swapaxes(np.linalg.solve(total, spread), 1, 2)
     fused = spread - gain @ spread
-    far = np.einsum("ni,ni->n", apart, np.linalg.solve(total, apart[..., None])[..., 0])
-    return FusedPoints(
-        one + (gain @ apart[..., None])[..., 0], 0.5 * (fused + np.swapaxes(fused, 1, 2)), far
-    )
+    points = one + (gain @ apart[..., None])[..., 0]
+    return FusedPoints(points, 0.5 * (fused + np.swapaxes(fused, 1, 2)))
 
 
 def triangulate_together(

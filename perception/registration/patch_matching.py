@@ -7,7 +7,6 @@ another robot's view, from far aside, where the slant of the surface matters as 
 """
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform
 
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.registration.checks import RegistrationError
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.patch_fit import COLUMN_ONLY, EVERYTHING, PatchFit, fit_patch, sample_patch
@@ -28,7 +27,7 @@ _PEAK = 3  # Radius of a peak of correlation [px]; whatever is as high beyond it
 
 @dataclasses.dataclass(frozen=True)
 class TrackerConfig:
-    """How fiducials are found again.
+    """How patches are found again.
 
     Attributes:
         patch: Edge of the patch, odd [px].
@@ -36,7 +35,7 @@ class TrackerConfig:
         disparity_search: Largest difference of the disparity from the prediction [px].
         least_correlation: Least normalised correlation of the matched patches.
         least_lead: Least lead of the best correlation over any other in the search.
-        back: Farthest from its origin that the way back may end [px].
+        back: Farthest from its origin that the search back may end [px].
         noise_factor: Deviation of a match over that which the fit's residuals explain.
         floor: Deviation that is always there [px].
         most_sigma: Largest deviation of a match that is kept [px].
@@ -60,6 +59,15 @@ class TrackerConfig:
             if getattr(self, name) < 1:
                 raise ValueError(f"tracker: {name} must be at least 1: {getattr(self, name)}")
 
+    def deviations(self, explained: FloatArray) -> FloatArray | None:
+        """Return the deviations of a match [px]; None if one is too large.
+
+        Args:
+            explained: Deviations that the residuals of its fits explain [px].
+        """
+        sigma = np.hypot(self.noise_factor * explained, self.floor)
+        return sigma if sigma.max() <= self.most_sigma else None
+
 
 @dataclasses.dataclass(frozen=True)
 class Tracks:
@@ -68,17 +76,18 @@ class Tracks:
     Attributes:
         before: (N, 3) columns, rows, disparities [px], the disparities as refined.
         after: (N, 3) in the next view; NaN where it was not found.
-        found: (N,) whether each was found.
-        correlations: (N,) correlation of the patches before and after; NaN where none was found.
-        sigma: (N, 3) standard deviations of columns, rows and disparities in either view [px]
-            as `estimate_motion` takes them; NaN where none was found.
+        sigma: (N, 3) standard deviations of columns, rows and disparities in either view [px];
+            NaN where none was found.
     """
 
     before: FloatArray
     after: FloatArray
-    found: NDArray[np.bool_]
-    correlations: FloatArray
     sigma: FloatArray
+
+    @property
+    def found(self) -> BoolArray:
+        """(N,) which were found."""
+        return np.isfinite(self.after[:, 0])
 
     @property
     def place_sigma(self) -> FloatArray:
@@ -116,29 +125,27 @@ def track(
             f"and pairs {shape}"
         )
     first, second = before.astype(np.float32), after.astype(np.float32)
-    measured, later = seen.copy(), np.full(seen.shape, np.nan)
-    correlations, sigma = np.full(len(seen), np.nan), np.full(seen.shape, np.nan)
+    measured, later, sigma = seen.copy(), np.full(seen.shape, np.nan), np.full(seen.shape, np.nan)
     expected, warps = predict(seen, geometry, guess)
     for n, start in enumerate(seen):
         if not np.all(np.isfinite(expected[n])) or not np.all(np.isfinite(start)):
             continue
-        disparity = _disparity(first, start, c)
-        place = _place(first[0], second[0], start[:2], expected[n, :2], warps[n], c)
-        if place is None or disparity is None:
+        right = _right_fit(first, start, c)
+        left = _left_fit(first[0], second[0], start[:2], expected[n, :2], warps[n], c, c.patch)
+        if left is None or right is None or not _returns(first[0], second[0], start[:2], left, c):
             continue
-        other = _disparity(second, np.array([*place.place, expected[n, 2]]), c)
+        other = _right_fit(second, np.array([*left.place, expected[n, 2]]), c)
         if other is None:
             continue
-        spread = np.array([*place.sigma, np.hypot(disparity[1], other[1]) / np.sqrt(2.0)])
-        spread = np.hypot(c.noise_factor * spread, c.floor)
-        if spread.max() > c.most_sigma:
+        own = np.hypot(right.sigma[0], other.sigma[0]) / np.sqrt(2.0)
+        spread = c.deviations(np.array([*left.sigma, own]))
+        if spread is None:
             continue
-        measured[n, 2] = disparity[0]
-        later[n] = *place.place, other[0]
-        correlations[n] = place.correlation
+        measured[n, 2] = start[0] - right.place[0]
+        later[n] = *left.place, left.place[0] - other.place[0]
         # A place is measured against the other view's only: each view bears half the variance.
         sigma[n] = spread / [np.sqrt(2.0), np.sqrt(2.0), 1.0]
-    return Tracks(measured, later, np.isfinite(correlations), correlations, sigma)
+    return Tracks(measured, later, sigma)
 
 
 def predict(
@@ -164,29 +171,53 @@ def predict(
     return geometry.project(ahead), by_point @ by_pixel
 
 
-def _place(
+def _left_fit(
     first: FloatImage,
     second: FloatImage,
     start: FloatArray,
     expected: FloatArray,
     warp: FloatArray,
     config: TrackerConfig,
+    least: int,
 ) -> PatchFit | None:
-    """Return where it is in the next left image; None if it is not there."""
+    """Return where a patch is in another left image; None if it is not there.
+
+    Args:
+        first: Image of the patch.
+        second: Image to search.
+        start: (2,) the patch's centre [px].
+        expected: (2,) predicted place [px].
+        warp: (2, 2) predicted, from offsets in the first to offsets in the second.
+        config: Reach of the search, and the correlation of a match.
+        least: Least edge of what the second image shows of the search [px].
+    """
     back: FloatArray = np.asarray(np.linalg.inv(warp), dtype=float)
-    coarse = _search(first, second, start, expected, back, config)
-    if coarse is None:
-        return None
-    half = config.patch // 2
-    fit = fit_patch(first, second, start, coarse, warp, half, EVERYTHING)
+    coarse = _search(first, second, start, expected, back, config, least)
+    return None if coarse is None else _fit(first, second, start, coarse, warp, EVERYTHING, config)
+
+
+def _returns(
+    first: FloatImage, second: FloatImage, start: FloatArray, fit: PatchFit, config: TrackerConfig
+) -> bool:
+    """Return whether a search back from where a patch was found ends where it came from."""
+    returned = _search(second, first, fit.place, start, fit.warp, config, config.patch)
+    return returned is not None and bool(np.hypot(*(returned - start)) <= config.back)
+
+
+def _fit(
+    first: FloatImage,
+    second: FloatImage,
+    start: FloatArray,
+    coarse: FloatArray,
+    warp: FloatArray,
+    free: BoolArray,
+    config: TrackerConfig,
+) -> PatchFit | None:
+    """Return a fit near its start that correlates; see `fit_patch`."""
+    fit = fit_patch(first, second, start, coarse, warp, config.patch // 2, free)
     if fit is None or fit.correlation < config.least_correlation:
         return None
-    if np.hypot(*(fit.place - coarse)) > _PEAK:
-        return None
-    returned = _search(second, first, fit.place, start, fit.warp, config)
-    if returned is None or np.hypot(*(returned - start)) > config.back:
-        return None
-    return fit
+    return fit if np.hypot(*(fit.place - coarse)) <= _PEAK else None
 
 
 def _search(
@@ -196,6 +227,7 @@ def _search(
     expected: FloatArray,
     warp_back: FloatArray,
     config: TrackerConfig,
+    least: int,
 ) -> FloatArray | None:
     """Return the pixel of the highest correlation about a prediction; None if it has a rival.
 
@@ -203,9 +235,10 @@ def _search(
         source: Image of the patch.
         target: Image to search.
         start: (2,) the patch's centre [px].
-        expected: (2,) where it should be [px].
+        expected: (2,) predicted place [px].
         warp_back: (2, 2) from offsets in the target to offsets in the source.
         config: Reach of the search, and the lead of the best that it takes.
+        least: Least edge of what the target shows of the search [px].
     """
     half, reach = config.patch // 2, config.search
     template = sample_patch(source, start, warp_back, half)
@@ -214,27 +247,28 @@ def _search(
     centre = np.rint(expected).astype(int)
     low = np.maximum(centre - reach - half, 0)
     high = np.minimum(centre + reach + half + 1, (target.shape[1], target.shape[0]))
-    if np.any(high - low < config.patch):
+    if np.any(high - low < least):
         return None
     window = np.ascontiguousarray(target[low[1] : high[1], low[0] : high[0]])
     likeness: Any = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
     _, best, _, (column, row) = cv2.minMaxLoc(likeness)
     if not np.isfinite(best) or best < config.least_correlation - 0.2:
         return None
-    rows, columns = (
-        slice(max(row - _PEAK, 0), row + _PEAK + 1),
-        slice(max(column - _PEAK, 0), column + _PEAK + 1),
-    )
+    rows, columns = (slice(max(k - _PEAK, 0), k + _PEAK + 1) for k in (row, column))
     likeness[rows, columns] = -1.0
     if float(likeness.max()) > best - config.least_lead:
         return None
     return np.array([column, row], dtype=float) + low + half
 
 
-def _disparity(
-    pair: FloatImage, start: FloatArray, config: TrackerConfig
-) -> tuple[float, float] | None:
-    """Return disparity and its deviation at (column, row), near an expected one; None if none."""
+def _right_fit(pair: FloatImage, start: FloatArray, config: TrackerConfig) -> PatchFit | None:
+    """Return where (column, row) of a left image is in the right one, near an expected disparity.
+
+    Args:
+        pair: (2, H, W) left and right image.
+        start: (3,) column, row and expected disparity [px].
+        config: Reach of the search, and the correlation of a match.
+    """
     half, reach = config.patch // 2, config.disparity_search
     same = np.eye(2)
     template = sample_patch(pair[0], start[:2], same, half)
@@ -245,56 +279,23 @@ def _disparity(
     # Expected beyond the picture's left edge, nothing is left to search.
     low, high = max(column - reach - half, 0), max(column + reach + half + 1, 0)
     strip = np.ascontiguousarray(pair[1][row - half : row + half + 1, low:high])
-    if row < half or strip.shape[0] < config.patch or strip.shape[1] < config.patch:
+    if row < half or min(strip.shape) < config.patch:
         return None
     likeness: Any = cv2.matchTemplate(strip, template, cv2.TM_CCOEFF_NORMED)
     _, _, _, (best, _) = cv2.minMaxLoc(likeness)
     coarse = np.array([low + half + best, start[1]], dtype=float)
-    fit = fit_patch(pair[0], pair[1], start[:2], coarse, same, half, COLUMN_ONLY)
-    if fit is None or fit.correlation < config.least_correlation:
-        return None
-    disparity = float(start[0] - fit.place[0])
-    if abs(fit.place[0] - coarse[0]) > _PEAK or disparity <= 0.0:
-        return None
-    return disparity, float(fit.sigma[0])
+    fit = _fit(pair[0], pair[1], start[:2], coarse, same, COLUMN_ONLY, config)
+    return fit if fit is not None and start[0] > fit.place[0] else None
 
 
-@dataclasses.dataclass(frozen=True)
-class AcrossConfig:
-    """How points are found in the other robot's view.
-
-    Attributes:
-        patch: Edge of the patch, odd [px].
-        smoothing: Deviation of the Gaussian that goes over all images first [px]. Without it,
-            detail near the limit of the pixels locks the fit to whole ones.
-        search: Largest distance from the prediction that is searched [px].
-        least_correlation: Least normalised correlation of the matched patches.
-        least_size: Smallest and, inverted, largest area of a patch in the other view over that in
-            the first: beyond it one view hardly sees what the other does.
-        noise_factor: Deviation of a match over that which the fit's residuals explain.
-        floor: Deviation that is always there [px].
-        most_sigma: Largest deviation of a match that is kept [px].
-    """
-
-    patch: int = 15
-    smoothing: float = 0.6
-    search: int = 5
-    least_correlation: float = 0.85
-    least_size: float = 0.35
-    noise_factor: float = 1.4
-    floor: float = 0.02
-    most_sigma: float = 0.15
-
-    def __post_init__(self) -> None:
-        """Check the values; an error names the wrong one."""
-        if self.patch < 5 or self.patch % 2 == 0:
-            raise ValueError(f"matching across: patch must be odd, 5 or more: {self.patch}")
-        if not 0.0 < self.smoothing <= 5.0:
-            raise ValueError(f"matching across: smoothing must be 0 to 5 px: {self.smoothing}")
-        if self.search < 1:
-            raise ValueError(f"matching across: search must be at least 1: {self.search}")
-        if not 0.0 < self.least_size < 1.0:
-            raise ValueError(f"matching across: least_size must be in 0 to 1: {self.least_size}")
+_ACROSS = TrackerConfig(search=5, least_correlation=0.85, least_lead=-np.inf, noise_factor=1.4)
+"""How points are found in the other robot's view: a rival far from the prediction is no matter."""
+_SMOOTHING = 0.6
+"""Deviation of the Gaussian that goes over images of two robots first [px]. Without it, detail near
+the limit of the pixels locks the fit to whole ones."""
+_LEAST_SIZE = 0.35
+"""Smallest and, inverted, largest area of a patch in the other robot's view over that in the first:
+beyond it one view hardly shows what the other does."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -303,18 +304,16 @@ class Across:
 
     Attributes:
         image_points: (N, 3) columns, rows, disparities [px].
-        sigma: (N, 3) standard deviations, as of a place that is exact in the first view [px].
-        correlations: (N,) correlation of the patches in the two left images.
+        sigma: (N, 3) standard deviations if the place is exact in the first view [px].
     """
 
     image_points: FloatArray
     sigma: FloatArray
-    correlations: FloatArray
 
     @property
-    def found(self) -> NDArray[np.bool_]:
+    def found(self) -> BoolArray:
         """(N,) which were found."""
-        return np.isfinite(self.correlations)
+        return np.isfinite(self.image_points[:, 0])
 
 
 def surface_normals(
@@ -358,7 +357,6 @@ def match_across(
     normals: ArrayLike,
     geometry: StereoGeometry,
     transform_second_to_first: RigidTransform,
-    config: AcrossConfig | None = None,
 ) -> Across:
     """Find points of the first robot's view in the second robot's.
 
@@ -369,13 +367,13 @@ def match_across(
         normals: (N, 3) of the surface there, towards the first left camera; NaN where there is
             none.
         geometry: Geometry of the stereo pair, the same for both robots.
-        transform_second_to_first: Roughly: where points appear must be right to `search`.
-        config: Limits of the search.
+        transform_second_to_first: Rough relative pose, which must predict where points appear to a
+            few pixels.
 
     Raises:
         RegistrationError: If a pair or the points have another shape.
     """
-    c, second_pose = config or AcrossConfig(), transform_second_to_first
+    c, second_pose = _ACROSS, transform_second_to_first
     shape = (2, geometry.height, geometry.width)
     seen, facing = np.asarray(image_points, dtype=float), np.asarray(normals, dtype=float)
     if first.shape != shape or second.shape != shape:
@@ -386,9 +384,8 @@ def match_across(
         raise RegistrationError(
             f"matching points of shape {seen.shape} with normals {facing.shape}: expected (N, 3)"
         )
-    here, there = ([_smooth(image, c.smoothing) for image in pair] for pair in (first, second))
+    here, there = ([_smooth(image, _SMOOTHING) for image in pair] for pair in (first, second))
     found, sigma = np.full(seen.shape, np.nan), np.full(seen.shape, np.nan)
-    correlations = np.full(len(seen), np.nan)
     usable = np.isfinite(seen).all(axis=1) & np.isfinite(facing).all(axis=1) & (seen[:, 2] > 0.0)
     usable &= np.einsum("ni,ni->n", facing, geometry.points(seen)) < 0.0
     index = np.flatnonzero(usable)
@@ -397,21 +394,23 @@ def match_across(
     for n, expected, warp, slope, bend in zip(index, places, warps, slopes, bends, strict=True):
         if not (np.isfinite(expected).all() and np.isfinite(warp).all()):
             continue
-        if not c.least_size < np.linalg.det(warp) < 1.0 / c.least_size:
+        if not _LEAST_SIZE < np.linalg.det(warp) < 1.0 / _LEAST_SIZE:
             continue
-        place = _place_across(here[0], there[0], seen[n, :2], expected[:2], warp, c)
-        if place is None:
+        whole = c.patch + 2 * c.search
+        left = _left_fit(here[0], there[0], seen[n, :2], expected[:2], warp, c, whole)
+        if left is None:
             continue
-        right = _right_place(there, place.place, expected[2], slope, c)
+        shear = np.array([[1.0 - slope[0], -slope[1]], [0.0, 1.0]])
+        start = left.place - [expected[2], 0.0]
+        right = _fit(there[0], there[1], left.place, start, shear, COLUMN_ONLY, c)
         if right is None:
             continue
-        spread = np.hypot(c.noise_factor * np.array([*place.sigma, right.sigma[0]]), c.floor)
-        disparity = place.place[0] - right.place[0]
-        if spread.max() > c.most_sigma or disparity <= 0.0:
+        spread = c.deviations(np.array([*left.sigma, right.sigma[0]]))
+        disparity = left.place[0] - right.place[0]
+        if spread is None or disparity <= 0.0:
             continue
-        found[n], sigma[n] = [*(place.place - bend), disparity], spread
-        correlations[n] = place.correlation
-    return Across(found, sigma, correlations)
+        found[n], sigma[n] = [*(left.place - bend), disparity], spread
+    return Across(found, sigma)
 
 
 def _smooth(image: NDArray[np.uint8], sigma: float) -> FloatImage:
@@ -478,52 +477,3 @@ def _slopes(by_image: FloatArray, normals: FloatArray) -> FloatArray:
     """
     rates = (normals[:, None, :] @ by_image)[:, 0]
     return -rates[:, :2] / rates[:, 2:]
-
-
-def _place_across(
-    first: FloatImage,
-    second: FloatImage,
-    start: FloatArray,
-    expected: FloatArray,
-    warp: FloatArray,
-    config: AcrossConfig,
-) -> PatchFit | None:
-    """Return where a patch is in the second left image; None if it is not there."""
-    half, reach = config.patch // 2, config.search
-    template = sample_patch(first, start, np.asarray(np.linalg.inv(warp), dtype=float), half)
-    if template is None:
-        return None
-    centre = np.rint(expected).astype(int)
-    low, high = centre - reach - half, centre + reach + half + 1
-    if np.any(low < 0) or np.any(high > (second.shape[1], second.shape[0])):
-        return None
-    window = np.ascontiguousarray(second[low[1] : high[1], low[0] : high[0]])
-    likeness: Any = cv2.matchTemplate(window, template, cv2.TM_CCOEFF_NORMED)
-    _, best, _, peak = cv2.minMaxLoc(likeness)
-    if not np.isfinite(best) or best < config.least_correlation - 0.2:
-        return None
-    coarse = np.array(peak, dtype=float) + low + half
-    fit = fit_patch(first, second, start, coarse, warp, half, EVERYTHING)
-    return _trusted(fit, coarse, config)
-
-
-def _right_place(
-    pair: Sequence[FloatImage],
-    place: FloatArray,
-    disparity: float,
-    slopes: FloatArray,
-    config: AcrossConfig,
-) -> PatchFit | None:
-    """Return where a place of a left image is in the right one; None if it is not there."""
-    warp = np.array([[1.0 - slopes[0], -slopes[1]], [0.0, 1.0]])
-    start = place - [disparity, 0.0]
-    half = config.patch // 2
-    return _trusted(
-        fit_patch(pair[0], pair[1], place, start, warp, half, COLUMN_ONLY), start, config
-    )
-
-
-def _trusted(fit: PatchFit | None, start: FloatArray, config: AcrossConfig) -> PatchFit | None:
-    if fit is None or fit.correlation < config.least_correlation:
-        return None
-    return fit if np.hypot(*(fit.place - start)) <= 3.0 else None

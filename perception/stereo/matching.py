@@ -107,7 +107,6 @@ class StereoPoints:
         pixels: (N, 2) column, row in the left image [px].
         disparities: (N,) left column minus right [px].
         sigmas: (N,) standard deviation of the disparities [px].
-        intensities: (N,) of the left image [grey levels].
     """
 
     points: FloatArray
@@ -115,7 +114,6 @@ class StereoPoints:
     pixels: FloatArray
     disparities: FloatArray
     sigmas: FloatArray
-    intensities: FloatArray
 
     def __len__(self) -> int:
         return len(self.points)
@@ -205,26 +203,11 @@ class StereoMatcher:
         least = self.geometry.fx * self.geometry.baseline / c.farthest
         keep = trusted & (matched[rows, columns] >= c.neighbours) & (sigma <= c.most_sigma)
         keep &= fit.disparities > least
-        return self._points(pair[0], pixels[keep], fit.disparities[keep], sigma[keep])
-
-    def _points(
-        self,
-        left: ImageArray,
-        pixels: NDArray[np.int64],
-        disparities: FloatArray,
-        sigmas: FloatArray,
-    ) -> StereoPoints:
+        pixels, disparities, sigma = pixels[keep], fit.disparities[keep], sigma[keep]
         points = self.geometry.points(np.column_stack([pixels, disparities]))
-        deviation = np.full((len(pixels), 3), self.config.pixel_sigma)
-        deviation[:, 2] = sigmas
-        return StereoPoints(
-            points,
-            self.geometry.covariance(points, deviation),
-            pixels.astype(float),
-            disparities,
-            sigmas,
-            left[pixels[:, 1], pixels[:, 0]].astype(float),
-        )
+        deviation = np.column_stack([np.full(pixels.shape, c.pixel_sigma), sigma])
+        covariances = self.geometry.covariance(points, deviation)
+        return StereoPoints(points, covariances, pixels.astype(float), disparities, sigma)
 
 
 def check_pair(pair: NDArray[Any], geometry: StereoGeometry) -> tuple[ImageArray, ImageArray]:

@@ -15,8 +15,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from perception.geometry.arrays import FloatArray
-
 KERNEL: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
 """Options of kernels that make no arrays. Without numba's runtime they count no references: handing
 a tuple of arrays from one to another would else cost a third of their time. Such a tuple is handed
@@ -126,8 +124,7 @@ def dense_brick(store: Bricks, x: int, y: int, z: int) -> int:
     else:
         number = np.int32(used[BRICKS])
         used[BRICKS] += 1
-    for cell in range(CELLS):
-        store.values[number, cell] = -129 - brick
+    store.values[number] = -129 - brick
     store.block[number] = NOWHERE
     store.index[x, y, z] = number
     return number
@@ -140,8 +137,7 @@ def slot_block(store: Bricks, brick: int) -> int:
     if block < 0:
         block = np.int32(store.used[BLOCKS])
         store.used[BLOCKS] += 1
-        for cell in range(CELLS):
-            store.slots[block, cell] = NOWHERE
+        store.slots[block] = NOWHERE
         store.block[brick] = block
     return block
 
@@ -198,28 +194,6 @@ def count_values(store: Bricks, histogram: NDArray[np.int64]) -> None:
         else:
             for value in store.values[brick]:
                 histogram[int(value) + 128] += 1
-
-
-@numba.njit(cache=True)
-def collect_surface(
-    store: Bricks, threshold: int, means: FloatArray, packed: FloatArray, values: NDArray[np.int8]
-) -> int:
-    """Write the surface estimates of voxels from a log-odds on; return how many they are."""
-    count = 0
-    for brick in store.index.flat:
-        if brick < 0 or store.block[brick] < 0:
-            continue
-        slots = store.slots[store.block[brick]]
-        for cell in range(CELLS):
-            record = slots[cell]
-            if record >= 0 and store.values[brick, cell] >= threshold:
-                for axis in range(3):
-                    means[count, axis] = store.records[record, axis]
-                for k in range(6):
-                    packed[count, k] = store.records[record, 3 + k]
-                values[count] = store.values[brick, cell]
-                count += 1
-    return count
 
 
 @numba.njit(**KERNEL)

@@ -307,8 +307,7 @@ def _carve_brick(
             continue
         some = True
         if verdict == FREE:
-            for n in range(samples.cell.size):
-                samples.verdict[n] = FREE
+            samples.verdict[:] = FREE
         else:
             _project(camera, samples, settings.resolution, corner)
             some = _ask(scan, samples)
@@ -372,8 +371,7 @@ def _settle(
     block = store.block[number]
     for inner in range(8 if coarse else 1):
         beside = first + (((inner >> 2) << 6) | (((inner >> 1) & 1) << 3) | (inner & 1))
-        for n in range(samples.cell.size):
-            samples.kept[n] = False
+        samples.kept[:] = False
         if block >= 0:
             for n in range(samples.cell.size):
                 cell = samples.cell[n] + beside

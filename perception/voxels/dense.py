@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from perception.geometry.arrays import FloatArray
 from perception.voxels.grid import MapError, VoxelGrid, checked_points
-from perception.voxels.occupancy import State, UpdateModel, log_odds, probability
+from perception.voxels.occupancy import State, UpdateModel, log_odds
 
 MOST_CELLS = 2**29
 """Of a grid, or of a scan's box: 2 GB of log-odds, 0.5 GB of marks."""
@@ -91,23 +91,6 @@ class DenseVoxelMap:
         marks = self._marks[:size]
         marks.fill(0)
         return marks.reshape(shape), low
-
-    def states(self, points: ArrayLike) -> NDArray[np.int8]:
-        """Return the state of the voxel about each point.
-
-        Args:
-            points: (N, 3) [m], world; those outside of the box are UNKNOWN.
-
-        Returns:
-            (N,) of `State`.
-        """
-        cells, inside = self.grid.cells(checked_points(points))
-        return np.where(inside, self.cell_states()[tuple(cells.T)], State.UNKNOWN).astype(np.int8)
-
-    def probabilities(self, points: ArrayLike) -> FloatArray:
-        """Return (N,) probabilities of occupancy at (N, 3) points; NaN where never measured."""
-        cells, inside = self.grid.cells(checked_points(points))
-        return np.where(inside, probability(self.log_odds[tuple(cells.T)]), np.nan)
 
     def cell_states(self) -> NDArray[np.int8]:
         """Return (nx, ny, nz) states of all voxels."""

@@ -185,25 +185,18 @@ def _gather(
                 if kind[v, u] != NO_POINT:
                     nearest = min(nearest, depth[v, u])
         nearest += np.float32(thickness)
-    x, y, z, count = 0.0, 0.0, 0.0, 0
-    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    mean[:] = 0.0
+    covariance[:] = 0.0
+    count = 0
     for v in range(corner[0], corner[1]):
         for u in range(corner[2], corner[3]):
             if kind[v, u] == FLAT if flat else kind[v, u] != NO_POINT and depth[v, u] <= nearest:
                 kind[v, u] = NO_POINT
                 count += scan.count[v, u]
-                x += place[v, u, 0]
-                y += place[v, u, 1]
-                z += place[v, u, 2]
-                xx += spread[v, u, 0]
-                xy += spread[v, u, 1]
-                xz += spread[v, u, 2]
-                yy += spread[v, u, 3]
-                yz += spread[v, u, 4]
-                zz += spread[v, u, 5]
-    mean[0], mean[1], mean[2] = x, y, z
-    covariance[0], covariance[1], covariance[2] = xx, xy, xz
-    covariance[3], covariance[4], covariance[5] = yy, yz, zz
+                for axis in range(3):
+                    mean[axis] += place[v, u, axis]
+                for k in range(6):
+                    covariance[k] += spread[v, u, k]
     scale = 1.0 / max(count, 1)
     for axis in range(3):
         mean[axis] *= scale
@@ -255,10 +248,7 @@ def _fuse_group(
         record = record_at(store, x, y, z)
         if record < 0:
             continue
-        for axis in range(3):
-            other_mean[axis] = store.records[record, axis]
-        for k in range(6):
-            other[k] = store.records[record, 3 + k]
+        _copy(other_mean, other, store.records[record, :3], store.records[record, 3:9])
         dx, dy, dz = other_mean[0] - own[0], other_mean[1] - own[1], other_mean[2] - own[2]
         off = ax * dx + ay * dy + az * dz
         beside = dx * dx + dy * dy + dz * dz - off * off
@@ -380,10 +370,7 @@ def _put_down(
     else:
         record = new_record(store)
         store.slots[block, cell] = record
-    for axis in range(3):
-        store.records[record, axis] = mean[axis]
-    for k in range(6):
-        store.records[record, 3 + k] = covariance[k]
+    _copy(store.records[record, :3], store.records[record, 3:9], mean, covariance)
     store.records[record, SCAN] = now
     store.records[record, POINTS] = before + count
     value = max(int(store.values[brick, cell]), carried)

@@ -24,7 +24,6 @@ from perception.voxels.bricks import (
     RECORDS,
     SIDE,
     Bricks,
-    collect_surface,
     count_values,
     empty_bricks,
     pack_states,
@@ -291,17 +290,17 @@ class VoxelMap:
 
     def surface(self) -> Surface:
         """Return the surface estimates of all occupied voxels."""
-        size = int(self.bricks.used[RECORDS] - self.bricks.used[FREE_RECORDS])
-        means, packed = np.empty((size, 3)), np.empty((size, 6))
-        values = np.empty(size, dtype=np.int8)
-        count = collect_surface(self.bricks, self.threshold(), means, packed, values)
-        packed = packed[:count] + (MIN_SIGMA_VOXELS * self.grid.resolution) ** 2 * np.array(
-            [1, 0, 0, 1, 0, 1]
-        )
+        store = self.bricks
+        bricks = store.index[store.index >= 0]
+        bricks = bricks[store.block[bricks] >= 0]
+        slots, values = store.slots[store.block[bricks]], store.values[bricks]
+        chosen = (slots >= 0) & (values >= self.threshold())
+        records = store.records[slots[chosen], :9].astype(float)
+        floor = (MIN_SIGMA_VOXELS * self.grid.resolution) ** 2 * np.array([1, 0, 0, 1, 0, 1])
+        packed = records[:, 3:] + floor
         covariances = packed[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        return Surface(
-            means[:count] + self.grid.corner, covariances, self._probability(values[:count])
-        )
+        means = records[:, :3] + self.grid.corner
+        return Surface(means, covariances, self._probability(values[chosen]))
 
     def counts(self) -> dict[State, int]:
         """Return how many voxels are in each state."""

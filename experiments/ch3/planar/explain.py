@@ -6,10 +6,9 @@ from matplotlib.patches import Ellipse, Wedge
 
 from experiments.ch3.planar.trial import PlanarTrial, build_world
 from perception.geometry.arrays import FloatArray
-from perception.planar.beams import fan
 from perception.planar.information import READINGS, KnownGround, new_information
 from perception.planar.map import Grid, PlanarMap
-from perception.planar.raycast import RangeSensor, expected_view, scan
+from perception.planar.raycast import RangeSensor, expected_view, fan, scan
 
 HEADINGS = 24
 

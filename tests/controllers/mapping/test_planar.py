@@ -20,9 +20,8 @@ from controllers.mapping.planar_planner import (
     rate_rating,
 )
 from controllers.mapping.planar_situation import believe, draw_candidates, frontier_cells
-from perception.planar.beams import fan
 from perception.planar.map import Grid, PlanarMap
-from perception.planar.raycast import RangeSensor, expected_view, scan
+from perception.planar.raycast import RangeSensor, expected_view, fan, scan
 
 SENSOR = RangeSensor(np.radians(90.0), 8.0)
 GRID = Grid(60, 60, 0.5)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from perception.planar.beams import fan
 from perception.planar.information import (
     READINGS,
     KnownGround,
@@ -12,7 +11,7 @@ from perception.planar.information import (
     undecided_entropy,
 )
 from perception.planar.map import Grid
-from perception.planar.raycast import RangeSensor
+from perception.planar.raycast import RangeSensor, fan
 
 GRID = Grid(30, 30, 0.5)
 DEPTH, FOV, RAYS = 5.0, np.radians(90.0), 48

@@ -5,11 +5,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from perception.planar.beams import fan
 from perception.planar.map import Grid
 from perception.planar.raycast import (
     RangeSensor,
     expected_view,
+    fan,
     ray_sums,
     scan,
     sector_sums,

@@ -63,7 +63,6 @@ def test_points_lie_on_the_rays_of_their_pixels():
     np.testing.assert_allclose(seen[:, :2], found.pixels, atol=1e-9)
     np.testing.assert_allclose(seen[:, 2], found.disparities, rtol=1e-12)
     columns, rows = found.pixels.astype(int).T
-    np.testing.assert_array_equal(found.intensities, pair[0][rows, columns])
 
 
 def test_fit_predicts_the_scatter_over_repeated_noise_up_to_the_noise_factor():
