@@ -306,16 +306,13 @@ class StereoRig:
             grey = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_RGB2GRAY)
             if warp is not None:
                 grey = cv2.remap(grey, warp[0], warp[1], cv2.INTER_LINEAR)
-            image[:] = self._noisy(np.asarray(grey, dtype=np.uint8), rng)
+            image[:] = grey
+            if self._noise_db is not None:
+                sigma = np.float32(255.0 * 10.0 ** (-self._noise_db / 20.0))
+                errors = sigma * rng.standard_normal(image.shape, dtype=np.float32)
+                image[:] = np.clip(np.rint(image + errors), 0, 255)
         pair.flags.writeable = False
         return pair
-
-    def _noisy(self, image: ImageArray, rng: np.random.Generator) -> ImageArray:
-        if self._noise_db is None:
-            return image
-        sigma = 255.0 * 10.0 ** (-self._noise_db / 20.0)
-        noise = rng.standard_normal(image.shape, dtype=np.float32)
-        return np.clip(np.rint(image + np.float32(sigma) * noise), 0, 255).astype(np.uint8)
 
 
 class StereoHead:

@@ -306,21 +306,14 @@ class SensorBank:
 
 def _chain(specs: list[ChannelSpec], widths: list[int], period: float) -> FloatArray:
     """Return the coefficients of filter, noise, range and converter, (10, size)."""
-
-    def by_value(values: list[Any]) -> FloatArray:
-        parts = [np.broadcast_to(value, (width,)) for value, width in zip(values, widths)]
-        return np.concatenate(parts).astype(float)
-
-    low, high = by_value([spec.low for spec in specs]), by_value([spec.high for spec in specs])
-    converted = by_value([spec.bits is not None for spec in specs]) > 0.0
-    levels = by_value([2.0 ** (spec.bits or 0) for spec in specs])
-    step = np.zeros(low.size)
-    step[converted] = ((high - low) / levels)[converted]
-    weights = [_low_pass(spec.bandwidth, period) for spec in specs]
-    noise, bias = by_value([spec.noise for spec in specs]), by_value([spec.bias for spec in specs])
-    keep, before, now = (by_value([weight[n] for weight in weights]) for n in range(3))
-    owner = by_value(list(range(len(specs))))
-    return np.array([noise, bias, low, high, keep, before, now, step, levels - 1.0, owner])
+    columns: list[FloatArray] = []
+    for owner, (spec, width) in enumerate(zip(specs, widths)):
+        levels = 2.0 ** (spec.bits or 0)
+        step = np.subtract(spec.high, spec.low) / levels if spec.bits else 0.0
+        weights = _low_pass(spec.bandwidth, period)
+        rows = (spec.noise, spec.bias, spec.low, spec.high, *weights, step, levels - 1.0, owner)
+        columns.append(np.array([np.broadcast_to(row, (width,)) for row in rows], dtype=float))
+    return np.concatenate(columns, axis=1)
 
 
 def _timing(specs: list[ChannelSpec], lags: list[float], period: float) -> FloatArray:

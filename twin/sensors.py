@@ -1,4 +1,4 @@
-"""What a robot's sensors are: the specification of each channel, and suites of them."""
+"""Specifications of a robot's sensors, channel by channel, and suites of them."""
 
 import dataclasses
 import math
@@ -19,7 +19,7 @@ def channel_widths(robot: RobotDescription) -> dict[str, int]:
     """Return how many values each numeric channel of a robot has, by name in contract order.
 
     Args:
-        robot: Its description; a channel without wheels or joints has none.
+        robot: Description of the robot; without wheels or joints their channels have no values.
     """
     wheels, joints = len(robot.wheels), len(robot.joint_names)
     return dict(zip(CHANNELS, (wheels, 1, joints, joints, 2, 6, 3, 3, 1), strict=True))
@@ -30,7 +30,7 @@ PerComponent = float | tuple[float, ...]
 
 @dataclasses.dataclass(frozen=True)
 class ChannelSpec:
-    """How one channel is measured; the default is ideal.
+    """Specification of one channel; the default is ideal.
 
     Numbers marked * may be one for all components or one for each.
 
@@ -46,7 +46,7 @@ class ChannelSpec:
         dropout: Probability that a sample is lost, in [0, 1].
         stale_after: Age from which a sample is stale [s]; None for three sampling periods
             (at least 0.1 s) and the delay.
-        connected: False for a sensor that is not there.
+        connected: Whether the robot has the sensor.
     """
 
     noise: PerComponent = 0.0
@@ -71,14 +71,14 @@ class ChannelSpec:
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise ValueError(f"sensor {name} must be positive, got {value}")
-        if not (self.delay >= 0.0 and math.isfinite(self.delay)):
-            raise ValueError(f"sensor delay must be finite and not negative, got {self.delay}")
-        if not 0.0 <= self.dropout <= 1.0:
-            raise ValueError(f"sensor dropout must be a probability, got {self.dropout}")
-        if not np.all(np.asarray(self.noise) >= 0.0):
-            raise ValueError(f"sensor noise must not be negative, got {self.noise}")
-        if not np.all(np.isfinite(self.bias)):
-            raise ValueError(f"sensor bias must be finite, got {self.bias}")
+        for name, holds, rule in (
+            ("delay", 0.0 <= self.delay < math.inf, "finite and not negative"),
+            ("dropout", 0.0 <= self.dropout <= 1.0, "a probability"),
+            ("noise", np.all(np.asarray(self.noise) >= 0.0), "positive or zero"),
+            ("bias", np.all(np.isfinite(self.bias)), "finite"),
+        ):
+            if not holds:
+                raise ValueError(f"sensor {name} must be {rule}, got {getattr(self, name)}")
         if not np.all(np.asarray(self.low) < np.asarray(self.high)):
             raise ValueError(f"sensor range is empty: low {self.low}, high {self.high}")
         if self.bits is not None:
@@ -100,7 +100,7 @@ class SensorSuite:
     """A named set of channel specifications; a channel that is not named is ideal.
 
     Attributes:
-        name: For messages and records.
+        name: Name of the suite, for messages and records.
         channels: Specification by channel name, among `CHANNELS`.
     """
 

@@ -146,17 +146,11 @@ class Servo:
         rates: Any = NOTHING
         angles: Any = NOTHING
         if wheel_law != _PASS:
-            speeds, _, validity = observation.wheel_speeds
-            if validity is not _MEASURED:
-                _insist(observation.wheel_speeds, "wheel_speeds", wheel_mode)
+            speeds = _measured(observation.wheel_speeds, "wheel_speeds", wheel_mode)
         if arm_law != _PASS:
-            rates, _, validity = observation.arm_rates
-            if validity is not _MEASURED:
-                _insist(observation.arm_rates, "arm_rates", arm_mode)
+            rates = _measured(observation.arm_rates, "arm_rates", arm_mode)
         if arm_law == _REACH:
-            angles, _, validity = observation.arm_angles
-            if validity is not _MEASURED:
-                _insist(observation.arm_angles, "arm_angles", arm_mode)
+            angles = _measured(observation.arm_angles, "arm_angles", arm_mode)
         row = self._row + 1
         if row == _BLOCK:
             self._lay_out()
@@ -265,7 +259,9 @@ def _act(
     return result
 
 
-def _insist(channel: Channel, name: str, mode: WheelMode | ArmMode) -> None:
-    """Refuse to drive blind."""
-    if not channel.usable:
-        raise RobotError(f"{mode.value} mode needs {name}, which is {channel.validity.value}")
+def _measured(channel: Channel, name: str, mode: WheelMode | ArmMode) -> Any:
+    """Return the value of a channel, if it is usable."""
+    value, _, validity = channel
+    if validity is not _MEASURED and not channel.usable:
+        raise RobotError(f"{mode.value} mode needs {name}, which is {validity.value}")
+    return value

@@ -4,7 +4,6 @@
 - `loop`: the control loop beside bare physics.
 - `identification`: our estimator beside ``mujoco.sysid``.
 - `mapping`: voxel maps beside OctoMap.
-- `mapping_scene`: analytic shapes with a closed-form truth, for `mapping` and `scaling`.
 - `placement`: placing a camera again within a vision period.
 - `markers`: marker detectors beside OpenCV's circles (figures 5-5 to 5-10).
 - `braid`: exact inverse kinematics beside brute force.

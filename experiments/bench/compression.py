@@ -1,5 +1,8 @@
 """The nine predictors beside one difference of the same picture by NumPy."""
 
+import functools
+from collections.abc import Callable
+
 import numpy as np
 
 from experiments.appc.pictures import SIZES, bundled_pictures, resampled
@@ -24,21 +27,21 @@ def bench_compression(options: Options, output: Output) -> None:
     """
     image = resampled(bundled_pictures()[PICTURE], SIZES[-1])
     rounds = QUICK_ROUNDS if options.quick else ROUNDS
-
-    def difference() -> None:
-        for _ in range(CALLS):
-            np.diff(image)
-
     slowest = 0.0
     for method in PREDICTORS:
-
-        def predict(method: int = method) -> None:
-            for _ in range(CALLS):
-                residuals(image, method)
-
-        times = compare(predict, difference, rounds)
+        predict = functools.partial(residuals, image, method)
+        times = compare(
+            functools.partial(_many, predict),
+            functools.partial(_many, functools.partial(np.diff, image)),
+            rounds,
+        )
         output.measure(f"predictor_ratio/{method}", times["ratio"])
         output.measure(f"predictor_us/{method}", 1e6 * float(times["ours_s"]["median"]) / CALLS)
         slowest = max(slowest, float(times["ratio"]["median"]))
     name = f"slowest predictor over numpy.diff, {SIZES[-1]} px, median"
     output.check(name, slowest, f"<= {BOUND:g}", slowest <= BOUND)
+
+
+def _many(work: Callable[[], object]) -> None:
+    for _ in range(CALLS):
+        work()

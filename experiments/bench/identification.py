@@ -55,7 +55,8 @@ from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 
 DURATION = 4.0
-"""Of the recording, for both sides [s]; 10 s would take the peer minutes and change no ratio."""
+"""Length of the recording, for both sides [s]; 10 s would take the peer minutes and change no
+ratio."""
 QUICK_DURATION = 1.2
 ITERATIONS = 12
 """Most iterations of the peer, each of at least 23 simulations."""
@@ -82,12 +83,12 @@ _DIAGONAL = np.equal(*_LOWER)
 
 @dataclasses.dataclass(frozen=True)
 class Recording:
-    """What one run of the plant left.
+    """Recording of one run of the plant.
 
     Attributes:
         windows: Arm motions by mode, window after window.
         clean: (n, 24) noise-free outputs by mode of each window.
-        noise: (n, 24) what the sensors add to them.
+        noise: (n, 24) noise of the sensors by mode of each window.
         sigma: (24,) deviations of the noise.
     """
 
@@ -125,7 +126,7 @@ class Recording:
 
 
 class SysidPeer:
-    """Fits the 22 parameters by ``mujoco.sysid`` to what was recorded of all modes.
+    """Fits the 22 parameters by ``mujoco.sysid`` to the recordings of all modes.
 
     It gets what our estimator gets: the arm's continuous motion (jerk as the control, not a held
     angle), residuals over the noise's deviation, coordinates in which every point is a body, and
@@ -148,20 +149,14 @@ class SysidPeer:
             outputs: Each mode's measured deviations from rest (n, 24).
             sigma: (24,) deviations of the noise.
             arms: The arm in each mode.
-            prior: Where to start; it does not enter the cost.
-            substeps: Physics steps a sample.
+            prior: Initial guess; it does not enter the cost.
+            substeps: Number of physics steps a sample.
         """
         self._sigma = sigma
         self._substeps = substeps
-        guess = from_coordinates(prior.mean())
-        self._factor = float(np.sqrt(second_moments(guess)[0, 0]))
-        self._guess = guess
-        self._rest = {mode: arm.rest_angle for mode, arm in arms.items()}
-        self._rest_moment = {
-            mode: np.cross(arm.rest_centre(), [0.0, 0.0, arm.mass * GRAVITY])
-            for mode, arm in arms.items()
-        }
-        self._arm_mass = {mode: arm.mass for mode, arm in arms.items()}
+        self._arms = arms
+        self._guess = from_coordinates(prior.mean())
+        self._factor = float(np.sqrt(second_moments(self._guess)[0, 0]))
         self._measured: dict[str, FloatArray] = {}
         sequences = [self._sequence(mode, motions[mode], outputs[mode]) for mode in motions]
         self._residual = sysid.build_residual_fn(
@@ -245,7 +240,7 @@ class SysidPeer:
         # A sensor's row is one step behind, and the toolbox drops the last step: two more.
         jerk = np.append(np.repeat(motion.jerk, self._substeps), [0.0, 0.0])
         start = np.zeros(model.nq)
-        start[6] = self._rest[mode]
+        start[6] = self._arms[mode].rest_angle
         rest = sysid.create_initial_state(model, start, np.zeros(model.nv), np.zeros(model.na))
         control = sysid.TimeSeries(step * np.arange(jerk.size), jerk[:, None])
         # The measured channels are not MuJoCo's sensors: `_compare` takes them from `_measured`.
@@ -258,7 +253,7 @@ class SysidPeer:
         set_parameters(spec, dict(zip(NAMES, parameters.tolist(), strict=True)))
         model = spec.compile()
         data = mujoco.MjData(model)
-        data.qpos[6] = self._rest[spec.modelname]
+        data.qpos[6] = self._arms[spec.modelname].rest_angle
         mujoco.mj_forward(model, data)
         # Springs loaded so that the plant rests where it starts.
         model.qpos_spring[:6] = data.qfrc_bias[:6] / parameters[STIFFNESS]
@@ -275,12 +270,10 @@ class SysidPeer:
         **_: Any,
     ) -> tuple[FloatArray, sysid.TimeSeries, sysid.TimeSeries]:
         """Return the residuals over the noise's deviation."""
-        del params, return_all
-        mode = _name(model)
+        mode = model.names.split(b"\0")[0].decode()  # the first name is the model's own
         recorded = self._measured[mode]
         outputs = self._outputs(mode, state, np.asarray(predicted.data), len(recorded))
-        residual = (outputs - recorded) / self._sigma
-        return residual.ravel(), measured, measured
+        return ((outputs - recorded) / self._sigma).ravel(), measured, measured
 
     def _outputs(self, mode: str, state: FloatArray, sensed: FloatArray, count: int) -> FloatArray:
         """Return (count, 24) deviations from rest; a sensor's row is a step behind the state's."""
@@ -298,16 +291,13 @@ class SysidPeer:
         outputs[:, SIGNALS["angle_accelerations"]] = _hinge_accelerations(
             position[:, 3:6], velocity[:, 3:6], sensed[:, 9:12]
         )
+        weight = np.array([0.0, 0.0, self._arms[mode].mass * GRAVITY])
         force = np.einsum("nij,nj->ni", to_base, sensed[:, 0:3])
-        outputs[:, SIGNALS["force"]] = force - [0.0, 0.0, self._arm_mass[mode] * GRAVITY]
+        outputs[:, SIGNALS["force"]] = force - weight
         moment = np.einsum("nij,nj->ni", to_base, sensed[:, 3:6])
-        outputs[:, SIGNALS["moment"]] = moment - self._rest_moment[mode]
+        rest_moment = np.cross(self._arms[mode].rest_centre(), weight)
+        outputs[:, SIGNALS["moment"]] = moment - rest_moment
         return outputs
-
-
-def _name(model: mujoco.MjModel) -> str:
-    """Return the model's name: which mode it is."""
-    return model.names.split(b"\0")[0].decode()
 
 
 def _hinge_accelerations(angles: FloatArray, rates: FloatArray, angular: FloatArray) -> FloatArray:

@@ -2,26 +2,20 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+import dataclasses
 import itertools
 import time
+from collections.abc import Callable
 
 import numpy as np
 import pyoctomap
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
-from experiments.bench.mapping_scene import (
-    HEIGHT,
-    MAX_DEPTH,
-    WIDTH,
-    Cloud,
-    Scene,
-    random_view,
-    see,
-)
-from experiments.ch3.stereo.scene import HEAD
+from experiments.ch3.stereo.scene import HEAD, PIXEL_SIGMA, look_at
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
-from experiments.harness.timing import compare
+from experiments.harness.timing import compare, timed
 from perception.geometry.arrays import FloatArray
 from perception.geometry.pinhole import Frustum
 from perception.voxels.dense import DenseVoxelMap
@@ -30,24 +24,154 @@ from perception.voxels.map import VoxelMap, VoxelMapConfig
 from perception.voxels.occupancy import State, UpdateModel
 from perception.voxels.views import RAYS, view_counts
 
+WIDTH, HEIGHT = 320, 240
+MAX_DEPTH = 1.6
+"""Points farther away are left out [m], as a stereo rig does."""
+GROUND = 0.0033
+"""Height of the ground [m]: inside a voxel, not on a face, where its voxel would be a toss."""
 CLOUDS, QUICK_CLOUDS, FINE_CLOUDS = 20, 5, 4
-"""OctoMap gets fewer clouds at 5 mm, where each takes it seconds; so do we, for the ratio."""
+"""Clouds inserted; fewer at 5 mm, where each takes OctoMap seconds."""
 VIEWS = 20
-"""Views that are evaluated one after the other, as candidates are."""
+"""Number of views that are evaluated, as candidates are."""
 BOX = ((-1.5, -1.5, -0.25), (1.5, 1.5, 1.1))
 FINE_BOX = ((-0.75, -0.75, -0.2), (0.75, 0.75, 1.3))
-"""1.5 m each way, for voxels of 1 mm."""
+"""Box of 1.5 m in each direction, for voxels of 1 mm."""
 MEMORY = 1e9
 OCTOMAP_CONFIG = VoxelMapConfig(UpdateModel())
 NOTHING = 1e-6
-"""Range of rays that end where they start [m]: what is left is the cost of the call."""
+"""Range of rays that end where they start [m], whose time is that of the call."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """Ground at z = GROUND with spheres and upright boxes on it.
+
+    Attributes:
+        spheres: (n, 4) centre and radius [m].
+        boxes: (m, 6) lower and upper corner [m].
+    """
+
+    spheres: FloatArray
+    boxes: FloatArray
+
+    @classmethod
+    def random(cls, generator: np.random.Generator, radius: float = 0.45) -> "Scene":
+        """Scatter four spheres and four boxes around the origin.
+
+        Args:
+            generator: Source of randomness.
+            radius: Radius of the disc that holds their centres [m].
+        """
+        where = _in_disc(generator, 8, radius)
+        size = generator.uniform(0.04, 0.12, 4)
+        spheres = np.column_stack([where[:4], 0.7 * size, size])
+        half = generator.uniform(0.03, 0.12, (4, 2))
+        tall = generator.uniform(0.05, 0.3, (4, 1))
+        low = np.column_stack([where[4:] - half, np.zeros(4)])
+        return cls(spheres, np.hstack([low, where[4:] + half, tall]))
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Return the signed distance of points to the nearest surface [m], negative inside.
+
+        Args:
+            points: (N, 3) [m].
+        """
+        nearest = points[:, 2] - GROUND
+        for *centre, radius in self.spheres:
+            nearest = np.minimum(nearest, np.linalg.norm(points - centre, axis=1) - radius)
+        for box in self.boxes:
+            beyond = np.abs(points - (box[:3] + box[3:]) / 2) - (box[3:] - box[:3]) / 2
+            outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+            nearest = np.minimum(nearest, outside + np.minimum(beyond.max(axis=1), 0.0))
+        return nearest
+
+    def cast(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return how far along each ray the first surface is, in lengths of the direction.
+
+        Args:
+            origin: (3,) [m].
+            directions: (N, 3).
+
+        Returns:
+            (N,), infinite where there is none.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ground = (GROUND - origin[2]) / directions[:, 2]
+            nearest = np.where(ground > 0.0, ground, np.inf)
+            for *centre, radius in self.spheres:
+                offset = origin - centre
+                a = np.sum(directions**2, axis=1)
+                b = directions @ offset
+                root = np.sqrt(b * b - a * (offset @ offset - radius**2))
+                hit = (-b - root) / a
+                nearest = np.where(hit > 0.0, np.minimum(nearest, hit), nearest)
+            for box in self.boxes:
+                sides = np.stack([(box[:3] - origin) / directions, (box[3:] - origin) / directions])
+                enter, leave = sides.min(axis=0).max(axis=1), sides.max(axis=0).min(axis=1)
+                hit = (enter > 0.0) & (enter <= leave)
+                nearest = np.where(hit, np.minimum(nearest, enter), nearest)
+        return nearest
+
+
+@dataclasses.dataclass(frozen=True)
+class Cloud:
+    """What one view gives.
+
+    Attributes:
+        transform_camera_to_world: Where the camera stood.
+        points: (N, 3) measured [m], world.
+        covariances: (N, 3, 3) [m^2], world.
+        truth: (N, 3) where the rays really met a surface [m], world.
+    """
+
+    transform_camera_to_world: RigidTransform
+    points: FloatArray
+    covariances: FloatArray
+    truth: FloatArray
+
+
+def random_view(generator: np.random.Generator) -> RigidTransform:
+    """Return a view of the scene's middle from a ring around it."""
+    angle = generator.uniform(0.0, 2.0 * np.pi)
+    radius, height = generator.uniform(0.8, 1.05), generator.uniform(0.4, 0.8)
+    position = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
+    target = np.append(_in_disc(generator, 1, 0.2)[0], 0.05)
+    return look_at(position, target)
+
+
+def see(scene: Scene, pose: RigidTransform, generator: np.random.Generator) -> Cloud:
+    """Return a cloud of at most 320 x 240 points with the noise that the stereo head has.
+
+    The points are every so many pixels of the head's image, over its whole field of view.
+
+    Args:
+        scene: What is seen.
+        pose: Camera to world.
+        generator: Source of the noise.
+    """
+    rays = HEAD.rays(HEAD.pixel_grid(WIDTH, HEIGHT)).reshape(-1, 3)
+    depth = scene.cast(pose.translation, pose.rotation.apply(rays))
+    seen = depth < MAX_DEPTH
+    true = rays[seen] * depth[seen, None]
+    sigma = np.array(PIXEL_SIGMA)
+    noisy = HEAD.points(HEAD.project(true) + sigma * generator.standard_normal(true.shape))
+    turn = pose.rotation.as_matrix()
+    covariances = np.ascontiguousarray(turn @ HEAD.covariance(noisy, sigma) @ turn.T)
+    points = np.ascontiguousarray(pose.apply(noisy))
+    return Cloud(pose, points, covariances, pose.apply(true))
+
+
+def _in_disc(generator: np.random.Generator, count: int, radius: float) -> FloatArray:
+    angle = generator.uniform(0.0, 2.0 * np.pi, count)
+    length = radius * np.sqrt(generator.uniform(0.0, 1.0, count))
+    return np.column_stack([length * np.cos(angle), length * np.sin(angle)])
 
 
 def bench_mapping(options: Options, output: Output) -> None:
-    """Insert the same clouds into our maps and into OctoMap, and look at both from the same views.
+    """Insert the same clouds into our maps and into OctoMap, and view both from the same poses.
 
-    Times are processor time. What it costs to hand the points or a ray to OctoMap from Python is
-    measured by rays of no length, and taken off its time.
+    Times are processor time. The time to hand the points or a ray to OctoMap from Python is
+    measured by rays of no length, and subtracted from its time.
 
     Args:
         options: ``quick`` takes fewer clouds and leaves the finer maps out.
@@ -60,13 +184,13 @@ def bench_mapping(options: Options, output: Output) -> None:
     output.measure("mapping/points", sum(len(cloud.points) for cloud in clouds))
     rounds = 2 if options.quick else 3
     _exact(clouds, rounds, output)
-    speedup = _fast(0.01, clouds, rounds, output, "1cm")
+    speedup = _insert(fast_map, 0.01, clouds, rounds, "fast_1cm", output)
     output.check("mapping, fast at 1 cm over OctoMap", speedup, ">= 40", speedup >= 40.0)
     ours, peer = fast_map(0.01, clouds), octomap(0.01, clouds)
     _views(ours, peer, [random_view(generator) for _ in range(VIEWS)], output)
     _quality(ours, peer, scene, clouds, output, "1cm", 0.97)
     if not options.quick:
-        _fast(0.005, clouds[:FINE_CLOUDS], 1, output, "5mm")
+        _insert(fast_map, 0.005, clouds[:FINE_CLOUDS], 1, "fast_5mm", output)
         fine = octomap(0.005, clouds[:FINE_CLOUDS])
         _quality(
             fast_map(0.005, clouds[:FINE_CLOUDS]), fine, scene, clouds[:FINE_CLOUDS], output,
@@ -158,16 +282,22 @@ def _speedup(name: str, times: dict, call: float, output: Output) -> float:
     return speedup
 
 
-def _timed(function, *arguments) -> float:
-    start = time.process_time()
-    function(*arguments)
-    return time.process_time() - start
+def _insert(
+    make: Callable[[float, list[Cloud]], object],
+    resolution: float,
+    clouds: list[Cloud],
+    rounds: int,
+    name: str,
+    output: Output,
+) -> float:
+    """Make the same map by ours and by OctoMap, and return how much faster we are."""
+    times = compare(lambda: make(resolution, clouds), lambda: octomap(resolution, clouds), rounds)
+    call = timed(lambda: octomap(resolution, clouds, NOTHING))
+    return _speedup(name, times, call, output)
 
 
 def _exact(clouds: list[Cloud], rounds: int, output: Output) -> None:
-    times = compare(lambda: exact_map(0.01, clouds), lambda: octomap(0.01, clouds), rounds)
-    call = _timed(octomap, 0.01, clouds, NOTHING)
-    speedup = _speedup("exact_1cm", times, call, output)
+    speedup = _insert(exact_map, 0.01, clouds, rounds, "exact_1cm", output)
     output.check("mapping, exact at 1 cm over OctoMap", speedup, ">= 5", speedup >= 5.0)
     ours, peer = exact_map(0.01, clouds).counts(), octomap_counts(octomap(0.01, clouds))
     for state in (State.OCCUPIED, State.FREE):
@@ -175,14 +305,6 @@ def _exact(clouds: list[Cloud], rounds: int, output: Output) -> None:
         output.measure(f"exact_voxels/{name}", {"ours": ours[state], "octomap": peer[state]})
         difference = ours[state] - peer[state]
         output.check(f"exact: {name} voxels less OctoMap's", difference, "== 0", difference == 0)
-
-
-def _fast(resolution: float, clouds: list[Cloud], rounds: int, output: Output, name: str) -> float:
-    times = compare(
-        lambda: fast_map(resolution, clouds), lambda: octomap(resolution, clouds), rounds
-    )
-    call = _timed(octomap, resolution, clouds, NOTHING)
-    return _speedup(f"fast_{name}", times, call, output)
 
 
 def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) -> None:
@@ -201,16 +323,13 @@ def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) 
     def look() -> list[FloatArray]:
         return [view_counts(ours, pose, view).depths.ravel() for pose in poses]
 
-    def cast() -> None:
+    def cast(jobs: list[tuple[FloatArray, FloatArray, float]] = jobs) -> None:
         for origin, direction, far in jobs:
             peer.castRay(origin, direction, end, True, far)
 
-    def cast_nothing() -> None:
-        for origin, direction, _ in jobs:
-            peer.castRay(origin, direction, end, True, NOTHING)
-
+    call = timed(lambda: cast([(origin, direction, NOTHING) for origin, direction, _ in jobs]))
     times = compare(look, cast, 5)
-    speedup = _speedup("views", times, _timed(cast_nothing), output)
+    speedup = _speedup("views", times, call, output)
     output.check("mapping, view evaluation over OctoMap's rays", speedup, ">= 20", speedup >= 20.0)
     output.measure("views/ms_each", 1e3 * times["ours_s"]["median"] / len(poses))
     found = np.full(len(jobs), np.inf)

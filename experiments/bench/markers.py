@@ -1,5 +1,6 @@
 """Both marker detectors beside OpenCV's circles, and the poses that come out, on rendered pairs."""
 
+import functools
 import math
 
 import cv2
@@ -67,6 +68,17 @@ def hough_peer(image: ImageArray, view: MarkerView) -> FloatArray:
         return np.empty((0, 2))
     found = np.asarray(circles, dtype=float).reshape(-1, 3)[:, :2]
     return (found + 0.5) * [HEAD.width / size[0], 1.0] - 0.5
+
+
+def hough_pair(view: MarkerView) -> list[FloatArray]:
+    """Return the centres that `hough_peer` finds in the left and in the right image."""
+    return [hough_peer(image, view) for image in view.pair]
+
+
+def detect_pair(detector: str, view: MarkerView, scene: MarkerScene) -> list[Markers]:
+    """Return the markers that one of our detectors finds in the left and in the right image."""
+    expected = expectation(view.distance)
+    return [DETECTORS[detector](image, scene.geometry, expected, None) for image in view.pair]
 
 
 def centre_errors(centres: FloatArray, truth: FloatArray) -> FloatArray:
@@ -154,23 +166,9 @@ def _times(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
     """Time both detectors and OpenCV's on the same pairs."""
     spent: dict[str, list[float]] = {"tht": [], "blob": [], "cv2_hough": []}
     for view in views:
-        expected = expectation(view.distance)
-
-        def peer(view: MarkerView = view) -> None:
-            for image in view.pair:
-                hough_peer(image, view)
-
-        for name, detect in DETECTORS.items():
-
-            def ours(
-                view: MarkerView = view,
-                detect=detect,
-                expected: MarkerExpectation = expected,
-            ) -> None:
-                for image in view.pair:
-                    detect(image, scene.geometry, expected, None)
-
-            times = compare(ours, peer, 1)
+        for name in DETECTORS:
+            ours = functools.partial(detect_pair, name, view, scene)
+            times = compare(ours, functools.partial(hough_pair, view), 1)
             spent[name].append(1e3 * times["ours_s"]["median"])
             spent["cv2_hough"].append(1e3 * times["peer_s"]["median"])
     for name, values in spent.items():
@@ -198,12 +196,11 @@ def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> BodyPrior:
 
 def _poses(views: list[MarkerView], scene: MarkerScene, seed: int, output: Output) -> None:
     """Measure the bodies' poses with and without a prior of the normal."""
-    for detector, detect in DETECTORS.items():
+    for detector in DETECTORS:
         pairs = []
         for view in views:
-            expected = expectation(view.distance)
-            left, right = (detect(image, scene.geometry, expected, None) for image in view.pair)
-            pairs.append(triangulate(left, right, scene.geometry, expected))
+            left, right = detect_pair(detector, view, scene)
+            pairs.append(triangulate(left, right, scene.geometry, expectation(view.distance)))
         for known in ("alone", "tilt_known"):
             # Both detectors get the same priors.
             rng = np.random.default_rng((seed, 1))

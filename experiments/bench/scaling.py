@@ -12,13 +12,13 @@ from controllers.braid.arm.inverse import BinaryArm, solve
 from controllers.motion.simple_motions import DriveAndHold
 from experiments.appe.arm.inverse_trial import draw_targets
 from experiments.bench.loop import SPAN, WHEEL_SPEED
-from experiments.bench.mapping import FINE_BOX, MEMORY, fast_map
-from experiments.bench.mapping_scene import Scene, random_view, see
+from experiments.bench.mapping import FINE_BOX, MEMORY, Scene, fast_map, random_view, see
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.provenance import free_cores
 from experiments.harness.sweep import sweep
+from experiments.harness.timing import timed
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from perception.voxels.map import VoxelMapConfig
 from perception.voxels.occupancy import UpdateModel
@@ -124,9 +124,7 @@ def _curve(axis: str, works: Mapping[float, Callable[[], object]], rounds: int) 
         work()
     for _ in range(rounds):
         for size, work in works.items():
-            start = time.process_time()
-            work()
-            times[size].append(time.process_time() - start)
+            times[size].append(timed(work))
     return Curve(axis, times)
 
 

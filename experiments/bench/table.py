@@ -19,12 +19,12 @@ class Row:
     """A row of the table.
 
     Attributes:
-        what: What is measured.
-        peer: Beside what.
-        key: Its metric.
-        unit: Written behind the number.
-        check: Name of the check that holds it against its bar; empty if it has none.
-        factor: What the metric is multiplied with for the unit.
+        what: Name of the measured quantity.
+        peer: Name of the peer.
+        key: Name of the metric.
+        unit: Unit, written behind the number.
+        check: Name of the check that holds the metric against its bar; empty if it has none.
+        factor: Factor from the metric to the unit.
     """
 
     what: str
@@ -151,7 +151,7 @@ def bench_table(result: Result) -> str:
     """Return the table in Markdown, and what it was measured on.
 
     Args:
-        result: Of bench; rows that it does not have say so.
+        result: Result of bench; rows without a metric say so.
     """
     measured = result.metrics["measured"]
     checks = {check["name"]: check for check in result.metrics["checks"]}
@@ -162,7 +162,8 @@ def bench_table(result: Result) -> str:
     ]
     run = result.run
     date = str(run.get("finished", "?")).partition("T")[0]
-    where = f"{run.get('cores', '?')} cores of {run.get('cpu', '?')}, MuJoCo {_mujoco(run)}, {date}"
+    mujoco = run.get("versions", {}).get("mujoco", "?")
+    where = f"{run.get('cores', '?')} cores of {run.get('cpu', '?')}, MuJoCo {mujoco}, {date}"
     size = ", quick run" if result.config.get("quick") else ""
     lines += ["", f"Measured on {where}{size}; `python -m experiments bench`."]
     return "\n".join(lines)
@@ -210,7 +211,3 @@ def _bar(row: Row, checks: Mapping[str, Mapping[str, Any]]) -> str:
         sign, _, number = bound.partition(" ")
         bound = f"{sign} {row.factor * float(number):g}"
     return f"{bound}: {'holds' if check['ok'] else '**falls short**'}"
-
-
-def _mujoco(run: Mapping[str, Any]) -> str:
-    return str(run.get("versions", {}).get("mujoco", "?"))

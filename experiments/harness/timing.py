@@ -17,7 +17,7 @@ def repeat(work: Callable[[], object], rounds: int) -> Distribution:
         Processor time of this process [s].
     """
     work()
-    return distribution([_timed(work) for _ in range(rounds)])
+    return distribution([timed(work) for _ in range(rounds)])
 
 
 def compare(
@@ -43,7 +43,7 @@ def compare(
     for index in range(rounds):
         order = ("ours", "peer") if index % 2 == 0 else ("peer", "ours")
         for name in order:
-            times[name].append(_timed(functions[name]))
+            times[name].append(timed(functions[name]))
     ratios = [a / b for a, b in zip(times["ours"], times["peer"])]
     return {
         "ours_s": distribution(times["ours"]),
@@ -52,7 +52,7 @@ def compare(
     }
 
 
-def _timed(work: Callable[[], object]) -> float:
+def timed(work: Callable[[], object]) -> float:
     """Return the processor time of a call [s]."""
     start = time.process_time()
     work()

@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.bench.mapping import exact_map, octomap, octomap_counts, recall
-from experiments.bench.mapping_scene import GROUND, MAX_DEPTH, Scene, random_view, see
+from experiments.bench.mapping import (
+    GROUND,
+    MAX_DEPTH,
+    Scene,
+    exact_map,
+    octomap,
+    octomap_counts,
+    random_view,
+    recall,
+    see,
+)
 from perception.voxels.occupancy import State
 
 
