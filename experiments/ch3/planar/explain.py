@@ -4,11 +4,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Wedge
 
+from experiments.ch3.planar.figures import draw_picture
 from experiments.ch3.planar.trial import PlanarTrial, build_world
 from perception.geometry.arrays import FloatArray
 from perception.planar.information import READINGS, KnownGround, new_information
-from perception.planar.map import Grid, PlanarMap
+from perception.planar.map import PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, fan, scan
+from perception.voxels.occupancy import State
 
 HEADINGS = 24
 
@@ -35,16 +37,15 @@ def merging_figure() -> Figure:
     """Draw two range measurements of one point from two sides, and their fusion (figure 3-6)."""
     figure = Figure(figsize=(6, 5))
     axes = figure.add_subplot()
-    turned = np.radians([10.0, 80.0])
-    means = [np.array([0.0, 0.0]), np.array([0.35, 0.25])]
-    covariances = []
-    for angle in turned:
+    means = (np.array([0.0, 0.0]), np.array([0.35, 0.25]))
+    covariances: list[FloatArray] = []
+    for angle in np.radians([10.0, 80.0]):
         # Deviations along and across the line of sight, turned into the common frame (3-9).
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         covariances.append(turn @ np.diag([0.6**2, 0.12**2]) @ turn.T)
     mean, merged = merge(means[0], covariances[0], means[1], covariances[1])
-    shown = [(means[0], covariances[0], "C0", "first"), (means[1], covariances[1], "C1", "second")]
-    for centre, covariance, colour, label in (*shown, (mean, merged, "k", "merged")):
+    shown = zip((*means, mean), (*covariances, merged), ("C0", "C1", "k"))
+    for (centre, covariance, colour), label in zip(shown, ("first", "second", "merged")):
         values, vectors = np.linalg.eigh(covariance)
         tilt = float(np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1])))
         for scale in (1.0, 2.0):
@@ -60,7 +61,7 @@ def merging_figure() -> Figure:
 
 
 def evaluation_figure() -> Figure:
-    """Draw what a view is expected to show behind known obstacles, and its NI (figure 3-8)."""
+    """Draw the expected view behind known obstacles in three headings, and its NI (figure 3-8)."""
     world = build_world(PlanarTrial("unstructured", 5, "information"))
     sensor, grid = RangeSensor(), world.grid
     model = PlanarMap(grid)
@@ -68,37 +69,27 @@ def evaluation_figure() -> Figure:
     scans = [scan(world.occupied, grid, world.start, angle, sensor) for angle in angles]
     facing = int(np.argmax([seen.hit.sum() for seen in scans]))
     model.insert(scans[facing].passed, scans[facing].hit)
-    opaque = model.states() == 2
+    opaque = model.states() == State.OCCUPIED
     table = fan(sensor.depth, grid.cell, 240)
+    ground = KnownGround(model.probability(), model.measured, opaque)
+    readings = {
+        name: new_information(name, ground, np.array([world.start]), table, sensor, HEADINGS)[0]
+        for name in READINGS
+    }
+    x, y = grid.centre(world.start)
+    half, reach = float(np.degrees(sensor.fov)) / 2.0, 1.2 * sensor.depth
     figure = Figure(figsize=(15, 5))
-    for index, turn in enumerate((facing, facing + 3, facing + 6)):
-        axes = figure.add_subplot(1, 3, index + 1)
+    for axes, turn in zip(figure.subplots(1, 3), (facing, facing + 3, facing + 6)):
         heading = float(2.0 * np.pi * turn / HEADINGS)
         seen = expected_view(opaque, world.start, heading, sensor.fov, table)
         picture = np.where(model.measured, 0.65, 1.0)
         picture[seen & ~model.measured] = 0.85
         picture[opaque] = 0.0
-        _draw_sector(axes, picture, grid, world.start, float(np.degrees(heading)), sensor)
-        ground = KnownGround(model.probability(), model.measured, opaque)
-        here = np.array([world.start])
-        values = [
-            new_information(reading, ground, here, table, sensor, HEADINGS)[0, turn % HEADINGS]
-            for reading in READINGS
-        ]
-        readings = ", ".join(f"{name} {value:.2f}" for name, value in zip(READINGS, values))
-        axes.set_title(f"NI: {readings}", fontsize=8)
+        draw_picture(axes, picture, grid)
+        middle = float(np.degrees(heading))
+        edges = (middle - half, middle + half)
+        axes.add_patch(Wedge((x, y), sensor.depth, *edges, fill=False, color="r"))
+        axes.set(xlim=(x - reach, x + reach), ylim=(y - reach, y + reach))
+        values = (f"{name} {value[turn % HEADINGS]:.2f}" for name, value in readings.items())
+        axes.set_title(f"NI: {', '.join(values)}", fontsize=8)
     return figure
-
-
-def _draw_sector(axes, picture, grid: Grid, cell, degrees: float, sensor: RangeSensor) -> None:
-    """Show the surroundings of a pose and its sector."""
-    extent = (0.0, grid.columns * grid.cell, 0.0, grid.rows * grid.cell)
-    axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=extent)
-    x, y = grid.centre(cell)
-    half = float(np.degrees(sensor.fov)) / 2.0
-    axes.add_patch(
-        Wedge((x, y), sensor.depth, degrees - half, degrees + half, fill=False, color="r")
-    )
-    reach = 1.2 * sensor.depth
-    axes.set(xlim=(x - reach, x + reach), ylim=(y - reach, y + reach))
-    axes.set(xlabel="x [m]", ylabel="y [m]")

@@ -1,15 +1,19 @@
 """Figures 3-12 to 3-21: worlds, curves with their bands, paths and maps."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from experiments.ch3.planar.trial import TARGET, PlanarRun, PlanarTrial, build_world
+from experiments.ch3.planar.trial import TARGET, PlanarRun
 from experiments.ch3.planar.worlds import World
 from experiments.harness.output import Output
+from perception.geometry.arrays import FloatArray
+from perception.planar.map import Grid
+from perception.planar.raycast import RangeSensor
 from perception.voxels.occupancy import State
 
 GREYS = {State.UNKNOWN: 1.0, State.FREE: 0.65, State.OCCUPIED: 0.0}
@@ -22,109 +26,125 @@ FIGURES = {
 }
 """World, curves, paths and maps of each group of trials that is drawn."""
 BAND = (25.0, 75.0)
-COLOURS = ("tab:red", "tab:cyan")
+ROBOT_COLOURS = ((220, 40, 40), (0, 170, 190), (240, 150, 0), (60, 160, 60), (150, 80, 200))
+ARC = 16
+"""Number of corners along the edge of a drawn sector."""
+
+MethodRuns = Mapping[str, Sequence[PlanarRun]]
+"""Runs by method, each in the order of the seeds."""
 
 
-def draw_group(
-    name: str,
-    group: Sequence[PlanarTrial],
-    results: Mapping[PlanarTrial, PlanarRun],
-    output: Output,
-) -> None:
-    """Draw the figures of one group of trials, its first seed where one run is shown."""
+def draw_group(name: str, runs: MethodRuns, world: World, output: Output) -> None:
+    """Draw the figures of one group of runs.
+
+    Args:
+        name: Name of the group; only those of `FIGURES` are drawn.
+        runs: Runs of the group.
+        world: World of the first seed, of which single runs are shown.
+        output: Receives the figures.
+    """
     if name not in FIGURES:
         return
     world_name, curve_name, path_name, map_name = FIGURES[name]
-    world = build_world(group[0])
     if world_name is not None:
         output.figure(world_name, world_figure(world))
-    output.figure(curve_name, curve_figure(group, results))
-    methods = list(dict.fromkeys(trial.method for trial in group))
-    pair = ["random" if "random" in methods else methods[0], "information"]
-    shown = [next((t for t in group if t.method == m), None) for m in dict.fromkeys(pair)]
-    chosen = [trial for trial in shown if trial is not None]
-    output.figure(path_name, path_figure(chosen, results, world))
-    output.figure(map_name, map_figure(chosen, results, world))
+    output.figure(curve_name, curve_figure(runs))
+    peer = "random" if "random" in runs else next(iter(runs))
+    shown = {method: runs[method][0] for method in (peer, "information") if method in runs}
+    output.figure(path_name, path_figure(shown, world))
+    output.figure(map_name, map_figure(shown, world))
 
 
-def shades(states: NDArray[np.int8]) -> NDArray[np.float64]:
+def shades(states: NDArray[np.int8]) -> FloatArray:
     """Return grey levels in 0..1 for an array of `State`."""
-    lookup = np.array([GREYS[state] for state in State])
-    return lookup[states]
+    return np.array([GREYS[state] for state in State])[states]
+
+
+def picture_points(cells: NDArray[Any], grid: Grid) -> FloatArray:
+    """Return (..., 2) x and y [cells] of cells (..., 2) in a picture, the far side on top."""
+    return np.stack([cells[..., 1] + 0.5, grid.rows - cells[..., 0] - 0.5], axis=-1)
+
+
+def sector(at: FloatArray, heading: float, sensor: RangeSensor, grid: Grid) -> FloatArray:
+    """Return the outline (ARC + 2, 2) of a field of view in a picture [cells].
+
+    Args:
+        at: (2,) position of the robot in the picture [cells].
+        heading: Direction of the sector's middle from the x axis [rad].
+        sensor: Field of view and depth of field.
+        grid: Grid of the world.
+    """
+    angles = heading + np.linspace(-0.5, 0.5, ARC) * sensor.fov
+    edge = at + sensor.depth / grid.cell * np.stack([np.cos(angles), -np.sin(angles)], axis=1)
+    return np.vstack([at, edge, at])
 
 
 def world_figure(world: World) -> Figure:
-    """Draw the world to be mapped and where the first robot starts."""
-    figure = Figure(figsize=(5, 5))
-    axes = figure.add_subplot()
-    _show(axes, np.where(world.occupied, 0.0, 1.0), world)
+    """Draw the world to be mapped and the start of the first robot."""
+    figure, (axes,) = _pictures([np.where(world.occupied, 0.0, 1.0)], world)
     axes.plot(*world.grid.centre(world.start), "r.", label="start")
     axes.legend(loc="upper right")
     return figure
 
 
-def curve_figure(
-    group: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun]
-) -> Figure:  # fmt: skip
+def curve_figure(runs: MethodRuns) -> Figure:
     """Draw fraction mapped and distance over scans: medians, and the middle half of the seeds."""
     figure = Figure(figsize=(11, 4.5))
-    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
-    for method in dict.fromkeys(trial.method for trial in group):
-        chosen = [results[trial] for trial in group if trial.method == method]
+    left, right = figure.subplots(1, 2)
+    for method, chosen in runs.items():
+        longest = max(len(run.fraction) for run in chosen)
         for axes, key in ((left, "fraction"), (right, "metres")):
-            rows = _held([getattr(result, key) for result in chosen])
-            scans = np.arange(1, rows.shape[1] + 1)
+            # A run that has ended stays as it was.
+            curves = [getattr(run, key) for run in chosen]
+            rows = np.array([np.pad(row, (0, longest - len(row)), "edge") for row in curves])
+            scans = np.arange(1, longest + 1)
             line = axes.plot(scans, np.median(rows, axis=0), label=method)[0]
             low, high = np.percentile(rows, BAND, axis=0)
             axes.fill_between(scans, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
     left.axhline(TARGET, color="k", linewidth=0.6, linestyle=":")
-    left.set(xlabel="scan number of each robot", ylabel="fraction mapped", ylim=(0.0, 1.0))
-    right.set(xlabel="scan number of each robot", ylabel="distance moved, all robots [m]")
+    left.set(ylabel="fraction mapped", ylim=(0.0, 1.0))
+    right.set(ylabel="distance moved, all robots [m]")
     right.set_yscale("symlog", linthresh=100.0)
     left.legend(fontsize=8)
     for axes in (left, right):
+        axes.set_xlabel("scan number of each robot")
         axes.grid(alpha=0.3)
     return figure
 
 
-def path_figure(
-    trials: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun], world: World
-) -> Figure:
+def path_figure(shown: Mapping[str, PlanarRun], world: World) -> Figure:
     """Draw the robots' paths over the world."""
-    figure = Figure(figsize=(5 * len(trials), 5))
-    for index, trial in enumerate(trials):
-        axes = figure.add_subplot(1, len(trials), index + 1)
-        _show(axes, np.where(world.occupied, 0.0, 1.0), world)
-        for robot in range(trial.robots):
-            for key, style, width in (("paths", "-", 0.8), ("stops", ".", 0.0)):
-                cells = getattr(results[trial], key)
+    figure, grid = _pictures([np.where(world.occupied, 0.0, 1.0)] * len(shown), world)
+    for axes, (method, run) in zip(grid, shown.items(), strict=True):
+        for robot in np.unique(run.stops[:, 0]):
+            colour = np.array(ROBOT_COLOURS[robot]) / 255.0
+            for cells, style, width in ((run.paths, "-", 0.8), (run.stops, ".", 0.0)):
                 x, y = world.grid.centre(cells[cells[:, 0] == robot, 1:]).T
-                axes.plot(x, y, style, color=COLOURS[robot], linewidth=width, markersize=3)
-        axes.set_title(f"{trial.method}, {results[trial].metres[-1]:.0f} m")
+                axes.plot(x, y, style, color=colour, linewidth=width, markersize=3)
+        axes.set_title(f"{method}, {run.metres[-1]:.0f} m")
     return figure
 
 
-def map_figure(
-    trials: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun], world: World
-) -> Figure:
+def map_figure(shown: Mapping[str, PlanarRun], world: World) -> Figure:
     """Draw the maps at the end of the runs."""
-    figure = Figure(figsize=(5 * len(trials), 5))
-    for index, trial in enumerate(trials):
-        axes = figure.add_subplot(1, len(trials), index + 1)
-        _show(axes, shades(results[trial].states), world)
-        mapped, scans = results[trial].fraction[-1], len(results[trial].fraction)
-        axes.set_title(f"{trial.method}: {mapped:.0%} after {scans} scans")
+    figure, grid = _pictures([shades(run.states) for run in shown.values()], world)
+    for axes, (method, run) in zip(grid, shown.items(), strict=True):
+        mapped, scans = run.fraction[-1], len(run.fraction)
+        axes.set_title(f"{method}: {mapped:.0%} after {scans} scans")
     return figure
 
 
-def _held(rows: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return equally long rows; a run that has ended stays as it was."""
-    longest = max(len(row) for row in rows)
-    return np.array([np.pad(row, (0, longest - len(row)), mode="edge") for row in rows])
-
-
-def _show(axes: Axes, picture: NDArray[np.float64], world: World) -> None:
-    size = world.grid
-    extent = (0.0, size.columns * size.cell, 0.0, size.rows * size.cell)
+def draw_picture(axes: Axes, picture: FloatArray, grid: Grid) -> None:
+    """Draw grey levels (rows, columns), 0 to 1, over the ground [m]."""
+    extent = (0.0, grid.columns * grid.cell, 0.0, grid.rows * grid.cell)
     axes.imshow(picture, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=extent)
     axes.set(xlabel="x [m]", ylabel="y [m]")
+
+
+def _pictures(pictures: Sequence[FloatArray], world: World) -> tuple[Figure, Sequence[Axes]]:
+    """Return a figure with a row of pictures of a world, and the axes of each."""
+    figure = Figure(figsize=(5 * len(pictures), 5))
+    grid = figure.subplots(1, len(pictures), squeeze=False)[0]
+    for axes, picture in zip(grid, pictures, strict=True):
+        draw_picture(axes, picture, world.grid)
+    return figure, grid

@@ -14,9 +14,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from controllers.mapping.planar_planner import METHODS, UTILITIES, Method, Utility
+from controllers.mapping.planar_planner import METHODS, Method, PlannerConfig
 from experiments.ch3.planar.explain import evaluation_figure, merging_figure
-from experiments.ch3.planar.figures import draw_group
+from experiments.ch3.planar.figures import MethodRuns, draw_group
 from experiments.ch3.planar.record import record_trial
 from experiments.ch3.planar.trial import (
     TARGET,
@@ -25,13 +25,14 @@ from experiments.ch3.planar.trial import (
     build_world,
     first_at,
     map_world,
+    measure_arrival,
 )
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
-from experiments.harness.intervals import distribution, fraction
+from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from perception.planar.information import READINGS, Reading
+from perception.geometry.arrays import FloatArray
 from perception.planar.raycast import RangeSensor
 
 QUICK_METHODS: tuple[Method, ...] = ("max_new", "information")
@@ -42,9 +43,6 @@ LIMITS = {"unstructured": 200, "narrow": 320, "indoor": 400}
 END = 0.95
 """Fraction mapped at which a run ends (with --quick, as soon as it is scored)."""
 
-Groups = dict[str, list[PlanarTrial]]
-"""Trials by world and team: unstructured, indoor, and so on."""
-
 
 @dataclasses.dataclass(frozen=True)
 class Options(contract.Options):
@@ -53,11 +51,11 @@ class Options(contract.Options):
     Attributes:
         world: Map this picture instead (dark is obstacle, a pixel is half a metre, larger
             pictures are shrunk to 200); each seed draws a start and candidates.
-        methods: Which to compare (unless said, all; with --quick, max_new and information).
-        reading: What new information means, histogram (3-14 as mended), premultiplied or entropy.
-        utility: What method information makes of it: distance at its going rate, or at the fixed
-            price of 3-15, K = 0.1 and n = 2.
-        noise: Deviation of a range over its square [1/m] (3-7).
+        methods: Methods to compare (by default all; with --quick, max_new and information).
+        reading: Reading of new information: histogram (3-14 as mended), premultiplied or entropy.
+        utility: Rating by method information: distance at its going rate, or at the fixed price of
+            3-15, K = 0.1 and n = 2.
+        noise: Standard deviation of a range over its square [1/m] (3-7).
         fov: Field of view for --world [deg].
         depth: Depth of field for --world [m].
         explain: Also draw how Gaussians are merged and how a view is evaluated (3-6, 3-8).
@@ -73,21 +71,20 @@ class Options(contract.Options):
     explain: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse unknown methods and sensors that cannot be.
+        """Refuse unknown methods and impossible sensors.
 
         Raises:
             OptionError: Naming the option.
         """
         super().__post_init__()
-        choices = (("methods", self.methods, METHODS), ("reading", (self.reading,), READINGS))
-        for name, given, valid in (*choices, ("utility", (self.utility,), UTILITIES)):
-            for word in given:
-                if word not in valid:
-                    raise OptionError(f"--{name} {word}: expected {', '.join(valid)}")
+        for method in self.methods:
+            if method not in METHODS:
+                raise OptionError(f"--methods {method}: expected {', '.join(METHODS)}")
         if not 0.0 < self.fov <= 360.0:
             raise OptionError(f"--fov: expected more than 0 and at most 360 deg, got {self.fov}")
         try:
-            RangeSensor(float(np.radians(self.fov)), self.depth, self.noise)
+            sensor = RangeSensor(float(np.radians(self.fov)), self.depth, self.noise)
+            PlannerConfig(sensor, reading=self.reading, utility=self.utility)
         except ValueError as error:
             raise OptionError(f"--{error}") from None
 
@@ -107,16 +104,19 @@ def run(options: Options, output: Output) -> None:
     if options.world is not None:
         build_world(PlanarTrial(str(options.world), seeds[0], "information"))  # a bad one ends here
     groups = make_groups(options, seeds)
-    trials = [trial for group in groups.values() for trial in group]
+    trials = [trial for group in groups.values() for each in group.values() for trial in each]
     found = sweep(map_world, trials, options, output, label="runs")
-    results = dict(zip(trials, found))
+    results = dict(zip(trials, found, strict=True))
+    runs = {
+        name: {method: [results[trial] for trial in each] for method, each in group.items()}
+        for name, group in groups.items()
+    }
     for name, group in groups.items():
-        _measure_group(name, group, results, output)
-        draw_group(name, group, results, output)
-    _measure_ratios(groups, results, output)
+        _measure_group(name, seeds, runs[name], output)
+        draw_group(name, runs[name], build_world(next(iter(group.values()))[0]), output)
+    _measure_ratios(runs, output)
     _judge(output)
-    times = np.concatenate([result.plan_ms for result in found if len(result.plan_ms)])
-    output.measure("plan_ms", distribution(times))
+    output.measure("plan_ms", distribution(np.concatenate([result.plan_ms for result in found])))
     output.measure("called_wrong_fraction", distribution([r.called_wrong for r in found]))
     if options.explain:
         output.figure("figure_3-6", merging_figure())
@@ -126,21 +126,29 @@ def run(options: Options, output: Output) -> None:
         record_trial(shown, output.file("run.rrd"))
 
 
-def make_groups(options: Options, seeds: Sequence[int]) -> Groups:
-    """Return the trials of every figure and ratio."""
-    reading: Reading = options.reading
-    utility: Utility = options.utility
+def make_groups(
+    options: Options, seeds: Sequence[int]
+) -> dict[str, dict[Method, list[PlanarTrial]]]:
+    """Return the trials of every figure and ratio, by world and team, then by method."""
+    shared = PlanarTrial(
+        "indoor",
+        0,
+        "information",
+        reading=options.reading,
+        utility=options.utility,
+        noise=options.noise,
+        target=TARGET if options.quick else END,
+    )
 
     def trials(
         world: str, methods: Sequence[Method], sensor: tuple[float, float], limit: int,
         robots: int = 1, cooperative: bool = True,
-    ) -> list[PlanarTrial]:  # fmt: skip
-        return [
-            PlanarTrial(world, seed, method, *sensor, limit, robots, cooperative, reading, utility,
-                  options.noise, TARGET if options.quick else END)
-            for method in methods
-            for seed in seeds
-        ]  # fmt: skip
+    ) -> dict[Method, list[PlanarTrial]]:  # fmt: skip
+        group = dataclasses.replace(
+            shared, world=world, fov_deg=sensor[0], depth=sensor[1], limit=limit, robots=robots,
+            cooperative=cooperative,
+        )  # fmt: skip
+        return {m: [dataclasses.replace(group, method=m, seed=s) for s in seeds] for m in methods}
 
     methods = options.chosen_methods()
     if options.world is not None:
@@ -168,81 +176,62 @@ def make_groups(options: Options, seeds: Sequence[int]) -> Groups:
     return groups
 
 
-def select(
-    group: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun], method: str
-) -> list[PlanarRun]:
-    """Return one method's results of a group, in the order of the seeds."""
-    return [results[trial] for trial in group if trial.method == method]
-
-
-def _measure_group(
-    name: str,
-    group: Sequence[PlanarTrial],
-    results: Mapping[PlanarTrial, PlanarRun],
-    output: Output,
-) -> None:
-    """Store when each method had mapped 90 %; an infinity (null) where it never had."""
+def _measure_group(name: str, seeds: Sequence[int], runs: MethodRuns, output: Output) -> None:
+    """Store when each method had mapped 90 %, and the end of its runs."""
     ending = "" if name == "unstructured" else f"_{name}"
     rows: list[list[Any]] = []
-    for method in dict.fromkeys(trial.method for trial in group):
-        chosen = select(group, results, method)
-        when = np.array([first_at(result) for result in chosen])
-        output.measure(f"scans_to_90{ending}/{method}", distribution(when[:, 0]))
-        output.measure(f"metres_to_90{ending}/{method}", distribution(when[:, 1]))
-        reached = int(np.isfinite(when[:, 0]).sum())
-        output.measure(f"reached_90_fraction{ending}/{method}", fraction(reached, len(chosen)))
-        last = [float(result.fraction[-1]) for result in chosen]
+    for method, chosen in runs.items():
+        when = measure_arrival(chosen, "scans", f"{ending}/{method}", output)
+        last = [float(run.fraction[-1]) for run in chosen]
         output.measure(f"fraction_at_end{ending}/{method}", distribution(last))
-        seeds = [trial.seed for trial in group if trial.method == method]
         rows += [[method, s, *w, f] for s, w, f in zip(seeds, when.tolist(), last)]
     columns = ("method", "seed", "rounds to 90 %", "metres to 90 %", "fraction at the end")
     output.table(f"runs_{name}", columns, rows)
-    difference = paired_difference(group, results)
-    if difference:
+    if runs.keys() >= {"information", "max_new"}:
         key = f"fraction_difference{ending}/information_minus_max_new"
-        output.measure(key, distribution(difference))
+        output.measure(key, distribution(paired_difference(runs["information"], runs["max_new"])))
 
 
-def paired_difference(
-    group: Sequence[PlanarTrial], results: Mapping[PlanarTrial, PlanarRun]
-) -> list[float]:
-    """Return by how much information is ahead of max_new scan for scan, one mean for each seed.
+def paired_difference(first: Sequence[PlanarRun], second: Sequence[PlanarRun]) -> list[float]:
+    """Return the mean lead of the first method scan for scan, until one of both is at 90 %.
 
-    Taken until one of both has mapped 90 %.
+    Args:
+        first: Runs of the first method, in the order of the seeds.
+        second: Runs of the second method, in the order of the seeds.
+
+    Returns:
+        Mean difference of the fractions mapped, for each seed.
     """
-    pairs = zip(*(select(group, results, method) for method in ("information", "max_new")))
-    means = []
-    for ours, theirs in pairs:
-        last = min(*(first_at(r)[0] for r in (ours, theirs)), len(ours.fraction))
-        last = int(min(last, len(theirs.fraction)))
-        means.append(float(np.mean(ours.fraction[:last] - theirs.fraction[:last])))
+    means: list[float] = []
+    for ours, theirs in zip(first, second, strict=True):
+        curves = ours.fraction, theirs.fraction
+        last = int(min(first_at(ours)[0], first_at(theirs)[0], *map(len, curves)))
+        means.append(float(np.mean(curves[0][:last] - curves[1][:last])))
     return means
 
 
-def _measure_ratios(
-    groups: Groups, results: Mapping[PlanarTrial, PlanarRun], output: Output
-) -> None:
+def _measure_ratios(runs: Mapping[str, MethodRuns], output: Output) -> None:
     """Store paired ratios; a pair counts where both runs got there."""
 
-    def when(group: str, method: str = "information") -> np.ndarray:
-        found = [first_at(result) for result in select(groups.get(group, []), results, method)]
+    def when(group: str, method: str = "information") -> FloatArray:
+        found = [first_at(run) for run in runs.get(group, {}).get(method, ())]
         return np.array(found).reshape(-1, 2)
 
-    def ratio(key: str, above: np.ndarray, below: np.ndarray, column: int) -> None:
-        if len(above) and len(above) == len(below):
+    def ratio(key: str, above: FloatArray, below: FloatArray, column: int) -> None:
+        if len(above) == len(below):
             both = np.isfinite(above[:, 0]) & np.isfinite(below[:, 0])
             if both.any():
                 output.measure(key, distribution(above[both, column] / below[both, column]))
 
-    for name, ending in (("unstructured", ""), ("indoor", "_indoor")):
-        one = when(name)
-        key = f"distance_ratio{ending}/max_new_over_information"
-        ratio(key, when(name, "max_new"), one, 1)
-        ratio(f"scans_ratio{ending}/information_over_max_new", one, when(name, "max_new"), 0)
-        alone = when("unstructured_one_narrow") if name == "unstructured" else one
-        ratio(f"rounds_ratio_two/{name}", when(f"{name}_two"), alone, 0)
-        key = f"rounds_ratio_two_independent/{name}"
-        ratio(key, when(f"{name}_two_independent"), alone, 0)
+    for name, ending, alone in (
+        ("unstructured", "", "unstructured_one_narrow"),
+        ("indoor", "_indoor", "indoor"),
+    ):
+        one, largest = when(name), when(name, "max_new")
+        ratio(f"distance_ratio{ending}/max_new_over_information", largest, one, 1)
+        ratio(f"scans_ratio{ending}/information_over_max_new", one, largest, 0)
+        for team in ("two", "two_independent"):
+            ratio(f"rounds_ratio_{team}/{name}", when(f"{name}_{team}"), when(alone), 0)
 
 
 BARS = (
@@ -260,10 +249,9 @@ def _judge(output: Output) -> None:
     """Hold the medians against the bars."""
     measured = output.metrics()["measured"]
     for key, sign, bound in BARS:
-        if key not in measured:
-            continue
-        median = measured[key]["median"]
-        value = float("inf") if median is None else float(median)
-        ok = value <= bound if sign == "<=" else value >= bound
-        name = key.replace("_to_90", f" to {TARGET:.0%}").replace("_", " ") + ", median"
-        output.check(name, value, f"{sign} {bound:g}", ok)
+        if key in measured:
+            median = measured[key]["median"]
+            value = float("inf") if median is None else float(median)
+            ok = value <= bound if sign == "<=" else value >= bound
+            name = key.replace("_to_90", f" to {TARGET:.0%}").replace("_", " ") + ", median"
+            output.check(name, value, f"{sign} {bound:g}", ok)

@@ -1,25 +1,21 @@
 """A planar mapping run as a recording for the rerun viewer."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from experiments.ch3.planar.figures import shades
+from experiments.ch3.planar.figures import ROBOT_COLOURS, picture_points, sector, shades
 from experiments.ch3.planar.trial import PlanarRun, PlanarTrial, Round, build_world, run_trial
 from experiments.harness.recording import recording, viridis
 from perception.planar.map import Grid
 from perception.planar.raycast import RangeSensor
 from twin.layout import side_by_side
 
-COLOURS = ((220, 40, 40), (0, 170, 190), (240, 150, 0), (60, 160, 60), (150, 80, 200))
-ARC = 16
-"""Corners along the edge of a drawn sector."""
 ROUND = 1.0
-"""A round's length on the recording's time line [s]; planar runs have no time of their own."""
+"""Duration of a round on the recording's time line [s]; planar runs have no time of their own."""
 
 
 def record_trial(trial: PlanarTrial, path: Path) -> PlanarRun:
@@ -28,11 +24,11 @@ def record_trial(trial: PlanarTrial, path: Path) -> PlanarRun:
     Pictures have the world's far side on top; a pixel is a cell.
 
     Args:
-        trial: What to run.
+        trial: Trial to run.
         path: File to write.
 
     Returns:
-        What the run returned.
+        The run.
     """
     world = build_world(trial)
     with recording(path, blueprint()) as stream:
@@ -51,51 +47,30 @@ def blueprint() -> rrb.Blueprint:
 
 
 def _log(stream: rr.RecordingStream, sensor: RangeSensor, grid: Grid, shown: Round) -> None:
-    seconds = shown.index * ROUND
-    when = [
-        rr.TimeColumn("sim_time", duration=[seconds]),
-        rr.TimeColumn("step", sequence=[shown.index]),
-    ]
     picture = (255 * shades(shown.map.states())[::-1]).astype(np.uint8)
     stream.reset_time()
-    stream.set_time("sim_time", duration=seconds)
+    stream.set_time("sim_time", duration=shown.index * ROUND)
     stream.set_time("step", sequence=shown.index)
     stream.log("map", rr.Image(picture, color_model="L").compress(95))
-    for robot, (cell, heading) in enumerate(zip(shown.cells, shown.headings)):
-        colour = COLOURS[robot % len(COLOURS)]
-        at = _pixels(np.array(cell, dtype=float), grid)
+    for robot, (cell, heading, view) in enumerate(zip(shown.cells, shown.headings, shown.views)):
+        colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+        at = picture_points(np.array(cell), grid)
         name = f"map/robot{robot + 1}"
         stream.log(f"{name}/pose", rr.Points2D(at[None], radii=1.5, colors=[colour]))
-        stream.log(f"{name}/view", rr.LineStrips2D([_sector(at, heading, sensor, grid)],
-                                                   colors=[colour]))  # fmt: skip
-        view = shown.views[robot]
+        outline = sector(at, heading, sensor, grid)
+        stream.log(f"{name}/view", rr.LineStrips2D([outline], colors=[colour]))
         if view is None:
             continue
-        stream.log(f"{name}/path", rr.LineStrips2D([_pixels(view.path, grid)], colors=[colour]))
-        dots = rr.Points2D(
-            _pixels(view.candidates, grid), radii=0.8, colors=_rating_colours(view.ratings)
-        )
-        stream.log(f"{name}/candidates", dots)
-    for name, value in (("fraction", shown.fraction), ("metres", shown.metres)):
-        stream.send_columns(f"curves/{name}", when, rr.Scalars.columns(scalars=[value]))
-
-
-def _pixels(cells: NDArray[Any], grid: Grid) -> NDArray[np.float64]:
-    """Return the picture's (x, y) of cells (..., 2)."""
-    cells = np.asarray(cells, dtype=float)
-    return np.stack([cells[..., 1] + 0.5, grid.rows - cells[..., 0] - 0.5], axis=-1)
-
-
-def _sector(
-    at: NDArray[np.float64], heading: float, sensor: RangeSensor, grid: Grid
-) -> NDArray[np.float64]:
-    angles = heading + np.linspace(-0.5, 0.5, ARC) * sensor.fov
-    edge = at + sensor.depth / grid.cell * np.stack([np.cos(angles), -np.sin(angles)], axis=1)
-    return np.vstack([at, edge, at])
+        path = picture_points(view.path, grid)
+        stream.log(f"{name}/path", rr.LineStrips2D([path], colors=[colour]))
+        dots, colours = picture_points(view.candidates, grid), _rating_colours(view.ratings)
+        stream.log(f"{name}/candidates", rr.Points2D(dots, radii=0.8, colors=colours))
+    stream.log("curves/fraction", rr.Scalars(shown.fraction))
+    stream.log("curves/metres", rr.Scalars(shown.metres))
 
 
 def _rating_colours(ratings: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Colour by rating from dark to bright; what brings nothing is darkest."""
+    """Return colours by rating from dark to bright; views that bring nothing are darkest."""
     finite = np.isfinite(ratings)
     scaled = np.zeros(len(ratings))
     if finite.any():

@@ -12,19 +12,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.ch3.planar.record import record_trial
-from experiments.ch3.planar.trial import TARGET, PlanarRun, PlanarTrial, first_at, map_world
+from experiments.ch3.planar.trial import TARGET, PlanarRun, PlanarTrial, map_world, measure_arrival
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
-from experiments.harness.intervals import distribution, fraction
+from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from perception.geometry.arrays import FloatArray
 
 SIZES, QUICK_SIZES = (1, 2, 5, 10, 20, 50), (2, 5, 20)
 LARGEST = 200
-LIMIT = 400
-FOV_DEG, DEPTH = 75.0, 10.0
 PLAN_BOUND = 100.0
-"""Planning time of a robot's choice that is aimed at [ms]."""
+"""Greatest median planning time of a robot's choice [ms]."""
 TEAMS = ("cooperative", "independent")
 
 
@@ -33,13 +32,13 @@ class Options(contract.Options):
     """Options of ch3-swarm.
 
     Attributes:
-        robots: Sizes of the swarm (unless said, 1 2 5 10 20 50; with --quick, 2 5 20).
+        robots: Sizes of the swarm (by default 1 2 5 10 20 50; with --quick, 2 5 20).
     """
 
     robots: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse swarms that are none.
+        """Refuse sizes out of range.
 
         Raises:
             OptionError: Naming the size.
@@ -65,65 +64,61 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(12, 1)
     cases = [(size, team) for size in options.sizes() for team in TEAMS[: 2 if size > 1 else 1]]
     trials = [
-        PlanarTrial("indoor", seed, "information", FOV_DEG, DEPTH, LIMIT, size, team == TEAMS[0],
-              target=TARGET)
+        PlanarTrial("indoor", seed, "information", 75.0, 10.0, 400, size, team == TEAMS[0],
+                    target=TARGET)
         for size, team in cases
         for seed in seeds
     ]  # fmt: skip
     results = sweep(map_world, trials, options, output, label="runs")
-    curves: dict[str, list[tuple[int, Any, Any]]] = {team: [] for team in TEAMS}
+    arrivals: dict[tuple[int, str], FloatArray] = {}
     rows: list[list[Any]] = []
     for index, (size, team) in enumerate(cases):
         chosen = results[index * len(seeds) : (index + 1) * len(seeds)]
-        rounds, metres = _measure(size, team, chosen, output)
-        curves[team].append((size, rounds, metres))
-        for seed, result in zip(seeds, chosen):
-            rows.append([size, team, seed, *first_at(result), float(np.mean(result.plan_ms))])
+        arrivals[size, team] = when = _measure(size, team, chosen, output)
+        for seed, arrival, run_ in zip(seeds, when.tolist(), chosen, strict=True):
+            rows.append([size, team, seed, *arrival, float(np.mean(run_.plan_ms))])
     columns = ("robots", "team", "seed", "rounds to 90 %", "metres to 90 %", "plan [ms a robot]")
     output.table("swarm_runs", columns, rows)
-    output.figure("swarm", _figure(curves))
+    output.figure("swarm", _figure(arrivals))
     if options.record:
         record_trial(trials[0], output.file("run.rrd"))
 
 
-def _measure(size: int, team: str, chosen: Sequence[PlanarRun], output: Output) -> tuple[Any, Any]:
-    """Store one size's metrics; return rounds and metres."""
-    ending = str(size) if team == TEAMS[0] else f"{size}/{team}"
-    when = np.array([first_at(result) for result in chosen])
-    rounds, metres = distribution(when[:, 0]), distribution(when[:, 1])
-    output.measure(f"rounds_to_90/{ending}", rounds)
-    output.measure(f"metres_to_90/{ending}", metres)
-    reached = int(np.isfinite(when[:, 0]).sum())
-    output.measure(f"reached_90_fraction/{ending}", fraction(reached, len(chosen)))
+def _measure(size: int, team: str, chosen: Sequence[PlanarRun], output: Output) -> FloatArray:
+    """Store one size's metrics; return rounds and metres to 90 % of each run."""
+    case = str(size) if team == TEAMS[0] else f"{size}/{team}"
+    when = measure_arrival(chosen, "rounds", f"/{case}", output)
     if team == TEAMS[0]:
-        times = np.concatenate([result.plan_ms for result in chosen])
-        plan = distribution(times)
-        output.measure(f"plan_ms/{ending}", plan)
-        name = f"choice of one of {size} robots in ms, median"
+        plan = distribution(np.concatenate([result.plan_ms for result in chosen]))
+        output.measure(f"plan_ms/{case}", plan)
         median = float(plan["median"])
+        name = f"choice of one of {size} robots in ms, median"
         output.check(name, median, f"<= {PLAN_BOUND:g}", median <= PLAN_BOUND)
-    return rounds, metres
+    return when
 
 
-def _figure(curves: Mapping[str, Sequence[tuple[int, Any, Any]]]) -> Figure:
-    """Draw rounds and metres over the size, against a perfect division of the work."""
+def _figure(arrivals: Mapping[tuple[int, str], FloatArray]) -> Figure:
+    """Draw rounds and metres to 90 % over the size, against a perfect division of the work.
+
+    Args:
+        arrivals: (runs, 2) rounds and metres to 90 %, by size and team.
+    """
     figure = Figure(figsize=(10, 4.5))
-    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
-    for team, points in curves.items():
-        for axes, column in ((left, 1), (right, 2)):
-            if not points:
-                continue
-            sizes = [point[0] for point in points]
-            summaries: list[Any] = [point[column] for point in points]
-            medians = np.array([summary["median"] for summary in summaries])
-            low, high = (np.array([s[k] for s in summaries]) for k in ("low", "high"))
+    left, right = figure.subplots(1, 2)
+    for team in dict.fromkeys(team for _, team in arrivals):
+        sizes = np.array([size for size, each in arrivals if each == team])
+        for axes, column in ((left, 0), (right, 1)):
+            summaries = [distribution(arrivals[size, team][:, column]) for size in sizes]
+            medians, low, high = (
+                np.array([summary[key] for summary in summaries])
+                for key in ("median", "low", "high")
+            )
             finite = np.isfinite(low) & np.isfinite(high)
             bars = [np.where(finite, np.abs(side - medians), 0.0) for side in (low, high)]
             axes.errorbar(sizes, medians, bars, marker="o", capsize=3, label=team)
-    first = curves[TEAMS[0]][0]
-    sizes = np.array([point[0] for point in curves[TEAMS[0]]])
-    ideal = first[1]["median"] * first[0] / sizes
-    left.plot(sizes, ideal, "k:", linewidth=0.8, label="evenly divided")
+            if (team, column) == (TEAMS[0], 0):
+                ideal = medians[0] * sizes[0] / sizes
+                axes.plot(sizes, ideal, "k:", linewidth=0.8, label="evenly divided")
     left.set(yscale="log", ylabel=f"rounds to {TARGET:.0%}")
     right.set(ylabel=f"metres to {TARGET:.0%}, all robots")
     for axes in (left, right):

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,8 @@ from controllers.mapping.planar_planner import (
     make_team,
 )
 from experiments.ch3.planar.worlds import World, image_world, indoor_world, unstructured_world
+from experiments.harness.intervals import distribution, fraction
+from experiments.harness.output import Output
 from perception.geometry.arrays import FloatArray, IntArray
 from perception.planar.information import Reading
 from perception.planar.map import PlanarMap
@@ -24,7 +26,7 @@ from perception.planar.raycast import RangeSensor, scan
 from perception.voxels.occupancy import State
 
 TARGET = 0.9
-"""Fraction mapped at which a run has got there."""
+"""Fraction mapped at which a run is scored."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,16 +35,16 @@ class PlanarTrial:
 
     Attributes:
         world: "unstructured", "indoor", or the file of a picture.
-        seed: Of world, start and candidates.
-        method: How poses are chosen.
+        seed: Random seed of world, start and candidates.
+        method: Method that chooses the poses.
         fov_deg: Field of view [deg].
         depth: Depth of field [m].
         limit: Rounds after which a run ends.
-        robots: How many.
-        cooperative: Whether they claim what they will see.
-        reading: Of new information.
-        utility: Of method information.
-        noise: Deviation of a range over its square [1/m].
+        robots: Number of robots.
+        cooperative: Whether robots claim what they will see.
+        reading: Reading of new information.
+        utility: Utility of method information.
+        noise: Standard deviation of a range over its square [1/m].
         target: Fraction mapped at which a run ends.
     """
 
@@ -67,14 +69,14 @@ class PlanarTrial:
 
 @dataclasses.dataclass(frozen=True)
 class Round:
-    """What an observer of a run is shown after each round.
+    """State of a run after a round.
 
     Attributes:
         index: Number of the round; the first scan's is 0.
         map: The common map; a live object.
         cells: Row and column of each robot.
         headings: Heading of each robot [rad].
-        views: How each robot got there; None at the start, or where nothing was left for it.
+        views: View that each robot moved to; None at the start, or where nothing was left for it.
         fraction: Share of the world mapped so far.
         metres: Distance moved so far by all robots [m].
     """
@@ -94,10 +96,9 @@ def build_world(trial: PlanarTrial) -> World:
     Raises:
         OptionError: If its picture is bad.
     """
-    if trial.world == "unstructured":
-        return unstructured_world(trial.seed)
-    if trial.world == "indoor":
-        return indoor_world(trial.seed)
+    drawn = {"unstructured": unstructured_world, "indoor": indoor_world}
+    if trial.world in drawn:
+        return drawn[trial.world](trial.seed)
     return image_world(Path(trial.world), trial.seed)
 
 
@@ -132,8 +133,8 @@ def run_trial(
     """Map a world until it is done or the rounds are used up.
 
     Args:
-        trial: What to run.
-        world: The truth; only scans come out of it, and the score.
+        trial: Trial to run.
+        world: True world, for scans and for the score.
         observe: Called after each round.
     """
     generator = np.random.default_rng([trial.seed, 3])
@@ -165,17 +166,17 @@ def run_trial(
         begin = time.perf_counter()
         views = team.choose(model, cells)
         plan_ms.append(1e3 * (time.perf_counter() - begin) / trial.robots)
-        chosen = [(r, view) for r, view in enumerate(views) if view is not None]
+        chosen = {robot: view for robot, view in enumerate(views) if view is not None}
         if not chosen:
             break
-        walked = {robot: _walk(view.path, world, model) for robot, view in chosen}
-        bumps += sum(len(walked[robot]) < len(view.path) for robot, view in chosen)
+        walked = {robot: _walk(view.path, world, model) for robot, view in chosen.items()}
         for robot, path in walked.items():
+            bumps += len(path) < len(chosen[robot].path)
             cells[robot] = (int(path[-1, 0]), int(path[-1, 1]))
-        headings = [h if v is None else v.heading for h, v in zip(headings, views)]
+            headings[robot] = chosen[robot].heading
+            paths.append(_numbered(robot, path))
+            stops.append(_numbered(robot, path[-1:]))
         metres.append(metres[-1] + sum(_length(path, world) for path in walked.values()))
-        paths += [_numbered(robot, path) for robot, path in walked.items()]
-        stops += [_numbered(robot, path[-1:]) for robot, path in walked.items()]
     return PlanarRun(
         fraction=np.array(fractions),
         metres=np.array(metres[: len(fractions)]),
@@ -189,7 +190,7 @@ def run_trial(
 
 
 def _walk(path: IntArray, world: World, model: PlanarMap) -> IntArray:
-    """Return the part of a path up to the first obstacle, which is felt and entered in the map.
+    """Return the part of a path up to the first obstacle, whose contact enters the map.
 
     Only noisy ranges let a map call an obstacle free.
     """
@@ -243,3 +244,24 @@ def first_at(result: PlanarRun, fraction: float = TARGET) -> tuple[float, float]
     if reached.size == 0:
         return float("inf"), float("inf")
     return float(reached[0] + 1), float(result.metres[reached[0]])
+
+
+def measure_arrival(runs: Sequence[PlanarRun], unit: str, case: str, output: Output) -> FloatArray:
+    """Store when runs had mapped 90 %; an infinity (null) where one never had.
+
+    Args:
+        runs: Runs of one method or team.
+        unit: Name of a round in the metrics: "scans" or "rounds".
+        case: End of the metrics' names.
+        output: Receives ``<unit>_to_90<case>``, ``metres_to_90<case>`` and
+            ``reached_90_fraction<case>``.
+
+    Returns:
+        (runs, 2) rounds and metres to 90 % of each run.
+    """
+    when = np.array([first_at(run) for run in runs])
+    output.measure(f"{unit}_to_90{case}", distribution(when[:, 0]))
+    output.measure(f"metres_to_90{case}", distribution(when[:, 1]))
+    reached = int(np.isfinite(when[:, 0]).sum())
+    output.measure(f"reached_90_fraction{case}", fraction(reached, len(runs)))
+    return when

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from scipy import ndimage
+from scipy.cluster.hierarchy import DisjointSet
 
 from experiments.harness.contract import OptionError
 from perception.geometry.arrays import BoolArray
@@ -14,7 +15,7 @@ from perception.planar.map import Grid
 UNSTRUCTURED_OBSTACLES = (22, 30)
 """Fewest and most obstacles of an unstructured world."""
 RADII = (1.5, 6.0)
-"""Smallest and largest mean radius of one [m]."""
+"""Smallest and largest mean radius of an obstacle [m]."""
 CORRIDOR = 4.0
 DOOR = 2.0
 ROOM = (9.0, 24.0)
@@ -35,7 +36,7 @@ class World:
     """A planar world, the truth of a simulated run.
 
     Attributes:
-        grid: Where the cells lie.
+        grid: Number and size of the cells.
         occupied: (rows, columns) obstacles.
         start: Row and column of the first robot.
         visible: (rows, columns) cells that can be seen from somewhere that can be reached.
@@ -55,7 +56,7 @@ class World:
 
 
 def make_world(occupied: BoolArray, generator: np.random.Generator, cell: float = 0.5) -> World:
-    """Draw a start and tell what can be seen.
+    """Draw a start and find the visible cells.
 
     Robots move between cells that share a side, diagonally only past two free cells; beams pass
     corners likewise. So a robot can come to see just the free cells connected by sides to its
@@ -63,7 +64,7 @@ def make_world(occupied: BoolArray, generator: np.random.Generator, cell: float 
 
     Args:
         occupied: (rows, columns) obstacles.
-        generator: Draws the start evenly in the largest connected region.
+        generator: Random generator for the start, drawn evenly in the largest connected region.
         cell: Side of a cell [m].
 
     Raises:
@@ -88,7 +89,7 @@ def unstructured_world(seed: int, grid: Grid = HECTARE) -> World:
     """Scatter convex and irregular obstacles (as in figure 3-12).
 
     Args:
-        seed: Of obstacles and start.
+        seed: Random seed of obstacles and start.
         grid: Size of the world.
     """
     generator = np.random.default_rng(seed)
@@ -112,13 +113,12 @@ def indoor_world(seed: int, grid: Grid = HECTARE) -> World:
     """Lay out a floor: crossing corridors, rooms with doors, furniture (as in figure 3-19).
 
     Args:
-        seed: Of walls, doors, furniture and start.
+        seed: Random seed of walls, doors, furniture and start.
         grid: Size of the world.
     """
     generator = np.random.default_rng(seed)
     rows, columns = grid.shape
     occupied = np.zeros(grid.shape, dtype=bool)
-    occupied[[0, -1]] = occupied[:, [0, -1]] = True
     wide = round(CORRIDOR / grid.cell)
     cross_row = int(generator.integers(round(0.35 * rows), round(0.65 * rows) - wide))
     cross_column = int(generator.integers(round(0.35 * columns), round(0.65 * columns) - wide))
@@ -126,12 +126,9 @@ def indoor_world(seed: int, grid: Grid = HECTARE) -> World:
     column_parts = ((1, cross_column - 1), (cross_column + wide + 1, columns - 1))
     for low_r, high_r in row_parts:
         for low_c, high_c in column_parts:
-            box = (low_r, high_r, low_c, high_c)
-            edge = np.s_[low_r - 1 : high_r + 1, low_c - 1 : high_c + 1]
-            inner = occupied[low_r:high_r, low_c:high_c].copy()
-            occupied[edge] = True
-            occupied[low_r:high_r, low_c:high_c] = inner
-            rooms = _split(occupied, box, grid.cell, generator)
+            occupied[low_r - 1 : high_r + 1, low_c - 1 : high_c + 1] = True
+            occupied[low_r:high_r, low_c:high_c] = False
+            rooms = _split(occupied, (low_r, high_r, low_c, high_c), grid.cell, generator)
             _furnish(occupied, rooms, grid.cell, generator)
     occupied[[0, -1]] = occupied[:, [0, -1]] = True
     _open_doors(occupied, grid.cell, generator)
@@ -179,52 +176,30 @@ def _furnish(
 def _open_doors(occupied: BoolArray, cell: float, generator: np.random.Generator) -> None:
     """Break doors through walls in random order until all rooms are connected, and a few more."""
     wide = round(DOOR / cell)
-    sites = _door_sites(occupied, wide)
+    upright, level = _door_sites(occupied, wide), _door_sites(occupied.T, wide).T
+    sites = np.argwhere(np.stack([upright, level], axis=-1))
     labels, count = ndimage.label(~occupied, structure=_CROSS)
-    parent = list(range(count + 1))
-
-    def root(label: int) -> int:
-        while parent[label] != label:
-            label = parent[label]
-        return label
-
+    connected = DisjointSet(range(count + 1))
     opened: set[tuple[int, int]] = set()
-    for index in generator.permutation(len(sites)):
-        r, c, vertical = sites[index]
-        sides = ((r, c - 1), (r, c + 1)) if vertical else ((r - 1, c), (r + 1, c))
-        pair = sorted(int(labels[side]) for side in sides)
-        joined = root(pair[0]) == root(pair[1])
-        if pair[0] == pair[1] or (pair[0], pair[1]) in opened:
+    for r, c, across in sites[generator.permutation(len(sites))]:
+        sides = ((r - 1, c), (r + 1, c)) if across else ((r, c - 1), (r, c + 1))
+        first, second = sorted(int(labels[side]) for side in sides)
+        if first == second or (first, second) in opened:
             continue
-        if joined and generator.random() > 0.02:
+        if connected.connected(first, second) and generator.random() > 0.02:
             continue
-        opened.add((pair[0], pair[1]))
-        parent[root(pair[0])] = root(pair[1])
-        door = np.s_[r : r + wide, c] if vertical else np.s_[r, c : c + wide]
+        opened.add((first, second))
+        connected.merge(first, second)
+        door = np.s_[r, c : c + wide] if across else np.s_[r : r + wide, c]
         occupied[door] = False
 
 
-def _door_sites(occupied: BoolArray, wide: int) -> list[tuple[int, int, bool]]:
-    """Return where a door fits: free on both sides along its width; (row, column, vertical)."""
-    rows, columns = occupied.shape
-    sites: list[tuple[int, int, bool]] = []
-    for r in range(1, rows - 1):
-        for c in range(1, columns - 1):
-            if not occupied[r, c]:
-                continue
-            along, across = np.s_[r : r + wide, c], np.s_[r, c : c + wide]
-            if (
-                r + wide < rows
-                and occupied[along].all()
-                and not occupied[r : r + wide, [c - 1, c + 1]].any()
-            ):
-                sites.append((r, c, True))
-            if (
-                c + wide < columns
-                and occupied[across].all()
-                and not occupied[[r - 1, r + 1], c : c + wide].any()
-            ):
-                sites.append((r, c, False))
+def _door_sites(occupied: BoolArray, wide: int) -> BoolArray:
+    """Return (rows, columns) first cells of doors along the rows: walls with free cells beside."""
+    windows = np.lib.stride_tricks.sliding_window_view(occupied, wide, axis=0)[1:-1]
+    wall, free = np.all(windows, axis=-1), np.all(~windows, axis=-1)
+    sites = np.zeros(occupied.shape, dtype=bool)
+    sites[1 : len(wall) + 1, 1:-1] = wall[:, 1:-1] & free[:, :-2] & free[:, 2:]
     return sites
 
 
