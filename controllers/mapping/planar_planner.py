@@ -15,12 +15,13 @@ Several vision systems choose in rounds, each for itself or claiming what it wil
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from scipy import ndimage
 
+from controllers.checks import check_choice
 from controllers.mapping.planar_situation import (
     Situation,
     believe,
@@ -46,7 +47,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 UTILITIES: tuple[Utility, ...] = get_args(Utility)
 
 NEAR = 2.0
-"""Half of the candidates lie within this path length, in depths of field."""
+"""Path length within which half of the candidates lie, in depths of field."""
 MIN_NEW = 1e-6
 """New information or area, over that of the whole sector, up to which a view brings nothing."""
 FRONTIER_BATCH = 64
@@ -57,14 +58,14 @@ MIN_FRONTIER_AREA = 0.1
 
 @dataclasses.dataclass(frozen=True)
 class PlannerConfig:
-    """How views are chosen.
+    """Configuration of the choice of views.
 
     Attributes:
         sensor: Field of view and depth of field of the vision system.
         method: (i) random, (ii) raster, (iii) max_new, (iv) min_old, (v) information of Thesis
             3.3.1, or frontier (the nearest) and rate.
-        reading: What new information means, see `perception.planar.information`.
-        utility: What method information makes of it: "going_rate", or "fixed" for eq. 3-15.
+        reading: Reading of new information, see `perception.planar.information`.
+        utility: Rating by method information: "going_rate", or "fixed" for eq. 3-15.
         candidates: Number of positions that are rated.
         headings: Number of headings at each position.
         rays: Number of rays of a full fan, a multiple of ``headings``.
@@ -90,9 +91,9 @@ class PlannerConfig:
     isolation: float = 2.0
 
     def __post_init__(self) -> None:
-        for name, valid in (("method", METHODS), ("reading", READINGS), ("utility", UTILITIES)):
-            if getattr(self, name) not in valid:
-                raise ValueError(f"{name} {getattr(self, name)}: expected {', '.join(valid)}")
+        check_choice("method", self.method, METHODS)
+        check_choice("reading", self.reading, READINGS)
+        check_choice("utility", self.utility, UTILITIES)
         if self.candidates < 1 or self.headings < 1 or self.rays % self.headings:
             raise ValueError(
                 f"candidates {self.candidates}, headings {self.headings}, rays {self.rays}: "
@@ -106,10 +107,10 @@ class PlannerConfig:
 
 @dataclasses.dataclass(frozen=True)
 class PlannedView:
-    """A pose to look from next.
+    """The pose of a next view.
 
     Attributes:
-        cell: Row and column to look from.
+        cell: Row and column of the pose.
         heading: Direction of the sector's middle from the x axis [rad].
         path: (n, 2) cells from the present one to ``cell``.
         length: Length of the path [m].
@@ -136,7 +137,7 @@ class ViewPlanner:
     def __init__(self, config: PlannerConfig, generator: np.random.Generator) -> None:
         self.config = config
         self._generator = generator
-        self._stood: dict[tuple[int, int], int] = {}
+        self._visited: dict[tuple[int, int], int] = {}
 
     def choose(
         self, world: PlanarMap, cell: tuple[int, int], claimed: BoolArray | None = None
@@ -161,7 +162,9 @@ class ViewPlanner:
             return self._anywhere(situation)
         if config.method == "frontier":
             return self._nearest_frontier(situation)
-        view = self._best_view(situation, self._candidates(situation))
+        near = NEAR * config.sensor.depth
+        drawn = draw_candidates(situation, config.candidates, near, self._generator)
+        view = self._best_view(situation, drawn)
         if view is None:
             # The few drawn see nothing new; some cell beside the unknown may.
             cells = frontier_cells(situation)
@@ -170,14 +173,12 @@ class ViewPlanner:
             view = self._best_view(situation, cells)
         return view
 
-    def _candidates(self, situation: Situation) -> IntArray:
-        near = NEAR * self.config.sensor.depth
-        return draw_candidates(situation, self.config.candidates, near, self._generator)
-
     def _best_view(self, situation: Situation, cells: IntArray) -> PlannedView | None:
         if len(cells) == 0:
             return None
-        ratings, worthwhile = RATINGS[self.config.method](self.config, situation, cells)
+        by_area = self.config.method in ("max_new", "min_old")
+        rate = _rate_by_area if by_area else _rate_by_information
+        ratings, worthwhile = rate(self.config, situation, cells)
         if not worthwhile.any():
             return None
         ratings = np.where(worthwhile, ratings, -np.inf)
@@ -194,13 +195,13 @@ class ViewPlanner:
     def _next_in_raster(self, situation: Situation, cell: tuple[int, int]) -> PlannedView | None:
         """Method (ii): a full turn at each free lattice point, row by row, then a finer lattice."""
         turn = math.ceil(2.0 * math.pi / self.config.sensor.fov - 1e-9)
-        count = self._stood.get(cell, 0)
+        count = self._visited.get(cell, 0)
         if count >= turn:
             target = self._next_lattice_point(situation, cell)
             if target is None:
                 return None
             cell, count = target, 0
-        self._stood[cell] = count + 1
+        self._visited[cell] = count + 1
         heading = round(count * self.config.headings / turn)
         return self._view(situation, np.array([cell]), 0, heading, np.zeros(1))
 
@@ -209,19 +210,17 @@ class ViewPlanner:
     ) -> tuple[int, int] | None:
         free = np.isfinite(situation.paths.lengths)
         pitch = max(1, round(self.config.sensor.depth / situation.cell))
-        columns = free.shape[1]
         while pitch >= 1:
             first = pitch // 2
             points = first + pitch * np.argwhere(free[first::pitch, first::pitch])
-            points = [(int(r), int(c)) for r, c in points if (int(r), int(c)) not in self._stood]
+            points = [(int(r), int(c)) for r, c in points if (int(r), int(c)) not in self._visited]
             if points:
-                after = [p for p in points if p[0] * columns + p[1] > cell[0] * columns + cell[1]]
-                return (after or points)[0]
+                return next((point for point in points if point > cell), points[0])
             pitch //= 2
         return None
 
     def _nearest_frontier(self, situation: Situation) -> PlannedView | None:
-        """Look from the nearest free cell beside the unknown that shows enough of it.
+        """Choose the nearest free cell beside the unknown that shows enough of it.
 
         Without "enough" it would clear up every sliver around it, a scan for each. Where no cell
         shows enough, the one that shows most is taken.
@@ -237,9 +236,8 @@ class ViewPlanner:
         best = gains.max(axis=1, initial=0.0)
         if not (best > MIN_NEW).any():
             return None
-        index = int(
-            np.argmax(best >= MIN_FRONTIER_AREA if (best >= MIN_FRONTIER_AREA).any() else best)
-        )
+        enough = best >= MIN_FRONTIER_AREA
+        index = int(np.argmax(enough if enough.any() else best))
         return self._view(situation, cells, index, int(np.argmax(gains[index])), best)
 
     def _view(
@@ -259,7 +257,7 @@ def new_and_old_area(
     Args:
         config: Sensor and headings.
         situation: Map as believed.
-        cells: (n, 2) cells to look from.
+        cells: (n, 2) rows and columns of the views.
 
     Returns:
         New and old area, both (n, headings).
@@ -274,39 +272,28 @@ Rated: TypeAlias = tuple[FloatArray, BoolArray]
 """(n, headings) ratings, and which views bring anything new."""
 
 
-def _rate_max_new(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
-    """Method (iii): the largest expected new region, whatever the path to it."""
-    new, _ = new_and_old_area(config, situation, cells)
-    return new, new > MIN_NEW
+def _rate_by_area(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
+    """Rate views by area: methods (iii) max_new and (iv) min_old.
 
-
-def _rate_min_old(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
-    """Method (iv): the smallest known region, among views of anything new at all.
-
-    Without that condition it would face the nearest wall for ever.
+    Method (iii) wants the largest expected new region, whatever the path to it. Method (iv) wants
+    the smallest known region, among views of anything new at all: without that condition it would
+    face the nearest wall for ever.
     """
     new, old = new_and_old_area(config, situation, cells)
-    return -old, new > MIN_NEW
+    return new if config.method == "max_new" else -old, new > MIN_NEW
 
 
-def _rate_information(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
-    """Method (v): expected information against the length of the path."""
+def _rate_by_information(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
+    """Rate views by expected information against the length of the path: methods (v) and rate."""
     distance = situation.distance(cells) / config.sensor.depth
     occupied = situation.probability[cells[:, 0], cells[:, 1]]
     information, undecided, weight = expected_information(config, situation, cells)
-    if config.utility == "fixed":
+    if config.method == "information" and config.utility == "fixed":
         rating = fixed_price_rating(information, distance, occupied, config.price, config.exponent)
     else:
-        rating = rate_rating(information * weight, distance, occupied, config.scan_path)
+        worth = information if config.method == "rate" else information * weight
+        rating = rate_rating(worth, distance, occupied, config.scan_path)
     return rating, undecided > MIN_NEW
-
-
-def _rate_rate(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
-    """Expected information by path and scanning time."""
-    distance = situation.distance(cells) / config.sensor.depth
-    occupied = situation.probability[cells[:, 0], cells[:, 1]]
-    information, undecided, _ = expected_information(config, situation, cells)
-    return rate_rating(information, distance, occupied, config.scan_path), undecided > MIN_NEW
 
 
 def expected_information(
@@ -317,7 +304,7 @@ def expected_information(
     Args:
         config: Sensor, reading and headings.
         situation: Map as believed.
-        cells: (n, 2) cells to look from.
+        cells: (n, 2) rows and columns of the views.
 
     Returns:
         All (n, headings): NI in the configured reading; NI in the reading "entropy", 0 where all is
@@ -398,30 +385,35 @@ def isolation_weights(known: BoolArray, width: int, gain: float) -> FloatArray:
     return 1.0 + gain * np.clip(share, 0.0, 1.0)
 
 
-RATINGS: Mapping[str, Callable[[PlannerConfig, Situation, IntArray], Rated]] = {
-    "max_new": _rate_max_new,
-    "min_old": _rate_min_old,
-    "information": _rate_information,
-    "rate": _rate_rate,
-}
-
-
-@dataclasses.dataclass
 class PlanarTeam:
-    """Robots that share a map and choose their next poses in rounds.
+    """Equal robots that share a map and choose their next poses in rounds.
 
     A round: every robot chooses a pose, goes there and scans. Cooperating robots choose one after
     the other; each claims the cells that its view should see, so that the next ones do not count
     them. Independent robots choose by the map alone. Robots are points to each other: they neither
     hide ground nor block paths.
 
-    Attributes:
-        planners: Planner of each robot.
-        cooperative: Whether robots claim what they will see.
+    Args:
+        robots: Number of robots.
+        config: Configuration of every planner.
+        generator: Random generator that is split among the robots.
+        cooperative: Whether robots claim the cells that they will see.
+
+    Raises:
+        ValueError: If there is no robot.
     """
 
-    planners: Sequence[ViewPlanner]
-    cooperative: bool = True
+    def __init__(
+        self,
+        robots: int,
+        config: PlannerConfig,
+        generator: np.random.Generator,
+        cooperative: bool = True,
+    ) -> None:
+        if robots < 1:
+            raise ValueError(f"robots: expected 1 or more, got {robots}")
+        self._config, self._cooperative = config, cooperative
+        self._planners = [ViewPlanner(config, child) for child in generator.spawn(robots)]
 
     def choose(
         self, world: PlanarMap, cells: Sequence[tuple[int, int]]
@@ -438,37 +430,16 @@ class PlanarTeam:
         Raises:
             ValueError: If there is not one cell for each robot.
         """
-        if len(cells) != len(self.planners):
-            raise ValueError(f"cells: expected {len(self.planners)}, got {len(cells)}")
-        claimed: BoolArray = np.zeros(world.grid.shape, dtype=bool)
+        if len(cells) != len(self._planners):
+            raise ValueError(f"cells: expected {len(self._planners)}, got {len(cells)}")
+        sensor = self._config.sensor
+        table = fan(sensor.depth, world.grid.cell, self._config.rays)
         opaque = world.measured & (world.probability() >= world.model.occupied_above)
+        claimed = np.zeros(world.grid.shape, dtype=bool) if self._cooperative else None
         views: list[PlannedView | None] = []
-        for planner, cell in zip(self.planners, cells):
-            view = planner.choose(world, cell, claimed if self.cooperative else None)
+        for planner, cell in zip(self._planners, cells):
+            view = planner.choose(world, cell, claimed)
             views.append(view)
-            if view is not None and self.cooperative:
-                sensor, rays = planner.config.sensor, planner.config.rays
-                table = fan(sensor.depth, world.grid.cell, rays)
+            if view is not None and claimed is not None:
                 claimed |= expected_view(opaque, view.cell, view.heading, sensor.fov, table)
         return views
-
-
-def make_team(
-    robots: int, config: PlannerConfig, generator: np.random.Generator, cooperative: bool = True
-) -> PlanarTeam:
-    """Return a team of equal robots, each with random numbers of its own.
-
-    Args:
-        robots: Number of robots.
-        config: Configuration of every planner.
-        generator: Random generator that is split among the robots.
-        cooperative: Whether robots claim what they will see.
-
-    Raises:
-        ValueError: If there is no robot.
-    """
-    if robots < 1:
-        raise ValueError(f"robots: expected 1 or more, got {robots}")
-    return PlanarTeam(
-        [ViewPlanner(config, child) for child in generator.spawn(robots)], cooperative
-    )

@@ -1,13 +1,16 @@
-"""The map as a planner believes it, paths on it, and cells to look from."""
+"""The map as a planner believes it, paths on it, and cells for the next view."""
 
 import dataclasses
 
 import numpy as np
+from scipy import ndimage
 
 from controllers.mapping.planar_paths import Paths, shortest_paths
 from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 from perception.planar.map import PlanarMap
 from perception.planar.raycast import Fan, RangeSensor, fan
+
+_SIDES = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +42,7 @@ def believe(
     world: PlanarMap, cell: tuple[int, int], sensor: RangeSensor, rays: int,
     claimed: BoolArray | None = None,
 ) -> Situation:  # fmt: skip
-    """Return what is known, taking claimed cells for seen and empty.
+    """Return the map and the paths on it, taking claimed cells for seen and empty.
 
     Args:
         world: Map of the plane.
@@ -64,7 +67,7 @@ def draw_candidates(
 ) -> IntArray:
     """Draw reachable free cells (n, 2): the present one, half nearby and half anywhere.
 
-    Few evenly drawn positions would leave none near enough to go on where one is.
+    Few evenly drawn positions would leave none near enough to continue at the present one.
 
     Args:
         situation: Map as believed.
@@ -86,10 +89,5 @@ def draw_candidates(
 
 def frontier_cells(situation: Situation) -> IntArray:
     """Return the reachable cells (n, 2) that share a side with an unknown one."""
-    unknown = ~situation.known
-    beside = np.zeros_like(unknown)
-    beside[1:] |= unknown[:-1]
-    beside[:-1] |= unknown[1:]
-    beside[:, 1:] |= unknown[:, :-1]
-    beside[:, :-1] |= unknown[:, 1:]
+    beside = ndimage.binary_dilation(~situation.known, structure=_SIDES)
     return np.argwhere(beside & np.isfinite(situation.paths.lengths)).astype(np.int64)

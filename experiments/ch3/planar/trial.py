@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from controllers.mapping.planar_planner import (
     Method,
+    PlanarTeam,
     PlannedView,
     PlannerConfig,
     Utility,
-    make_team,
 )
 from experiments.ch3.planar.worlds import World, image_world, indoor_world, unstructured_world
 from experiments.harness.intervals import distribution, fraction
@@ -139,7 +139,7 @@ def run_trial(
     """
     generator = np.random.default_rng([trial.seed, 3])
     config = PlannerConfig(trial.sensor, trial.method, trial.reading, trial.utility)
-    team = make_team(trial.robots, config, generator, trial.cooperative)
+    team = PlanarTeam(trial.robots, config, generator, trial.cooperative)
     model = PlanarMap(world.grid)
     cells = world.starts(trial.robots)
     turns = generator.integers(config.headings, size=trial.robots)

@@ -10,12 +10,12 @@ from scipy.sparse import csgraph
 from controllers.mapping.planar_paths import shortest_paths
 from controllers.mapping.planar_planner import (
     METHODS,
+    PlanarTeam,
     PlannerConfig,
     ViewPlanner,
     expected_information,
     fixed_price_rating,
     isolation_weights,
-    make_team,
     new_and_old_area,
     rate_rating,
 )
@@ -251,7 +251,7 @@ def test_cooperating_robots_see_more_than_independent_ones():
     seen = {}
     for cooperative in (True, False):
         _, model = partly_mapped(views=1)
-        team = make_team(3, PlannerConfig(SENSOR), np.random.default_rng(13), cooperative)
+        team = PlanarTeam(3, PlannerConfig(SENSOR), np.random.default_rng(13), cooperative)
         views = team.choose(model, [START] * 3)
         table = fan(SENSOR.depth, 0.5, 240)
         opaque = model.measured & (model.probability() > 0.5)
@@ -265,11 +265,11 @@ def test_cooperating_robots_see_more_than_independent_ones():
 
 def test_team_wants_one_cell_for_each_robot():
     _, model = partly_mapped()
-    team = make_team(2, PlannerConfig(SENSOR), np.random.default_rng(14))
+    team = PlanarTeam(2, PlannerConfig(SENSOR), np.random.default_rng(14))
     with pytest.raises(ValueError, match="expected 2, got 1"):
         team.choose(model, [START])
     with pytest.raises(ValueError, match="robots"):
-        make_team(0, PlannerConfig(SENSOR), np.random.default_rng(14))
+        PlanarTeam(0, PlannerConfig(SENSOR), np.random.default_rng(14))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from controllers.mapping.messages import PoseMessage, WrenchMessage, pack_map_change, unpack
+from controllers.mapping.messages import PoseMessage, WrenchMessage, unpack
 from tests.twin.hardware.roboclaw.wire import VirtualLink, boards_on_a_line, virtual_time
 from twin.hardware.analogue import firmata_codec
 from twin.hardware.emulator.firmata_board import FirmataBoard
@@ -320,11 +320,9 @@ class Channel:
 
 
 def radio_messages():
-    voxels = np.arange(30)
     return [
         PoseMessage(1, 12.5, (1.0, 2.0, 0.0), (0.0, 0.1, 1.0), 0.05).pack(),
         WrenchMessage(2, 0.5, (1.0, -2.0, 3.0), (0.1, 0.2, -0.3)).pack(),
-        *pack_map_change(3, 7, voxels, voxels),
     ]
 
 

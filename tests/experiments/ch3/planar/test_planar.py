@@ -149,8 +149,8 @@ def test_files_that_are_no_picture_are_refused(tmp_path):
 def test_bad_options_are_refused():
     for change, told in (
         ({"methods": ("greedy",)}, "--methods greedy"),
-        ({"reading": "grey"}, "--reading grey"),
-        ({"utility": "free"}, "--utility free"),
+        ({"reading": "grey"}, "--reading 'grey'"),
+        ({"utility": "free"}, "--utility 'free'"),
         ({"fov": 400.0}, "--fov"),
         ({"depth": -1.0}, "--depth"),
         ({"noise": -1.0}, "--noise"),
