@@ -21,7 +21,6 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from scipy import ndimage
 
-from controllers.checks import check_choice
 from controllers.mapping.planar_situation import (
     Situation,
     believe,
@@ -29,6 +28,7 @@ from controllers.mapping.planar_situation import (
     frontier_cells,
 )
 from perception.geometry.arrays import BoolArray, FloatArray, IntArray
+from perception.geometry.checks import check_choice
 from perception.planar.information import (
     READINGS,
     KnownGround,
