@@ -29,6 +29,6 @@ $root apt-get update -qq </dev/null
 $root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $packages \
     </dev/null
 if ! renders; then
-    echo "setup: off-screen rendering still fails; $python -m experiments doctor tells why" >&2
+    echo "setup: off-screen rendering still fails; $python -m experiments doctor shows why" >&2
     exit 1
 fi

@@ -1,8 +1,8 @@
 #!/bin/sh
-# Make sure that the tests can look at what people look at: the report in a Chromium, recordings in
+# Make sure that the tests can show what people view: the report in a Chromium, recordings in
 # rerun's viewer on a (software) Vulkan; install by apt what is missing, if that can be.
 # usage: ensure_viewers.sh
-# Without apt or the right to use it the tests that look there are skipped, and say so.
+# Without apt or the right to use it the tests that need them are skipped, with the reason.
 set -eu
 PATH=$PATH:/usr/sbin:/sbin
 
@@ -32,7 +32,7 @@ elif sudo -n true 2>/dev/null; then
     root="sudo -n"
 fi
 if ! command -v apt-get >/dev/null || [ -z "${root+set}" ]; then
-    echo "setup: to test the report and the recordings as they are seen: sudo apt install $missing" >&2
+    echo "setup: to test the report and the recordings in their viewers: sudo apt install $missing" >&2
     exit 0
 fi
 echo "setup: installing what shows the report and the recordings ($missing)"

@@ -8,7 +8,7 @@ shift
 kept=build/test-results
 rm -rf "$kept"
 
-# pytest says 5 where the arguments leave it no test.
+# pytest exits with 5 where the arguments select no test.
 "$python" -m pytest -n auto --dist loadfile --no-loadscope-reorder --real-time=skip \
     --keep-results="$kept" "$@"
 shared=$?

@@ -1,10 +1,10 @@
-"""What a robot does, simulated or real.
+"""Robots, simulated or real.
 
 In reading order:
 
-- `robot`: the contract of every robot; `description`: what a robot knows of itself, as drawn;
-  `link`: the radio as a controller sees it.
-- `connect`: robots from a word on the command line.
+- `robot`: the contract of every robot; `description`: a robot as drawn;
+  `link`: the radio of a controller.
+- `connect`: robots by a target named on the command line.
 - `loop`, `clock`: observe, decide, command, wait.
 - `describe`: descriptions from a model as drawn.
 - `simulation`: a MuJoCo scene and its robots, stepped together.
@@ -17,5 +17,5 @@ In reading order:
 
 import os
 
-# Without a display MuJoCo would pick GLFW and fail; this must stand before it is imported.
+# Without a display MuJoCo would pick GLFW and fail; this must come before its import.
 os.environ.setdefault("MUJOCO_GL", "egl")

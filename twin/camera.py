@@ -84,7 +84,7 @@ def camera_model(model: mujoco.MjModel, name: str) -> Pinhole:
 
 def camera_pose(data: mujoco.MjData, camera: int) -> tuple[FloatArray, FloatArray]:
     """Return rotation (3, 3) and translation (3,) [m], camera to world; truth, for tests."""
-    flip = np.diag([1.0, -1.0, -1.0])  # MuJoCo's cameras look along -z with y up.
+    flip = np.diag([1.0, -1.0, -1.0])  # MuJoCo's cameras view along -z with y up.
     rotation = np.array(data.cam_xmat[camera], dtype=float).reshape(3, 3) @ flip
     return rotation, np.array(data.cam_xpos[camera], dtype=float)
 
@@ -93,7 +93,7 @@ class Renderer:
     """An off-screen OpenGL context; use the process' own through `renderer`."""
 
     def __init__(self) -> None:
-        """Prepare; the context is made for the first image."""
+        """Allocate the options; the context is made for the first image."""
         self._process = os.getpid()
         self._gl: Any = None
         self._context: Any = None
@@ -191,9 +191,9 @@ def _make_gl(width: int, height: int) -> Any:
 
 
 def cull(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) -> None:
-    """Take the geoms that lie wholly outside the view frustum out of a scene.
+    """Remove the geoms that lie wholly outside the view frustum from a scene.
 
-    The driver would work through their faces and throw them away; the image is the same.
+    The driver would discard their faces one by one; the image is the same.
 
     Args:
         scene: Scene made by `mujoco.mjv_updateScene`; the type of the culled geoms becomes none.
@@ -202,7 +202,7 @@ def cull(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) 
         aspect: Columns over rows of the image, for a camera that is given by its field of view.
     """
     eye = scene.camera[0]
-    # MuJoCo keeps two eyes, the camera's own distance apart; the image is that from between them.
+    # MuJoCo has two eyes, the camera's own distance apart; the image is that from between them.
     middle = 0.5 * (np.array(eye.pos, dtype=float) + np.array(scene.camera[1].pos, dtype=float))
     forward, up = np.array(eye.forward, dtype=float), np.array(eye.up, dtype=float)
     to_camera = np.column_stack([np.cross(forward, up), up, forward])
@@ -318,8 +318,8 @@ class StereoRig:
 class StereoHead:
     """Stereo pairs of one robot of a simulation, drawn when they are read.
 
-    A pair keeps the scene's positions at which it was taken. Its noise is that of its number: who
-    reads which pairs, and when, changes no pixel.
+    A pair holds the scene's positions at its time. Its noise depends on its number alone: which
+    pairs are read, and when, changes no pixel.
 
     Args:
         model: Compiled scene.
@@ -358,7 +358,7 @@ class StereoHead:
         return ImageChannel.deferred(lambda: self.draw(positions, frame, time), time)
 
     def draw(self, positions: FloatArray, frame: int, time: float) -> ImageArray:
-        """Return the pair that was taken at these positions.
+        """Return the pair of a frame at saved positions.
 
         Raises:
             RobotError: If the simulation is closed.

@@ -1,4 +1,4 @@
-"""From a word on the command line to robots that can be driven."""
+"""Connection to robots by a target named on the command line."""
 
 import contextlib
 import dataclasses
@@ -41,7 +41,7 @@ TARGETS: Mapping[str, str] = {
         "further robot begins with serial:"
     ),
 }
-"""What `connect` offers."""
+"""Targets of `connect`, and what each is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,11 +66,11 @@ class Connection:
 
     Attributes:
         robots: Robots by name.
-        clock: Paces `twin.loop.run`.
-        simulation: The scene with the truth, for measuring and recording only; None when real.
-        emulator: The process behind emulated boards; None for all others.
-        links: Each robot's end of the radio, by robot name; empty where there is none.
-        resources: Ports, processes and threads that `close` takes down besides.
+        clock: Clock that paces `twin.loop.run`.
+        simulation: Scene with the truth, for scoring and recording only; None for real robots.
+        emulator: Process behind emulated boards; None for all others.
+        links: Ends of the radio by robot name; empty without a radio.
+        resources: Ports, processes and threads that `close` releases.
     """
 
     robots: Mapping[str, Robot]
@@ -81,7 +81,7 @@ class Connection:
     resources: contextlib.ExitStack = dataclasses.field(default_factory=contextlib.ExitStack)
 
     def close(self) -> None:
-        """Deactivate the robots and take the scene down."""
+        """Deactivate the robots and release the scene."""
         with self.resources:
             for robot in self.robots.values():
                 robot.deactivate()

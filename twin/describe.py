@@ -49,8 +49,8 @@ def describe_rover(
 
     Args:
         name: Name of the robot.
-        arm: Whether it carries the arm.
-        card: Whether the gripper holds the card, which then counts as part of the wrist.
+        arm: True for a robot with the arm.
+        card: True for a card in the gripper, which counts as part of the wrist.
     """
     model = make_model(_BARE, [RobotPlacement(name, arm=arm, card=card)])
     drawn = describe(model, name)
@@ -174,10 +174,10 @@ def _motors(model: mujoco.MjModel, robot: str) -> dict[str, int]:
 
 
 def _motor(model: mujoco.MjModel, actuator: str) -> MotorDescription:
-    """Return the line of an actuator: a ``dcmotor``, or an affine one in volts.
+    """Return the torque-speed line of an actuator: a ``dcmotor``, or an affine one in volts.
 
     Raises:
-        ValueError: If it is another kind, whose line nobody knows.
+        ValueError: If it is of another kind, whose line is unknown.
     """
     motor = model.actuator(actuator)
     volts, bias = float(motor.ctrlrange[1]), motor.biasprm

@@ -1,4 +1,4 @@
-"""What a robot knows of itself: plain data of the robot as drawn.
+"""Description of a robot: plain data of the robot as drawn.
 
 It comes from drawings and datasheets, never from the robot as made, and is readable while the robot
 is disconnected. Frames: the robot frame is that of the chassis, x to the right, y forward, z up
@@ -40,9 +40,9 @@ class JointDescription:
         name: Name of the joint and of its axis in the contract.
         transform_link_to_parent: Transform from the link's frame to its parent's at position zero.
         axis: (3,) unit vector of the hinge or slide in the link's frame.
-        body: The link with everything fixed to it, link frame.
+        body: Link with everything fixed to it, link frame.
         limits: Lowest and highest position [rad, or m for a slide].
-        slides: Whether it slides; if not it turns.
+        slides: True for a slide, False for a hinge.
         rotor_inertia: Inertia of the motor's rotor at the joint [kg m^2, or kg for a slide].
         friction: Dry friction of gear and motor at the joint [N m, or N for a slide].
         cover_points: (k, 3) points in the link's frame [m]; spheres about them of the arm's
@@ -66,7 +66,7 @@ class ArmDescription:
 
     Attributes:
         transform_base_to_robot: Transform from the arm's base, the sensor's face, to the robot.
-        base: What the sensor carries before the first joint, base frame.
+        base: Body between the sensor and the first joint, base frame.
         joints: Joints from the base to the wrist.
         home: (n,) joint angles of the arm's rest posture [rad].
         cover_radius: Radius of the spheres that cover the links [m].
@@ -86,7 +86,7 @@ class ArmDescription:
 
 @dataclasses.dataclass(frozen=True)
 class MotorDescription:
-    """A motor's line at its output shaft, with the friction that its sheet leaves out.
+    """A motor's torque-speed line at its output shaft, friction of the gear included.
 
     At duty d it turns with torque = stall_torque * (d - speed / no_load_speed).
 
@@ -117,7 +117,7 @@ class WheelDescription:
         name: Name of the wheel and of its axis in the contract.
         centre: (3,) the wheel's centre [m], robot frame, at rest.
         radius: Rolling radius [m].
-        mass: Mass of what moves with the wheel [kg].
+        mass: Mass of the parts that move with the wheel [kg].
         spring: Stiffness of its spring [N/m]; infinite for a wheel that is fixed to the body.
         damper: Damping of its spring [N s/m].
     """
@@ -152,15 +152,15 @@ class RobotDescription:
     Attributes:
         name: Name of the robot.
         wheels: Driven wheels in contract order; the same number on either side.
-        body: The rover without its arm, robot frame.
+        body: Rover without its arm, robot frame.
         body_spheres: (k, 4) centre and radius [m] of spheres that cover the rover without its arm,
             robot frame.
         centre_height: Height of the robot frame's origin over level ground at rest [m].
-        arm: The arm; None for a rover without one.
-        head: The stereo head on the arm; None without one.
+        arm: Description of the arm; None for a rover without one.
+        head: Description of the stereo head on the arm; None without one.
         sensor_sigma: Standard deviation of each channel's noise by its datasheet, by name of the
             channel, in the channel's units; one number, or one for each of its values.
-        motors: Motor of each axis, in the order of `axes`.
+        motors: Motors of the axes, in the order of `axes`.
     """
 
     name: str

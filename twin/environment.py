@@ -1,10 +1,10 @@
 """The scene as a dm_control environment, for its viewer, its wrappers and learning code.
 
-Actions are duties; observations are what the sensors say, never the truth. A channel that is
-missing or stale reads NaN.
+Actions are duties; observations are measurements, never the truth. A channel that is missing or
+stale reads NaN.
 """
 
-# dm_control ships no types, and its abstract methods look as if they returned None.
+# dm_control ships no types, and its abstract methods are inferred to return None.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 # pyright: reportIncompatibleMethodOverride=false
@@ -37,7 +37,7 @@ class RoverTask(control.Task):
     """Robots driven by duty; a reward may be given."""
 
     def __init__(self, simulation: Simulation, reward: Reward = _no_reward) -> None:
-        """Take over a simulation that shares its state with the environment's physics.
+        """Wrap a simulation that shares its state with the environment's physics.
 
         Args:
             simulation: Scene, whose present state is the initial state of every episode.
@@ -54,7 +54,7 @@ class RoverTask(control.Task):
             robot.activate()
 
     def before_step(self, action: FloatArray, physics: Physics) -> None:
-        """Bring duties (robot by robot: wheels, then arm joints) to the motors."""
+        """Apply duties (robot by robot: wheels, then arm joints) to the motors."""
         duty = np.asarray(action, dtype=float)
         for robot in self._simulation.robots.values():
             wheels, axes = len(robot.description.wheels), len(robot.description.axes)

@@ -1,4 +1,4 @@
-"""How the rerun viewer shows a run."""
+"""Layouts of the rerun viewer."""
 
 from collections.abc import Sequence
 
@@ -8,12 +8,12 @@ import rerun.blueprint as rrb
 def default_blueprint(
     robots: Sequence[str], extra: Sequence[rrb.View | rrb.Container] = ()
 ) -> rrb.Blueprint:
-    """Return the layout: the scene, each robot's eyes and curves, and what experiments add.
+    """Return the layout of the scene, each robot's images and curves, and further views.
 
     Args:
         robots: Names of the robots.
-        extra: Views beside them, such as estimates; None given shows all of ``excitation`` and
-            ``estimates``.
+        extra: Further views, such as estimates; without any, all of ``excitation`` and
+            ``estimates`` is shown.
     """
     tabs = [_robot_tab(name) for name in robots]
     below = list(extra) or [
@@ -33,12 +33,12 @@ def task_blueprint(
     target: tuple[float, float, float],
     views: Sequence[rrb.View | rrb.Container],
 ) -> rrb.Blueprint:
-    """Return the layout of a task that one robot watches: the scene, its eyes, and other views.
+    """Return the layout of a task that one robot views: the scene, its images, and other views.
 
     Args:
-        watcher: Name of the robot with the eyes.
-        position: Position of the scene's eye [m].
-        target: Point that the scene's eye looks at [m].
+        watcher: Name of the robot with the cameras.
+        position: Position of the viewer's camera [m].
+        target: Point that the viewer's camera is directed at [m].
         views: Views in the right column, from top to bottom.
     """
     eyes = [
@@ -62,8 +62,8 @@ def scene_view(
     Args:
         origin: Entity path of the scene.
         name: Title of the view.
-        position: Position of the eye [m].
-        target: Point that the eye looks at [m].
+        position: Position of the viewer's camera [m].
+        target: Point that the viewer's camera is directed at [m].
     """
     eye = rrb.EyeControls3D(position=position, look_target=target)
     return rrb.Spatial3DView(origin=origin, name=name, eye_controls=eye)

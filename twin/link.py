@@ -1,4 +1,4 @@
-"""The radio between two robots, as a controller sees it.
+"""The radio between two robots, as a controller uses it.
 
 `twin.connect.connect` gives each robot its end, simulated or on a real modem; both keep the same
 time as the robots' observations. Nothing here waits: a controller calls `poll` once a tick.
@@ -11,14 +11,14 @@ MESSAGE_LIMIT = 64
 
 
 class RadioError(ValueError):
-    """A message that the radio cannot take, or cannot make sense of."""
+    """A message that the radio cannot send, or cannot decode."""
 
 
 class Outcome(NamedTuple):
-    """What became of a message that was sent.
+    """Fate of a message that was sent.
 
     Attributes:
-        ticket: What `Link.send` returned.
+        ticket: Ticket that `Link.send` returned.
         confirmed: True if it arrived; False if it could not be confirmed in time (it may have
             arrived all the same: its acknowledgement can be lost, too).
     """
@@ -28,10 +28,10 @@ class Outcome(NamedTuple):
 
 
 class Polled(NamedTuple):
-    """What a call of `Link.poll` brought.
+    """Result of a call of `Link.poll`.
 
     Attributes:
-        messages: Received, in order.
+        messages: Received messages, in order.
         outcomes: Outcomes of messages sent; each ticket appears once, sooner or later.
     """
 

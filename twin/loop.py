@@ -12,13 +12,13 @@ _ERROR = Lifecycle.ERROR
 
 
 class Tick(NamedTuple):
-    """What one tick of the loop was.
+    """One tick of the loop.
 
     Attributes:
         step: Number of the tick, from 0.
         time: Robot time [s].
-        observations: What each robot observed, by robot name.
-        applied: Duty that was really applied, by robot name.
+        observations: Observation of each robot, by robot name.
+        applied: Duty applied to each robot, after limits, by robot name.
     """
 
     step: int
@@ -28,14 +28,14 @@ class Tick(NamedTuple):
 
 
 class LoopRecorder:
-    """What the loop asks of a recorder."""
+    """Receiver of the ticks of a run; the base of all recorders."""
 
     def record(self, tick: Tick) -> None:
-        """Take one tick."""
+        """Record one tick."""
         raise NotImplementedError
 
     def flush(self) -> None:
-        """Bring everything taken so far to its place, when a run ends; here nothing is buffered."""
+        """Write everything recorded so far, when a run ends; here nothing is buffered."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,12 +43,10 @@ class RunSummary:
     """Length of a run.
 
     Attributes:
-        steps: Number of servo ticks.
         duration: Robot time that passed [s].
         wall: Wall time that passed [s].
     """
 
-    steps: int
     duration: float
     wall: float
 
@@ -64,29 +62,28 @@ def run(
     """Run controllers on robots for a while.
 
     Robots are activated first and, however the run ends, deactivated last; one robot's error
-    stops all. Controllers are not reset: the caller decides what they remember.
+    stops all. Controllers are not reset: that is left to the caller.
 
     Args:
         robots: Robots by name.
-        controllers: Each sees all observations and commands robots that no other one commands.
-        clock: Paces the loop.
-        recorders: Take every tick, in this order; they are flushed, not closed.
+        controllers: Controllers, which get all observations; no two may command the same robot.
+        clock: Clock that paces the loop.
+        recorders: Recorders of every tick, in this order; they are flushed, not closed.
         duration: Robot time to run for, at most [s].
-        until: Asked after each tick; the run ends when it says yes.
+        until: Condition that ends the run, evaluated after each tick.
 
     Returns:
-        What the run took.
+        Length of the run.
 
     Raises:
-        RobotError: If a robot fails; what ended the run comes before what goes wrong at its end.
+        RobotError: If a robot fails; an error at the end of the run is a note of the one before.
         ValueError: If a controller commands an unknown robot, or two command the same.
     """
     begin, wall = clock.time, time.perf_counter()
-    steps, done = max(0, round(duration / clock.period)), 0
     try:
         for robot in robots.values():
             robot.activate()
-        for step in range(steps):
+        for step in range(round(duration / clock.period)):
             observations: dict[str, Observation] = {}
             for name, robot in robots.items():
                 observations[name] = robot.observe()
@@ -103,18 +100,17 @@ def run(
                 for recorder in recorders:
                     recorder.record(tick)
             clock.tick()
-            done = step + 1
             if until is not None and until():
                 break
     except BaseException as error:
         try:
             _end(robots, recorders)
         except RobotError as another:
-            # What ended the run is what the caller must hear of first.
+            # The error that ended the run is the one to report.
             error.add_note(f"and at the end: {another}")
         raise
     _end(robots, recorders)
-    return RunSummary(done, clock.time - begin, time.perf_counter() - wall)
+    return RunSummary(clock.time - begin, time.perf_counter() - wall)
 
 
 def _wrong_target(name: str, robots: Mapping[str, Robot]) -> ValueError:

@@ -1,7 +1,8 @@
 """Recordings for the rerun viewer: bodies, sensors, commands, images and estimates.
 
 Everything goes to a file, in columns of half a second, so that recording costs little and an
-interrupted run keeps what it had. ``python -m twin.record screenshot RUN.rrd OUT.png`` shows one.
+interrupted run loses half a second at most. ``python -m twin.record screenshot RUN.rrd OUT.png``
+makes a picture of one.
 """
 
 import socket
@@ -76,7 +77,7 @@ class Recorder(LoopRecorder):
         simulation: RecordedScene | None = None,
         blueprint: rrb.Blueprint | None = None,
     ) -> None:
-        """Open the file and write what never changes.
+        """Open the file and write the static entities.
 
         Args:
             path: File to write, ``.rrd``; folders are made.
@@ -111,7 +112,7 @@ class Recorder(LoopRecorder):
         self.close()
 
     def record(self, tick: Tick) -> None:
-        """Take one servo tick; channels that say nothing new are left out."""
+        """Record one servo tick; channels without a new sample are left out."""
         self._step, self._time = tick.step, tick.time
         for name, observation in tick.observations.items():
             for channel in CHANNELS:
@@ -185,7 +186,7 @@ class Recorder(LoopRecorder):
         self._stream.send_columns(path, self._now(), packed)
 
     def log_marks(self, path: str, pixels: FloatArray, radius: float = 6.0) -> None:
-        """Mark pixels of an image, at the latest tick's time; none takes older marks away.
+        """Mark pixels of an image, at the latest tick's time; they replace older marks.
 
         Args:
             path: Entity below the image's, such as ``rover1/stereo/left/markers``.
@@ -201,7 +202,7 @@ class Recorder(LoopRecorder):
         self._stream.send_columns(path, self._now(), columns)
 
     def log_points(self, path: str, points: FloatArray, shades: FloatArray) -> None:
-        """Show points in space, at the latest tick's time; they take the place of older ones.
+        """Show points in space, at the latest tick's time; they replace older ones.
 
         Args:
             path: Entity, such as ``map``.
@@ -217,7 +218,7 @@ class Recorder(LoopRecorder):
         self._stream.send_columns(path, self._now(), columns)
 
     def flush(self) -> None:
-        """Write everything taken so far to the file."""
+        """Write everything recorded so far to the file."""
         self._write_curves()
         self._stream.flush()
 
@@ -332,19 +333,10 @@ def log_meshes(
         if int(model.body_weldid[body]) != 0:
             moving[path] = pose
         else:
-            stream.log(path, body_transform(*pose), static=True)
+            xyzw = rr.Quaternion(xyzw=np.roll(data.xquat[body], -1))
+            place = rr.Transform3D(translation=data.xpos[body], quaternion=xyzw)
+            stream.log(path, place, static=True)
     return moving
-
-
-def body_transform(position: FloatArray, quaternion: FloatArray) -> rr.Transform3D:
-    """Return a pose for the viewer.
-
-    Args:
-        position: (3,) [m].
-        quaternion: (4,) scalar first.
-    """
-    xyzw = rr.Quaternion(xyzw=np.roll(quaternion, -1))
-    return rr.Transform3D(translation=position, quaternion=xyzw)
 
 
 def screenshot(run: Path, out: Path, at: float | None = None, patience: float = 60.0) -> None:
@@ -366,7 +358,12 @@ def screenshot(run: Path, out: Path, at: float | None = None, patience: float = 
     out.unlink(missing_ok=True)
     deadline = time.monotonic() + patience
     try:
-        with _spawn() as viewer:
+        # The viewer of this Python environment need not be on the path.
+        beside = Path(sys.executable).parent / "rerun"
+        executable = str(beside) if beside.is_file() else None
+        with ViewerClient.spawn(
+            headless=True, port=_free_port(), executable_path=executable
+        ) as viewer:
             _open(viewer, run, deadline)
             # A viewer that follows the latest data would go back there.
             shown = _end(viewer) if at is None else at
@@ -378,16 +375,6 @@ def screenshot(run: Path, out: Path, at: float | None = None, patience: float = 
         raise
     except Exception as error:
         raise RuntimeError(f"no screenshot of {run}: {error}; {_ADVICE}") from error
-
-
-def _spawn() -> ViewerClient:
-    """Start the viewer of this Python environment, which need not be on the path."""
-    beside = Path(sys.executable).parent / "rerun"
-    return ViewerClient.spawn(
-        headless=True,
-        port=_free_port(),
-        executable_path=str(beside) if beside.is_file() else None,
-    )
 
 
 def _open(viewer: ViewerClient, run: Path, deadline: float) -> None:

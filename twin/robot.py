@@ -1,4 +1,4 @@
-"""The contract that every rover keeps, whether simulated, emulated or real.
+"""The contract of every rover, whether simulated, emulated or real.
 
 Body frame of a rover: x to the right, y forward, z up (Thesis fig. 2-2), so that pitch, roll and
 yaw are rotations about x, y and z.
@@ -24,11 +24,11 @@ AXES = (*WHEELS, *ARM_JOINTS)
 
 
 class RobotError(RuntimeError):
-    """A robot could not do what it was asked; its axes were zeroed before this was raised."""
+    """A robot could not follow a request; its axes were zeroed before this was raised."""
 
 
 class Validity(enum.Enum):
-    """How far a channel may be believed."""
+    """Trustworthiness of a channel."""
 
     MEASURED = "measured"
     PREDICTED = "predicted"
@@ -49,9 +49,9 @@ class Channel(NamedTuple):
     """One sensor's latest sample.
 
     Attributes:
-        value: The sample, in SI units, read-only; empty when missing.
-        stamp: Robot time at which it was taken [s]; NaN when missing.
-        validity: Whether it was measured, predicted, is stale or missing.
+        value: Sample in SI units, read-only; empty when missing.
+        stamp: Robot time of the sample [s]; NaN when missing.
+        validity: Validity of the sample.
     """
 
     value: NDArray[np.generic]
@@ -67,12 +67,12 @@ class Channel(NamedTuple):
 class DeferredImages:
     """A stereo pair that is drawn or fetched when it is read first.
 
-    What draws it is kept apart from it, and as long as it: through what it observes, no controller
-    reaches the scene.
+    The function that draws it is stored outside it, and lives as long as it does: no controller
+    reaches the scene through an observation.
 
     Args:
-        make: Returns the images (2, height, width) uint8, read-only; asked once, by the first
-            `read` that succeeds.
+        make: Function that returns the images (2, height, width) uint8, read-only; called until
+            a `read` succeeds.
     """
 
     __slots__ = ("__weakref__", "_images")
@@ -109,7 +109,7 @@ class ImageChannel(Channel):
 
         Args:
             make: See `DeferredImages`.
-            stamp: Robot time at which the pair was taken [s].
+            stamp: Robot time of the pair [s].
         """
         return cls(DeferredImages(make), stamp, Validity.MEASURED)  # pyright: ignore[reportArgumentType]
 
@@ -133,7 +133,7 @@ MISSING = Channel(np.empty(0), float("nan"), Validity.MISSING)
 
 
 class Observation(NamedTuple):
-    """All that a controller ever learns of a robot.
+    """All that a controller learns of a robot.
 
     Attributes:
         time: Robot time [s].
@@ -165,12 +165,12 @@ class Observation(NamedTuple):
 
 
 NOTHING = np.empty(0)
-"""Stands for zeros, as many as a robot has wheels or joints; read-only."""
+"""Zeros for all wheels or joints of a robot, however many; read-only."""
 NOTHING.flags.writeable = False
 
 
 class WheelMode(enum.Enum):
-    """What the wheel numbers of a command mean."""
+    """Meaning of the wheel numbers of a command."""
 
     DUTY = "duty"
     EFFORT = "effort"
@@ -178,7 +178,7 @@ class WheelMode(enum.Enum):
 
 
 class ArmMode(enum.Enum):
-    """What the arm numbers of a command mean."""
+    """Meaning of the arm numbers of a command."""
 
     DUTY = "duty"
     EFFORT = "effort"
@@ -192,9 +192,9 @@ _WHEEL_DUTY, _ARM_DUTY = WheelMode.DUTY, ArmMode.DUTY
 
 @dataclasses.dataclass(frozen=True, init=False)
 class Command:
-    """What a robot is asked to do until the next command.
+    """A request to a robot, which holds until the next command.
 
-    The robot refuses as many numbers as it has not; `NOTHING` fits every robot.
+    A robot refuses more or fewer numbers than it has wheels or joints; `NOTHING` fits every robot.
 
     Attributes:
         wheels: (wheels,) duty in [-1, 1], effort [N m] or speed [rad/s], in the order of the
@@ -219,12 +219,12 @@ class Command:
         arm_mode: ArmMode = ArmMode.DUTY,
         arm_rates: FloatArray = NOTHING,
     ) -> None:
-        """Refuse what no wire may ever carry.
+        """Refuse numbers that no robot could follow.
 
         Raises:
             ValueError: If an array is not one-dimensional or holds a NaN or an infinity.
         """
-        # Every tick makes one a robot, with caches gone cold: few steps, and those in one place.
+        # Every tick makes one for each robot, with cold caches: as few steps as possible.
         if not _surely_finite(wheels, arm):
             wheels, arm = _finite_row("wheels", wheels), _finite_row("arm", arm)
         if arm_rates is not NOTHING:
@@ -235,7 +235,7 @@ class Command:
 
 
 def applied_command(wheels: FloatArray, arm: FloatArray) -> Command:
-    """Return as a command what was applied, without the checks of one that is asked for.
+    """Return the applied duty as a command, without the checks of a request.
 
     Args:
         wheels: (wheels,) finite duty in [-1, 1].
@@ -250,7 +250,7 @@ def applied_command(wheels: FloatArray, arm: FloatArray) -> Command:
 
 
 def _surely_finite(wheels: FloatArray, arm: FloatArray) -> bool:
-    """Return whether these are surely rows of finite numbers, by the fewest steps."""
+    """Return whether these are surely rows of finite numbers, in few steps."""
     try:
         if type(wheels) is _ARRAY and wheels.dtype is _DOUBLE:
             if type(arm) is _ARRAY and arm.dtype is _DOUBLE:
@@ -300,11 +300,11 @@ class Robot(Protocol):
         ...
 
     def command(self, command: Command) -> Command:
-        """Drive, and return what was really applied, as duty, after limits.
+        """Drive, and return the duty that was applied, after limits.
 
         Raises:
             RobotError: If the robot is not ACTIVE.
-            ValueError: If it has not as many wheels or joints as the command has numbers.
+            ValueError: If the robot has another number of wheels or joints than the command.
         """
         ...
 
@@ -314,10 +314,10 @@ class Robot(Protocol):
 
 
 class Controller(Protocol):
-    """Observations in, commands out; sees nothing else of the world."""
+    """Observations in, commands out, and nothing else of the world."""
 
     def reset(self) -> None:
-        """Forget everything learnt since construction."""
+        """Go back to the state after construction."""
         ...
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:

@@ -1,8 +1,8 @@
-"""What a robot's sensors make of the truth: one bank for all channels of a robot.
+"""Measurements of a robot's sensors: one bank for all channels of a robot.
 
 A sample goes through low-pass, bias and white noise, saturation, quantisation, sample-and-hold
-with dropout, and delay, in this order. A channel that has nothing to say is missing or stale;
-it never reads zero instead.
+with dropout, and delay, in this order. A channel without a present sample is missing or stale; it
+never reads zero instead.
 """
 
 import functools
@@ -98,7 +98,7 @@ def wire(model: mujoco.MjModel, robot: RobotDescription) -> SensorWiring:
                 samples = int(model.sensor_history[index, 0])
                 # The buffer holds two words of book-keeping, the times, then the samples.
                 first = int(model.sensor_historyadr[index]) + 2 + samples
-                # A mean of n samples, the last of them a step old, stands for its middle.
+                # The last of the n samples is a step old; their mean is that of the middle.
                 lags[channel] = step * (1 + samples) / 2
             wires.extend((place + i, first + i, width, samples) for i in range(width))
             place += width
@@ -162,7 +162,7 @@ class SavedBank(NamedTuple):
 
     Attributes:
         table: All numbers of the bank, among them the present block of noise.
-        connected: Whether each channel's wire is whole.
+        connected: Whether each channel is connected.
         random: State of the generator.
         used: Rows of the block that were used.
     """
@@ -221,7 +221,7 @@ class SensorBank:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every sample; all channels are missing until the next `sample`."""
+        """Discard all samples; all channels are missing until the next `sample`."""
         self._table[_FILTER, : self.size] = math.nan
         self._table[_INPUT, : self.size] = 0.0
         self._table[_DUE, self.size :] = -math.inf
@@ -259,7 +259,7 @@ class SensorBank:
         self._block.flags.writeable = False
 
     def _show(self) -> None:
-        """Set what the channels read: the samples of as many ticks ago as each is late."""
+        """Set the channels' readings: each channel's delayed sample."""
         self._lay_out()
         self._row = 0
         self._oldest = _read(self._table, self._readings[0])
@@ -281,12 +281,12 @@ class SensorBank:
         ]
 
     def disconnect(self, name: str) -> None:
-        """Take a sensor away, as a broken wire does; it is missing from now on."""
+        """Disconnect a sensor, as a broken wire does; its channel is missing from now on."""
         check_channel(name)
         self._connected[CHANNELS.index(name)] = False
 
     def connect(self, name: str) -> None:
-        """Give a sensor back."""
+        """Connect a sensor again."""
         check_channel(name)
         self._connected[CHANNELS.index(name)] = True
 
@@ -317,7 +317,7 @@ def _chain(specs: list[ChannelSpec], widths: list[int], period: float) -> FloatA
 
 
 def _timing(specs: list[ChannelSpec], lags: list[float], period: float) -> FloatArray:
-    """Return which channels are late, slow or lossy, (5, channels)."""
+    """Return the channels' lags, periods, dropouts, delays and luck, (5, channels)."""
     slow = [spec.rate if spec.rate and spec.rate * period < 1.0 else None for spec in specs]
     periods = [1.0 / rate if rate else 0.0 for rate in slow]
     delays = [round(spec.delay / period) for spec in specs]
@@ -344,7 +344,7 @@ def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, flo
 
 @numba.njit(cache=True)
 def _read(table: FloatArray, reading: FloatArray) -> float:
-    """Write what each channel reads now, and return the oldest stamp; NaN if one is missing."""
+    """Write each channel's reading, and return the oldest stamp; NaN if one is missing."""
     oldest, size = math.inf, table.shape[1] - _COUNT
     latest = _PAST + int(table[_DELAY, size:].max())
     for channel in range(size, size + _COUNT):

@@ -70,7 +70,7 @@ _BLOCK = 64  # ticks of duties laid out at a time
 
 
 class Servo:
-    """Turns a command and the latest observation into duty, once a servo tick."""
+    """Converts a command and the latest observation into duty, once a servo tick."""
 
     def __init__(
         self,
@@ -110,7 +110,7 @@ class Servo:
         self._lay_out()
 
     def reset(self) -> None:
-        """Forget the integrals."""
+        """Zero the integrals."""
         self._axes[-1] = 0.0
 
     def _lay_out(self) -> None:
@@ -125,7 +125,7 @@ class Servo:
         return np.concatenate(self.drive(command, observation))
 
     def drive(self, command: Command, observation: Observation) -> tuple[FloatArray, FloatArray]:
-        """Bring a command to the motors, and return their duty in [-1, 1].
+        """Apply a command to the motors, and return their duty in [-1, 1].
 
         Args:
             command: Desired duty, effort, rate or position.
@@ -173,17 +173,13 @@ class Servo:
         if result != _DONE:
             self.motors[:] = 0.0
             if result == _MISFIT:
-                raise ValueError(self._misfit(command))
+                raise ValueError(
+                    f"command with {len(command.wheels)} wheels, {len(command.arm)} arm joints and "
+                    f"{len(command.arm_rates)} arm rates; the robot has {self._wheels} wheels and "
+                    f"{len(self.motors) - self._wheels} joints"
+                )
             raise ValueError(f"duty {self._duties[row]} is not finite; nothing was sent")
         return self._block.item(row)
-
-    def _misfit(self, command: Command) -> str:
-        joints = self._axes.shape[1] - self._wheels
-        return (
-            f"command with {len(command.wheels)} wheels, {len(command.arm)} arm joints and "
-            f"{len(command.arm_rates)} arm rates; the robot has {self._wheels} wheels and {joints} "
-            "joints"
-        )
 
     def save(self) -> FloatArray:
         """Return the complete state: (axes,) integrals of the speed loops as duty."""

@@ -66,10 +66,10 @@ class SimRobot:
         """Find the robot's actuators and sensors in the scene.
 
         Args:
-            description: The robot as drawn; its elements' names begin with its own and a slash.
-            model: The scene.
+            description: Robot as drawn; its elements' names begin with its own and a slash.
+            model: Compiled scene.
             data: State of the scene, shared with the simulation.
-            suite: How its sensors measure.
+            suite: Specification of the sensors.
             servo: Motors and gains.
             rng: Random generator of the sensor noise.
 
@@ -111,7 +111,7 @@ class SimRobot:
         self.sense(time)
 
     def close(self) -> None:
-        """Zero all axes and go to UNCONFIGURED: the scene is gone."""
+        """Zero all axes and go to UNCONFIGURED."""
         self._zero()
         self.lifecycle = Lifecycle.UNCONFIGURED
 
@@ -147,7 +147,7 @@ class SimRobot:
         """Drive until the next command, and return what is applied, as duty, after limits.
 
         Args:
-            command: What is asked for.
+            command: Desired duty, effort, rate or position.
 
         Raises:
             RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable;
@@ -169,7 +169,7 @@ class SimRobot:
         return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
 
     def drive(self) -> None:
-        """Bring the held command to the motors for one servo tick; the owner calls it.
+        """Apply the present command to the motors for one servo tick; the owner calls it.
 
         Raises:
             RobotError: As `command`.
@@ -185,7 +185,7 @@ class SimRobot:
         self._observation = _observation((time, *channels, self._observation.stereo))
 
     def see(self, stereo: Channel) -> None:
-        """Take a new stereo pair; the owner calls it."""
+        """Store a new stereo pair; the owner calls it."""
         self._observation = self._observation._replace(stereo=stereo)
 
     def save(self) -> RobotState:
@@ -256,9 +256,9 @@ class Simulation:
         """Find the robots in the scene, and configure them at rest.
 
         Args:
-            model: The scene.
-            robots: The robots as drawn; a name stands for the thesis' rover with that name.
-            suite: How the robots' sensors measure.
+            model: Compiled scene.
+            robots: Robots as drawn; a name is that of a rover of the thesis.
+            suite: Specification of the robots' sensors.
             servo: Motors and gains of the robots; None for the motors of each description.
             stereo: Rate, noise and lenses of the stereo heads; None leaves the channel missing, as
                 does a scene without their cameras.
@@ -322,7 +322,7 @@ class Simulation:
         self.sense()
 
     def drive(self) -> None:
-        """Bring the held commands to the motors; part of `tick`, for owners of the physics."""
+        """Apply the present commands to the motors; part of `tick`, for owners of the physics."""
         for robot in self._robots:
             robot.drive()
 
@@ -349,6 +349,11 @@ class Simulation:
             pair = head.poll(self.data, self._time)
             if pair is not None:
                 self.robots[name].see(pair)
+
+    def settle(self, duration: float) -> None:
+        """Advance for `duration` [s] while the robots keep their commands."""
+        for _ in range(round(duration / self.period)):
+            self.tick()
 
     def save(self) -> SavedRun:
         """Return the complete state."""
@@ -378,6 +383,6 @@ class Simulation:
             self.heads[name].state = state
 
     def close(self) -> None:
-        """Take the robots down; they are UNCONFIGURED afterwards."""
+        """Close the robots; they are UNCONFIGURED afterwards."""
         for part in (*self._robots, *self.heads.values()):
             part.close()

@@ -1,4 +1,4 @@
-"""``python -m experiments bench``: what the project costs beside a named peer, in the same run."""
+"""``python -m experiments bench``: speed and accuracy beside a named peer, in the same run."""
 
 import dataclasses
 from collections.abc import Callable
@@ -32,7 +32,7 @@ class Options(contract.Options):
     """Options of the benchmarks.
 
     Attributes:
-        only: Names of the benchmarks to run (unless said, all).
+        only: Names of the benchmarks to run; all by default.
     """
 
     only: tuple[str, ...] = ()

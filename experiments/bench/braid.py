@@ -14,17 +14,17 @@ from experiments.harness.timing import compare, repeat
 
 STAGES, QUICK_STAGES = (4, 5, 6), (4, 5)
 MET = 10
-"""Stages that brute force cannot list: its time there is that of its largest arm, times words."""
+"""Stages that brute force cannot list: its time is extrapolated by the number of words."""
 TARGETS, QUICK_TARGETS = 20, 5
 ROUNDS, QUICK_ROUNDS = 5, 2
 SAME = 1e-9
 
 
 def bench_braid(options: Options, output: Output) -> None:
-    """Solve the same targets by the tree, by meeting in the middle and by looking at every word.
+    """Solve the same targets by the tree, by meeting in the middle and by trying every word.
 
-    Brute force looks at poses that it listed before, one for each different pose, in NumPy; only
-    the look is timed, for both.
+    Brute force searches poses that were listed before, each different pose once, in NumPy; only
+    the search is timed, for both.
 
     Args:
         options: ``quick`` takes fewer stages, targets and rounds.
@@ -61,4 +61,4 @@ def bench_braid(options: Options, output: Output) -> None:
 def _costs(arm: BinaryArm, targets: Iterable[np.ndarray], method: str) -> list[float]:
     """Return the costs of an exact method's words; none of them uses randomness."""
     found = [solve(arm, target, method, np.random.default_rng(0)) for target in targets]
-    return [solution.cost for solution in found if solution is not None]  # nothing is in the way
+    return [solution.cost for solution in found if solution is not None]  # there are no obstacles

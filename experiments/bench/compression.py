@@ -13,7 +13,7 @@ from perception.compression.image_predictors import PREDICTORS, residuals
 
 PICTURE = "camera.png"
 CALLS = 100
-"""One call is too short to be timed."""
+"""Calls that are timed together, because one is too short."""
 ROUNDS, QUICK_ROUNDS = 101, 21
 BOUND = 3.0
 

@@ -1,4 +1,4 @@
-"""A process that sends back what it hears: the least that boards behind a port can cost."""
+"""A process that echoes what it receives: the least time that boards behind a port can take."""
 
 import select
 import sys
@@ -10,10 +10,7 @@ def main() -> None:
     """Print the port's name and echo until the standard input is closed."""
     port = PseudoTerminal()
     print(port.name, flush=True)
-    while True:
-        ready, _, _ = select.select([port, sys.stdin], [], [])
-        if sys.stdin in ready:
-            break
+    while sys.stdin not in select.select([port, sys.stdin], [], [])[0]:
         port.write(port.read())
     port.close()
 

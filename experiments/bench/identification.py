@@ -1,9 +1,9 @@
 """Our estimator beside MuJoCo's own ``mujoco.sysid``, on the same recorded noisy data.
 
-Who integrates as the data were integrated has an advantage that no real robot gives: the longest
-steps of RK4 that the compliance bears move the estimates by up to a twentieth of their deviations.
-So the plant is integrated more finely here than on either side; what sharing the step gives the
-peer is measured beside it.
+A side that integrates as the data were integrated has an advantage that no real robot gives: the
+longest stable steps of RK4 move the estimates by up to a twentieth of their deviations. So the
+plant is integrated more finely here than on either side; the advantage of a shared step is measured
+beside it.
 """
 
 import dataclasses
@@ -61,7 +61,7 @@ QUICK_DURATION = 1.2
 ITERATIONS = 12
 """Most iterations of the peer, each of at least 23 simulations."""
 PLANT_SUBSTEPS = 50
-"""Physics steps a sample of the plant: RK4's error is then 1/625 of that at 0.5 ms."""
+"""Physics steps a sample of the plant: RK4's error is 1/625 of that at 0.5 ms."""
 PEER_SUBSTEPS = 10
 """Physics steps a sample of the peer: 0.5 ms, the longest that the stiff compliance bears."""
 FINE_SUBSTEPS = 20
@@ -69,14 +69,14 @@ FINE_SUBSTEPS = 20
 SMALLEST_GAIN = 1e-3
 """Gain of half the squared residuals at which our estimator stops."""
 DERIVATIVE_SUBSTEPS = 8
-"""Integration steps a sample of our model's derivatives, by which the peer's least cost is sought:
-they are then those of the peer's model but for its own error of integration."""
+"""Integration steps a sample of our model's derivatives, which find the peer's least cost: they
+equal those of the peer's model but for its own error of integration."""
 SETTLING, SETTLED = 20, 1e-5
 """Most steps towards the peer's least cost, and the gain of half the squared residuals at which it
 is reached: 0.005 deviations away."""
 TIME_BOUND, ERROR_BOUND = 1 / 50, 1.0
 LARGEST_EXCESS = 1.01
-"""Ratio of the errors that the whole interval must stay below, or "no higher" says too little."""
+"""Bound of the ratio's whole interval: a wide interval about 1 would show nothing."""
 _LOWER = np.tril_indices(3)
 _DIAGONAL = np.equal(*_LOWER)
 
@@ -145,10 +145,10 @@ class SysidPeer:
         """Prepare models and data.
 
         Args:
-            motions: Each mode's arm motion over n steps.
-            outputs: Each mode's measured deviations from rest (n, 24).
+            motions: Arm motion over n steps, by mode.
+            outputs: (n, 24) measured deviations from rest, by mode.
             sigma: (24,) deviations of the noise.
-            arms: The arm in each mode.
+            arms: Model of the arm in each mode.
             prior: Initial guess; it does not enter the cost.
             substeps: Number of physics steps a sample.
         """
@@ -172,7 +172,7 @@ class SysidPeer:
 
         Returns:
             The 22 physical parameters, and the CPU time until a step gained as little as that at
-            which our own estimator stops [s]: what it polishes after that is not counted.
+            which our own estimator stops [s]; later steps are not counted.
         """
         params = sysid.ParameterDict()
         span = np.full(len(NAMES), 6.0)
@@ -354,13 +354,13 @@ def fit_ours(recording: Recording, arms: Mapping[str, ArmOnMount], restarts: int
 def peer_optimum(
     recording: Recording, arms: Mapping[str, ArmOnMount], substeps: int, near: FloatArray
 ) -> FloatArray:
-    """Return where the peer's cost is least (22,): what it finds with all the time it wants.
+    """Return the parameters (22,) of the peer's least cost, which it finds without a limit on time.
 
     Args:
-        recording: The data.
-        arms: The arm in each mode.
-        substeps: The peer's physics steps a sample.
-        near: (22,) physical parameters to start from.
+        recording: Recorded data.
+        arms: Model of the arm in each mode.
+        substeps: Number of the peer's physics steps a sample.
+        near: (22,) initial physical parameters.
 
     Raises:
         ExperimentError: If Gauss-Newton steps from there do not settle.
@@ -408,7 +408,7 @@ def bench_identification(options: Options, output: Output) -> None:
 def _compare_searches(
     recordings: list[Recording], arms: Mapping[str, ArmOnMount], output: Output
 ) -> None:
-    """Measure what both searches take, and what they find."""
+    """Measure the time of both searches, and the errors of what they find."""
     truth = from_mapping(TABLE_2_1_TRUTH)
     names = ("ours_cpu_s", "sysid_cpu_s", "searched_excess_percent")
     rows: dict[str, list[float]] = {name: [] for name in names}
@@ -435,7 +435,7 @@ def _compare_errors(
 ) -> None:
     """Measure both errors where each side's cost is least.
 
-    On data of a plant that neither integrates alike, and on data of the peer's own steps.
+    The data are those of a plant that neither side integrates alike, and those of the peer's steps.
     """
     truth = from_mapping(TABLE_2_1_TRUTH)
     kinds = {"": FINE_SUBSTEPS, "shared_step/": PEER_SUBSTEPS}

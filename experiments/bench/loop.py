@@ -1,4 +1,4 @@
-"""What the loop costs beside bare physics: contract, sensors and servos of two rovers."""
+"""Time of the loop beside bare physics: contract, sensors and servos of two rovers."""
 
 from collections.abc import Callable
 
@@ -26,14 +26,14 @@ FIELDS = {
 
 
 class VoltageRecorder(LoopRecorder):
-    """Keeps the motor voltages of every tick, for the peer to repeat."""
+    """Records the motor voltages of every tick, for the peer to repeat."""
 
     def __init__(self, data: mujoco.MjData) -> None:
         self.voltages: list[np.ndarray] = []
         self._data = data
 
     def record(self, tick: Tick) -> None:
-        """Keep the voltages that the tick before this one ended with."""
+        """Record the voltages at the end of the previous tick."""
         if tick.step > 0:
             self.voltages.append(self._data.ctrl.copy())
 
@@ -67,7 +67,7 @@ def contestants(field: FieldConfig) -> tuple[Callable[[], object], Callable[[], 
     Both begin at rest each time; the bare one repeats the voltages of the loop.
 
     Args:
-        field: What they drive on.
+        field: Ground that they drive on.
     """
     placements = [RobotPlacement(ROBOTS[0]), RobotPlacement(ROBOTS[1], (1.0, 0.0))]
     model = make_model(field, placements)

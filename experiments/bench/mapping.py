@@ -59,7 +59,7 @@ class Scene:
         """Scatter four spheres and four boxes around the origin.
 
         Args:
-            generator: Source of randomness.
+            generator: Random generator.
             radius: Radius of the disc that holds their centres [m].
         """
         where = _in_disc(generator, 8, radius)
@@ -115,13 +115,13 @@ class Scene:
 
 @dataclasses.dataclass(frozen=True)
 class Cloud:
-    """What one view gives.
+    """Points of one view.
 
     Attributes:
-        transform_camera_to_world: Where the camera stood.
+        transform_camera_to_world: Pose of the camera.
         points: (N, 3) measured [m], world.
         covariances: (N, 3, 3) [m^2], world.
-        truth: (N, 3) where the rays really met a surface [m], world.
+        truth: (N, 3) true points of the surface on the same rays [m], world.
     """
 
     transform_camera_to_world: RigidTransform
@@ -145,9 +145,9 @@ def see(scene: Scene, pose: RigidTransform, generator: np.random.Generator) -> C
     The points are every so many pixels of the head's image, over its whole field of view.
 
     Args:
-        scene: What is seen.
-        pose: Camera to world.
-        generator: Source of the noise.
+        scene: Scene in view.
+        pose: Transform from the camera to the world.
+        generator: Random generator of the noise.
     """
     rays = HEAD.rays(HEAD.pixel_grid(WIDTH, HEIGHT)).reshape(-1, 3)
     depth = scene.cast(pose.translation, pose.rotation.apply(rays))
@@ -272,7 +272,7 @@ def octomap_occupied(tree: pyoctomap.OcTree, grid: VoxelGrid) -> NDArray[np.int6
 
 
 def _speedup(name: str, times: dict, call: float, output: Output) -> float:
-    """Store how much faster we are, and both times."""
+    """Store both times, and return their ratio without the cost of OctoMap's calls."""
     peer = times["peer_s"]["median"] - call
     output.measure(f"mapping_s/{name}/ours", times["ours_s"])
     output.measure(f"mapping_s/{name}/octomap", times["peer_s"])
@@ -290,7 +290,7 @@ def _insert(
     name: str,
     output: Output,
 ) -> float:
-    """Make the same map by ours and by OctoMap, and return how much faster we are."""
+    """Time the same map by ours and by OctoMap, and return the speed-up."""
     times = compare(lambda: make(resolution, clouds), lambda: octomap(resolution, clouds), rounds)
     call = timed(lambda: octomap(resolution, clouds, NOTHING))
     return _speedup(name, times, call, output)
@@ -308,7 +308,7 @@ def _exact(clouds: list[Cloud], rounds: int, output: Output) -> None:
 
 
 def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) -> None:
-    """Evaluate views by ours and cast the same rays through OctoMap."""
+    """Time our evaluation of views beside OctoMap's casting of the same rays."""
     view = frustum().resized(*RAYS)
     rays = view.rays(view.pixel_grid()).reshape(-1, 3)
     reach = np.linalg.norm(rays, axis=1)
@@ -320,7 +320,7 @@ def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) 
         for turned, far in zip(pose.rotation.apply(rays), view.far * reach)
     ]
 
-    def look() -> list[FloatArray]:
+    def evaluate() -> list[FloatArray]:
         return [view_counts(ours, pose, view).depths.ravel() for pose in poses]
 
     def cast(jobs: list[tuple[FloatArray, FloatArray, float]] = jobs) -> None:
@@ -328,7 +328,7 @@ def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) 
             peer.castRay(origin, direction, end, True, far)
 
     call = timed(lambda: cast([(origin, direction, NOTHING) for origin, direction, _ in jobs]))
-    times = compare(look, cast, 5)
+    times = compare(evaluate, cast, 5)
     speedup = _speedup("views", times, call, output)
     output.check("mapping, view evaluation over OctoMap's rays", speedup, ">= 20", speedup >= 20.0)
     output.measure("views/ms_each", 1e3 * times["ours_s"]["median"] / len(poses))
@@ -336,7 +336,7 @@ def _views(ours: VoxelMap, peer: pyoctomap.OcTree, poses: list, output: Output) 
     for i, (origin, direction, far) in enumerate(jobs):
         if peer.castRay(origin, direction, end, True, far):
             found[i] = np.linalg.norm(end - origin) / far * view.far
-    both = np.concatenate(look()), found
+    both = np.concatenate(evaluate()), found
     stopped = np.isfinite(both[0]) & np.isfinite(both[1])
     same = float(np.mean(np.isfinite(both[0]) == np.isfinite(both[1])))
     output.measure("views/same_verdict", same)
@@ -354,7 +354,7 @@ def _quality(
     name: str,
     bound: float | None,
 ) -> None:
-    """Hold the occupied voxels against the true surface, both ways."""
+    """Compare the occupied voxels with the true surface, in both directions."""
     grid = ours.grid
     seen, inside = grid.cells(np.concatenate([cloud.truth for cloud in clouds]))
     true = np.unique(seen[inside], axis=0)
@@ -371,11 +371,11 @@ def _quality(
         if bound is not None and not whose:
             text = f"mapping, occupied within a voxel of the surface, {name}"
             output.check(text, within, f">= {bound:g}", within >= bound)
-    _honesty(ours, scene, output, name)
+    _consistency(ours, scene, output, name)
 
 
-def _honesty(ours: VoxelMap, scene: Scene, output: Output, name: str) -> None:
-    """Check that surface estimates are as far off as their covariance says."""
+def _consistency(ours: VoxelMap, scene: Scene, output: Output, name: str) -> None:
+    """Check the surface estimates' errors against their covariances."""
     error = normalised_error(ours, scene)
     output.measure(f"surface_nees/{name}", float(np.mean(error)))
     output.measure(f"surface_nees/{name}_over_9", float(np.mean(error > 9.0)))
@@ -386,7 +386,7 @@ def _honesty(ours: VoxelMap, scene: Scene, output: Output, name: str) -> None:
 def recall(
     true: NDArray[np.int64], cells: NDArray[np.int64], shape: tuple[int, int, int]
 ) -> tuple[float, float]:
-    """Return which fraction of true voxels is among some, and has one as itself or a neighbour."""
+    """Return the fractions of true voxels that are found, and that are or neighbour a found one."""
     size = np.array(shape) + 2
     found = np.ravel_multi_index(tuple((cells + 1).T), tuple(size))
     near = np.zeros(len(true), dtype=bool)
@@ -399,7 +399,7 @@ def recall(
 def normalised_error(voxels: VoxelMap, scene: Scene) -> FloatArray:
     """Return (M,) squared distance of each surface estimate from the truth over its variance.
 
-    Both are taken across the true surface: where along a surface an estimate lies has no truth.
+    Both are taken across the true surface: along it, an estimate has no true place.
     """
     surface = voxels.surface()
     distance = scene.distance(surface.means)
@@ -423,4 +423,4 @@ def _millimetre(scene: Scene, clouds: list[Cloud], output: Output) -> None:
     output.check(
         "mapping, memory at 1 mm over 1.5 m", voxels.memory, "<= 1e9", voxels.memory <= MEMORY
     )
-    _honesty(voxels, scene, output, "1mm")
+    _consistency(voxels, scene, output, "1mm")

@@ -125,7 +125,7 @@ def _draw(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
 
 
 def _centres(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
-    """Measure how far the centres are off, and how many are missed."""
+    """Measure the errors of the centres, and how many are missed."""
     errors: dict[str, list[FloatArray]] = {"tht": [], "blob": [], "cv2_hough": []}
     extra, nees = {"tht": 0, "blob": 0}, {"tht": [], "blob": []}
     rows = []
@@ -133,14 +133,14 @@ def _centres(views: list[MarkerView], scene: MarkerScene, output: Output) -> Non
         expected = expectation(view.distance)
         for image, truth in zip(view.pair, view.ellipses, strict=True):
             for name, detect in DETECTORS.items():
-                seen = detect(image, scene.geometry, expected, None)
-                away = centre_errors(seen.centres, truth)
+                markers = detect(image, scene.geometry, expected, None)
+                away = centre_errors(markers.centres, truth)
                 errors[name].append(away)
-                extra[name] += len(seen) - int(np.isfinite(away).sum())
+                extra[name] += len(markers) - int(np.isfinite(away).sum())
                 for ellipse in truth[np.isfinite(away)]:
-                    k = np.argmin(np.linalg.norm(seen.centres - ellipse[:2], axis=1))
-                    off = seen.centres[k] - ellipse[:2]
-                    nees[name].append(off @ np.linalg.solve(seen.centre_covariances[k], off) / 2)
+                    k = np.argmin(np.linalg.norm(markers.centres - ellipse[:2], axis=1))
+                    off = markers.centres[k] - ellipse[:2]
+                    nees[name].append(off @ np.linalg.solve(markers.centre_covariances[k], off) / 2)
             errors["cv2_hough"].append(centre_errors(hough_peer(image, view), truth))
         rows.append((view.distance, view.slant, *(np.nanmedian(np.concatenate(e[-2:])) if
                      np.isfinite(np.concatenate(e[-2:])).any() else np.nan
@@ -148,8 +148,7 @@ def _centres(views: list[MarkerView], scene: MarkerScene, output: Output) -> Non
     output.table("marker_errors", ("range_m", "slant_deg", "tht_px", "blob_px", "cv2_px"), rows)
     for name, lists in errors.items():
         values = np.concatenate(lists)
-        seen = values[np.isfinite(values)]
-        output.measure(f"marker_error_px/{name}", distribution(seen))
+        output.measure(f"marker_error_px/{name}", distribution(values[np.isfinite(values)]))
         output.measure(f"marker_found_fraction/{name}", float(np.mean(np.isfinite(values))))
     for name in DETECTORS:
         output.measure(f"marker_false_per_image/{name}", extra[name] / (2 * len(views)))
@@ -215,29 +214,28 @@ def _poses_of(
     rng: np.random.Generator,
     output: Output,
 ) -> None:
-    places, turns, nees, head_on, found = [], [], [], [], 0
-    for view, seen in zip(views, pairs, strict=True):
+    rows: list[tuple[float, float, float]] = []
+    head_on: list[float] = []
+    for view, markers in zip(views, pairs, strict=True):
         priors = [
             normal_prior(body, rng) if key.endswith("known") else None for body in view.bodies
         ]
         expected = expectation(view.distance)
-        fits = match_bodies(seen, scene.geometry, scene.cads, expected, priors)
+        fits = match_bodies(markers, scene.geometry, scene.cads, expected, priors)
         for fit, truth, cad in zip(fits, view.bodies, scene.cads, strict=True):
             if fit is None:
                 continue
-            found += 1
-            xi = (truth * fit.transform_body_to_camera.inv()).as_exp_coords()
-            nees.append(float(xi @ np.linalg.solve(fit.covariance, xi)) / 6.0)
+            twist = (truth * fit.transform_body_to_camera.inv()).as_exp_coords()
+            nees = float(twist @ np.linalg.solve(fit.covariance, twist)) / 6.0
             middle = cad.points.mean(axis=0)
             off = fit.transform_body_to_camera.apply(middle) - truth.apply(middle)
-            places.append(1e3 * float(np.linalg.norm(off)))
-            turns.append(math.degrees(float(np.linalg.norm(xi[:3]))))
+            turn = math.degrees(float(np.linalg.norm(twist[:3])))
+            rows.append((1e3 * float(np.linalg.norm(off)), turn, nees))
             if (view.distance, view.slant) == HEAD_ON:
-                head_on.append(places[-1])
-    output.measure(f"pose_found_fraction/{key}", found / (2 * len(views)))
-    output.measure(f"pose_error_mm/{key}", distribution(places))
-    output.measure(f"pose_turn_deg/{key}", distribution(turns))
-    output.measure(f"pose_nees/{key}", distribution(nees))
+                head_on.append(rows[-1][0])
+    output.measure(f"pose_found_fraction/{key}", len(rows) / (2 * len(views)))
+    for name, values in zip(("error_mm", "turn_deg", "nees"), zip(*rows), strict=True):
+        output.measure(f"pose_{name}/{key}", distribution(values))
     output.measure(f"pose_error_mm/head_on_0.5m/{key}", distribution(head_on))
     median = float(np.median(head_on)) if head_on else math.nan
     text = f"markers, head-on pose at 0.5 m, {key} [mm]"
@@ -247,13 +245,13 @@ def _poses_of(
 def draw_steps(
     image: ImageArray, geometry: StereoGeometry, expected: MarkerExpectation, found: Markers
 ) -> dict[str, Figure]:
-    """Draw what each step makes of an image.
+    """Draw the result of each step of the detector on an image.
 
     Args:
         image: (H, W) uint8.
         geometry: Geometry of the camera.
         expected: Sizes and range of the markers.
-        found: What `detect_hough` found in it, at least one.
+        found: Markers that `detect_hough` found in it, at least one.
 
     Returns:
         Figures by name.
@@ -272,7 +270,7 @@ def draw_steps(
     circles = hough_circles(rims, geometry, expected)
     reduced = [
         (f"equalised and cut at grey level {level}", black),
-        ("specks dropped", kept),
+        ("specks removed", kept),
         ("Laplacian about mid-grey", laplacian),
         ("low pass", blurred),
         ("cut below the peak: rim points", ~rims),

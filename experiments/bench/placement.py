@@ -1,4 +1,4 @@
-"""Choosing a camera station anew on a 1 cm map of the scene of chapter 3, and its search."""
+"""Choice of a camera station on a 1 cm map of the scene of chapter 3, and its search."""
 
 import time
 
@@ -32,7 +32,7 @@ from twin.description import RobotDescription
 VIEWS, QUICK_VIEWS = 40, 16
 ROUNDS, QUICK_ROUNDS = 20, 5
 START = np.array([1.3, -1.0])
-"""Where the rover stands when it chooses [m], ground frame of the slot."""
+"""Position of the rover when it chooses [m], ground frame of the slot."""
 
 
 def bench_placement(options: Options, output: Output) -> None:
@@ -59,7 +59,7 @@ def _replans(
 ) -> None:
     """Time the mission's choice of a camera station on a map that changes with every view.
 
-    The slot is taken to be where the panel's first marker is, facing as the panel does.
+    The panel's first marker serves as the slot, which faces as the panel does.
     """
     robot, drawing = describe_rover("rover1"), insertion_drawing(CARD_AND_SLOT.slot_widths[-1])
     to_ground = ground_below(panel_targets(scene)[0]).inv()
@@ -103,10 +103,10 @@ def choose_station(
     """Choose a camera station as the mission does.
 
     Args:
-        voxels: Map as it is now.
-        transform_map_to_ground: From the map's frame to the ground below the slot.
+        voxels: Present map.
+        transform_map_to_ground: Transform from the map to the ground frame below the slot.
         robot: Rover that carries the camera.
-        drawing: Card and slot.
+        drawing: Drawing of card and slot.
 
     Returns:
         The station and the path (N, 2) to it [m], ground frame; None if there is no station.
@@ -121,7 +121,7 @@ def choose_station(
 
 
 def _speedup(voxels: VoxelMap, target: Target, output: Output) -> bool:
-    """Time the fast search on the map beside rating every candidate, if the target is seen."""
+    """Time the fast search on the map beside rating every candidate, if the target is visible."""
     lens = head_lens()
     cells, _ = voxels.occupied_cells()
     centres = before_plane(target, voxels.grid.centres(cells), 0.02)

@@ -1,4 +1,4 @@
-"""How the cost grows: with robots, with finer voxels, with stages, and with processes."""
+"""Growth of the cost with robots, with finer voxels, with stages, and with processes."""
 
 import dataclasses
 import functools
@@ -33,7 +33,7 @@ JOBS = (1, 2)
 SPACING = 1.0  # [m] between robots
 TARGETS, QUICK_TARGETS = 10, 3
 SWEPT, LOOPS = 8, 1_500_000
-"""Jobs of the sweep, and turns of a Python loop in each."""
+"""Jobs of the sweep, and iterations of a Python loop in each."""
 ROUNDS, QUICK_ROUNDS = 5, 2
 
 Times = dict[float, list[float]]
@@ -44,7 +44,7 @@ class Curve:
     """One measured curve.
 
     Attributes:
-        axis: What grows, with its unit.
+        axis: Name of the size, with its unit.
         times: Time of each round [s], by size.
     """
 
@@ -148,7 +148,7 @@ def _robots(quick: bool) -> dict[float, Callable[[], object]]:
 
 
 def _voxels(quick: bool, seed: int) -> dict[float, Callable[[], object]]:
-    """Return the insertion of the same clouds at finer and finer voxels."""
+    """Return the insertion of the same clouds for each size of voxel."""
     rng = np.random.default_rng(seed)
     scene = Scene.random(rng)
     clouds = [see(scene, random_view(rng), rng) for _ in range(1 if quick else 2)]
@@ -158,7 +158,7 @@ def _voxels(quick: bool, seed: int) -> dict[float, Callable[[], object]]:
 
 
 def _stages(quick: bool, seed: int) -> dict[float, Callable[[], object]]:
-    """Return the neighbourhood search for targets of longer and longer arms."""
+    """Return the neighbourhood search for targets of arms of each length."""
     count = QUICK_TARGETS if quick else TARGETS
 
     def work(stages: int) -> Callable[[], object]:
@@ -171,13 +171,13 @@ def _stages(quick: bool, seed: int) -> dict[float, Callable[[], object]]:
 
 
 def _sweeps(options: Options, output: Output, rounds: int) -> Curve:
-    """Time the same sweep with one process and with two; the processes are there before."""
+    """Time the same sweep with one process and with two, which are started before."""
     times: Times = {jobs: [] for jobs in JOBS if jobs <= free_cores()}
     for index in range(-1, rounds):
         for jobs in times:
             chosen = dataclasses.replace(options, jobs=int(jobs))
-            # No run before this one had the same configurations: a job that is taken for done,
-            # as --resume would have it, takes no time.
+            # Configurations that no run before had: with --resume, a job that is done takes no
+            # time.
             now = time.time_ns()
             configs = [(now, jobs, job) for job in range(SWEPT)]
             start = time.perf_counter()

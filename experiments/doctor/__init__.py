@@ -1,7 +1,7 @@
-"""``python -m experiments doctor``: what this machine or a robot lacks.
+"""``python -m experiments doctor``: the state of this machine or of a robot.
 
 - `doctor`: versions, renderer and packages.
 - `render_probe`: one test frame in a process of its own.
-- `findings`: what one check found.
+- `findings`: the result of one check.
 - `robot`: ``doctor --robot``: a robot on its boards, before anything moves.
 """

@@ -11,7 +11,7 @@ class Finding:
         what: Name of the thing examined.
         value: State in which it was found.
         remedy: Remedy for a problem; empty when there is none.
-        required: Whether the project cannot work without it.
+        required: True if the project cannot work without the thing.
     """
 
     what: str

@@ -1,4 +1,4 @@
-"""``doctor --robot``: is a robot on its boards well, before anything moves?"""
+"""``doctor --robot``: the state of a robot on its boards, before anything moves."""
 
 import contextlib
 import time
@@ -64,7 +64,7 @@ def examine_robot(target: str, patience: float) -> Iterator[Finding]:
 
 
 def wiring_of(target: str) -> Wiring:
-    """Return where the boards of a real robot are.
+    """Return the ports of a real robot's boards.
 
     Args:
         target: ``serial:PORT[,NAME=VALUE...]``.
@@ -104,12 +104,12 @@ def _examine(wiring: Wiring, press_stop: Callable[[], None], patience: float) ->
 
     Args:
         wiring: Ports of the boards.
-        press_stop: Presses the e-stop of emulated boards; on real ones asks a person to.
+        press_stop: Function that presses the e-stop, or prompts a person to.
         patience: Longest wait for the e-stop [s].
     """
     yield _calibration_finding(wiring)
     try:
-        # Whatever its age, it is good enough to look at the boards.
+        # Even an old one will do to examine the boards.
         calibration = read_calibration(wiring.calibration or calibration_path(wiring.robot))
     except CalibrationError:
         return
@@ -166,16 +166,16 @@ def _limits(calibration: Calibration) -> str:
 def _sensor_findings(robot: BoardRobot) -> Iterator[Finding]:
     """Watch the robot at rest for a while, at the servo's pace."""
     clock = WallClock(SERVO_PERIOD)
-    seen: list[Observation] = []
+    observations: list[Observation] = []
     while clock.time < WATCHING:
         clock.tick()
-        seen.append(robot.observe())
+        observations.append(robot.observe())
     battery = {a: robot.boards.state(a).battery for a in robot.boards.addresses}
     yield _battery_finding(battery, robot.calibration)
     for name in SENSORS:
-        yield _fresh(name, [getattr(observation, name) for observation in seen])
-    yield _rest_finding(seen)
-    share = clock.misses / (clock.misses + len(seen))
+        yield _fresh(name, [getattr(observation, name) for observation in observations])
+    yield _rest_finding(observations)
+    share = clock.misses / (clock.misses + len(observations))
     slow = "other programs, or an adapter with a long latency timer" if share > MISSED else ""
     value = f"{100.0 * share:.1f} % of the 10 ms cycles missed"
     yield Finding("100 Hz", value, slow, required=False)
@@ -202,11 +202,11 @@ def _fresh(name: str, channels: list[Channel]) -> Finding:
     return Finding(what, value, "check its wiring and its name in --robot")
 
 
-def _rest_finding(seen: list[Observation]) -> Finding:
+def _rest_finding(observations: list[Observation]) -> Finding:
     """Check that the encoders are at rest."""
     speeds = [
         float(np.max(np.abs(channel.value)))
-        for o in seen
+        for o in observations
         for channel in (o.wheel_speeds, o.arm_rates)
         if channel.usable
     ]

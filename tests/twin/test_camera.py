@@ -39,11 +39,6 @@ BALLS = """
 SPOTS = np.array([[0.0, 0.3, 0.2], [0.15, 0.2, 0.3], [-0.15, 0.1, 0.25], [0.1, 0.5, -0.05]])
 
 
-def advance(simulation, ticks):
-    for _ in range(ticks):
-        simulation.tick()
-
-
 def rig(**changes):
     config = StereoConfig(**{"noise_db": None, **changes})
     return StereoRig(MODEL, "rover1/", config)
@@ -163,12 +158,12 @@ def test_restored_run_sees_the_same_images():
     simulation = Simulation(
         MODEL, ["rover1"], suite=IDEAL, servo=SERVO, stereo=StereoConfig(20.0), seed=3
     )
-    advance(simulation, 20)
+    simulation.settle(0.2)
     saved = simulation.save()
     seen = []
     for _ in range(2):
         simulation.restore(saved)
-        advance(simulation, 10)
+        simulation.settle(0.1)
         seen.append(simulation.robots["rover1"].observe().stereo.value.tobytes())
     assert seen[0] == seen[1]
 
@@ -200,7 +195,7 @@ def moved(simulation, frames):
         pairs.append(robot.observe().stereo)
         eager.append(eyes.capture(simulation.data, noise()))
         robot.command(Command(arm=np.full(4, 0.5 * (-1) ** (frame // 4)), arm_mode=ArmMode.RATE))
-        advance(simulation, 5)
+        simulation.settle(0.05)
     return pairs, eager
 
 
@@ -248,9 +243,9 @@ def test_nothing_is_drawn_that_nobody_reads(drawn, tmp_path):
         assert not aged.stereo.usable
         pairs.append(copy.deepcopy(aged).stereo)
         saved = simulation.save()
-        advance(simulation, 5)
+        simulation.settle(0.05)
         simulation.restore(saved)
-        advance(simulation, 5)
+        simulation.settle(0.05)
     assert drawn == []
     first, again = pairs[2].value, pairs[2].value
     assert first is again and drawn == ["rover1/stereo_left", "rover1/stereo_right"]
@@ -274,7 +269,7 @@ def test_noise_of_a_pair_is_its_own_whoever_reads_and_in_whatever_order():
         for _ in range(4):
             for name, robot in simulation.robots.items():
                 taken.append((name, len(taken) // 2, robot.observe().stereo))
-            advance(simulation, 5)
+            simulation.settle(0.05)
         return {(name, k): taken[i][2].value for i in chosen for name, k, _ in [taken[i]]}
 
     everything, backwards, few = pixels(range(8)), pixels(reversed(range(8))), pixels([5])
@@ -304,7 +299,7 @@ def test_pair_that_was_not_read_before_its_simulation_was_closed_says_so():
     simulation = simulated()
     read = simulation.robots["rover1"].observe().stereo
     seen = read.value
-    advance(simulation, 5)
+    simulation.settle(0.05)
     unread = simulation.robots["rover1"].observe().stereo
     simulation.close()
     assert read.value is seen and unread.usable
@@ -337,7 +332,7 @@ def test_pickled_pair_holds_its_pixels():
 def test_what_draws_a_pair_is_given_up_with_it():
     simulation = simulated()
     waiting = len(twin.robot._MAKERS)
-    advance(simulation, 100)
+    simulation.settle(1.0)
     # One held by the robot, however many were taken.
     assert len(twin.robot._MAKERS) == waiting
     images = DeferredImages(lambda: np.zeros((2, 3, 4), np.uint8))
