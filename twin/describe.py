@@ -111,7 +111,7 @@ def describe(model: mujoco.MjModel, robot: str) -> RobotDescription:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_camlight(model, data)
     base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, f"{robot}/{_ARM_BASE}")
-    on_arm = _descendants(model, base) if base >= 0 else np.zeros(model.nbody, dtype=bool)
+    on_arm = descendants(model, base) if base >= 0 else np.zeros(model.nbody, dtype=bool)
     motors = _motors(model, robot)
     wheels = tuple(
         _wheel(model, data, chassis, name, joint)
@@ -193,7 +193,7 @@ def _motor(model: mujoco.MjModel, actuator: str) -> MotorDescription:
     )
 
 
-def _descendants(model: mujoco.MjModel, ancestor: int) -> NDArray[np.bool_]:
+def descendants(model: mujoco.MjModel, ancestor: int) -> NDArray[np.bool_]:
     """Return (nbody,) whether a body is the ancestor or one of its descendants."""
     below = np.zeros(model.nbody, dtype=bool)
     below[ancestor] = True

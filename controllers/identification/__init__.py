@@ -7,7 +7,7 @@ The compliant base under its moving arm, chapter 2:
 - `compliant_base`: forward model with sensitivities (appendix B.1).
 - `linear_estimators`: A x = F, pseudo-inverse and Kalman filter (eqs 2-1, B-4, section 2.3).
 - `output_error`: fit of the forward model to the measured outputs.
-- `information`: bits known of each parameter, observability, identifiability (section 2.6.1).
+- `information`: bits known of each parameter, and identifiability (section 2.6.1).
 - `excitation`: choice of the next excitation by a criterion (eq. 2-13).
 - `identifier`: excitation and estimation in turns, on the simplified plant.
 - `pitch`, `rover_identifier`: the same on the rover, in its pitch alone.

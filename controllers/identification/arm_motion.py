@@ -1,11 +1,13 @@
 """How the arm swings: rod geometry of the three modes, and excitation within the arm's limits."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_choice
 
 MODES = ("x", "y", "z")
 
@@ -50,8 +52,7 @@ class ArmLimits:
         return np.array([self.offset, self.amplitude, self.frequency])
 
 
-@dataclasses.dataclass(frozen=True)
-class Excitation:
+class Excitation(NamedTuple):
     """f(t) = offset + amplitude sin(phase), the phase running at `frequency` (Thesis eq. B-1).
 
     Attributes:
@@ -64,17 +65,12 @@ class Excitation:
     amplitude: float
     frequency: float
 
-    def vector(self) -> FloatArray:
-        """Return (3,) offset, amplitude, frequency."""
-        return np.array([self.offset, self.amplitude, self.frequency])
-
 
 CONSTANT = Excitation(np.pi / 4, 2 * np.pi / 9, np.pi / 2)
 """The constant-parameter excitation, Thesis eq. 2-21."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Trajectory:
+class Trajectory(NamedTuple):
     """Arm angle over a window, piecewise cubic: the jerk is constant over each step.
 
     Attributes:
@@ -102,8 +98,7 @@ class Trajectory:
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class ArmState:
+class ArmState(NamedTuple):
     """Where one arm axis is between two windows.
 
     Attributes:
@@ -138,8 +133,8 @@ def swing(
         The trajectory, and the state at its end.
     """
     rows, end = _follow(
-        dataclasses.astuple(state),
-        (excitation.offset, excitation.amplitude, excitation.frequency),
+        state,
+        excitation,
         (limits.bandwidth, limits.rate, limits.acceleration),
         steps,
         time_step,
@@ -187,10 +182,7 @@ def mode_axes(mode: str) -> tuple[FloatArray, FloatArray]:
     Raises:
         ValueError: If there is no such mode.
     """
-    if mode == "x":
-        return np.array([1.0, 0.0, 0.0]), np.eye(3)
-    if mode == "y":
-        return np.array([0.0, -1.0, 0.0]), np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    if mode == "z":
-        return np.array([0.0, 0.0, 1.0]), np.eye(3)
-    raise ValueError(f"mode {mode!r}: expected one of {', '.join(MODES)}")
+    check_choice("mode", mode, MODES)
+    axis = np.array({"x": [1.0, 0.0, 0.0], "y": [0.0, -1.0, 0.0], "z": [0.0, 0.0, 1.0]}[mode])
+    aside = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return axis, aside if mode == "y" else np.eye(3)

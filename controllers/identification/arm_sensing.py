@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from controllers.kinematics.frame_motion import FrameMotion
+from controllers.kinematics.rigid_motion import FrameMotion
 from perception.geometry.arrays import FloatArray
 from twin.robot import Observation
 

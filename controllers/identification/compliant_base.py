@@ -12,7 +12,6 @@ them in registers, where small arrays would cost an allocation each. `p` is alwa
 vector (22,) in the order of `parameters.NAMES`; vectors are in the base frame unless stated.
 """
 
-import dataclasses
 from typing import NamedTuple
 
 import numba
@@ -23,16 +22,6 @@ from controllers.identification.arm_motion import RigidArm, Trajectory, mode_axe
 from controllers.identification.parameters import COUNT
 from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
-
-
-class _Arm(NamedTuple):
-    """`ArmOnMount` as the kernels read it, its inertia as rows."""
-
-    mass: float
-    inertia: tuple[tuple[float, ...], ...]
-    centre: tuple[float, ...]
-    axis: tuple[float, ...]
-    rest_angle: float
 
 
 class _Plant(NamedTuple):
@@ -55,26 +44,6 @@ class _Motion(NamedTuple):
     q: FloatArray
     v: FloatArray
     a: FloatArray
-
-
-class _State(NamedTuple):
-    """What an integration carries from step to step, changed in place; see `BaseState`."""
-
-    q: FloatArray
-    v: FloatArray
-    s_q: FloatArray
-    s_v: FloatArray
-
-
-class _Path(NamedTuple):
-    """A `Trajectory` as the kernels read it, with the integration's step [s] and steps a sample."""
-
-    h: float
-    substeps: int
-    angle: FloatArray
-    rate: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
 
 
 @numba.njit(cache=True, inline="always")
@@ -163,16 +132,6 @@ def _hinges(x, y, z, rates):
     return rotation, rate_matrix, bias
 
 
-@numba.njit(cache=True, inline="always")
-def _base_inertia(p):
-    return ((p[1], p[6], p[4]), (p[6], p[2], p[5]), (p[4], p[5], p[3]))
-
-
-@numba.njit(cache=True, inline="always")
-def _lever(p, kin):
-    return (p[7] + kin[1][0], p[8] + kin[1][1], p[9] + kin[1][2])
-
-
 @numba.njit(cache=True)
 def _residual(plant, kin, motion, out):
     """Fill `out` (6,) with the exact equations of motion; return force and moment at the mount.
@@ -187,7 +146,7 @@ def _residual(plant, kin, motion, out):
     rotation, rate_matrix, rate_bias = _hinges(q[3], q[4], q[5], rates)
     omega = _times(rate_matrix, rates)
     alpha = _add(_times(rate_matrix, (a[3], a[4], a[5])), rate_bias)
-    lever = _lever(p, kin)
+    lever = _add((p[7], p[8], p[9]), centre)
     specific = (a[0], a[1], a[2] + GRAVITY)
     acceleration = _add(_transposed_times(rotation, specific), _cross(alpha, lever))
     acceleration = _add(acceleration, _cross(omega, _cross(omega, lever)))
@@ -199,7 +158,7 @@ def _residual(plant, kin, motion, out):
         _times(arm_inertia, total_alpha), _cross(total_spin, _times(arm_inertia, total_spin))
     )
     moment = _add(turning, _cross(centre, force))
-    base = _base_inertia(p)
+    base = ((p[1], p[6], p[4]), (p[6], p[2], p[5]), (p[4], p[5], p[3]))
     torque = _add(_times(base, alpha), _cross(omega, _times(base, omega)))
     torque = _add(torque, _add(turning, _cross(lever, force)))
     hinge_torque = _transposed_times(rate_matrix, torque)
@@ -305,8 +264,7 @@ SIGNALS = {
 """Rows of an output sample: deviations from static rest (Thesis eq. 2-1, 'measured')."""
 
 
-@dataclasses.dataclass(frozen=True)
-class BaseState:
+class BaseState(NamedTuple):
     """State of the base and its sensitivities between two windows.
 
     Attributes:
@@ -327,22 +285,21 @@ class BaseState:
         return cls(np.zeros(6), np.zeros(6), np.zeros((6, COUNT)), np.zeros((6, COUNT)))
 
 
-@dataclasses.dataclass(frozen=True)
-class ArmOnMount:
+class ArmOnMount(NamedTuple):
     """One mode's arm: constants that the compiled model reads.
 
     Attributes:
         mass: Arm mass [kg].
-        inertia: (3, 3) about its centre at angle zero, base frame [kg m^2].
+        inertia: (3, 3) about its centre at angle zero, base frame [kg m^2], as rows.
         centre: (3,) centre from the mount at angle zero [m].
         axis: (3,) unit axis of rotation.
         rest_angle: Angle at which the springs were at rest [rad].
     """
 
     mass: float
-    inertia: FloatArray
-    centre: FloatArray
-    axis: FloatArray
+    inertia: tuple[tuple[float, ...], ...]
+    centre: tuple[float, ...]
+    axis: tuple[float, ...]
     rest_angle: float
 
     @classmethod
@@ -351,11 +308,12 @@ class ArmOnMount:
         axis, rotation = mode_axes(mode)
         inertia = rotation @ np.diag(arm.inertia) @ rotation.T
         centre = rotation @ np.array([0.0, arm.centre, 0.0])
-        return cls(arm.mass, inertia, centre, axis, rest_angle)
+        rows = tuple(tuple(row) for row in inertia.tolist())
+        return cls(arm.mass, rows, tuple(centre.tolist()), tuple(axis.tolist()), rest_angle)
 
     def rest_centre(self) -> FloatArray:
         """Return the arm's centre (3,) from the mount at rest, base frame [m]."""
-        turn = Rotation.from_rotvec(self.rest_angle * self.axis)
+        turn = Rotation.from_rotvec(self.rest_angle * np.array(self.axis))
         return turn.apply(self.centre)
 
 
@@ -384,61 +342,37 @@ def simulate(
     count = len(trajectory.jerk)
     outputs = np.empty((count, CHANNELS))
     derivatives = np.zeros((count if sensitivities else 0, CHANNELS, COUNT))
-    end = BaseState(
-        state.position.copy(),
-        state.velocity.copy(),
-        state.position_sensitivity.copy(),
-        state.velocity_sensitivity.copy(),
-    )
-    _integrate(
-        parameters,
-        _Arm(
-            arm.mass,
-            _rows(arm.inertia),
-            tuple(arm.centre.tolist()),
-            tuple(arm.axis.tolist()),
-            arm.rest_angle,
-        ),
-        _Path(
-            trajectory.time_step / substeps,
-            substeps,
-            trajectory.angle,
-            trajectory.rate,
-            trajectory.acceleration,
-            trajectory.jerk,
-        ),
-        _State(end.position, end.velocity, end.position_sensitivity, end.velocity_sensitivity),
-        outputs,
-        derivatives,
-    )
+    end = BaseState(*(part.copy() for part in state))
+    _integrate(parameters, arm, trajectory, substeps, end, outputs, derivatives)
     return outputs, derivatives, end
 
 
-def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
-
-
 @numba.njit(cache=True)
-def _solve_in_place(matrix, rhs):
-    """Gaussian elimination without pivoting: Radau's stage matrix has positive pivots."""
-    n, m = matrix.shape[0], rhs.shape[1]
+def _invert(matrix):
+    """Return the inverse by Gaussian elimination; Radau's stage matrix has positive pivots.
+
+    The matrix is overwritten.
+    """
+    n = matrix.shape[0]
+    inverse = np.eye(n)
     for k in range(n):
-        inverse = 1.0 / matrix[k, k]
+        pivot = 1.0 / matrix[k, k]
         for i in range(k + 1, n):
-            factor = matrix[i, k] * inverse
+            factor = matrix[i, k] * pivot
             if factor != 0.0:
                 for j in range(k + 1, n):
                     matrix[i, j] -= factor * matrix[k, j]
-                for j in range(m):
-                    rhs[i, j] -= factor * rhs[k, j]
+                for j in range(n):
+                    inverse[i, j] -= factor * inverse[k, j]
     for k in range(n - 1, -1, -1):
         for i in range(k + 1, n):
             factor = matrix[k, i]
-            for j in range(m):
-                rhs[k, j] -= factor * rhs[i, j]
-        inverse = 1.0 / matrix[k, k]
-        for j in range(m):
-            rhs[k, j] *= inverse
+            for j in range(n):
+                inverse[k, j] -= factor * inverse[i, j]
+        pivot = 1.0 / matrix[k, k]
+        for j in range(n):
+            inverse[k, j] *= pivot
+    return inverse
 
 
 STAGES = 3
@@ -469,13 +403,6 @@ def _stage_matrix(h, motion_columns, matrix):
 
 
 @numba.njit(cache=True)
-def _invert(matrix):
-    inverse = np.eye(matrix.shape[0])
-    _solve_in_place(matrix, inverse)
-    return inverse
-
-
-@numba.njit(cache=True)
 def _stage_motion(h, i, q, v, stages, position, velocity):
     """Fill position and velocity at stage i from all stages' accelerations; all are flat."""
     for r in range(q.shape[0]):
@@ -503,7 +430,7 @@ def _newton(h, plant, kins, inverse, state, stage, work):
     position, velocity = np.empty(6), np.empty(6)
     for _ in range(2):
         for i in range(STAGES):
-            _stage_motion(h, i, state.q, state.v, stage, position, velocity)
+            _stage_motion(h, i, state.position, state.velocity, stage, position, velocity)
             motion = _Motion(position, velocity, stage[i])
             _residual(plant, kins[i], motion, work[6 * i :])
         for r in range(6 * STAGES):
@@ -555,9 +482,9 @@ def _store_sensitivity(s_q, s_v, s_a, motion_columns, parameter_columns, rows):
 
 
 @numba.njit(cache=True)
-def _integrate(p, arm, path, state, outputs, derivatives):
+def _integrate(p, arm, path, substeps, state, outputs, derivatives):
     """Step the base over the whole path; the state is updated in place."""
-    h, q, v = path.h, state.q, state.v
+    h, q, v = path.time_step / substeps, state.position, state.velocity
     rest_wrench, work, still = np.zeros(6), np.zeros(6 * STAGES), np.zeros(6)
     plant = _Plant(p, arm.mass, rest_wrench)
     rest_kin = _arm_kinematics(arm.inertia, arm.centre, arm.axis, arm.rest_angle, 0.0, 0.0)
@@ -566,11 +493,11 @@ def _integrate(p, arm, path, state, outputs, derivatives):
     with_sensitivities = derivatives.shape[0] > 0
     motion_columns, parameter_columns = np.zeros((STAGES, 12, 18)), np.zeros((STAGES, 12, 22))
     matrix, stage = np.empty((6 * STAGES, 6 * STAGES)), np.zeros((STAGES, 6))
-    s_a = np.zeros((6, 22))
+    s_q, s_v, s_a = state.position_sensitivity, state.velocity_sensitivity, np.zeros((6, 22))
     position, velocity = np.empty(6), np.empty(6)
     kins = (rest_kin, rest_kin, rest_kin)
     for n in range(path.jerk.shape[0]):
-        for sub in range(path.substeps):
+        for sub in range(substeps):
             kins = (
                 _stage_kinematics(arm, path, n, h * (sub + _NODES[0])),
                 _stage_kinematics(arm, path, n, h * (sub + _NODES[1])),
@@ -588,14 +515,12 @@ def _integrate(p, arm, path, state, outputs, derivatives):
                     _stage_motion(h, i, q, v, stage, position, velocity)
                     motion = _Motion(position, velocity, stage[i])
                     _by_parameters(plant, kins[i], motion, parameter_columns[i], work)
-                s_a = _sensitivity_step(
-                    h, inverse, motion_columns, parameter_columns, state.s_q, state.s_v
-                )
+                s_a = _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v)
             _stage_motion(h, STAGES - 1, q, v, stage, position, velocity)
             q[:], v[:] = position, velocity
         motion = _Motion(q, v, stage[-1])
         _store(motion, _residual(plant, kins[-1], motion, work), rest, outputs[n])
         if with_sensitivities:
             _store_sensitivity(
-                state.s_q, state.s_v, s_a, motion_columns[-1], parameter_columns[-1], derivatives[n]
+                s_q, s_v, s_a, motion_columns[-1], parameter_columns[-1], derivatives[n]
             )

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from controllers.identification.arm_motion import (
 from controllers.identification.compliant_base import ArmOnMount, BaseState, simulate
 from controllers.identification.information import BITS, mutual_information
 from controllers.identification.linear_estimators import regressor
-from controllers.identification.parameters import COUNT, Ranges
+from controllers.identification.parameters import COUNT, RANGES
 from perception.geometry.arrays import FloatArray
 
 REPLAN_PERIOD = 0.4
@@ -42,9 +43,8 @@ class EstimationState:
     regressor_square: FloatArray
 
 
-@dataclasses.dataclass(frozen=True)
-class Forecast:
-    """What the next window would add, summed over the modes.
+class Forecast(NamedTuple):
+    """What the next window would add, in one mode or summed over the modes.
 
     Attributes:
         information: (22, 22) Fisher information by the physical parameters.
@@ -53,16 +53,6 @@ class Forecast:
 
     information: FloatArray
     regressor_square: FloatArray
-
-    def __add__(self, other: "Forecast") -> "Forecast":
-        return Forecast(
-            self.information + other.information, self.regressor_square + other.regressor_square
-        )
-
-    def __sub__(self, other: "Forecast") -> "Forecast":
-        return Forecast(
-            self.information - other.information, self.regressor_square - other.regressor_square
-        )
 
 
 Residuals = Callable[[Forecast], FloatArray]
@@ -92,7 +82,7 @@ def information(state: EstimationState) -> Residuals:
     V = 1/2 sum [1 - (1 - u_now) u(d)], u = In / 10 bits: the weight of a parameter is frozen at
     what is known of it now, so that the uncertain ones count most.
     """
-    predict = _predicted_information(state, Ranges().bounds())
+    predict = _predicted_information(state, RANGES)
     now = predict(Forecast(np.zeros((COUNT, COUNT)), np.zeros((COUNT, COUNT))))
 
     def residuals(forecast: Forecast) -> FloatArray:
@@ -103,7 +93,7 @@ def information(state: EstimationState) -> Residuals:
 
 def literal(state: EstimationState) -> Residuals:
     """Thesis eq. 2-13 as printed, 1 - u + u^2: its minimum lies at u = 1/2, half known."""
-    predict = _predicted_information(state, Ranges().bounds())
+    predict = _predicted_information(state, RANGES)
 
     def residuals(forecast: Forecast) -> FloatArray:
         known = predict(forecast)
@@ -275,20 +265,20 @@ class Planner:
         values = residuals(total)
         columns = []
         for mode, excitation in chosen.items():
-            others = total - forecasts[mode]
+            others = np.subtract(total, forecasts[mode])
             for axis in range(3):
                 step = np.zeros(3)
                 # Step inwards, so that a bound does not flatten the derivative.
                 low, high = self._limits.bounds()[axis]
-                inwards = excitation.vector()[axis] > (low + high) / 2
+                inwards = excitation[axis] > (low + high) / 2
                 step[axis] = -1e-3 if inwards else 1e-3
                 moved = self._forecast(state, mode, self._stepped(excitation, step))
-                columns.append((residuals(others + moved) - values) / step[axis])
+                columns.append((residuals(Forecast(*np.add(others, moved))) - values) / step[axis])
         return values, np.array(columns).T
 
     def _stepped(self, excitation: Excitation, step: FloatArray) -> Excitation:
         bounds = self._limits.bounds()
-        vector = excitation.vector() + step * (bounds[:, 1] - bounds[:, 0])
+        vector = excitation + step * (bounds[:, 1] - bounds[:, 0])
         return Excitation(*np.clip(vector, bounds[:, 0], bounds[:, 1]).tolist())
 
     def _moved(self, chosen: Mapping[str, Excitation], step: FloatArray) -> dict[str, Excitation]:
@@ -300,10 +290,7 @@ class Planner:
 
 
 def _total(forecasts: Mapping[str, Forecast]) -> Forecast:
-    first, *others = forecasts.values()
-    for other in others:
-        first = first + other
-    return first
+    return Forecast(*np.sum(list(forecasts.values()), axis=0))
 
 
 def _cost(residuals: Residuals, forecasts: Mapping[str, Forecast]) -> float:

@@ -11,7 +11,6 @@ from controllers.identification.arm_motion import (
     MODES,
     ArmLimits,
     ArmState,
-    Excitation,
     RigidArm,
     Trajectory,
     swing,
@@ -28,6 +27,7 @@ from controllers.identification.linear_estimators import KalmanFilter, pseudo_in
 from controllers.identification.output_error import Estimate, OutputError, Window
 from controllers.identification.parameters import COUNT, Prior
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_choice
 
 EXCITATIONS = ("constant", "random", *CRITERIA)
 
@@ -60,10 +60,7 @@ class IdentifierConfig:
         Raises:
             ValueError: Naming the excitation and those that there are.
         """
-        if self.excitation not in EXCITATIONS:
-            raise ValueError(
-                f"excitation {self.excitation!r}: expected one of {', '.join(EXCITATIONS)}"
-            )
+        check_choice("excitation", self.excitation, EXCITATIONS)
 
 
 class Identifier:
@@ -74,6 +71,8 @@ class Identifier:
         generator: For the planner's starting points and for random excitation.
 
     Attributes:
+        excitations: Excitation of each mode in the present window.
+        kalman: The plain Kalman filter of the thesis.
         plan_seconds: Time that each plan took [s].
         estimate_seconds: Time that each on-line update of the estimate took [s].
     """
@@ -85,12 +84,12 @@ class Identifier:
         arms = {m: ArmOnMount.of(config.arm, m, config.rest_angle) for m in config.modes}
         self._arms = arms
         self._fit = OutputError(arms, config.prior)
-        self._kalman = KalmanFilter.from_prior(config.prior)
+        self.kalman = KalmanFilter.from_prior(config.prior)
         self._square = np.zeros((COUNT, COUNT))
         self._raw_square = np.zeros((COUNT, COUNT))
         self._product = np.zeros(COUNT)
         self._arm_states = {m: ArmState(angle=config.rest_angle) for m in config.modes}
-        self._excitations = dict.fromkeys(config.modes, CONSTANT)
+        self.excitations = dict.fromkeys(config.modes, CONSTANT)
         self._pending: dict[str, Trajectory] = {}
         self._sigma: FloatArray | None = None
         criterion = CRITERIA.get(config.excitation)
@@ -105,15 +104,6 @@ class Identifier:
         """Our present estimate."""
         return self._fit.estimate
 
-    @property
-    def excitations(self) -> dict[str, Excitation]:
-        """Excitation of each mode in the present window."""
-        return dict(self._excitations)
-
-    def kalman_estimate(self) -> FloatArray:
-        """Return the plain Kalman filter's estimate (22,)."""
-        return self._kalman.estimate.copy()
-
     def pseudo_inverse_estimate(self) -> FloatArray:
         """Return x = (A^T A)^-1 A^T F over all samples (22,)."""
         scale = np.sqrt(np.maximum(np.diag(self._square), 1e-300))
@@ -123,14 +113,14 @@ class Identifier:
         """Plan the next window and return each mode's arm motion in it."""
         start = time.perf_counter()
         if self._config.excitation == "random":
-            for mode in self._excitations:
-                self._excitations[mode] = random_excitation(self._config.limits, self._generator)
+            for mode in self.excitations:
+                self.excitations[mode] = random_excitation(self._config.limits, self._generator)
         elif self._planner and self._sigma is not None:
-            self._excitations = self._planner.plan(
-                self._state(self._sigma), self._excitations, self._generator
+            self.excitations = self._planner.plan(
+                self._state(self._sigma), self.excitations, self._generator
             )
         self.plan_seconds.append(time.perf_counter() - start)
-        for mode, excitation in self._excitations.items():
+        for mode, excitation in self.excitations.items():
             self._pending[mode], self._arm_states[mode] = swing(
                 self._arm_states[mode],
                 excitation,
@@ -157,7 +147,7 @@ class Identifier:
         self._sigma = sigma
         for mode, samples in outputs.items():
             matrix, right = regressor(samples, self._arms[mode])
-            self._kalman.update(matrix, right, sigma[18:24])
+            self.kalman.update(matrix, right, sigma[18:24])
             weight = 1 / sigma[18:24, None]
             raw = matrix.reshape(-1, COUNT)
             self._raw_square += raw.T @ raw
@@ -177,6 +167,6 @@ class Identifier:
             information=estimate.physical_information(),
             sigma=sigma,
             arm_states=dict(self._arm_states),
-            base_states={m: self._fit.base_state(m) for m in self._arms},
+            base_states=dict(self._fit.states),
             regressor_square=self._raw_square,
         )

@@ -1,4 +1,4 @@
-"""How well each parameter is known: mutual information in bits, observability, identifiability."""
+"""How well each parameter is known: mutual information in bits, and identifiability."""
 
 import dataclasses
 import math
@@ -13,43 +13,6 @@ from perception.geometry.arrays import FloatArray
 
 BITS = 10
 """A 10-bit sensor is assumed (Thesis section 2.6.1)."""
-
-
-def observability_matrix(transition: FloatArray, measurement: FloatArray) -> FloatArray:
-    """Return Xi = [H^T | Phi^T H^T | ... | (Phi^T)^(n-1) H^T] (Thesis eq. 2-5).
-
-    Args:
-        transition: Phi, (n, n).
-        measurement: H, (m, n).
-
-    Returns:
-        (n, n m). The state is observable if its rank is n.
-    """
-    blocks = [measurement.T]
-    for _ in range(len(transition) - 1):
-        blocks.append(transition.T @ blocks[-1])
-    return np.hstack(blocks)
-
-
-def transition_matrix(dynamics: FloatArray, time_step: float, terms: int = 12) -> FloatArray:
-    """Return e^(F dt) by its series (Thesis eq. 2-4).
-
-    Args:
-        dynamics: F, (n, n) [1/s].
-        time_step: [s]; short against the time constants of F.
-        terms: Terms kept; the thesis finds two often sufficient.
-    """
-    total = term = np.eye(len(dynamics))
-    for order in range(1, terms):
-        term = term @ dynamics * (time_step / order)
-        total = total + term
-    return total
-
-
-def entropy(probabilities: FloatArray) -> float:
-    """Return H = -sum p log2 p in bits (Thesis eq. 2-6); p log p is 0 at p = 0."""
-    positive = probabilities[probabilities > 0]
-    return float(-(positive * np.log2(positive)).sum())
 
 
 def mutual_information(

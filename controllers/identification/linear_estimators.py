@@ -12,10 +12,10 @@ import numpy as np
 from controllers.identification.compliant_base import SIGNALS, ArmOnMount
 from controllers.identification.parameters import (
     COUNT,
-    INERTIA_ELEMENTS,
     LEVER,
     Prior,
     from_coordinates,
+    inertia_tensor,
 )
 from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
@@ -46,8 +46,8 @@ def check_finite(outputs: FloatArray) -> None:
     )
 
 
-def _hinge_matrices(angles: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return R (n, 3, 3) and E (n, 3, 3) for hinges about x, y, z, outermost first."""
+def _hinges(angles: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return R (n, 3, 3), E (n, 3, 3) and E_dot phi_dot (n, 3), as `compliant_base._hinges`."""
     (sx, sy, sz), (cx, cy, cz) = np.sin(angles.T), np.cos(angles.T)
     zero, one = np.zeros_like(sx), np.ones_like(sx)
     rotation = np.array(
@@ -58,23 +58,11 @@ def _hinge_matrices(angles: FloatArray) -> tuple[FloatArray, FloatArray]:
         ]
     )
     rate_matrix = np.array([[cy * cz, sz, zero], [-cy * sz, cz, zero], [sy, zero, one]])
-    return np.moveaxis(rotation, 2, 0), np.moveaxis(rate_matrix, 2, 0)
-
-
-def _rate_bias(angles: FloatArray, rates: FloatArray) -> FloatArray:
-    """Return E_dot phi_dot (n, 3)."""
-    (_, sy, sz), (_, cy, cz) = np.sin(angles.T), np.cos(angles.T)
     px, py, pz = rates.T
     x = (-sy * cz * py - cy * sz * pz) * px + cz * pz * py
     y = (sy * sz * py - cy * cz * pz) * px - sz * pz * py
-    return np.stack([x, y, cy * py * px], axis=1)
-
-
-def _inertia_basis() -> FloatArray:
-    basis = np.zeros((6, 3, 3))
-    for element, (row, column) in zip(basis, INERTIA_ELEMENTS, strict=True):
-        element[row, column] = element[column, row] = 1.0
-    return basis
+    bias = np.stack([x, y, cy * py * px], axis=1)
+    return np.moveaxis(rotation, 2, 0), np.moveaxis(rate_matrix, 2, 0), bias
 
 
 def regressor(outputs: FloatArray, arm: ArmOnMount) -> tuple[FloatArray, FloatArray]:
@@ -97,10 +85,10 @@ def regressor(outputs: FloatArray, arm: ArmOnMount) -> tuple[FloatArray, FloatAr
     """
     check_finite(outputs)
     angles, rates = outputs[:, SIGNALS["angles"]], outputs[:, SIGNALS["angle_rates"]]
-    rotation, rate_matrix = _hinge_matrices(angles)
+    rotation, rate_matrix, bias = _hinges(angles, rates)
     omega = np.einsum("nij,nj->ni", rate_matrix, rates)
     hinge_accelerations = outputs[:, SIGNALS["angle_accelerations"]]
-    alpha = np.einsum("nij,nj->ni", rate_matrix, hinge_accelerations) + _rate_bias(angles, rates)
+    alpha = np.einsum("nij,nj->ni", rate_matrix, hinge_accelerations) + bias
     rest_force = np.array([0.0, 0.0, arm.mass * GRAVITY])
     rest_moment = np.cross(arm.rest_centre(), rest_force)
     force = outputs[:, SIGNALS["force"]] + rest_force
@@ -108,7 +96,7 @@ def regressor(outputs: FloatArray, arm: ArmOnMount) -> tuple[FloatArray, FloatAr
 
     matrix = np.zeros((len(outputs), 6, COUNT))
     matrix[:, :3, 0] = -outputs[:, SIGNALS["acceleration"]]
-    basis = _inertia_basis()
+    basis = np.array([inertia_tensor(row) for row in np.eye(COUNT)[1:7]])
     momentum_rate = np.einsum("kij,nj->nik", basis, alpha) + np.einsum(
         "nij,kjl,nl->nik", cross_matrix(omega), basis, omega
     )

@@ -97,7 +97,6 @@ class Estimate:
         information: (22, 22) information of data and prior, as far as the prior counts, in search
             coordinates.
         chi_square: Weighted squared residuals per measurement; 1 when the model holds.
-        iterations: Gauss-Newton iterations.
         measurements: Number of scalar measurements.
     """
 
@@ -106,7 +105,6 @@ class Estimate:
     theta: FloatArray
     information: FloatArray
     chi_square: float
-    iterations: int
     measurements: int
 
     @property
@@ -158,6 +156,10 @@ class OutputError:
     Args:
         arms: The arm in each mode, by mode name.
         prior: Prior of the 22 parameters; a generic guess by default.
+
+    Attributes:
+        estimate: Latest estimate.
+        states: Estimated state of the base by mode, with sensitivities.
     """
 
     def __init__(self, arms: Mapping[str, ArmOnMount], prior: Prior | None = None) -> None:
@@ -165,18 +167,14 @@ class OutputError:
         self._prior = prior or Prior()
         self._windows: dict[str, list[Window]] = {mode: [] for mode in arms}
         self._linearised_at = self._prior.mean()
-        self._states = {mode: BaseState.at_rest() for mode in arms}
+        self.states = {mode: BaseState.at_rest() for mode in arms}
         self._data = _Normal(0.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))
-        self.estimate = self._summary(self._linearised_at, self._data, 0, self._prior.term)
+        self.estimate = self._summary(self._linearised_at, self._data, self._prior.term)
 
     @property
     def measurements(self) -> int:
         """Number of scalar measurements taken in."""
         return sum(w.outputs.size for windows in self._windows.values() for w in windows)
-
-    def base_state(self, mode: str) -> BaseState:
-        """Return where the base of one mode is believed to be now, with sensitivities."""
-        return self._states[mode]
 
     def add(self, windows: Mapping[str, Window], relinearise_above: float = 0.1) -> Estimate:
         """Take one window of each mode in, and update the estimate.
@@ -197,16 +195,14 @@ class OutputError:
             raise ValueError(f"modes {unknown}: expected {', '.join(self._windows)}")
         for mode, window in windows.items():
             self._windows[mode].append(window)
-            self._accumulate(
-                mode, [window], self._linearised_at, self._data, self._states, SUBSTEPS
-            )
+            self._accumulate(mode, [window], self._linearised_at, self._data, self.states, SUBSTEPS)
         theta = _step_from(self._linearised_at, self._data, self._prior.term)
         if np.abs(theta - self._linearised_at).max() > relinearise_above:
             self._linearised_at = self._held(self._linearised_at, theta)
-            self._data, self._states = self._linearise(self._linearised_at, SUBSTEPS)
+            self._data, self.states = self._linearise(self._linearised_at, SUBSTEPS)
             theta = _step_from(self._linearised_at, self._data, self._prior.term)
         theta = self._held(self._linearised_at, theta)
-        self.estimate = self._summary(theta, self._data, 1, self._prior.term)
+        self.estimate = self._summary(theta, self._data, self._prior.term)
         return self.estimate
 
     def fit(self, iterations: int = 40, restarts: int = 3) -> Estimate:
@@ -230,7 +226,7 @@ class OutputError:
                 best, reached = other, place
         self._linearised_at = best.theta
         # Later windows are added to what was linearised here.
-        self._data, self._states = reached
+        self._data, self.states = reached
         self.estimate = best
         return best
 
@@ -248,7 +244,7 @@ class OutputError:
                 break
             held, gain = directions.shape[1], SMALLEST_GAIN
             term = functools.partial(self._prior.term, directions=directions)
-        summary = self._summary(point.theta, point.normal, count, term)
+        summary = self._summary(point.theta, point.normal, term)
         return summary, (point.normal, point.states)
 
     def _descend_under(
@@ -308,9 +304,7 @@ class OutputError:
         step[INERTIA] *= largest_physical_step(theta, step)
         return theta + step
 
-    def _summary(
-        self, theta: FloatArray, normal: _Normal, iterations: int, term: _PriorTerm
-    ) -> Estimate:
+    def _summary(self, theta: FloatArray, normal: _Normal, term: _PriorTerm) -> Estimate:
         information = normal.information + term(theta)[2]
         scale = coordinate_scale(theta)
         return Estimate(
@@ -319,7 +313,6 @@ class OutputError:
             theta=theta,
             information=information,
             chi_square=normal.cost / max(self.measurements, 1),
-            iterations=iterations,
             measurements=self.measurements,
         )
 

@@ -196,11 +196,6 @@ class Prior:
         vector[STIFFNESS] = self.stiffness
         return to_coordinates(vector)
 
-    def sigma(self) -> FloatArray:
-        """Return the prior standard deviation (22,) of the search coordinates, at the mean."""
-        _, _, information = self.term(self.mean())
-        return np.sqrt(np.diag(np.linalg.inv(information)))
-
     def term(
         self, coordinates: FloatArray, directions: FloatArray | None = None
     ) -> tuple[float, FloatArray, FloatArray]:
@@ -266,25 +261,15 @@ class Prior:
         return deviation / self.factor_sigma, change.T / self.factor_sigma
 
 
-@dataclasses.dataclass(frozen=True)
-class Ranges:
-    """The span of values that the 10-bit information metric is read on (Thesis eq. 2-12b).
+RANGES = np.repeat(
+    [[0.0, 10.0], [0.0, 1.0], [-0.5, 0.5], [-1.0, 1.0], [0.0, 1000.0], [0.0, 10000.0]],
+    [1, 3, 3, 3, 6, 6],
+    axis=0,
+)
+"""(22, 2) spans of values on which the 10-bit metric is read, SI units (Thesis eq. 2-12b).
 
-    Generic for a rover of a few kilograms; wide, and not centred on any particular robot.
-    """
-
-    mass: tuple[float, float] = (0.0, 10.0)
-    inertia: tuple[float, float] = (0.0, 1.0)
-    product: tuple[float, float] = (-0.5, 0.5)
-    lever: tuple[float, float] = (-1.0, 1.0)
-    damping: tuple[float, float] = (0.0, 1000.0)
-    stiffness: tuple[float, float] = (0.0, 10000.0)
-
-    def bounds(self) -> FloatArray:
-        """Return (22, 2) lower and upper ends, SI units."""
-        rows = [self.mass] + [self.inertia] * 3 + [self.product] * 3 + [self.lever] * 3
-        rows += [self.damping] * 6 + [self.stiffness] * 6
-        return np.array(rows)
+Generic for a rover of a few kilograms; wide, and not centred on any particular robot.
+"""
 
 
 def average_error_percent(estimate: FloatArray, truth: FloatArray) -> float:

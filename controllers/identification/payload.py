@@ -25,7 +25,7 @@ from controllers.identification.arm_sensing import (
     raised_cosine,
     read_arm,
 )
-from controllers.kinematics.rigid_body import COUNT, INERTIA_ELEMENTS, NAMES, wrench_regressor
+from controllers.kinematics.rigid_motion import COUNT, INERTIA_ELEMENTS, NAMES, wrench_regressor
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation
@@ -78,7 +78,7 @@ class PayloadEstimate:
     """The identified payload, in the wrist's frame.
 
     Attributes:
-        parameters: (10,) in the order of `rigid_body.NAMES`, of a body that can exist.
+        parameters: (10,) in the order of `rigid_motion.NAMES`, of a body that can exist.
         covariance: (10, 10) of the linear estimate, from the sensor's noise; where `chi_squared`
             is above 1, times that.
         linear: (10,) the linear estimate, whether or not a body can have it.

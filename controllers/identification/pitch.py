@@ -83,6 +83,11 @@ def physical(coordinates: FloatArray) -> FloatArray:
     return parameters
 
 
+def _scale(parameters: FloatArray) -> FloatArray:
+    """Return the derivatives (5,) of the parameters by the search coordinates."""
+    return np.where([name in ("ry", "rz") for name in NAMES], 1.0, parameters)
+
+
 def predict_tilt(
     parameters: FloatArray, wrench: FloatArray, sensors: PitchSensors, ahead: float = 0.0
 ) -> FloatArray:
@@ -238,8 +243,7 @@ class PitchFit:
         self, point: FloatArray, data: FloatArray, squares: float, samples: int
     ) -> PitchEstimate:
         information = data + np.diag(self.prior.sigma() ** -2)
-        scale = np.ones(5)
-        scale[_LOGARITHMIC] = physical(point)[_LOGARITHMIC]
+        scale = _scale(physical(point))
         covariance = np.linalg.inv(information)[:5, :5] * np.outer(scale, scale)
         chi_square = squares / max(samples, 1)
         return PitchEstimate(physical(point), covariance, information, point, chi_square, samples)
@@ -263,9 +267,7 @@ def fisher_information(
 
 
 def _bits(estimate: PitchEstimate, information: FloatArray) -> FloatArray:
-    scale = np.ones(5)
-    scale[_LOGARITHMIC] = estimate.parameters[_LOGARITHMIC]
-    sigma = scale * np.sqrt(np.diag(np.linalg.inv(information))[:5])
+    sigma = _scale(estimate.parameters) * np.sqrt(np.diag(np.linalg.inv(information))[:5])
     return mutual_information(estimate.parameters, sigma, RANGES) / BITS
 
 

@@ -26,6 +26,7 @@ from controllers.identification.pitch import (
     predict_tilt,
 )
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_choice
 from perception.geometry.gravity import GRAVITY
 from twin.description import ArmDescription
 from twin.robot import ArmMode, Command, Observation, RobotError
@@ -61,19 +62,15 @@ class SwingingArm:
     def of(cls, arm: ArmDescription) -> "SwingingArm":
         """Return what swings about the second joint of an arm as drawn, stretched at angle zero."""
         _, *swinging = arm.joints
-        place = swinging[0].transform_link_to_parent
         masses = np.array([joint.body.mass for joint in swinging])
-        offset, centres = np.zeros(3), []
-        for joint in swinging:
-            centres.append(offset + joint.body.centre)
-            if joint is not swinging[-1]:
-                following = swinging[len(centres)].transform_link_to_parent
-                offset = offset + following.translation
-        centre = masses @ np.array(centres) / masses.sum()
-        levers = np.array(centres)[:, 1:] - centre[1:]
+        steps = [joint.transform_link_to_parent.translation for joint in swinging]
+        offsets = np.cumsum([np.zeros(3), *steps[1:]], axis=0)
+        centres = offsets + [joint.body.centre for joint in swinging]
+        centre = masses @ centres / masses.sum()
+        levers = centres[:, 1:] - centre[1:]
         inertia = sum(joint.body.inertia[0, 0] for joint in swinging)
         inertia += masses @ np.sum(levers**2, axis=1)
-        mount = arm.joints[0].transform_link_to_parent.translation + place.translation
+        mount = arm.joints[0].transform_link_to_parent.translation + steps[0]
         return cls(
             float(masses.sum()),
             float(inertia),
@@ -133,10 +130,7 @@ class RoverIdentifierConfig:
         Raises:
             ValueError: Naming it and those that there are.
         """
-        if self.excitation not in EXCITATIONS:
-            raise ValueError(
-                f"excitation {self.excitation!r}: expected one of {', '.join(EXCITATIONS)}"
-            )
+        check_choice("excitation", self.excitation, EXCITATIONS)
 
     @property
     def total(self) -> float:
@@ -292,7 +286,9 @@ class RoverIdentifier:
         residuals = CRITERIA[self.config.excitation](self.fit.estimate)
         # The base's own memory is a few tenths of a second: a second of the past is enough.
         past = np.array(self.log.wrench[-round(1 / self.config.sensors.period) :])
-        rest = self.config.arm.wrench(self._still())[0]
+        still = np.zeros(1)
+        at_rest = Trajectory(0.0, np.array([ArmState().angle]), still, still, still[:0])
+        rest = self.config.arm.wrench(at_rest)[0]
         bounds = self.config.limits.bounds()
         sensors = self.config.sensors
         unfiltered = dataclasses.replace(sensors, tilt_bandwidth=1e4)
@@ -306,11 +302,9 @@ class RoverIdentifier:
             excess = np.abs(tilt[len(past) :]).max() / self.config.tilt_limit - 1
             return np.append(residuals(added), 10 * max(excess, 0.0))
 
-        present = np.clip(self._excitation.vector(), bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6)
-        starts = [present] + [
-            random_excitation(self.config.limits, self._generator).vector()
-            for _ in range(candidates)
-        ]
+        present = np.clip(self._excitation, bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6)
+        drawn = (random_excitation(self.config.limits, self._generator) for _ in range(candidates))
+        starts = np.array([present, *drawn])
         costs = [float(np.sum(evaluate(vector) ** 2)) for vector in starts]
         best = starts[int(np.argmin(costs))]
         span = bounds[:, 1] - bounds[:, 0]
@@ -318,10 +312,6 @@ class RoverIdentifier:
             evaluate, best, bounds=(bounds[:, 0], bounds[:, 1]), x_scale=span, max_nfev=4
         )
         return Excitation(*solution.x.tolist())
-
-    def _still(self) -> Trajectory:
-        angle = np.array([ArmState().angle])
-        return Trajectory(self.config.sensors.period, angle, np.zeros(1), np.zeros(1), np.zeros(0))
 
     def _command(self, angles: FloatArray, rates: FloatArray) -> Mapping[str, Command]:
         command = Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)

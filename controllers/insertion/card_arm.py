@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.arm_inverse import GripperInverse
-from controllers.kinematics.frame_motion import at_rest
+from controllers.kinematics.rigid_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix

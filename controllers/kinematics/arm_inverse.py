@@ -26,8 +26,7 @@ LEAST_DISTANCE = 1e-6
 """Distance of a gripper from the yaw's axis [m] below which every yaw is as good."""
 
 
-@dataclasses.dataclass(frozen=True)
-class ArmGeometry:
+class ArmGeometry(NamedTuple):
     """An arm by the numbers of its plane: y along the arm, z up, x to its right.
 
     Attributes:
@@ -104,21 +103,16 @@ class ArmGeometry:
         y, z, turn = (np.ascontiguousarray(numbers, dtype=float).ravel() for numbers in given)
         angles = np.empty((len(y), 2, 3))
         squint = math.atan2(self.axis[2], self.axis[1])
-        arm = _PlanarArm(self.shoulder, self.links, self.camera, squint, self.limits[1:])
-        _bend(arm, y, z, turn, angles)
+        _bend(self, y, z, turn - squint, angles)
         return angles.reshape(*given[0].shape, 2, 3)
 
     def turned(self, yaw: ArrayLike) -> FloatArray:
         """Return yaw angles [rad] brought within the limits; NaN where they cannot be."""
-        return self._within(np.asarray(yaw, dtype=float)[..., None], self.limits[:1])[..., 0]
-
-    def _within(self, angles: FloatArray, limits: FloatArray) -> FloatArray:
-        """Bring angles between limits by whole turns; a row with one outside becomes NaN."""
-        middle = limits.mean(axis=1)
-        near = middle + np.remainder(angles - middle + np.pi, 2.0 * np.pi) - np.pi
-        fits = (near >= limits[:, 0] - STRAIGHT) & (near <= limits[:, 1] + STRAIGHT)
-        clipped = np.clip(near, limits[:, 0], limits[:, 1])
-        return np.where(fits.all(axis=-1, keepdims=True), clipped, np.nan)
+        low, high = self.limits[0]
+        middle = self.limits.mean(axis=1)[0]
+        near = middle + np.remainder(np.asarray(yaw) - middle + np.pi, 2.0 * np.pi) - np.pi
+        fits = (near >= low - STRAIGHT) & (near <= high + STRAIGHT)
+        return np.where(fits, np.clip(near, low, high), np.nan)
 
     def headings(self, direction: FloatArray) -> list[tuple[float, float]]:
         """Return the arm's two (heading, pitch) [rad] that look along a direction; none if upright.
@@ -139,34 +133,16 @@ class ArmGeometry:
         ]
 
 
-class _PlanarArm(NamedTuple):
-    """What `_bend` reads of an `ArmGeometry`.
-
-    Attributes:
-        shoulder: (2,) y, z from the foot of the yaw's axis [m].
-        links: (2, 2) y, z of upper arm and forearm at angle zero [m].
-        camera: (2,) y, z of the camera from the wrist's hinge at angle zero [m].
-        squint: Angle of the view's part in the plane from the wrist's y axis [rad].
-        limits: (3, 2) lowest and highest angles of shoulder, elbow and wrist [rad].
-    """
-
-    shoulder: FloatArray
-    links: FloatArray
-    camera: FloatArray
-    squint: float
-    limits: FloatArray
-
-
 @numba.njit(cache=True)
 def _bend(arm: Any, along: Any, height: Any, pitch: Any, angles: Any) -> None:
-    """Write (N, 2, 3) angles of `ArmGeometry.bend`."""
+    """Write (N, 2, 3) angles of `ArmGeometry.bend`; the pitch is that of the wrist's y axis."""
     links = arm.links
     upper = math.hypot(links[0, 0], links[0, 1])
     fore = math.hypot(links[1, 0], links[1, 1])
     rest_upper = math.atan2(links[0, 1], links[0, 0])
     rest_fore = math.atan2(links[1, 1], links[1, 0])
     for n in range(len(along)):
-        turn = pitch[n] - arm.squint
+        turn = pitch[n]
         cosine, sine = math.cos(turn), math.sin(turn)
         y = along[n] - arm.shoulder[0] - cosine * arm.camera[0] + sine * arm.camera[1]
         z = height[n] - arm.shoulder[1] - sine * arm.camera[0] - cosine * arm.camera[1]
@@ -185,7 +161,7 @@ def _bend(arm: Any, along: Any, height: Any, pitch: Any, angles: Any) -> None:
             found[1] = first + between - rest_fore - found[0]
             found[2] = turn - found[0] - found[1]
             for k in range(3):
-                low, high = arm.limits[k]
+                low, high = arm.limits[k + 1]
                 middle = 0.5 * (low + high)
                 near = middle + (found[k] - middle + np.pi) % (2.0 * np.pi) - np.pi
                 if not (low - STRAIGHT <= near <= high + STRAIGHT):

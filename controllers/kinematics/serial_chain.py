@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.frame_motion import LEVEL, FrameMotion, LinkMotion
-from controllers.kinematics.rigid_body import WEIGHTLESS
+from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion, LinkMotion
 from perception.geometry.arrays import FloatArray
 from twin.description import ArmDescription, JointDescription, RigidBody, RobotDescription
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from controllers.kinematics.frame_motion import LEVEL, FrameMotion, at_rest
+from controllers.kinematics.rigid_motion import LEVEL, FrameMotion, at_rest
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 from twin.robot import Observation

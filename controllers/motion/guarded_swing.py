@@ -67,7 +67,9 @@ class GuardedSwing:
     def reset(self) -> None:
         """Start again from the initial pose."""
         config = self._config
-        self.online = OnlineGuard(config.footing, self._asked.at) if self._is("online") else None
+        self.online = (
+            OnlineGuard(config.footing, self._asked.at) if config.guard == "online" else None
+        )
         self._planned = Guarded(self._asked, 1.0, math.nan, "")
         self._sweep, self._ticks = self._asked, 0
         self._arm = ArmController(config.arm, lambda time: self.at(time - config.wait))
@@ -78,7 +80,7 @@ class GuardedSwing:
         Args:
             seen: The robot at rest in the initial pose.
         """
-        if self._is("planned"):
+        if self._config.guard == "planned":
             self._planned = guard(self._config.footing, self._asked, level_of(seen))
             start = self._asked.start
             self._sweep = self._planned.sweep or Sweep(start, start, self._asked.duration)
@@ -122,6 +124,3 @@ class GuardedSwing:
         whole = np.linalg.norm(self._asked.end - self._asked.start)
         gone = self._asked.at(self.online.time)[0] - self._asked.start
         return float(np.linalg.norm(gone) / whole)
-
-    def _is(self, name: str) -> bool:
-        return self._config.guard == name

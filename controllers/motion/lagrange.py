@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from controllers.kinematics.frame_motion import LEVEL
-from controllers.kinematics.rigid_body import WEIGHTLESS
+from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
 from twin.description import JointDescription, RigidBody
@@ -121,12 +120,12 @@ class NineCoordinates:
 
     def _full(self, positions: ArrayLike) -> FloatArray:
         full = self._held.copy()
-        full[self._kept] = _nine(positions)
+        full[self._kept] = positions
         return full
 
     def _moving(self, values: ArrayLike) -> FloatArray:
         full = np.zeros(len(self._chain))
-        full[self._kept] = _nine(values)
+        full[self._kept] = values
         return full
 
 
@@ -167,10 +166,3 @@ def _free(
     place: RigidTransform = _HERE,
 ) -> JointDescription:
     return JointDescription("", place, axis, body, slides=slides)
-
-
-def _nine(values: ArrayLike) -> FloatArray:
-    numbers = np.asarray(values, dtype=float)
-    if numbers.shape != (COUNT,):
-        raise ValueError(f"coordinates of shape {numbers.shape}: expected ({COUNT},)")
-    return numbers

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from controllers.kinematics.frame_motion import FrameMotion
+from controllers.kinematics.rigid_motion import FrameMotion
 from controllers.motion.tip_over import Footing
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers

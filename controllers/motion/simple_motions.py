@@ -1,6 +1,5 @@
 """Simple motions of all axes, for timing the loop and for exercising boards and sensors."""
 
-import dataclasses
 from collections.abc import Mapping
 from typing import cast
 
@@ -9,20 +8,8 @@ import numpy as np
 from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
-
-@dataclasses.dataclass(frozen=True)
-class WaveConfig:
-    """Sinusoidal motion of wheels and arm.
-
-    Attributes:
-        speed: Amplitude of the wheels' speed [rad/s].
-        swing: Amplitude of each joint's angle [rad].
-        rate: Angular frequency [rad/s].
-    """
-
-    speed: float = 3.0
-    swing: float = 0.2
-    rate: float = 2.0
+SPEED, SWING, RATE = 3.0, 0.2, 2.0
+"""Amplitudes of wheel speed [rad/s] and joint angle [rad], and angular frequency [rad/s]."""
 
 
 class WaveMotion:
@@ -30,11 +17,10 @@ class WaveMotion:
 
     Args:
         robot: Name of the robot.
-        config: Amplitudes and frequency.
     """
 
-    def __init__(self, robot: str, config: WaveConfig | None = None) -> None:
-        self._robot, self._config = robot, config or WaveConfig()
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
         self._start: FloatArray | None = None
 
     def reset(self) -> None:
@@ -43,12 +29,12 @@ class WaveMotion:
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Return the wheels' speeds and the arm's angles at this time."""
-        seen, config = observations[self._robot], self._config
+        seen = observations[self._robot]
         if self._start is None:
             self._start = np.array(seen.arm_angles.value, dtype=float)
-        wave = np.sin(config.rate * seen.time)
-        wheels = np.full(seen.wheel_speeds.value.shape, config.speed * wave)
-        arm = self._start + config.swing * wave
+        wave = np.sin(RATE * seen.time)
+        wheels = np.full(seen.wheel_speeds.value.shape, SPEED * wave)
+        arm = self._start + SWING * wave
         return {self._robot: Command(wheels, arm, WheelMode.SPEED, ArmMode.POSITION)}
 
 

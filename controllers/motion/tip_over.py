@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controllers.kinematics.frame_motion import LEVEL, FrameMotion
+from controllers.kinematics.rigid_motion import LEVEL, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix

@@ -14,7 +14,7 @@ import scipy.stats
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from controllers.kinematics.frame_motion import FrameMotion
+from controllers.kinematics.rigid_motion import FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
 from controllers.motion.base_tilt import TiltAxis, tilting_moments

@@ -18,7 +18,7 @@ from controllers.identification.payload import (
     PayloadIdentifier,
     PayloadIdentifierConfig,
 )
-from controllers.kinematics.rigid_body import NAMES, inertial_parameters
+from controllers.kinematics.rigid_motion import NAMES, inertial_parameters
 from controllers.kinematics.serial_chain import SerialChain
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError

@@ -11,7 +11,7 @@ from models import datasheets
 from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part, make_model
 from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
-from twin.describe import describe
+from twin.describe import describe_rover
 from twin.description import RigidBody
 
 PLAIN = FieldConfig(texture_pixels=16)
@@ -60,8 +60,7 @@ def planar_plant() -> PlanarPlant:
     for joint in list(arm.joints):
         joint.frictionloss = 0.0
     spec.attach(arm, site=site, prefix="rover1/")
-    rover = make_model(PLAIN, [RobotPlacement("rover1")])
-    coordinates = NineCoordinates(vehicle, base, SerialChain.of_robot(describe(rover, "rover1")))
+    coordinates = NineCoordinates(vehicle, base, SerialChain.of_robot(describe_rover()))
     return PlanarPlant(spec.compile(), coordinates)
 
 

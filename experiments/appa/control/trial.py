@@ -11,7 +11,7 @@ from experiments.appa.control.plant import MOUNT, sprung_rover
 from models import datasheets
 from models.compose import ARM_JOINTS, settle
 from perception.geometry.arrays import FloatArray
-from twin.describe import describe
+from twin.describe import describe_rover
 from twin.simulation import Simulation
 
 ROBOT = "rover1"
@@ -106,7 +106,7 @@ class ControlRun:
 def run_control(trial: ControlTrial) -> ControlRun:
     """Run a trial on the simulated rover, through the robot contract and its datasheet sensors."""
     model = sprung_rover(trial.stiffness)
-    chain = SerialChain.of_robot(describe(model, ROBOT))
+    chain = SerialChain.of_robot(describe_rover(ROBOT))
     simulation = Simulation(model, [ROBOT], seed=trial.seed, data=settle(model))
     robot = simulation.robots[ROBOT]
     controller = ArmController(arm_config(chain, trial.law, trial.lag), reference)

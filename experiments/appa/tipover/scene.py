@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from controllers.kinematics.frame_motion import at_rest
+from controllers.kinematics.rigid_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.tip_over import Footing, ground_wrench
 from controllers.motion.tip_over import zero_moment_point as balance

@@ -6,16 +6,18 @@ The zero-moment point of eq. A-5 is compared with MuJoCo's centre of pressure al
 """
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from controllers.motion.guarded_swing import GUARDS
-from experiments.appa.tipover.figures import draw_footprints, draw_progress
 from experiments.appa.tipover.trial import TipRun, TipTrial, run_tip
 from experiments.harness import contract
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from models.datasheets import ROVER
 
 LOADS = (0.5, 1.0, 1.3)
 """Masses in the gripper [kg]: from a tenth to a third of the rover's own weight."""
@@ -24,6 +26,8 @@ SLOPES = (0.0, 5.0, 10.0)
 GUARDED = GUARDS[1:]
 ZMP_BOUND = 1.0
 """Largest distance of the zero-moment point from the centre of pressure [mm]."""
+Shown = Mapping[str, TipRun]
+NAMES = {"unguarded": "as asked for", "planned": "planned ahead", "online": "slowed online"}
 Pairs = list[tuple[TipTrial, TipRun]]
 
 
@@ -133,3 +137,51 @@ def _telling(pairs: Pairs) -> dict[str, TipRun]:
     tipped = [motion for motion in sets if motion[0][1].tipped] or sets
     best = max(tipped, key=lambda motion: motion[-1][1].part)
     return {trial.guard: result for trial, result in best}
+
+
+def draw_footprints(shown: Shown) -> Figure:
+    """Draw the paths of both points over the footprint, a column for each guard.
+
+    Args:
+        shown: Results of `run_tip` by guard.
+    """
+    figure = Figure(figsize=(12, 4.6))
+    x, y = 1e3 * ROVER.half_track, 1e3 * ROVER.half_wheelbase
+    for column, (guard, result) in enumerate(shown.items()):
+        axes = figure.add_subplot(1, len(shown), 1 + column)
+        axes.plot([x, -x, -x, x, x], [y, y, -y, -y, y], "k-", linewidth=1, label="footprint")
+        point, pressure = 1e3 * result.point, 1e3 * result.pressure
+        axes.plot(*point.T, ".-", linewidth=0.6, label="zero-moment point (A-5)")
+        axes.plot(*pressure.T, "x", markersize=4, label="centre of pressure")
+        end = "tipped" if result.tipped else f"tilted {result.lean_deg:.1f} deg"
+        axes.set_title(f"{NAMES[guard]}: {end}", fontsize=10)
+        axes.set(aspect="equal", xlim=(-180, 180), ylim=(-180, 180), xlabel="to the right [mm]")
+        axes.grid(alpha=0.3)
+        if column == 0:
+            axes.set(ylabel="forward [mm]")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=3, fontsize=9)
+    figure.subplots_adjust(bottom=0.2)
+    return figure
+
+
+def draw_progress(shown: Shown) -> Figure:
+    """Draw how far the reference has gone over time, and the pressure's margin.
+
+    Args:
+        shown: As `draw_footprints`.
+    """
+    figure = Figure(figsize=(11, 4))
+    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
+    for guard, result in shown.items():
+        time, part = result.gone.T
+        left.plot(time, 100.0 * part, label=NAMES[guard])
+        right.plot(time, 1e3 * result.margin, linewidth=1, label=NAMES[guard])
+    left.set(ylabel="reference, share of the path [%]")
+    right.set(ylabel="centre of pressure inside the footprint [mm]", ylim=(0, None))
+    for axes in (left, right):
+        axes.set(xlabel="time since the motion's beginning [s]")
+        axes.grid(alpha=0.3)
+    left.legend(fontsize=9)
+    figure.subplots_adjust(wspace=0.25)
+    return figure

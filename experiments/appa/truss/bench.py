@@ -9,25 +9,23 @@ from numpy.typing import NDArray
 from controllers.kinematics.arm_inverse import GripperInverse
 from controllers.kinematics.serial_chain import SerialChain
 from models import datasheets
-from models.compose import ARM_JOINTS, FieldConfig, make_model
-from models.truss import MASTER, SLAVE, TRUSS, make_truss, placements, settle_truss
-from twin.describe import describe
-
-Floats = NDArray[np.float64]
+from models.compose import ARM_JOINTS
+from models.truss import MASTER, SLAVE, TRUSS, make_truss, settle_truss
+from perception.geometry.arrays import FloatArray
+from twin.describe import describe_rover
 
 ROBOTS = (MASTER, SLAVE)
 LIFT = 0.07
-"""Of the chord above its seated height at the start [m]."""
+"""Height of the chord above its seated height at the start [m]."""
 
 
-def start_angles(height: float) -> Floats:
+def start_angles(height: float) -> FloatArray:
     """Return (4,) the joints that bring the gripper to the segment's end at a height [m].
 
     Raises:
         ValueError: If the arm cannot reach it.
     """
-    model = make_model(FieldConfig(texture_pixels=16), placements()[:1])
-    arm = SerialChain.of_robot(describe(model, MASTER))
+    arm = SerialChain.of_robot(describe_rover(MASTER))
     inverse = GripperInverse(arm, [0.0, datasheets.ARM.wrist_length, 0.0])
     task = [0.0, TRUSS.reach, height - datasheets.ROVER.centre_height, TRUSS.grip_pitch]
     found = inverse.solutions(task, near=datasheets.ARM.home)
@@ -68,7 +66,7 @@ class TrussBench:
             getattr(now, name)[:] = getattr(self.data, name)
         mujoco.mj_forward(self.model, now)
 
-    def place(self, body: str) -> Floats:
+    def place(self, body: str) -> FloatArray:
         """Return (3,) true s, z and angle of a body in the plan frame."""
         seen = self.data.body(body)
         sign = math.copysign(1.0, seen.xmat[4])  # of what looks along s, or against it
@@ -81,7 +79,7 @@ class TrussBench:
         up = stage.xmat.reshape(3, 3)[:, 2]
         return -float(up @ (segment.xpos - stage.xpos) + abs(up @ edge))
 
-    def grips(self) -> Floats:
+    def grips(self) -> FloatArray:
         """Return (2, 3) the true wrenches of master's and slave's gripper on the segment."""
         data, wrenches = self._now, np.zeros((2, 3))
         equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
@@ -107,7 +105,7 @@ class TrussBench:
         local = dense[turns, address + 3 : address + 6].T @ self._now.efc_force[turns]
         return float((self._now.body("segment").xmat.reshape(3, 3) @ local)[0])
 
-    def contact(self) -> Floats:
+    def contact(self) -> FloatArray:
         """Return (2,) the true force of the stage on the segment along s and z [N]."""
         total, wrench = np.zeros(3), np.zeros(6)
         for index in range(self._now.ncon):
@@ -120,15 +118,15 @@ class TrussBench:
             total += force if int(contact.geom[0]) in self._stage else -force
         return total[1:]
 
-    def joints(self) -> Floats:
+    def joints(self) -> FloatArray:
         """Return (2, 4) the true angles of both arms [rad]."""
         return self.data.qpos[self._joints]
 
-    def efforts(self) -> Floats:
+    def efforts(self) -> FloatArray:
         """Return (2, 4) what both arms' motors truly give, before friction [N m]."""
         return self._now.actuator_force[self._motors]
 
-    def base_wrenches(self) -> Floats:
+    def base_wrenches(self) -> FloatArray:
         """Return (2, 3) the true wrench of each rover on its arm, in the plan's sense."""
         found: list[list[float]] = []
         for name, facing in zip(ROBOTS, (1, -1), strict=True):

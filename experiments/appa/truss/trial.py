@@ -4,7 +4,6 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.insertion.cooperation import (
     MASTER_FORCES,
@@ -21,11 +20,11 @@ from controllers.kinematics.serial_chain import SerialChain
 from experiments.appa.truss.bench import ROBOTS, TrussBench
 from models import datasheets
 from models.truss import MASTER, SLAVE, TRUSS
-from twin.describe import describe
+from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_choice
+from twin.describe import describe_rover
 from twin.hardware.emulator.modem import ModemConfig, virtual_links
 from twin.simulation import Simulation
-
-Floats = NDArray[np.float64]
 
 PERIOD = 0.01
 OFFSET, TILT = 4e-3, math.radians(2.0)
@@ -108,25 +107,25 @@ def planar_arm() -> PlanarArm:
 
 
 def make_pair(
-    bench: TrussBench, way: str, mouth: tuple[float, float], mutual: Floats
+    bench: TrussBench, way: str, mouth: tuple[float, float], mutual: FloatArray
 ) -> tuple[Master, Slave]:
     """Return both controllers.
 
     Args:
-        bench: Whose robots they drive; where these stand is what the map tells them.
-        way: Of `WAYS`.
+        bench: Scene with the robots; their true poses stand for those of the map.
+        way: Method of insertion, a key of `WAYS`.
         mouth: s, z of the mouth as the master believes [m].
         mutual: (2,) error of the slave's believed place [m].
     """
     by_force, guided = WAYS[way]
     arm, half = planar_arm(), TRUSS.grip_span / 2.0
-    mount = (datasheets.ROVER.arm_mount[1], datasheets.ROVER.arm_mount[2])
+    mount = datasheets.ROVER.arm_mount[1:]
     grips: list[HybridGrip] = []
     for name, facing, forces, wrong in (
         (MASTER, 1, MASTER_FORCES, np.zeros(2)),
         (SLAVE, -1, SLAVE_FORCES, mutual),
     ):
-        chain = SerialChain.of_robot(describe(bench.model, name))
+        chain = SerialChain.of_robot(describe_rover(name))
         sensor = GripSensor(chain, arm, mount)
         s, z = bench.place(f"{name}/chassis")[:2] + wrong
         config = HybridConfig(
@@ -178,8 +177,8 @@ class TrussRun:
     depth: float
     offset: float
     tilt: float
-    mutual: Floats
-    course: Floats | None = None
+    mutual: FloatArray
+    course: FloatArray | None = None
 
 
 def run_truss(trial: TrussTrial) -> TrussRun:
@@ -188,8 +187,7 @@ def run_truss(trial: TrussTrial) -> TrussRun:
     Raises:
         ValueError: If there is no such way.
     """
-    if trial.way not in WAYS:
-        raise ValueError(f"way {trial.way!r}: valid are {', '.join(WAYS)}")
+    check_choice("way", trial.way, WAYS)
     rng = np.random.default_rng([trial.seed, 20])
     wrong = trial.share * rng.uniform(0.5, 1.0, 4) * rng.choice([-1.0, 1.0], 4)
     offset, tilt, mutual = wrong[0] * OFFSET, wrong[1] * TILT, wrong[2:] * MUTUAL

@@ -111,17 +111,11 @@ def _pendulum_inertia(height: float) -> float:
         carries along but the suspension leaves on the ground.
     """
     spec = load_part("rover")
-    for joint in spec.joints:
-        spec.delete(joint)
+    for part in (*spec.actuators, *spec.sensors, *spec.keys, *spec.joints):
+        spec.delete(part)
     hung = 0.5  # [m] above the chassis' origin
     pivot = spec.body("chassis").add_joint(name="pivot", type=mujoco.mjtJoint.mjJNT_HINGE)
     pivot.axis, pivot.pos = [1, 0, 0], [0, 0, hung]
-    for actuator in spec.actuators:
-        spec.delete(actuator)
-    for sensor in spec.sensors:
-        spec.delete(sensor)
-    for key in spec.keys:
-        spec.delete(key)
     spec.option.timestep = _STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     model = spec.compile()

@@ -23,6 +23,7 @@ from controllers.identification.rover_identifier import (
 from models.compose import FLAT, RobotPlacement, make_model
 from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, connect
+from twin.describe import descendants
 from twin.loop import LoopRecorder, Tick, run
 from twin.simulation import Simulation
 
@@ -48,17 +49,13 @@ class RoverTrial:
     unseen: float = 4.0
 
 
-def known_swinging_arm(card: bool = False) -> SwingingArm:
-    """Return what is known of the rover's arm, stretched, from its own data sheet's model.
-
-    Args:
-        card: Whether its gripper holds the card.
-    """
-    model = make_model(FLAT, [RobotPlacement(ROBOT, card=card)])
+def known_swinging_arm() -> SwingingArm:
+    """Return what is known of the rover's arm, stretched, from its own data sheet's model."""
+    model = make_model(FLAT, [RobotPlacement(ROBOT)])
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     shoulder = model.body(f"{ROBOT}/upper_arm").id
-    bodies = [i for i in range(model.nbody) if _descends(model, i, shoulder)]
+    bodies = np.flatnonzero(descendants(model, shoulder))
     base = data.body(f"{ROBOT}/chassis")
     rotation, pivot = base.xmat.reshape(3, 3), data.xpos[shoulder]
     masses = model.body_mass[bodies]
@@ -76,14 +73,6 @@ def known_swinging_arm(card: bool = False) -> SwingingArm:
         centre=(float(centre[1]), float(centre[2])),
         shoulder=(float(mount[1]), float(mount[2])),
     )
-
-
-def _descends(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
-    while body > 0:
-        if body == ancestor:
-            return True
-        body = int(model.body_parentid[body])
-    return False
 
 
 def identify(
@@ -110,7 +99,6 @@ class RoverIdentification:
         unidentifiable: Names of the parameters that the data leave unknown.
         tilt_nrmse: Error of the predicted tilt of an unseen motion [%].
         history: (n, 5) estimates after every window, SI units.
-        history_sigma: (n, 5) their standard deviations, SI units.
         bits: (n, 5) mutual information on each parameter [bit].
         excitations: (n, 3) offset [rad], amplitude [rad] and frequency [rad/s] of every window.
         shoulder: (m,) measured shoulder angle at every tick [rad].
@@ -125,7 +113,6 @@ class RoverIdentification:
     unidentifiable: tuple[str, ...]
     tilt_nrmse: float
     history: FloatArray
-    history_sigma: FloatArray
     bits: FloatArray
     excitations: FloatArray
     shoulder: FloatArray
@@ -165,9 +152,8 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
         unidentifiable=tuple(estimate.unidentifiable(config.prior)),
         tilt_nrmse=tilt_nrmse(estimate.parameters, trying, truth),
         history=parameters,
-        history_sigma=sigmas,
         bits=np.array(bits),
-        excitations=np.array([e.vector() for e in log.excitations]),
+        excitations=np.array(log.excitations),
         shoulder=np.array(log.shoulder),
         tilt=np.array(log.tilt),
         tilt_times=np.array(log.tilt_indices) * config.sensors.period,

@@ -10,7 +10,7 @@ from controllers.identification.arm_motion import CONSTANT, MODES, ArmLimits, Ar
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.identifier import Identifier, IdentifierConfig
 from controllers.identification.information import mutual_information
-from controllers.identification.parameters import NAMES, Ranges, from_mapping
+from controllers.identification.parameters import NAMES, RANGES
 from experiments.ch2.simulation.plant import NOISE_FRACTION, Plant
 from experiments.ch2.simulation.truths import average_error
 from perception.geometry.arrays import FloatArray
@@ -93,7 +93,6 @@ def run_trial(trial: PlantTrial) -> PlantIdentification:
     """Identify with all three estimators, and compare with the truth."""
     truth = np.array(trial.truth)
     values: dict[str, float] = dict(zip(NAMES, trial.truth))
-    from_mapping(values)
     noise_generator, plan_generator = (
         np.random.default_rng(child) for child in np.random.SeedSequence(trial.seed).spawn(2)
     )
@@ -113,18 +112,17 @@ def run_trial(trial: PlantTrial) -> PlantIdentification:
         estimate = identifier.measured(noisy, bound / np.sqrt(3))
         ours.append(estimate.parameters)
         sigmas.append(np.sqrt(np.diag(estimate.covariance)))
-        kalman.append(identifier.kalman_estimate())
-        excitations.append([e.vector() for e in identifier.excitations.values()])
+        kalman.append(identifier.kalman.estimate.copy())
+        excitations.append(list(identifier.excitations.values()))
         arm_angles.append([motion.angle[1:] for motion in motions.values()])
     final = identifier.finish()
     estimates = {
         "ours": final.parameters,
-        "kalman": identifier.kalman_estimate(),
+        "kalman": identifier.kalman.estimate.copy(),
         "pseudo_inverse": identifier.pseudo_inverse_estimate(),
     }
     error = final.parameters - truth
-    bounds = Ranges().bounds()
-    bits = [mutual_information(x, s, bounds) for x, s in zip(ours, sigmas)]
+    bits = [mutual_information(x, s, RANGES) for x, s in zip(ours, sigmas)]
     return PlantIdentification(
         truth=truth,
         estimates=estimates,

@@ -98,9 +98,8 @@ def arms_in(modes: tuple[str, ...]) -> dict[str, ArmOnMount]:
 
 def spinning_arm() -> ArmOnMount:
     """Return the rod held forward and turned about itself, as the y mode literally says."""
-    arm = RigidArm()
-    forward = np.array([0.0, 1.0, 0.0])
-    return ArmOnMount(arm.mass, np.diag(arm.inertia), arm.centre * forward, forward, np.pi / 4)
+    along_rod = ArmOnMount.of(RigidArm(), "x")
+    return along_rod._replace(axis=(0.0, 1.0, 0.0))
 
 
 def from_plant(truth: Truth, run: Swings, hinges_outermost: bool = False) -> Outputs:

@@ -60,7 +60,7 @@ def test_same_seed_gives_the_same_estimate_bit_for_bit():
 
 def test_linear_estimates_agree_with_each_other_where_the_prior_does_not_matter():
     identifier = run("random", 5)
-    kalman, inverse = identifier.kalman_estimate(), identifier.pseudo_inverse_estimate()
+    kalman, inverse = identifier.kalman.estimate, identifier.pseudo_inverse_estimate()
     np.testing.assert_allclose(kalman[16:], inverse[16:], rtol=0.02)
 
 

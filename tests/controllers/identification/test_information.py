@@ -1,17 +1,10 @@
-"""Mutual information against quadrature and closed form; observability against known systems."""
+"""Mutual information against quadrature and closed form."""
 
 import numpy as np
 import pytest
-import scipy.linalg
 import scipy.stats
 
-from controllers.identification.information import (
-    BITS,
-    entropy,
-    mutual_information,
-    observability_matrix,
-    transition_matrix,
-)
+from controllers.identification.information import BITS, mutual_information
 
 RANGE = (-2.0, 6.0)
 
@@ -74,43 +67,3 @@ def test_estimate_outside_its_range_counts_as_lying_at_its_end():
 def test_information_grows_as_sigma_falls():
     found = [bits(0.7, sigma) for sigma in np.geomspace(100, 1e-4, 60)]
     assert np.all(np.diff(found) > -1e-9)
-
-
-def test_entropy_is_greatest_for_equal_chances_and_adds_over_successive_choices():
-    generator = np.random.default_rng(0)
-    assert entropy(np.full(8, 1 / 8)) == pytest.approx(3)
-    assert entropy(np.array([1.0, 0.0])) == 0
-    for _ in range(20):
-        p, q = generator.dirichlet(np.ones(5)), generator.dirichlet(np.ones(3))
-        assert 0 < entropy(p) < np.log2(5)
-        split = np.concatenate([p[:4], p[4] * q])
-        assert entropy(split) == pytest.approx(entropy(p) + p[4] * entropy(q))
-        assert entropy(p) == pytest.approx(scipy.stats.entropy(p, base=2))
-
-
-def test_position_of_a_mass_on_a_spring_shows_its_state_and_velocity_of_a_free_one_does_not():
-    spring = transition_matrix(np.array([[0.0, 1.0], [-4.0, -0.1]]), 0.05)
-    free = transition_matrix(np.array([[0.0, 1.0], [0.0, 0.0]]), 0.05)
-    position, velocity = np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]])
-    rank = np.linalg.matrix_rank
-    assert rank(observability_matrix(spring, position)) == 2
-    assert rank(observability_matrix(free, position)) == 2
-    assert rank(observability_matrix(free, velocity)) == 1
-
-
-def test_observability_matrix_has_the_blocks_of_equation_2_5():
-    generator = np.random.default_rng(1)
-    phi, h = generator.normal(size=(4, 4)), generator.normal(size=(2, 4))
-    found = observability_matrix(phi, h)
-    assert found.shape == (4, 8)
-    for power in range(4):
-        block = (h @ np.linalg.matrix_power(phi, power)).T
-        np.testing.assert_allclose(found[:, 2 * power : 2 * power + 2], block)
-
-
-def test_transition_matrix_equals_the_matrix_exponential():
-    dynamics = np.random.default_rng(2).normal(size=(6, 6))
-    expected = scipy.linalg.expm(0.1 * dynamics)
-    np.testing.assert_allclose(transition_matrix(dynamics, 0.1), expected, atol=1e-12)
-    two_terms = transition_matrix(dynamics, 0.001, terms=2)
-    np.testing.assert_allclose(two_terms, scipy.linalg.expm(0.001 * dynamics), atol=1e-4)

@@ -101,8 +101,7 @@ def cut(mode: str, n: int, outputs: np.ndarray, sigma: np.ndarray) -> Window:
     """The n-th part of 80 steps."""
     path, rows = PATHS[mode], slice(80 * n, 80 * n + 81)
     steps = slice(80 * n, 80 * n + 80)
-    part = dataclasses.replace(
-        path,
+    part = path._replace(
         angle=path.angle[rows],
         rate=path.rate[rows],
         acceleration=path.acceleration[rows],
@@ -137,7 +136,7 @@ def test_windows_that_come_after_a_fit_add_to_it():
     assert np.all(np.abs(found.parameters - final.parameters) < spread)
     assert found.chi_square < 1.1
     for mode in MODES:
-        ends = [search.base_state(mode).position for search in (after, never)]
+        ends = [search.states[mode].position for search in (after, never)]
         np.testing.assert_allclose(*ends, rtol=0.1, atol=1e-4)
 
 
@@ -194,7 +193,7 @@ def test_joint_order_that_is_not_the_plants_is_detected_by_chi_square():
 def test_data_of_another_arm_are_not_trusted():
     outputs, sigma = noisy(7, windows=2)
     paths = {mode: motion(mode, windows=2) for mode in MODES}
-    heavier = {m: dataclasses.replace(ARMS[m], mass=1.5) for m in MODES}
+    heavier = {m: ARMS[m]._replace(mass=1.5) for m in MODES}
     assert not fit(outputs, paths, sigma, heavier, restarts=0).trustworthy
 
 
@@ -236,8 +235,7 @@ def test_x_mode_alone_leaves_roll_yaw_and_sideways_motion_unidentifiable():
 
 
 def test_rod_that_spins_about_itself_leaves_everything_unidentifiable():
-    axis = np.array([0.0, 1.0, 0.0])
-    spinning = {"x": dataclasses.replace(ARMS["x"], axis=axis)}
+    spinning = {"x": ARMS["x"]._replace(axis=(0.0, 1.0, 0.0))}
     unknown, estimate = unknown_after({"x": PATHS["x"]}, spinning)
     assert unknown == set(NAMES)
     assert len(identifiability(estimate).directions) == COUNT

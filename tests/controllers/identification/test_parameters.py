@@ -6,9 +6,9 @@ import pytest
 from controllers.identification.parameters import (
     COUNT,
     NAMES,
+    RANGES,
     ParameterError,
     Prior,
-    Ranges,
     average_error_percent,
     check_physical,
     coordinate_scale,
@@ -102,8 +102,6 @@ def test_information_of_the_prior_is_its_curvature_where_the_cost_is_least():
     ]
     curvature = np.array(rows) / (2 * step)
     np.testing.assert_allclose(information, curvature, rtol=1e-6, atol=1e-4)
-    sigma = np.sqrt(np.diag(np.linalg.inv(curvature)))
-    np.testing.assert_allclose(prior.sigma(), sigma, rtol=1e-6)
 
 
 def test_prior_matters_only_along_what_the_data_know_less_well_than_asked():
@@ -166,7 +164,7 @@ def test_average_error_of_table_2_1_is_over_its_20_non_zero_rows():
 
 
 def test_truth_of_table_2_1_lies_inside_the_ranges_and_not_at_their_middle():
-    bounds = Ranges().bounds()
+    bounds = RANGES
     assert np.all((TRUTH > bounds[:, 0]) & (TRUTH < bounds[:, 1]))
     middle = bounds.mean(axis=1)
     span = bounds[:, 1] - bounds[:, 0]

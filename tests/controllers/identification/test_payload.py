@@ -20,8 +20,7 @@ from controllers.identification.payload import (
     pseudo_inertia,
     swing_targets,
 )
-from controllers.kinematics.frame_motion import LEVEL
-from controllers.kinematics.rigid_body import NAMES, inertial_parameters, wrench_regressor
+from controllers.kinematics.rigid_motion import LEVEL, NAMES, inertial_parameters, wrench_regressor
 from controllers.kinematics.serial_chain import SerialChain
 from models.compose import FieldConfig, RobotPlacement, make_model
 from twin.describe import describe

@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.frame_motion import LEVEL, FrameMotion
-from controllers.kinematics.rigid_body import WEIGHTLESS, inertial_parameters, wrench_regressor
+from controllers.kinematics.rigid_motion import (
+    LEVEL,
+    WEIGHTLESS,
+    FrameMotion,
+    inertial_parameters,
+    wrench_regressor,
+)
 from controllers.kinematics.serial_chain import SerialChain
 from models.compose import ARM_JOINTS, FieldConfig, RobotPlacement, make_model
 from perception.geometry.gravity import GRAVITY

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.kinematics.frame_motion import LEVEL, FrameMotion
-from controllers.kinematics.rigid_body import WEIGHTLESS
+from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmGains, Reference
 from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of

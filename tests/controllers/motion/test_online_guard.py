@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from controllers.kinematics.frame_motion import LEVEL, at_rest
+from controllers.kinematics.rigid_motion import LEVEL, at_rest
 from controllers.motion.online_guard import OnlineConfig, OnlineGuard
 from controllers.motion.tip_over import Sweep
 from perception.geometry.gravity import GRAVITY

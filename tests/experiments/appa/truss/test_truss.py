@@ -46,7 +46,7 @@ def test_sensor_under_the_arm_tells_what_the_gripper_puts_on_the_segment(bench):
 
 
 def test_unknown_way_is_refused():
-    with pytest.raises(ValueError, match="valid are hybrid, position_only, unguided"):
+    with pytest.raises(ValueError, match="expected one of hybrid, position_only, unguided"):
         run_truss(TrussTrial("both", 1.0, 1))
 
 
