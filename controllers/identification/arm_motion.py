@@ -124,7 +124,7 @@ def swing(
 
     Args:
         state: Start.
-        excitation: What to follow.
+        excitation: Excitation to follow.
         limits: The arm's limits.
         steps: Number of steps.
         time_step: [s].

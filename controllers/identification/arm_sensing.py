@@ -1,4 +1,4 @@
-"""What an arm's identification measures: the log of a run, and joint and base motion from it.
+"""Measurements of an arm's identification: the log of a run, and joint and base motion from it.
 
 Rates and accelerations are plain central differences of what was measured, which distort nothing.
 Their noise is large, but the equations of motion are linear in the accelerations: so the noise is
@@ -18,14 +18,14 @@ from twin.robot import Observation
 
 
 class IdentificationError(ValueError):
-    """What was measured does not allow the estimate that was asked for."""
+    """The measurements do not allow the requested estimate."""
 
 
 class ObservationLog:
-    """The channels that an estimate needs, tick by tick.
+    """Log of the channels that an estimate needs, tick by tick.
 
     Args:
-        purpose: What the channels are needed for; begins every error.
+        purpose: Use of the channels; begins every error.
         channels: Names of fields of `Observation`.
     """
 
@@ -52,7 +52,7 @@ class ObservationLog:
         return np.array(self._times)
 
     def take(self, observation: Observation) -> None:
-        """Keep one tick.
+        """Store one tick.
 
         Raises:
             IdentificationError: If a channel is missing or stale, or holds a NaN or an infinity.
@@ -96,14 +96,14 @@ SHORTEST = 60
 
 @dataclasses.dataclass(frozen=True)
 class SensingConfig:
-    """How the measured signals are to be read.
+    """Interpretation of the measured signals.
 
     Attributes:
         gravity: [m/s^2].
         lever: (3,) from the point about which the base tilts to the arm's base frame [m].
         inclinometer_bandwidth: First-order corner of the tilt sensor, undone here [Hz].
-        tilt_motion: Whether the base's accelerations are taken from the tilt too, and not only
-            the direction of gravity.
+        tilt_motion: Whether the tilt gives the base's accelerations too, and not only the
+            direction of gravity.
     """
 
     gravity: float = 9.81
@@ -134,11 +134,11 @@ class ArmRecord:
 
 
 def read_arm(log: ObservationLog, config: SensingConfig) -> ArmRecord:
-    """Return what a run says of the arm's and the base's motion, and of the wrench between them.
+    """Return the motion of arm and base in a run, and the wrench between them.
 
     Args:
-        log: With `CHANNELS`.
-        config: How to read them.
+        log: Log of the run, with `CHANNELS`.
+        config: Interpretation of the measured signals.
 
     Raises:
         IdentificationError: If the run is too short or its ticks are not even.
@@ -194,7 +194,7 @@ def _at(times: FloatArray, stamps: FloatArray, *series: FloatArray) -> list[Floa
 
 
 def _base_motion(log: ObservationLog, config: SensingConfig, times: FloatArray) -> FrameMotion:
-    """Return the base's tilting motion at some times; heading and travel are taken as fixed."""
+    """Return the base's tilting motion at some times; heading and position are assumed fixed."""
     stamps, seen = log.samples("inclinometer")
     if len(stamps) < SHORTEST // 4:
         raise IdentificationError(

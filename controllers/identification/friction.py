@@ -20,7 +20,7 @@ Mechanics, all in the body frame at the rover's centre of gravity:
    So u is the friction that is being used: u <= mu always, and u = mu while all wheels slide,
    whatever the share of force and moment.
 
-Slip is seen in the yaw rate of the base, the leaky integral of its acceleration: on holding wheels
+Slip shows in the yaw rate of the base, the leaky integral of its acceleration: on holding wheels
 the base only gives a little and comes back, so a slip is a turn by more than a small angle. While
 the arm's jerk sets the rover sliding, the filter blurs acceleration and wrench by a few ticks and u
 overshoots; while friction alone brakes the slide it does not. So the estimate is the median of u
@@ -137,7 +137,7 @@ class KnownBase:
 
 @dataclasses.dataclass(frozen=True)
 class JerkConfig:
-    """How the arm tries to break the rover loose.
+    """Jerks of the arm that are to break the rover loose.
 
     Attributes:
         posture: (4,) joint angles of the stretched arm [rad].
@@ -156,13 +156,13 @@ class JerkConfig:
 
 @dataclasses.dataclass(frozen=True)
 class FrictionConfig:
-    """What is known before the friction is estimated.
+    """Prior knowledge and settings of the friction estimate.
 
     Attributes:
         arm: The arm, with whatever it holds.
         base: The rover without arm.
-        sensing: How the signals are read.
-        jerks: How the arm moves.
+        sensing: Interpretation of the measured signals.
+        jerks: Motion of the arm.
         window: Ticks under the filter of both sides, odd.
         memory: Time constant of the integral of the base's yaw acceleration [s].
         slip_rates: Yaw rates of the base from which it may slip, and surely slides [rad/s].
@@ -172,8 +172,8 @@ class FrictionConfig:
         least_use: Part of a slide's usual friction in use below which the wheels hold again.
         wrench_error: (6,) standard deviation of the filtered wrench's difference to the known arm,
             joint accelerations' errors included [N, N m].
-        base_spread: Usual linear [m/s^2] and angular [rad/s^2] acceleration of the base.
-        margin: What the friction in use may be too high by, taken off the lower bound: a part of
+        base_sigma: Usual linear [m/s^2] and angular [rad/s^2] acceleration of the base.
+        margin: Possible excess of the friction in use, subtracted from the lower bound: a part of
             it, and a constant.
         rolling: Wheel speed above which a wheel rolled and did not only slide [rad/s].
     """
@@ -189,14 +189,14 @@ class FrictionConfig:
     least_normal: float = 3.0
     least_use: float = 0.55
     wrench_error: tuple[float, ...] = (0.1, 0.1, 0.1, 0.02, 0.02, 0.02)
-    base_spread: tuple[float, float] = (3.0, 20.0)
+    base_sigma: tuple[float, float] = (3.0, 20.0)
     margin: tuple[float, float] = (0.35, 0.01)
     rolling: float = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
 class GroundLoad:
-    """What the ground must supply at each sample, and what that says.
+    """Load that the ground must supply at each sample, and the friction in use.
 
     Attributes:
         times: (n,) [s].
@@ -219,12 +219,12 @@ class GroundLoad:
 
 @dataclasses.dataclass(frozen=True)
 class FrictionEstimate:
-    """What a run says of the ground.
+    """Friction of the ground by one run.
 
     Attributes:
         slipped: Whether the rover slipped.
-        friction: The coefficient; NaN if it did not slip, or too briefly to tell.
-        lower_bound: What it is at least.
+        friction: The coefficient; NaN if it did not slip, or too briefly.
+        lower_bound: Lower bound of the coefficient.
         onset: Time of the first slip [s]; NaN if there was none.
         rolled: Whether a wheel rolled against its brake, so that not all of the motion was slip.
         load: The samples behind it.
@@ -245,7 +245,7 @@ class FrictionProbe:
 
     Args:
         robot: Name of the robot.
-        config: What is known.
+        config: Known arm and base, motion and thresholds.
     """
 
     def __init__(self, robot: str, config: FrictionConfig) -> None:
@@ -303,11 +303,11 @@ class FrictionProbe:
 
 
 def estimate_friction(log: ObservationLog, config: FrictionConfig) -> FrictionEstimate:
-    """Return what a run says of the ground.
+    """Return the friction of the ground by one run.
 
     Args:
-        log: With the channels of `arm_sensing.CHANNELS` and ``wheel_speeds``.
-        config: What is known.
+        log: Log of the channels of `arm_sensing.CHANNELS` and of ``wheel_speeds``.
+        config: Known arm and base, motion and thresholds.
 
     Raises:
         IdentificationError: If the run is too short.
@@ -334,8 +334,8 @@ def slides(load: GroundLoad, config: FrictionConfig) -> BoolArray:
     """Return (n,) whether the rover slipped at each sample.
 
     Args:
-        load: What the ground supplied.
-        config: From which rate and angle on it is a slip.
+        load: Load that the ground supplied.
+        config: Rate and angle above which a turn is a slip.
     """
     period = float(np.median(np.diff(load.times)))
     moving = np.abs(load.yaw_rate) > config.slip_rates[0]
@@ -360,9 +360,9 @@ def brakes(load: GroundLoad, slipping: BoolArray, config: FrictionConfig) -> Boo
     hold again; there little friction is in use, so such samples are left out.
 
     Args:
-        load: What the ground supplied.
+        load: Load that the ground supplied.
         slipping: (n,) from `slides`.
-        config: What counts.
+        config: Thresholds of slip and of braking.
     """
     sliding = slipping & loaded(load, config)
     if not np.any(sliding):
@@ -377,7 +377,7 @@ def ground_load(record: ArmRecord, config: FrictionConfig) -> GroundLoad:
 
     Args:
         record: Samples of the arm.
-        config: What is known.
+        config: Known arm and base, motion and thresholds.
     """
     motion = record.angles, record.rates, record.accelerations
     extra, wrench, locked, gravity, times = (
@@ -416,7 +416,7 @@ def base_acceleration(locked: FloatArray, extra: FloatArray, config: FrictionCon
         config: Errors and usual sizes.
     """
     sigma = np.array(config.wrench_error)
-    linear, angular = config.base_spread
+    linear, angular = config.base_sigma
     prior = np.diag([linear**-2] * 3 + [angular**-2] * 3)
     weighted = locked / sigma[:, None]
     turned = np.swapaxes(weighted, 1, 2)

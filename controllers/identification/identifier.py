@@ -1,4 +1,4 @@
-"""On-line identification: what one window measures decides how the arm swings in the next."""
+"""On-line identification: each window's measurements decide the arm's motion in the next."""
 
 import dataclasses
 import time
@@ -34,13 +34,13 @@ EXCITATIONS = ("constant", "random", *CRITERIA)
 
 @dataclasses.dataclass(frozen=True)
 class IdentifierConfig:
-    """What an identification is set up with.
+    """Configuration of an identification.
 
     Attributes:
         excitation: One of `EXCITATIONS`.
         arm: The arm, whose own parameters are known (Thesis eq. 2-1, 'knowns').
-        limits: What the arm can do.
-        prior: What is believed beforehand.
+        limits: Limits of the arm's motion.
+        prior: Prior of the 22 parameters.
         time_step: Sampling time [s].
         rest_angle: Arm angle at which the robot came to rest [rad].
         modes: The rotations used, of `arm_motion.MODES`.
@@ -67,8 +67,8 @@ class Identifier:
     """Plans windows of arm motion and estimates from what was measured in them.
 
     Args:
-        config: What to do.
-        generator: For the planner's starting points and for random excitation.
+        config: Arm, excitation, prior and sampling.
+        generator: Random generator of the planner's starting points and of random excitations.
 
     Attributes:
         excitations: Excitation of each mode in the present window.
@@ -101,7 +101,7 @@ class Identifier:
 
     @property
     def estimate(self) -> Estimate:
-        """Our present estimate."""
+        """Latest estimate."""
         return self._fit.estimate
 
     def pseudo_inverse_estimate(self) -> FloatArray:
@@ -131,7 +131,7 @@ class Identifier:
         return dict(self._pending)
 
     def measured(self, outputs: Mapping[str, FloatArray], sigma: FloatArray) -> Estimate:
-        """Take in what was measured in the window.
+        """Update the estimates by the measurements of the window.
 
         Args:
             outputs: (n, 24) deviations from rest of each mode.

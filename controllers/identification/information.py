@@ -25,7 +25,7 @@ def mutual_information(
     lying at its end, where eq. 2-12b would divide by zero.
 
     Args:
-        estimate: (n,); NaN where there is none, which tells nothing.
+        estimate: (n,) estimates; NaN where there is none, which holds no information.
         sigma: (n,) standard deviations; NaN or infinity where nothing is known.
         bounds: (n, 2) ends of the range.
         bits: Precision of the sensor.
@@ -67,10 +67,10 @@ def _information(estimate, sigma, bounds, bits):
 
 @dataclasses.dataclass(frozen=True)
 class Identifiability:
-    """What the data say and what they do not.
+    """Parameters and directions that the data leave unknown.
 
     Attributes:
-        unidentifiable: Names of the parameters of which the data say little.
+        unidentifiable: Names of the parameters that the data hardly determine.
         directions: The combinations that stay unknown, as name -> weight in prior deviations,
             largest weights first.
     """
@@ -82,12 +82,12 @@ class Identifiability:
 def identifiability(
     estimate: Estimate, prior: Prior | None = None, shrinkage: float = 0.5
 ) -> Identifiability:
-    """Say by name what a fit could not determine.
+    """Return the names of what a fit could not determine.
 
     A parameter counts as unidentifiable when its deviation stayed above `shrinkage` of the
     prior's, and a direction likewise. The prior is taken where the estimate lies, and the
     inertia's for a given mass: its deviation falls with the body's size and with what is known of
-    the mass, neither of which the data say of the inertia.
+    the mass, neither of which is information on the inertia.
 
     Args:
         estimate: A fit.

@@ -57,7 +57,7 @@ _PriorTerm = Callable[[FloatArray], tuple[float, FloatArray, FloatArray]]
 
 @dataclasses.dataclass(frozen=True)
 class Window:
-    """What one mode of the arm did, and what was measured meanwhile.
+    """Motion of one mode of the arm, with what was measured meanwhile.
 
     Attributes:
         trajectory: Arm motion over n steps.
@@ -173,7 +173,7 @@ class OutputError:
 
     @property
     def measurements(self) -> int:
-        """Number of scalar measurements taken in."""
+        """Number of scalar measurements so far."""
         return sum(w.outputs.size for windows in self._windows.values() for w in windows)
 
     def add(self, windows: Mapping[str, Window], relinearise_above: float = 0.1) -> Estimate:
@@ -210,7 +210,7 @@ class OutputError:
 
         Args:
             iterations: Most iterations of one attempt.
-            restarts: Further attempts, from elsewhere, if chi^2 says that one stalled.
+            restarts: Further attempts, from other starting points, if chi^2 shows that one stalled.
 
         Returns:
             The best estimate, also kept as `estimate`.

@@ -138,7 +138,7 @@ def coordinate_scale(coordinates: FloatArray) -> FloatArray:
 
 
 def largest_physical_step(coordinates: FloatArray, step: FloatArray) -> float:
-    """Return the factor, at most 1, by which `step` may be taken and stay well inside a body.
+    """Return the factor, at most 1, by which `step` may be scaled and leave a physical body.
 
     Zero if even a small part of it would leave a body thinner than a hundredth of its breadth.
     """
@@ -161,7 +161,7 @@ _DIAGONAL = np.equal(*_LOWER)
 
 @dataclasses.dataclass(frozen=True)
 class Prior:
-    """What is believed before the first sample: an order of magnitude, no more.
+    """Prior of the 22 parameters: an order of magnitude, no more.
 
     The inertia is guessed as that of a cube of side `size` and of the mass itself, not of its
     guess: a body found to be lighter is not believed to be as hard to turn. The deviation is that

@@ -50,13 +50,13 @@ class SwingConfig:
 
 @dataclasses.dataclass(frozen=True)
 class PayloadIdentifierConfig:
-    """What is known before a payload is identified.
+    """Prior knowledge and settings of a payload's identification.
 
     Attributes:
         arm: The empty arm.
         wrench_noise: (6,) standard deviation of a wrench sample [N, N m].
-        sensing: How the signals are read.
-        swing: How the arm moves.
+        sensing: Interpretation of the measured signals.
+        swing: Motion of the arm.
         window: Ticks under the filter of both sides, odd; one equation each half window.
         scales: Largest plausible mass [kg] and distance d from the wrist [m].
         resolution: The mass is identifiable when its standard deviation is below this fraction of
@@ -112,7 +112,7 @@ class PayloadIdentifier:
 
     Args:
         robot: Name of the robot.
-        config: What is known.
+        config: Known arm, motion and noise.
     """
 
     def __init__(self, robot: str, config: PayloadIdentifierConfig) -> None:
@@ -157,9 +157,9 @@ def swing_targets(
     """Return joint angles (4,) [rad] and rates (4,) [rad/s] of the swing.
 
     Args:
-        config: The swing.
+        config: Middle, amplitude and frequency of the swing.
         start: (4,) where the arm was at time zero [rad].
-        time: Since the start [s].
+        time: Time since the start [s].
     """
     omega = 2.0 * np.pi * np.array(config.frequency)
     swung = np.array(config.middle) + np.array(config.amplitude) * np.sin(omega * time)
@@ -174,8 +174,8 @@ def estimate_payload(log: ObservationLog, config: PayloadIdentifierConfig) -> Pa
     """Return the payload that explains a run.
 
     Args:
-        log: With the channels of `arm_sensing.CHANNELS`.
-        config: What is known.
+        log: Log of the channels of `arm_sensing.CHANNELS`.
+        config: Known arm, motion and noise.
 
     Raises:
         IdentificationError: If the run is too short, or does not show the mass.

@@ -28,14 +28,14 @@ RANGES = np.array([[0.0, 0.5], [-0.5, 0.5], [-0.5, 0.5], [0.0, 20.0], [0.0, 2000
 
 @dataclasses.dataclass(frozen=True)
 class PitchSensors:
-    """What the pitch identification must know of its sensors.
+    """Sampling and noise of the sensors of the pitch identification.
 
     Attributes:
         period: Sampling period of the wrench [s].
         tilt_bandwidth: First-order pole of the inclinometer [Hz].
-        tilt_sigma: Its noise [rad].
+        tilt_sigma: Standard deviation of the inclinometer's noise [rad].
         tilt_period: Time between its samples [s].
-        wrench_age: How much older a wrench sample is than a tilt sample of the same tick [s].
+        wrench_age: Age of a wrench sample beyond that of a tilt sample of the same tick [s].
     """
 
     period: float = 0.01
@@ -252,10 +252,10 @@ class PitchFit:
 def fisher_information(
     estimate: PitchEstimate, wrench: FloatArray, samples: int, sensors: PitchSensors
 ) -> FloatArray:
-    """Return what tilt over the last `samples` of a wrench would tell, (6, 6).
+    """Return the Fisher information (6, 6) of the tilt over the last `samples` of a wrench.
 
     Args:
-        estimate: Where to linearise.
+        estimate: Estimate about which the model is linearised.
         wrench: (n, 6) past and forecast deviation from rest.
         samples: Number of forecast samples at its end.
         sensors: The sensors.

@@ -44,7 +44,7 @@ GENTLE_ARM_LIMITS = dataclasses.replace(ROVER_ARM_LIMITS, acceleration=12.0)
 
 @dataclasses.dataclass(frozen=True)
 class SwingingArm:
-    """What is known of the stretched arm: it swings about the shoulder, in the pitch plane.
+    """Mass properties of the stretched arm, which swings about the shoulder in the pitch plane.
 
     Attributes:
         mass: Mass of all that swings [kg].
@@ -60,7 +60,7 @@ class SwingingArm:
 
     @classmethod
     def of(cls, arm: ArmDescription) -> "SwingingArm":
-        """Return what swings about the second joint of an arm as drawn, stretched at angle zero."""
+        """Return the part of an arm as drawn, stretched at angle zero, beyond its second joint."""
         _, *swinging = arm.joints
         masses = np.array([joint.body.mass for joint in swinging])
         steps = [joint.transform_link_to_parent.translation for joint in swinging]
@@ -96,15 +96,15 @@ class SwingingArm:
 
 @dataclasses.dataclass(frozen=True)
 class RoverIdentifierConfig:
-    """Set-up of the controller.
+    """Configuration of the controller.
 
     Attributes:
         robot: Name of the robot that it drives.
-        arm: What is known of its arm.
+        arm: Known mass properties of its arm.
         excitation: One of `EXCITATIONS`.
-        limits: What the shoulder can do.
-        sensors: What the sensors are.
-        prior: What is believed of the rover.
+        limits: Limits of the shoulder's motion.
+        sensors: Sampling and noise of the sensors.
+        prior: Prior of the five parameters.
         approach: Time to bring the arm to its start [s].
         rest: Time at rest over which the sensors are tared [s].
         duration: Time of excitation [s].
@@ -140,7 +140,7 @@ class RoverIdentifierConfig:
 
 @dataclasses.dataclass
 class Log:
-    """What the robot saw while it was excited, since the tare.
+    """Measurements and estimates since the tare.
 
     Attributes:
         times: Robot time of each tick since the excitation began [s].
@@ -196,7 +196,7 @@ class RoverIdentifier:
         return self._tick * self.config.sensors.period >= self.config.total
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Take one tick in, and say where the arm is to go.
+        """Process one tick and return the arm's command.
 
         Raises:
             RobotError: If a sensor that the identification lives by is missing or stale.

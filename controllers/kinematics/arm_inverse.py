@@ -2,7 +2,7 @@
 
 Shoulder, elbow and wrist turn about x. All links move in one vertical plane that the yaw turns;
 the chain's tool, a camera with z along its view, may sit beside that plane and may squint out of
-it. A view asks for five numbers (the camera's place and where its axis points) and four joints are
+it. A view needs five numbers (the camera's place and where its axis points) and four joints are
 there, so that from a fixed base only views in a plane can be had: `standing_views` gives those.
 `arm_solutions` gives none for other views; the base must move. A gripper's task is its place and
 the pitch of its forward axis, as many numbers as there are joints: `GripperInverse`.
@@ -34,7 +34,7 @@ class ArmGeometry(NamedTuple):
         shoulder: (2,) y, z from there [m].
         links: (2, 2) y, z of upper arm and forearm at angle zero [m].
         camera: (2,) y, z of the camera from the wrist's hinge at angle zero [m].
-        beside: How far to the right of the yaw's axis the camera sits [m].
+        beside: Distance of the camera to the right of the yaw's axis [m].
         axis: (3,) unit vector of the view in the wrist's frame.
         limits: (4, 2) lowest and highest angles [rad].
     """
@@ -98,7 +98,7 @@ class ArmGeometry(NamedTuple):
         Returns:
             (..., 2, 3) angles [rad] with the elbow up and down; NaN where out of reach or limits.
         """
-        # Compiled: an arm that is steered asks for one place, many times a second.
+        # Compiled: a steered arm needs one place, many times a second.
         given = np.broadcast_arrays(along, height, pitch)
         y, z, turn = (np.ascontiguousarray(numbers, dtype=float).ravel() for numbers in given)
         angles = np.empty((len(y), 2, 3))
@@ -115,7 +115,7 @@ class ArmGeometry(NamedTuple):
         return np.where(fits, np.clip(near, low, high), np.nan)
 
     def headings(self, direction: FloatArray) -> list[tuple[float, float]]:
-        """Return the arm's two (heading, pitch) [rad] that look along a direction; none if upright.
+        """Return the arm's two (heading, pitch) [rad] for a direction of view; none if upright.
 
         The heading is that of the arm's plane, from where y is ahead; with the second pair the
         camera is upside down.
@@ -199,7 +199,7 @@ class GripperInverse:
     def solutions(self, task: ArrayLike, near: ArrayLike | None = None) -> FloatArray:
         """Return the joint angles that bring the gripper somewhere.
 
-        The arm's base must stand level in the robot frame, as the rover's does.
+        The arm's base must be level in the robot frame, as the rover's does.
 
         Args:
             task: (4,) place x, y, z [m] of the grip point and pitch of the gripper's forward axis
@@ -235,17 +235,18 @@ class GripperInverse:
 def arm_solutions(
     arm: SerialChain, camera: ArrayLike, target: ArrayLike, tolerance: float = STRAIGHT
 ) -> FloatArray:
-    """Return all joint angles with which the camera stands at a point and looks at another.
+    """Return all joint angles with the camera at a point and its axis through another.
 
     Args:
         arm: Chain of the arm with the camera as its tool.
         camera: (3,) the left camera [m], robot frame.
         target: (3,) on its axis [m], robot frame.
-        tolerance: How far beside the arm's plane the camera may be asked for [m]; the answer's
+        tolerance: Permissible distance of the given camera from the arm's plane [m]; the solution's
             camera is in the plane.
 
     Returns:
-        (N, 4) within the joints' limits [rad]; none if the base stands wrong or it is too far.
+        (N, 4) within the joints' limits [rad]; none if the base is misplaced or the
+        point is out of reach.
 
     Raises:
         ValueError: If camera and target are the same, or a number is not finite.
@@ -258,10 +259,10 @@ def arm_solutions(
     eye, seen = to_base.apply(places) - geometry.yaw_axis
     distance = np.linalg.norm(seen - eye)
     if distance < STRAIGHT:
-        raise ValueError(f"the camera stands at the target, {camera}: it looks nowhere")
+        raise ValueError(f"the camera is at the target, {camera}: the view has no direction")
     direction = (seen - eye) / distance
     found = [np.zeros((0, 4))]
-    for yaw, pitch in _ways(geometry, eye, direction):
+    for yaw, pitch in _aims(geometry, eye, direction):
         beside = np.cos(yaw) * eye[0] + np.sin(yaw) * eye[1]
         along = np.cos(yaw) * eye[1] - np.sin(yaw) * eye[0]
         turn = geometry.turned(yaw)
@@ -279,10 +280,10 @@ def arm_solutions(
     return np.array(different).reshape(-1, 4)
 
 
-def _ways(
+def _aims(
     geometry: ArmGeometry, eye: FloatArray, direction: FloatArray
 ) -> list[tuple[float, float]]:
-    """Return (yaw, pitch) with which the camera looks along a direction."""
+    """Return (yaw, pitch) of the arm for a direction of view."""
     if np.hypot(direction[0], direction[1]) > STRAIGHT:
         return geometry.headings(direction)
     if geometry.upright < 1.0 - STRAIGHT:
@@ -303,7 +304,7 @@ def _yaws_beside(point: FloatArray, beside: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True)
 class StandingViews:
-    """Views of a target that a standing rover's arm can take.
+    """Views of a target in reach of a resting rover's arm.
 
     Attributes:
         positions: (N, 3) of the left camera [m], robot frame.
@@ -317,14 +318,14 @@ class StandingViews:
 def standing_views(
     arm: SerialChain, target: ArrayLike, distances: ArrayLike, pitches: ArrayLike
 ) -> StandingViews:
-    """Return the views of a target that the arm can take while the base stands.
+    """Return the views of a target in reach of the arm while the base rests.
 
     Args:
         arm: Chain of the arm with the camera as its tool.
         target: (3,) [m], robot frame.
         distances: (R,) of the camera from it [m].
         pitches: (S,) angles of the view above the horizon of the arm's base [rad], over a whole
-            turn: beyond a quarter turn the camera looks back over the arm.
+            turn: beyond a quarter turn the camera points back over the arm.
     """
     geometry = ArmGeometry.of(arm)
     base = arm.transform_base_to_robot

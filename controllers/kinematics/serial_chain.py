@@ -50,9 +50,9 @@ class SerialChain:
 
     Attributes:
         joints: Joints from the base on.
-        base: What the base carries before the first joint, base frame.
-        transform_base_to_robot: From the base to the robot frame.
-        transform_tool_to_link: From the tool, such as a camera or a gripper, to the last link.
+        base: Body that the base carries before the first joint, base frame.
+        transform_base_to_robot: Transform from the base to the robot frame.
+        transform_tool_to_link: Transform from the tool, such as a camera, to the last link.
         cover_radius: Radius of the spheres about the joints' cover points [m].
 
     Raises:
@@ -112,7 +112,7 @@ class SerialChain:
 
         Args:
             arm: The arm.
-            transform_tool_to_link: From the tool to the last link, as a stereo head's
+            transform_tool_to_link: Transform from the tool to the last link, as a stereo head's
                 `transform_camera_to_wrist`; None for the last link itself.
         """
         tool = transform_tool_to_link
@@ -230,7 +230,7 @@ class SerialChain:
         base: FrameMotion = LEVEL,
         tip: ArrayLike | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return what moves the chain so: joint efforts and the wrench on it at its base.
+        """Return the joint efforts of a motion, and the wrench on the chain at its base.
 
         Args:
             positions: (n,) or (N, n) [rad or m].

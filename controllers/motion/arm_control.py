@@ -1,7 +1,7 @@
 """Control of the arm on its yielding base (Thesis section A.1, step 3, eq. A-4).
 
 The arm follows a reference by proportional and derivative feedback, plus gravity, plus what the
-base's motion asks of the joints, F d'' + f d' of eq. A-4. Efforts go out through the robot's
+base's motion demands of the joints, F d'' + f d' of eq. A-4. Efforts go out through the robot's
 contract; the servo turns them into duty.
 """
 
@@ -23,7 +23,7 @@ LAWS: tuple[Law, ...] = ("pd", "pd_gravity", "feed_forward")
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """Where the joints should be.
+    """Reference of the joints.
 
     Attributes:
         angles: (4,) [rad].
@@ -41,7 +41,7 @@ class ArmGains:
     """Feedback that gives every joint the same second-order response.
 
     The gains are these times the arm's mass matrix where it is, K_p = w^2 H and K_D = 2 z w H:
-    symmetric and positive definite as step 3 asks, and as right for a heavy load as for none.
+    symmetric and positive definite as step 3 requires, and as right for a heavy load as for none.
 
     Attributes:
         frequency: w [rad/s]; a 100 Hz servo carries some 30.
@@ -62,7 +62,7 @@ class ArmGains:
 
 @dataclasses.dataclass(frozen=True)
 class ArmControlConfig:
-    """What the arm's controller knows and does.
+    """Configuration of the arm's controller.
 
     Attributes:
         robot: Name of the robot that it drives.
@@ -70,7 +70,7 @@ class ArmControlConfig:
         mount: (3,) the arm's base from the accelerometer, in the body frame [m].
         gains: Feedback.
         law: ``pd``, ``pd_gravity`` or ``feed_forward``.
-        base_filter: How the base's motion is fed forward.
+        base_filter: Filter of the base's motion before it is fed forward.
         friction: (4,) dry friction of the joints [N m], fed forward along the reference's rate in
             every law.
         motor_damping: (4,) back-EMF of the joints' motors [N m s/rad]. The servo compensates it as
@@ -125,7 +125,7 @@ class ArmController:
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Return the arm's efforts.
 
-        Without accelerometer or gyro the base's motion is not fed forward: `fed_forward` says so.
+        Without accelerometer or gyro the base's motion is not fed forward: see `fed_forward`.
 
         Raises:
             RobotError: If joint angles or rates are missing or stale.

@@ -19,7 +19,7 @@ class ArmMove:
         rest: Time at the goal before a pair counts [s].
         near: Greatest joint error at which the arm counts as there [rad].
         patience: Longest time at a goal that is not reached [s].
-        wheel_mode: How the wheels are held: at no speed, or without voltage (duty).
+        wheel_mode: Mode in which the wheels rest: zero speed, or zero voltage (duty).
     """
 
     goal: FloatArray
@@ -33,7 +33,7 @@ class ArmMove:
     _there: float = dataclasses.field(default=math.nan, init=False)
 
     def command(self, seen: Observation) -> Command:
-        """Return where the arm shall be now; nothing moves before its angles are known.
+        """Return the command of this tick; nothing moves before the arm's angles are known.
 
         Args:
             seen: Observation of the robot.
@@ -50,7 +50,7 @@ class ArmMove:
         return Command(np.zeros(4), place, self.wheel_mode, ArmMode.POSITION, rates)
 
     def is_there(self, seen: Observation) -> bool:
-        """Say whether the arm has been at its goal for the time of rest.
+        """Return whether the arm has been at its goal for the time of rest.
 
         Args:
             seen: Observation of the robot.
@@ -67,7 +67,7 @@ class ArmMove:
         return seen.time >= self._there + self.rest
 
     def sees(self, seen: Observation) -> bool:
-        """Say whether the pair at hand was taken at the goal, at rest.
+        """Return whether the latest stereo pair was taken at the goal, at rest.
 
         Args:
             seen: Observation of the robot.

@@ -1,4 +1,4 @@
-"""How the base moves, as its gyro, accelerometer and inclinometer have it.
+"""Motion of the base by gyro, accelerometer and inclinometer.
 
 What is fed forward of it (thesis eq. A-4) shakes the base in turn, a servo tick later: as measured
 it is a delayed positive feedback, which grows on a base stiffer than soft. A first-order lag breaks
@@ -18,7 +18,7 @@ from twin.robot import Observation
 
 @dataclasses.dataclass(frozen=True)
 class BaseFilterConfig:
-    """How measured base motion becomes what is fed forward.
+    """Filter from measured base motion to what is fed forward.
 
     Attributes:
         lag: Time constant of the first-order lag [s]; 0 for none.
@@ -62,7 +62,7 @@ class BaseMotionFilter:
         through the lag, so that a slow tilt is never counted twice nor late.
 
         Args:
-            observation: With accelerometer and gyro usable; else all is forgotten.
+            observation: Observation with accelerometer and gyro usable; else the state is reset.
 
         Returns:
             The base's motion at the accelerometer, in the body frame; None without sensors or
@@ -83,7 +83,7 @@ class BaseMotionFilter:
 
 
 def level_of(observation: Observation) -> FrameMotion:
-    """Return the base at rest as the inclinometer has it; level without one.
+    """Return the motion of a base at rest by its inclinometer; level without one.
 
     Args:
         observation: Observation of the robot, with its inclinometer.

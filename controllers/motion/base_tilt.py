@@ -1,7 +1,7 @@
 """Tilt of a base on its springs under the weight of its arm, predicted before it is measured.
 
-The suspension that chapter 2 identifies, fed forward: what stands still in the world moves in the
-robot's frame when the arm reaches out, by what stiffness and levers say (Thesis eq. 2-1 at rest).
+The suspension that chapter 2 identifies, fed forward: what is fixed in the world moves in the
+robot's frame when the arm reaches out, by stiffness and levers (Thesis eq. 2-1 at rest).
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from twin.description import RobotDescription
 
 @dataclasses.dataclass(frozen=True)
 class TiltAxis:
-    """How a base tilts about an axis: inertia tilt'' + damping tilt' + stiffness tilt = moment.
+    """Tilt of a base about an axis: inertia tilt'' + damping tilt' + stiffness tilt = moment.
 
     Attributes:
         inertia: Moment of inertia about the line that it tilts about [kg m^2].
@@ -48,10 +48,10 @@ class TiltAxis:
 
 
 def roll_axis(pitch: TiltAxis, robot: RobotDescription) -> TiltAxis:
-    """Return how a base rolls by the springs on which it pitches, at half its track (eq. A-1).
+    """Return the roll of a base on the springs of its pitch, at half its track (eq. A-1).
 
     Args:
-        pitch: How it pitches.
+        pitch: Springs and inertia in pitch.
         robot: The rover as drawn.
     """
     ratio = (robot.half_track / robot.half_wheelbase) ** 2
@@ -64,7 +64,7 @@ def roll_axis(pitch: TiltAxis, robot: RobotDescription) -> TiltAxis:
 
 
 def drawn_springs(robot: RobotDescription) -> tuple[TiltAxis, TiltAxis]:
-    """Return how a rover pitches and rolls by its drawing (Thesis eq. A-1).
+    """Return pitch and roll of a rover by its drawing (Thesis eq. A-1).
 
     It turns about the line where its tyres meet the ground: braked wheels roll with the body. The
     springs leave the wheels on the ground, so that these add nothing by their distance from the
@@ -91,11 +91,11 @@ def drawn_springs(robot: RobotDescription) -> tuple[TiltAxis, TiltAxis]:
 
 
 def tilting_moments(pitch: TiltAxis, roll: TiltAxis) -> FloatArray:
-    """Return (2, 6), what the wrench on the arm does to the base about both axes [N m].
+    """Return (2, 6), the moments on the base about both axes per wrench on the arm [N m].
 
     Args:
-        pitch: How the base tilts about x.
-        roll: How it tilts about y.
+        pitch: Tilt of the base about x.
+        roll: Tilt of the base about y.
     """
     return -np.array(
         [
@@ -109,9 +109,9 @@ class BaseTilt:
     """A base at rest on its springs, under an arm.
 
     Args:
-        pitch: How the base tilts about x, as identified.
-        roll: How it tilts about y. By eq. A-1 it is up to a half stiffer than a rover whose centre
-            joint is free.
+        pitch: Tilt of the base about x, as identified.
+        roll: Tilt of the base about y. By eq. A-1 it is up to a half stiffer than a rover whose
+            centre joint is free.
         mount: (3,) the arm's base in the robot frame [m].
     """
 

@@ -1,8 +1,8 @@
 """Drive a rover to a pose: turn, drive straight and turn again, by dead reckoning.
 
-A place close beside it would take a quarter turn to either side, in which skidding wheels on rocks
-lose more than the distance to it. The rover backs off first then, and comes forward along the
-goal's heading.
+A goal close beside the rover would take a quarter turn to either side, in which skidding wheels on
+rocks lose more than the distance to it. The rover backs off first then, and comes forward along
+the goal's heading.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from controllers.motion.driving import Odometry, SkidSteer
 from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
-_CLOSE = 0.1  # Distance below which the direction to the goal says nothing [m].
+_CLOSE = 0.1  # Distance below which the direction to the goal is undetermined [m].
 _LEAST_TURN = 0.05  # Turning rate below which friction stalls the rover [rad/s].
 
 
@@ -57,7 +57,7 @@ class DriveToPose:
         goal: (3,) x (to the right), y (ahead) [m] and yaw to the left [rad], from where the rover
             is now.
         config: Limits and tolerances; None for the default.
-        free: Says whether the rover may back off to a pose (3,), given as the goal is.
+        free: Predicate of whether the rover may back off to a pose (3,), given as the goal is.
 
     Attributes:
         odometry: Dead reckoning since the drive began.

@@ -1,6 +1,6 @@
 """Skid steering: wheel speeds for a motion, and the motion that follows from wheel speeds.
 
-Wheels that stand fast on the body scrub sideways when it turns, so it turns by a share of what
+Wheels fixed to the body scrub sideways when it turns, so it turns by a share of what
 rolling wheels would make of their speeds. The share depends on ground and load: it is identified by
 a drive (`identify_turn_share`), not known.
 """
@@ -18,7 +18,7 @@ from twin.robot import Channel, Observation
 
 @dataclasses.dataclass(frozen=True)
 class SkidSteer:
-    """How wheel speeds and motion belong together.
+    """Relation of wheel speeds and motion.
 
     Attributes:
         wheel_radius: [m].
@@ -46,8 +46,8 @@ class SkidSteer:
         Speeds beyond the largest are all reduced alike, so that the curve is kept.
 
         Args:
-            forward: [m/s].
-            turn: To the left [rad/s].
+            forward: Forward speed [m/s].
+            turn: Turning rate to the left [rad/s].
         """
         half = turn * self.half_track / self.turn_share
         left, right = (forward - half) / self.wheel_radius, (forward + half) / self.wheel_radius
@@ -68,7 +68,7 @@ class SkidSteer:
 
 
 class Odometry:
-    """Where a rover is by its tachometers, tilted as its inclinometer says.
+    """Dead reckoning: pose of a rover by its tachometers and inclinometer.
 
     Args:
         steer: Relation of wheel speeds and motion.
@@ -147,7 +147,7 @@ def identify_turn_share(
         steer: The wheels; its own share plays no part.
         speeds: (N, 4) wheel speeds [rad/s].
         headings: (N,) measured yaw [rad].
-        period: Between samples [s].
+        period: Sampling period [s].
 
     Returns:
         The share and its standard deviation, by least squares of heading against rolled turn.

@@ -18,20 +18,20 @@ from perception.geometry.checks import check_choice
 from twin.robot import Command, Observation
 
 GUARDS = ("unguarded", "planned", "online")
-"""As asked for; slowed as a whole before it begins; slowed tick by tick."""
+"""As requested; slowed as a whole before it begins; slowed tick by tick."""
 HELD, PATIENCE = 1.0, 10.0
-"""How long a swing may stand still online, and how late it may be, until it counts as over [s]."""
+"""Longest rest of a swing online, and its greatest delay, until it counts as over [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class GuardedSwingConfig:
-    """One swing and how it is guarded.
+    """One swing and its guard.
 
     Attributes:
         arm: Control of the arm along the swing.
-        footing: What the guard knows of the rover.
-        sweep: The swing asked for.
-        guard: How it is guarded, one of `GUARDS`.
+        footing: Model of the rover that the guard uses.
+        sweep: Requested swing.
+        guard: Kind of guard, one of `GUARDS`.
         wait: Rest in the initial pose before the swing [s].
     """
 
@@ -86,7 +86,7 @@ class GuardedSwing:
             self._sweep = self._planned.sweep or Sweep(start, start, self._asked.duration)
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Let the online guard see the tick, and command the arm along the reference."""
+        """Advance the online guard by the tick, and command the arm along the reference."""
         seen = observations[self._config.arm.robot]
         if self.online is not None and self.time > -0.5 * self._config.arm.period:
             self.online.step(level_of(seen) if seen.inclinometer.usable else None)
@@ -113,7 +113,7 @@ class GuardedSwing:
 
     @property
     def report(self) -> str:
-        """What the guard slowed; empty if nothing."""
+        """Report of what the guard slowed; empty if nothing."""
         return self._planned.report if self.online is None else self.online.report
 
     @property

@@ -23,8 +23,8 @@ class NineCoordinates:
     """H(q) q'' + h(q, q') - G = Q - J^T F for the nine coordinates.
 
     Args:
-        vehicle: What does not ride on the springs, in the vehicle's frame.
-        base: What rides on them, in the same axes and about the same origin at rest.
+        vehicle: Unsprung body, in the vehicle's frame.
+        base: Sprung body, in the same axes and about the same origin at rest.
         arm: Arm on the base, whose frame is the chain's robot frame: a yaw, then three hinges
             about x.
         yaw: Angle at which the arm's yaw is held [rad].

@@ -3,9 +3,9 @@
 The reference is a path q(s) in its own time s. The guard chooses how fast that passes: with rate
 r = ds/dt the joints go at q' r and accelerate at q'' r^2 + q' dr/dt. The ground's wrench (Thesis
 eq. A-5) is then linear in x = r^2 and a = dr/dt, and so is "the zero-moment point is inside an edge
-by the reserve". From the end of what is looked at backwards follows the largest x at every place
+by the reserve". From the end of the horizon backwards follows the largest x at every place
 from which the arm can still come to rest with all edges kept; forwards the guard goes as fast as
-that allows. The base's tilt is taken as measured, anew every tick.
+that allows. The base's tilt is measured anew every tick.
 """
 
 import dataclasses
@@ -30,20 +30,20 @@ _NORMAL = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # Part of a wrench that pres
 
 @dataclasses.dataclass(frozen=True)
 class OnlineConfig:
-    """How the guard slows.
+    """Limits and horizon of the guard.
 
     Attributes:
         reserve: Least distance of the zero-moment point from the polygon's edge [m], as
             `tip_over.GuardConfig` has it.
         brake: Fastest fall of the rate [1/s].
         resume: Fastest rise of the rate [1/s].
-        ahead: How far the path is looked ahead, in its own time [s].
-        period: Servo tick, and the spacing of the places looked at [s].
+        ahead: Horizon along the path, in its own time [s].
+        period: Servo tick, and the spacing of the examined places [s].
         tilt_lag: Time constant of the tilt's low pass [s].
         least_weight: Share of the weight that must stay on the ground.
-        swing: How many times what its inertia asks for a sudden motion moves the zero-moment point,
-            since the base swings through on its springs: 1 + exp(-pi z / sqrt(1 - z^2)) for a
-            damping ratio z; the default is for 0.13, the rover's.
+        swing: Factor by which a sudden motion moves the zero-moment point beyond its inertia's
+            share, since the base swings through on its springs: 1 + exp(-pi z / sqrt(1 - z^2)) for
+            a damping ratio z; the default is for 0.13, the rover's.
     """
 
     reserve: float = 0.03
@@ -70,14 +70,14 @@ class OnlineGuard:
     Args:
         footing: The rover.
         path: The motion, from rest.
-        config: How to slow; None for the default.
+        config: Limits and horizon; None for the default.
 
     Attributes:
         time: Time of the path that is reached [s].
-        rate: Rate of the path's time, 0 (rest) to 1 (as asked for).
+        rate: Rate of the path's time, 0 (rest) to 1 (as requested).
         slowest: Least rate so far.
-        late: How much longer the path has taken than asked for [s].
-        held: How long it has stood still by now [s].
+        late: Delay of the path against the request [s].
+        held: Duration of the present rest [s].
         lost: Ticks in which no rate kept half of the reserve, as when the ground yields.
     """
 
@@ -97,7 +97,7 @@ class OnlineGuard:
 
     @property
     def report(self) -> str:
-        """What was slowed; empty if nothing."""
+        """Report of what was slowed; empty if nothing."""
         if self.slowest > 1.0 - 1e-9:
             return ""
         text = f"slowed to {self.slowest:.0%}, {self.late:.2f} s late"
@@ -141,8 +141,8 @@ class OnlineGuard:
         """Return angles [rad], rates [rad/s] and accelerations [rad/s^2] of the reference.
 
         Args:
-            time: Since the first step [s], within the tick that the last one began; beyond it the
-                rate is extrapolated.
+            time: Time since the first step [s], within the tick that the last one began; beyond it
+                the rate is extrapolated.
         """
         since = time - max(self._ticks, 0) * self._config.period
         # A falling rate stays at rest once it is there.
@@ -220,7 +220,7 @@ class OnlineGuard:
         """Return the change of the rate in this tick [1/s]."""
         config, tick = self._config, self._config.period
         x = self.rate**2
-        # The next place at least half a spacing ahead: a nearer one says little about `a`.
+        # The next place at least half a spacing ahead: a nearer one hardly constrains `a`.
         index = min(math.ceil(self.time / tick + 0.5) - first, len(limits) - 1)
         distance = max((first + index) * tick - self.time, 0.5 * tick)
         least = -min(config.brake, self.rate / tick)

@@ -1,9 +1,9 @@
-"""Where the ground's force goes through, and arm motions that keep it under the wheels.
+"""Zero-moment point, and arm motions that keep it within the footprint.
 
 The zero-moment point (thesis eq. A-5) is where the ground's pressure must act to balance weight,
 inertia and outer forces. While it lies within the polygon of the tyres' contacts, no wheel has to
-pull, and the rover stands. The printed equation treats particles; a link of finite size also needs
-the change of its own angular momentum, which stands here as its moment.
+pull, and the rover does not tip. The printed equation treats particles; a link of finite size also
+needs the change of its own angular momentum, which enters here as its moment.
 """
 
 import dataclasses
@@ -137,7 +137,7 @@ class Sweep:
         start: (n,) [rad].
         end: (n,) [rad].
         duration: [s].
-        part: Part of the path from start to end that is taken, (0, 1].
+        part: Part of the path from start to end that is travelled, (0, 1].
     """
 
     start: FloatArray
@@ -149,7 +149,7 @@ class Sweep:
         """Return angles [rad], rates [rad/s] and accelerations [rad/s^2].
 
         Args:
-            time: Since the start [s]; the joints rest before and after.
+            time: Time since the start [s]; the joints rest before and after.
         """
         t = min(max(time / self.duration, 0.0), 1.0)
         distance = (self.end - self.start) * self.part
@@ -161,7 +161,7 @@ class Sweep:
 
 @dataclasses.dataclass(frozen=True)
 class GuardConfig:
-    """How the guard judges.
+    """Reserve and sampling of the guard.
 
     Attributes:
         reserve: Least distance of the zero-moment point from the polygon's edge [m]: it carries
@@ -177,13 +177,13 @@ class GuardConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Guarded:
-    """What the guard allows of a motion.
+    """Motion as the guard allows it.
 
     Attributes:
         sweep: The motion, slowed or cut short; None if the arm must stay.
-        stretch: Its duration over the one asked for, for the same part of the path.
-        margin: Least margin of the motion as asked for [m]; negative where it would tip.
-        report: What was done and why; empty if nothing.
+        stretch: Duration over the requested one, for the same part of the path.
+        margin: Least margin of the requested motion [m]; negative where it would tip.
+        report: Intervention and its reason; empty if there was none.
     """
 
     sweep: Sweep | None
@@ -199,9 +199,9 @@ def guard(
 
     Args:
         footing: The rover.
-        sweep: What is asked for.
+        sweep: Requested motion.
         still: The base at rest, as its inclinometer has it.
-        config: How to judge; None for the default.
+        config: Reserve and sampling; None for the default.
 
     Raises:
         ValueError: If the motion is not one of the arm's joints, or not finite.

@@ -1,10 +1,10 @@
-"""Surrogate sensing: what a failed sensor would have read, and when to stop (thesis figure 5-6).
+"""Surrogate sensing: predictions in place of failed sensors, and when to stop (figure 5-6).
 
-Each tick the identified model says what wrench and tilt should read. A sample that is missing, not
-finite, frozen, or too far off for its covariance (normalised innovation) is replaced; a sensor that
-stays so is named as failed until it agrees again. While the inclinometer is lost, the weight of an
-arm that touches nothing gives the tilt. When its surrogate has become too unsure, or has served too
-long, the task has to stop, and the reason is given.
+Each tick the identified models predict wrench and tilt. A sample that is missing, not finite,
+frozen, or too far off for its covariance (normalised innovation) is replaced; a sensor that stays
+so is named as failed until it agrees again. While the inclinometer is lost, the weight of an arm
+that touches nothing gives the tilt. When a surrogate's deviation has grown too large, or it has
+served too long, the task has to stop, and the reason is given.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from twin.robot import Channel, Observation, Validity
 
 WRENCH, TILT = "arm_base_wrench", "inclinometer"
 _FALSE_ALARM = 1e-5
-"""Part of the good samples that are taken for bad."""
+"""Share of good samples that are rejected."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +34,7 @@ class SensorLimits:
         longest: Time for which the surrogate may serve [s].
         failed_after: Time for which samples are bad before the sensor is named failed [s]; a
             shorter fault is a spike.
-        recovered_after: Time for which samples are good before a failed sensor is believed [s].
+        recovered_after: Time for which samples are good before a failed sensor is used again [s].
         frozen_after: Time without the slightest change after which it is frozen [s]; infinite for
             a sensor without noise.
     """
@@ -65,7 +65,7 @@ class SensorLimits:
 
 @dataclasses.dataclass(frozen=True)
 class Verdict:
-    """What a monitor makes of a sample.
+    """Judgement of a sample by a monitor.
 
     Attributes:
         believed: Whether the sample itself may be used.
@@ -98,7 +98,7 @@ class SensorMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Believe the sensor."""
+        """Reset the state; the sensor counts as working."""
         self._last: Channel | None = None
         self._innovation = math.nan
         self._fault = ""
@@ -184,13 +184,13 @@ class SensorMonitor:
 
 @dataclasses.dataclass(frozen=True)
 class Sensed:
-    """What may be acted on.
+    """Observation, wrench and tilt that a controller may act on.
 
     Attributes:
-        observation: With wrench and tilt that are predicted where a sample may not be believed;
-            their validity says so.
-        wrench: Believed wrench (6,) with its covariance.
-        tilt: Believed tilt (2,) with its covariance.
+        observation: Observation with wrench and tilt predicted where a sample was rejected; their
+            validity is PREDICTED there.
+        wrench: Accepted or predicted wrench (6,) with its covariance.
+        tilt: Accepted or predicted tilt (2,) with its covariance.
         faults: Why a sample was replaced, by channel.
         failed: Channels whose sensor is failed.
         stop: Why the task cannot go on; empty if it can.
@@ -205,7 +205,7 @@ class Sensed:
 
 
 class SurrogateSensing:
-    """Stands between a robot and its controller, and mends the observations.
+    """Checks a robot's observations, and replaces readings that are missing or wrong.
 
     Args:
         wrench: Model of the wrench under the arm.
@@ -226,7 +226,7 @@ class SurrogateSensing:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all; the sensors are believed."""
+        """Reset models and monitors; the sensors count as working."""
         self._wrench.reset()
         self._tilt.reset()
         for monitor in self._monitors.values():
@@ -242,7 +242,7 @@ class SurrogateSensing:
         contact: bool = False,
         obstacles: bool = False,
     ) -> Sensed:
-        """Take an observation and mend it.
+        """Check an observation, and replace what is wrong in it.
 
         Args:
             observation: Observation of the robot.

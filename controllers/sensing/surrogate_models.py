@@ -1,4 +1,4 @@
-"""What wrench and tilt should read, by the identified models (thesis figure 5-6, chapter 1).
+"""Predicted wrench and tilt by the identified models (thesis figure 5-6, chapter 1).
 
 The wrench under an arm follows from the arm's motion and weight; the tilt of the base follows from
 that wrench, through the identified springs. `surrogate` says when these predictions are used.
@@ -46,7 +46,7 @@ class Prediction(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class WrenchModelConfig:
-    """What the wrench under an arm follows from, and how well that is known.
+    """Arm, and the uncertainties of what the wrench under it follows from.
 
     Attributes:
         arm: The arm with what it carries, as identified.
@@ -56,12 +56,13 @@ class WrenchModelConfig:
         rate_noise: Standard deviation of a rate [rad/s].
         jerk: Usual jerk of the joints: what the lag leaves out is this times it [rad/s^3].
         tilt: Standard deviation of the base's tilt about each axis [rad].
-        base_acceleration: The same of the base's motion without an accelerometer [m/s^2].
-        base_turning: The same of its angular acceleration without a gyro [rad/s^2].
+        base_acceleration: Standard deviation of the base's acceleration without an accelerometer
+            [m/s^2].
+        base_turning: Standard deviation of its angular acceleration without a gyro [rad/s^2].
         driven: Both of these with turning wheels, as wheels shake the base [m/s^2, rad/s^2]; on
             rough ground at 6 cm/s 0.6 m/s^2 were measured, with peaks of 4.
         accelerometer_noise: Standard deviation of its samples [m/s^2].
-        gyro_noise: The same of the gyro's [rad/s].
+        gyro_noise: Standard deviation of the gyro's samples [rad/s].
         mass: Relative standard deviation of the arm's mass.
         contact: Standard deviation of a force at the hand before anything is measured [N].
         contact_radius: Distance from the grip point within which things touch [m].
@@ -129,7 +130,7 @@ class WrenchModel:
     ) -> Prediction:
         """Return the wrench by the rover on the arm, in and about the arm base frame.
 
-        The hand is taken to touch nothing.
+        The hand is assumed to touch nothing.
 
         Args:
             observation: Observation with arm angles and rates usable; the base's motion is taken
@@ -190,11 +191,11 @@ class WrenchModel:
         """Return the error of the tilt by the direction of the arm's weight.
 
         Args:
-            observation: With the arm's angles, and the tilt as it is believed.
+            observation: Observation with the arm's angles and the estimated tilt.
             expected: Result of `predict` for it, with the same ``tilt``.
             wrench: (6,) measured [N, N m].
             noise: (6, 6) covariance of it.
-            tilt: (2,) deviations of the believed pitch and roll [rad].
+            tilt: (2,) deviations of the estimated pitch and roll [rad].
             dt: Time since the observation before [s].
 
         Returns:
@@ -292,11 +293,11 @@ def _joints(observation: Observation) -> tuple[FloatArray, FloatArray]:
 
 @dataclasses.dataclass(frozen=True)
 class TiltModelConfig:
-    """How a base tilts, and how the inclinometer sees it.
+    """Tilt of a base on its springs, and the inclinometer's reading of it.
 
     Attributes:
-        pitch: How the base tilts about x.
-        roll: How it tilts about y, as pitch of a rover turned a quarter to its right.
+        pitch: Tilt of the base about x.
+        roll: Tilt of the base about y, as pitch of a rover turned a quarter to its right.
         noise: Standard deviation of the inclinometer's samples [rad].
         bandwidth: First-order corner frequency of the inclinometer [Hz].
         moment: Standard deviation of the moment that the model does not know [N m].
@@ -348,7 +349,7 @@ class TiltModel:
         """Forget all; the next wrench is that of rest."""
         self._rest: FloatArray | None = None
         self._states = np.zeros((2, 4))
-        # The slope may be any that a rover stands on.
+        # The slope may be any that a rover bears.
         initial = np.diag(np.square([0.01, 0.1, 0.01, 0.3]))
         self._covariances = np.array([initial, initial])
         self._steps: tuple[float, list[tuple[FloatArray, FloatArray, FloatArray]]] | None = None
@@ -359,8 +360,8 @@ class TiltModel:
         """Return pitch and roll as the inclinometer should show them, without using it.
 
         Args:
-            observation: With the wrench under the arm usable, measured or predicted, and the wheel
-                speeds if there are any.
+            observation: Observation with a usable wrench under the arm, measured or predicted, and
+                the wheel speeds if there are any.
             dt: Time since the observation before [s].
             wrench_covariance: (6, 6) of the wrench, whose error lasts as an unknown moment's does;
                 None for none.
@@ -399,7 +400,7 @@ class TiltModel:
         return Prediction(shown, np.diag(read @ self._covariances @ read))
 
     def correct(self, tilt: ArrayLike) -> None:
-        """Take a believed sample of the inclinometer, after `predict`.
+        """Correct by an accepted sample of the inclinometer, after `predict`.
 
         Args:
             tilt: (2,) pitch and roll [rad].

@@ -94,7 +94,7 @@ def probe(
         friction: Friction coefficient of the ground.
         seed: Seed of the sensor noise.
         effort: Key of `EFFORTS`.
-        robot: Which robot.
+        robot: Robot to connect to, as `twin.connect.connect` takes it.
         record: File for a recording, if any.
 
     Raises:
@@ -120,8 +120,8 @@ class FrictionJob:
 
     Attributes:
         seed: Random seed of the ground and of the sensor noise.
-        robot: Which robot, as `twin.connect.connect` takes it.
-        effort: How hard the arm jerks, a key of `EFFORTS`.
+        robot: Robot to connect to, as `twin.connect.connect` takes it.
+        effort: Strength of the jerks, a key of `EFFORTS`.
         record: File for a recording, if any.
     """
 
@@ -137,9 +137,9 @@ class FrictionRun:
 
     Attributes:
         seed: Random seed of the job.
-        effort: How hard the arm jerked.
+        effort: Strength of the jerks.
         friction: True friction coefficient of the ground.
-        estimate: What the run shows of it.
+        estimate: Estimate of the friction by the run.
     """
 
     seed: int

@@ -47,7 +47,7 @@ MASS_BOUND = 1.0  # [%]
 CENTRE_BOUND = 3.0  # [mm]
 FIELD = FieldConfig(texture_pixels=64)
 JUDGED = ("median", "every run")
-"""Which of the errors of all runs are held to a bound."""
+"""Errors of all runs that are held to a bound."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +114,7 @@ def true_body(box: Box) -> RigidBody:
 
 
 def sensing() -> SensingConfig:
-    """Return how the rover's signals are read, from its datasheets."""
+    """Return the interpretation of the rover's signals, from its datasheets."""
     mount = datasheets.ROVER.arm_mount
     return SensingConfig(
         gravity=GRAVITY,
@@ -124,7 +124,7 @@ def sensing() -> SensingConfig:
 
 
 def payload_config(arm: SerialChain) -> PayloadIdentifierConfig:
-    """Return what the identification may know beforehand."""
+    """Return the prior knowledge of the identification."""
     sheet = datasheets.FORCE_TORQUE
     return PayloadIdentifierConfig(
         arm,
@@ -140,9 +140,9 @@ def identify(
     """Swing an arm that holds a box, and return what was identified.
 
     Args:
-        box: What it holds.
+        box: Box in the gripper.
         seed: Seed of the sensor noise.
-        robot: Which robot.
+        robot: Robot to connect to, as `twin.connect.connect` takes it.
         duration: Duration of the swing [s].
         record: File for a recording, if any.
 
@@ -183,7 +183,7 @@ class PayloadJob:
 
     Attributes:
         seed: Random seed of the payload and of the sensor noise.
-        robot: Which robot, as `twin.connect.connect` takes it.
+        robot: Robot to connect to, as `twin.connect.connect` takes it.
         duration: Time for which the arm swings [s].
         record: File for a recording, if any.
     """

@@ -86,8 +86,9 @@ def model_errors(plant: PlanarPlant, states: int, rng: np.random.Generator) -> F
 
     Args:
         plant: Both models.
-        states: How many.
-        rng: Draws them: angles of any size, rates and accelerations of some rad/s and rad/s^2.
+        states: Number of states.
+        rng: Random generator of angles of any size and of rates and accelerations of some rad/s
+            and rad/s^2.
     """
     model, ours = plant.model, plant.coordinates
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

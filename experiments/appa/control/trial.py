@@ -27,7 +27,7 @@ _PACE = 2.0 * np.pi * np.array([0.3, 0.45, 0.6, 0.75])
 
 @dataclasses.dataclass(frozen=True)
 class ControlTrial:
-    """What one run is.
+    """Parameters of one run.
 
     Attributes:
         stiffness: Pitch stiffness of the bare base [N m/rad].
@@ -63,11 +63,11 @@ def reference(time: float) -> Reference:
 
 
 def arm_config(chain: SerialChain, law: Law, lag: float) -> ArmControlConfig:
-    """Return the controller's knowledge of a rover's arm.
+    """Return the configuration of the controller of a rover's arm.
 
     Args:
-        chain: Its arm, with rotors and load.
-        law: How it is controlled.
+        chain: Chain of the arm, with rotors and load.
+        law: Control law.
         lag: Lag of the base's feed-forward [s].
     """
     motor = datasheets.ARM_MOTOR

@@ -26,14 +26,14 @@ from twin.describe import describe, describe_rover
 
 
 class TipScene:
-    """A loaded rover on flat ground that leans, and what is true of it.
+    """A loaded rover on a plane slope, and its true state.
 
     The ground's plane goes through the world's origin; the rover looks along the plane's y axis.
 
     Attributes:
-        model: Compiled.
-        data: At rest with the arm folded.
-        footing: What a guard knows: the rover's sheet, its arm and the load.
+        model: Compiled scene.
+        data: State at rest with the arm folded.
+        footing: Model of a guard: the rover by its datasheet, the arm and the load.
     """
 
     def __init__(self, load: float, folded: FloatArray, slope: float, downhill: float) -> None:
@@ -43,7 +43,7 @@ class TipScene:
             load: Mass in the gripper [kg].
             folded: (4,) joint angles at rest [rad].
             slope: Slope of the ground [rad].
-            downhill: Where it falls to, from the plane's x axis [rad].
+            downhill: Direction in which it falls, from the plane's x axis [rad].
         """
         robot = RobotPlacement(ROBOT, centre_locked=True, payload=PayloadConfig(load))
         scene = build_scene(PLAIN, [robot])
@@ -59,7 +59,7 @@ class TipScene:
         self._now = mujoco.MjData(self.model)
 
     @property
-    def lean(self) -> float:
+    def tilt(self) -> float:
         """Angle between the rover's and the ground's normals [rad]."""
         axes = self.data.xmat[self._chassis].reshape(3, 3)
         up = self._ground.inv().apply(axes[:, 2])
@@ -97,8 +97,8 @@ class TipScene:
         turned = self._ground * Rotation.from_quat(pose[3:], scalar_first=True)
         pose[3:] = turned.as_quat(scalar_first=True)
         motor = datasheets.ARM_MOTOR
-        leaning = at_rest(self._ground.inv().apply([0.0, 0.0, 1.0]))
-        hold = self.footing.chain.bias(folded, np.zeros(4), leaning)
+        tilted = at_rest(self._ground.inv().apply([0.0, 0.0, 1.0]))
+        hold = self.footing.chain.bias(folded, np.zeros(4), tilted)
         voltages = hold / motor.gross_stall_torque * motor.voltage
         for name, angle, voltage in zip(ARM_JOINTS, folded, voltages, strict=True):
             model.key_qpos[home, model.joint(f"{ROBOT}/{name}_joint").qposadr[0]] = angle

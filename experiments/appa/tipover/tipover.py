@@ -27,7 +27,7 @@ GUARDED = GUARDS[1:]
 ZMP_BOUND = 1.0
 """Largest distance of the zero-moment point from the centre of pressure [mm]."""
 Shown = Mapping[str, TipRun]
-NAMES = {"unguarded": "as asked for", "planned": "planned ahead", "online": "slowed online"}
+NAMES = {"unguarded": "as requested", "planned": "planned ahead", "online": "slowed online"}
 Pairs = list[tuple[TipTrial, TipRun]]
 
 
@@ -57,7 +57,7 @@ def run(options: Options, output: Output) -> None:
     _measure(pairs, output)
     rows = [
         [np.degrees(trial.slope), np.degrees(trial.downhill), trial.load, trial.duration,
-         np.degrees(trial.yaw), trial.guard, result.tipped, result.lean_deg,
+         np.degrees(trial.yaw), trial.guard, result.tipped, result.tilt_deg,
          1e3 * result.margin.min(), result.stretch, result.part, result.report]
         for trial, result in pairs
     ]  # fmt: skip
@@ -75,7 +75,7 @@ def motions(load: float, seed: int, slope: float) -> list[TipTrial]:
 
     Args:
         load: Mass in the gripper [kg].
-        seed: Draws direction, reach and duration, and where the slope falls to.
+        seed: Random seed of direction, reach and duration, and of where the slope falls to.
         slope: Slope of the ground [deg].
     """
     rng = np.random.default_rng([seed, round(1e3 * load)])
@@ -153,7 +153,7 @@ def draw_footprints(shown: Shown) -> Figure:
         point, pressure = 1e3 * result.point, 1e3 * result.pressure
         axes.plot(*point.T, ".-", linewidth=0.6, label="zero-moment point (A-5)")
         axes.plot(*pressure.T, "x", markersize=4, label="centre of pressure")
-        end = "tipped" if result.tipped else f"tilted {result.lean_deg:.1f} deg"
+        end = "tipped" if result.tipped else f"tilted {result.tilt_deg:.1f} deg"
         axes.set_title(f"{NAMES[guard]}: {end}", fontsize=10)
         axes.set(aspect="equal", xlim=(-180, 180), ylim=(-180, 180), xlabel="to the right [mm]")
         axes.grid(alpha=0.3)
@@ -169,7 +169,7 @@ def draw_progress(shown: Shown) -> Figure:
     """Draw how far the reference has gone over time, and the pressure's margin.
 
     Args:
-        shown: As `draw_footprints`.
+        shown: Results of `run_tip` by guard.
     """
     figure = Figure(figsize=(11, 4))
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)

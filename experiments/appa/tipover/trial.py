@@ -1,4 +1,4 @@
-"""One run of ``appa-tipover``: the arm swings a load, guarded or not, and the ground tells."""
+"""One run of ``appa-tipover``: the arm swings a load, guarded or not, on true ground."""
 
 import dataclasses
 import math
@@ -17,21 +17,21 @@ FOLDED = np.array([0.0, 2.2, -2.4, 0.2])
 WAIT, AFTER = 0.5, 1.5
 """Rest before a motion and after it [s]."""
 COMPARE_EVERY = 3
-"""Servo ticks between two looks at the ground's pressure."""
+"""Servo ticks between two evaluations of the ground's pressure."""
 TIPPED = np.radians(10.0)
 """Tilt from which the rover counts as tipped: two wheels are 5 cm in the air."""
 
 
 @dataclasses.dataclass(frozen=True)
 class TipTrial:
-    """What one run is.
+    """Parameters of one run.
 
     Attributes:
         load: Mass in the gripper [kg].
-        yaw: Where the arm points before the motion [rad].
+        yaw: Initial yaw of the arm [rad].
         target: (4,) joint angles of its end [rad].
-        duration: Duration asked for [s].
-        guard: How the motion is guarded, one of `guarded_swing.GUARDS`.
+        duration: Requested duration [s].
+        guard: Kind of guard, one of `guarded_swing.GUARDS`.
         seed: Random seed of the sensors.
         slope: Slope of the ground [rad].
         downhill: Direction in which the ground falls, from the rover's right to its front [rad].
@@ -49,14 +49,14 @@ class TipTrial:
 
 @dataclasses.dataclass(frozen=True)
 class TipRun:
-    """What one swing of a load did.
+    """Result of one swing of a load.
 
     Attributes:
         tipped: Whether the rover tipped over, 0 or 1.
-        lean_deg: Largest tilt from the ground's normal [deg].
+        tilt_deg: Largest tilt from the ground's normal [deg].
         seconds: Duration of the motion [s].
-        stretch: Duration over the one asked for.
-        report: What the guard reports.
+        stretch: Duration over the requested one.
+        report: Report of the guard.
         part: Share of the path that was travelled, or that is allowed.
         point: (n, 2) zero-moment point of eq. A-5 on the ground, from below the rover [m].
         pressure: (n, 2) MuJoCo's centre of pressure, likewise [m].
@@ -66,7 +66,7 @@ class TipRun:
     """
 
     tipped: int
-    lean_deg: float
+    tilt_deg: float
     seconds: float
     stretch: float
     report: str
@@ -91,15 +91,15 @@ def run_tip(trial: TipTrial) -> TipRun:
     controller.plan(robot.observe())
     robot.activate()
     points, pressures, gone = [], [], []
-    lean, tick, over = 0.0, 0, math.inf
+    tilt, tick, over = 0.0, 0, math.inf
     whole = np.linalg.norm(np.array(trial.target) - folded)
-    while tick * PERIOD < over + AFTER and lean <= TIPPED:
+    while tick * PERIOD < over + AFTER and tilt <= TIPPED:
         time = tick * PERIOD - WAIT
         seen = robot.observe()
         robot.command(controller.step({ROBOT: seen})[ROBOT])
         simulation.tick()
         tick += 1
-        lean = max(lean, scene.lean)
+        tilt = max(tilt, scene.tilt)
         if math.isinf(over) and controller.over(time):
             over = tick * PERIOD
         pair = scene.balance() if tick % COMPARE_EVERY == 0 else None
@@ -114,8 +114,8 @@ def run_tip(trial: TipTrial) -> TipRun:
     if controller.online is not None and math.isfinite(over):
         seconds -= min(controller.online.held, HELD)
     return TipRun(
-        tipped=int(lean > TIPPED),
-        lean_deg=float(np.degrees(lean)),
+        tipped=int(tilt > TIPPED),
+        tilt_deg=float(np.degrees(tilt)),
         seconds=seconds,
         stretch=seconds / trial.duration,
         report=controller.report,

@@ -28,18 +28,18 @@ from twin.simulation import Simulation
 
 PERIOD = 0.01
 OFFSET, TILT = 4e-3, math.radians(2.0)
-"""Widest misalignment of the stage from where the master believes it."""
+"""Widest misalignment of the stage from the master's prior."""
 MUTUAL = 5e-3
-"""Widest error of the slave's believed place, along and up [m]."""
+"""Widest error of the slave's prior position, along and up [m]."""
 ALONG = 0.02
-"""Of the mouth from where the segment starts, along s [m]."""
+"""Distance of the mouth from the segment's start, along s [m]."""
 SQUEEZE = 1.0
 """Wanted force along the segment from both ends [N]."""
 SEATED = 0.8
 """Share of the depth that both corners of the leading edge must have reached."""
 LIMIT = 45.0
 """Longest run [s]."""
-WAYS: dict[str, tuple[bool, bool]] = {
+METHODS: dict[str, tuple[bool, bool]] = {
     "hybrid": (True, True),
     "position_only": (False, True),
     "unguided": (True, False),
@@ -62,17 +62,17 @@ shoulder, elbow and wrist, the base's pose, the three motors' efforts and the wr
 
 @dataclasses.dataclass(frozen=True)
 class TrussTrial:
-    """What one run is.
+    """Parameters of one run.
 
     Attributes:
-        way: Of `WAYS`.
+        method: Method of insertion, a key of `METHODS`.
         share: Share of the widest misalignment; signs, and sizes from half of it, are drawn.
-        seed: Of misalignments, sensors and radio; all ways get the same.
+        seed: Random seed of misalignments, sensors and radio; all methods get the same.
         traced: Whether courses are kept.
         byte_errors: Probability that the radio hits a byte.
     """
 
-    way: str
+    method: str
     share: float
     seed: int
     traced: bool = False
@@ -80,7 +80,7 @@ class TrussTrial:
 
 
 def guide_config() -> GuideConfig:
-    """Return what the guide knows; slower than with one hand, for it feels over the radio."""
+    """Return the guide's configuration; slower than with one hand, as forces come by radio."""
     return GuideConfig(
         TRUSS.web_width,
         TRUSS.friction,
@@ -107,17 +107,17 @@ def planar_arm() -> PlanarArm:
 
 
 def make_pair(
-    bench: TrussBench, way: str, mouth: tuple[float, float], mutual: FloatArray
+    bench: TrussBench, method: str, mouth: tuple[float, float], mutual: FloatArray
 ) -> tuple[Master, Slave]:
     """Return both controllers.
 
     Args:
         bench: Scene with the robots; their true poses stand for those of the map.
-        way: Method of insertion, a key of `WAYS`.
-        mouth: s, z of the mouth as the master believes [m].
-        mutual: (2,) error of the slave's believed place [m].
+        method: Method of insertion, a key of `METHODS`.
+        mouth: s, z of the mouth by the master's prior [m].
+        mutual: (2,) error of the slave's prior position [m].
     """
-    by_force, guided = WAYS[way]
+    by_force, guided = METHODS[method]
     arm, half = planar_arm(), TRUSS.grip_span / 2.0
     mount = datasheets.ROVER.arm_mount[1:]
     grips: list[HybridGrip] = []
@@ -145,9 +145,9 @@ def make_pair(
 
 @dataclasses.dataclass(frozen=True)
 class TrussRun:
-    """What one insertion of the segment did.
+    """Result of one insertion of the segment.
 
-    Forces and moments are what truly is between stage and segment and in the grips, at 100 Hz; all
+    Forces and moments are the true ones between stage and segment and in the grips, at 100 Hz; all
     but the contact's from the start of the approach on.
 
     Attributes:
@@ -162,7 +162,7 @@ class TrussRun:
         depth: Final depth of the leading edge below the mouth [m].
         offset: True offset of the stage along s [m].
         tilt: True tilt of the stage [rad].
-        mutual: (2,) error of the slave's believed place, along and up [m].
+        mutual: (2,) error of the slave's prior position, along and up [m].
         course: (n, 41) the run over time, by `COLUMNS`, if traced.
     """
 
@@ -185,14 +185,14 @@ def run_truss(trial: TrussTrial) -> TrussRun:
     """Carry and insert once.
 
     Raises:
-        ValueError: If there is no such way.
+        ValueError: If there is no such method.
     """
-    check_choice("way", trial.way, WAYS)
+    check_choice("method", trial.method, METHODS)
     rng = np.random.default_rng([trial.seed, 20])
     wrong = trial.share * rng.uniform(0.5, 1.0, 4) * rng.choice([-1.0, 1.0], 4)
     offset, tilt, mutual = wrong[0] * OFFSET, wrong[1] * TILT, wrong[2:] * MUTUAL
     bench = TrussBench(ALONG + offset, tilt)
-    master, slave = make_pair(bench, trial.way, (ALONG, TRUSS.mouth_height), mutual)
+    master, slave = make_pair(bench, trial.method, (ALONG, TRUSS.mouth_height), mutual)
     course = _drive(bench, master, slave, trial, rng)
     depth = bench.depth()
     rows = np.array(course)

@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from controllers.insertion.master_slave import Stage
 from experiments.appa.truss.trial import (
     COLUMNS,
+    METHODS,
     MUTUAL,
     OFFSET,
     SQUEEZE,
     TILT,
-    WAYS,
     TrussRun,
     TrussTrial,
     run_truss,
@@ -51,19 +51,19 @@ class Options(contract.SimulatedOptions):
 
 
 def run(options: Options, output: Output) -> None:
-    """Insert from every misalignment in every way.
+    """Insert from every misalignment in every method.
 
     Args:
         options: ``quick`` takes 2 runs a cell instead of 10, at the widest misalignment alone.
-        output: Receives ``truss_success`` (hybrid, widest), and by way and share ``success``,
+        output: Receives ``truss_success`` (hybrid, widest), and by method and share ``success``,
             ``contact_peak``, ``squeeze_peak``, ``squeeze_error_rms``, ``moment_peak``, ``seconds``.
     """
     seeds = options.job_seeds(10, 2)
     shares = QUICK_SHARES if options.quick else SHARES
-    cells = [(way, share) for way in WAYS for share in shares]
+    cells = [(method, share) for method in METHODS for share in shares]
     trials = [
-        TrussTrial(way, share, seed, traced=(way, share) == ("hybrid", WIDEST) and seed == seeds[0])
-        for way, share in cells
+        TrussTrial(*cell, seed, traced=cell == ("hybrid", WIDEST) and seed == seeds[0])
+        for cell in cells
         for seed in seeds
     ]
     runs = sweep(run_truss, trials, options, output, label="runs")
@@ -83,11 +83,11 @@ def _measure(results: Results, output: Output) -> None:
     output.measure("widest_offset_mm", 1e3 * OFFSET)
     output.measure("widest_tilt_deg", math.degrees(TILT))
     output.measure("widest_mutual_mm", 1e3 * MUTUAL)
-    for (way, share), runs in results.items():
-        cell = f"{way}/{share:g}"
+    for (method, share), runs in results.items():
+        cell = f"{method}/{share:g}"
         done = fraction(sum(run.success for run in runs), len(runs))
         output.measure(f"success/{cell}", done)
-        if (way, share) == ("hybrid", WIDEST):
+        if (method, share) == ("hybrid", WIDEST):
             output.measure("truss_success", done)
         for key in (*_FORCES, "seconds"):
             output.measure(f"{key}/{cell}", distribution([getattr(run, key) for run in runs]))
@@ -101,15 +101,15 @@ def _check(results: Results, output: Output) -> None:
                  done >= SUCCESS_BOUND)  # fmt: skip
     peak = max(
         float(run.contact_peak)
-        for (way, _), runs in results.items()
-        if way == "hybrid"
+        for (method, _), runs in results.items()
+        if method == "hybrid"
         for run in runs
     )
     output.check("peak contact force [N], hybrid, all", peak, f"<= {FORCE_BOUND:g}",
                  peak <= FORCE_BOUND)  # fmt: skip
     ours, without = (
-        float(distribution([run.squeeze_error_rms for run in results[way, WIDEST]])["median"])
-        for way in ("hybrid", "position_only")
+        float(distribution([run.squeeze_error_rms for run in results[method, WIDEST]])["median"])
+        for method in ("hybrid", "position_only")
     )
     ratio = ours / without
     output.measure("squeeze_error_ratio/hybrid_over_position_only", ratio)
@@ -122,13 +122,13 @@ def _table(results: Results, seeds: list[int], output: Output) -> None:
                "slave up [mm]", "success", "depth [mm]", "contact peak [N]", "squeeze peak [N]",
                "squeeze error [N]", "moment peak [N m]", "time [s]", "tries", "reason"]  # fmt: skip
     rows: list[list[Any]] = []
-    for (way, share), runs in results.items():
+    for (method, share), runs in results.items():
         for seed, run in zip(seeds, runs, strict=True):
             mutual = [1e3 * float(value) for value in run.mutual]
             forces = [getattr(run, key) for key in _FORCES]
             place = [1e3 * run.offset, math.degrees(run.tilt), *mutual]
             end = [run.seconds, run.tries, run.reason]
-            rows.append([way, share, seed, *place, run.success, 1e3 * run.depth, *forces,
+            rows.append([method, share, seed, *place, run.success, 1e3 * run.depth, *forces,
                          *end])  # fmt: skip
     output.table("truss_runs", columns, rows)
 
@@ -182,9 +182,9 @@ def draw_course(course: FloatArray, name: str) -> Figure:
 
 
 def draw_comparison(results: Results) -> Figure:
-    """Draw success, contact force, squeeze and moment of every run by way and misalignment."""
+    """Draw success, contact force, squeeze and moment of every run by method and misalignment."""
     figure = Figure(figsize=(11, 7))
-    ways = list(dict.fromkeys(way for way, _ in results))
+    methods = list(dict.fromkeys(method for method, _ in results))
     shares = sorted({share for _, share in results})
     panels = (
         ("success", "inserted, share of runs"),
@@ -194,11 +194,12 @@ def draw_comparison(results: Results) -> Figure:
     )
     for index, (key, title) in enumerate(panels):
         axes = figure.add_subplot(2, 2, 1 + index)
-        for number, way in enumerate(ways):
-            places = np.arange(len(shares)) + 0.22 * (number - (len(ways) - 1) / 2.0)
-            values = [[float(getattr(run, key)) for run in results[way, share]] for share in shares]
+        for number, method in enumerate(methods):
+            places = np.arange(len(shares)) + 0.22 * (number - (len(methods) - 1) / 2.0)
+            cells = [results[method, share] for share in shares]
+            values = [[float(getattr(run, key)) for run in runs] for runs in cells]
             middles = [np.mean(v) if key == "success" else np.median(v) for v in values]
-            bars = axes.bar(places, middles, 0.2, alpha=0.6, label=way.replace("_", " "))
+            bars = axes.bar(places, middles, 0.2, alpha=0.6, label=method.replace("_", " "))
             if key != "success":
                 for place, runs in zip(places, values, strict=True):
                     colour = bars.patches[0].get_facecolor()
@@ -209,7 +210,7 @@ def draw_comparison(results: Results) -> Figure:
         if index >= 2:
             axes.set_xlabel("misalignment, of the widest asked for")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=len(ways), fontsize=9,
+    figure.legend(handles, labels, loc="lower center", ncols=len(methods), fontsize=9,
                   title="bars: share or median; dots: runs")  # fmt: skip
     figure.subplots_adjust(hspace=0.3, bottom=0.17)
     return figure

@@ -44,9 +44,9 @@ def film(seconds: float, rate: float, seed: int) -> list[NDArray[np.uint8]]:
     """Return pictures of the information excitation from its start.
 
     Args:
-        seconds: Of excitation to show [s].
+        seconds: Time of excitation to show [s].
         rate: Pictures a second.
-        seed: Of sensors and planner.
+        seed: Random seed of sensors and planner.
     """
     spec = build_scene(FLAT, [RobotPlacement(ROBOT)])
     spec.worldbody.add_camera(
@@ -73,9 +73,9 @@ def main(
 
     Args:
         out: File to write.
-        seconds: Of excitation to show [s].
+        seconds: Time of excitation to show [s].
         rate: Pictures a second [1/s].
-        seed: Of sensors and planner.
+        seed: Random seed of sensors and planner.
     """
     frames = film(seconds, rate, seed)
     colours = Image.fromarray(frames[0]).quantize(48)

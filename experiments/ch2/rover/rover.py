@@ -215,14 +215,14 @@ class EstimateRecorder(LoopRecorder):
 
     def __init__(self, recorder: Recorder, controller: RoverIdentifier) -> None:
         """Watch a controller."""
-        self._recorder, self._controller, self._told = recorder, controller, 0
+        self._recorder, self._controller, self._recorded = recorder, controller, 0
 
     def record(self, tick: Tick) -> None:
-        """Take one tick; new estimates and excitations go in with their bands."""
+        """Record new estimates and excitations with their bands."""
         log = self._controller.log
-        if len(log.estimates) == self._told:
+        if len(log.estimates) == self._recorded:
             return
-        self._told = len(log.estimates)
+        self._recorded = len(log.estimates)
         estimate = log.estimates[-1]
         sigma = np.sqrt(np.diag(estimate.covariance))
         for name, value, band in zip(NAMES, estimate.parameters, 2 * sigma):

@@ -32,10 +32,10 @@ ROBOT = "rover1"
 
 @dataclasses.dataclass(frozen=True)
 class RoverTrial:
-    """What to run.
+    """Parameters of one identification.
 
     Attributes:
-        robot: Which robot, as `twin.connect.connect` takes it.
+        robot: Robot to connect to, as `twin.connect.connect` takes it.
         excitation: One of `rover_identifier.EXCITATIONS`.
         seed: Random seed of sensor noise and planner.
         duration: Duration of the excitation [s].
@@ -50,7 +50,7 @@ class RoverTrial:
 
 
 def known_swinging_arm() -> SwingingArm:
-    """Return what is known of the rover's arm, stretched, from its own data sheet's model."""
+    """Return the mass properties of the rover's stretched arm, from its datasheet's model."""
     model = make_model(FLAT, [RobotPlacement(ROBOT)])
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -162,7 +162,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
 
 
 class TrueTilt(LoopRecorder):
-    """Notes the chassis' true pitch at every tick, for the score alone."""
+    """Records the chassis' true pitch at every tick, for the score alone."""
 
     def __init__(self, simulation: Simulation) -> None:
         """Watch a scene."""
@@ -178,7 +178,7 @@ def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, truth: TrueTilt 
     """Return the r.m.s. error of the predicted tilt over the tilt's own r.m.s., in percent.
 
     In simulation the prediction is held against the true tilt; on a real robot against the
-    inclinometer, whose known noise is taken out of the error.
+    inclinometer, whose known noise is subtracted from the error.
     """
     log, sensors = trying.log, trying.config.sensors
     wrench = np.array(log.wrench)

@@ -60,7 +60,7 @@ def measure(groups: Results, output: Output, of_table: bool) -> None:
 
     Args:
         groups: The trials.
-        output: Where they go.
+        output: Output that receives them.
         of_table: Whether the truth is Table 2-1's, so that the thesis' figures belong beside.
     """
     thesis: dict[str, float] = {}
@@ -134,7 +134,7 @@ def measure_times(trials: list[PlantIdentification], output: Output) -> None:
 
     Args:
         trials: Trials that ran one after the other, with nothing beside them.
-        output: Where it goes.
+        output: Output that receives them.
     """
     plans = 1e3 * np.concatenate([trial.plan_seconds for trial in trials])
     estimates = 1e3 * np.concatenate([trial.estimate_seconds for trial in trials])
@@ -207,13 +207,13 @@ def tabulate(groups: Results, output: Output, of_table: bool) -> None:
     one_truth = len({tuple(t.truth) for trials in groups.values() for t in trials}) == 1
     if one_truth:
         _write_table_2_1(groups, noise, shown or excitations(groups, noise), output, of_table)
-    percent = [f"{name} [%]" for name in NAMES]
+    headings = [f"{name} [%]" for name in NAMES]
     rows = []
     for (kind, excitation), trials in groups.items():
         for estimator in ESTIMATORS:
-            spread = np.array([relative_errors(t.estimates[estimator], t.truth) for t in trials])
-            rows.append([kind, excitation, estimator, *np.median(spread, axis=0).tolist()])
-    output.table("parameter_errors", ["noise", "excitation", "estimator", *percent], rows)
+            percent = np.array([relative_errors(t.estimates[estimator], t.truth) for t in trials])
+            rows.append([kind, excitation, estimator, *np.median(percent, axis=0).tolist()])
+    output.table("parameter_errors", ["noise", "excitation", "estimator", *headings], rows)
     _print_errors(groups)
 
 

@@ -152,8 +152,8 @@ def run(options: Options, output: Output) -> None:
     """Run the study.
 
     Args:
-        options: What to run.
-        output: Where it goes.
+        options: Options of the experiment.
+        output: Output that receives metrics, checks, tables and figures.
     """
     jobs = trials(options)
     groups = grouped(jobs, sweep(identify, jobs, options, output, label="identifications"))

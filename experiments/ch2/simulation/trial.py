@@ -21,7 +21,7 @@ TIME_STEP = 0.005
 
 @dataclasses.dataclass(frozen=True)
 class PlantTrial:
-    """What to run.
+    """Parameters of one identification.
 
     Attributes:
         truth: (22,) true parameters, in the order of `parameters.NAMES`.

@@ -1,4 +1,4 @@
-"""Is the plant what its equations say, and what can no estimator tell from its data?"""
+"""Does the plant obey its equations, and what can no estimator learn from its data?"""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -52,7 +52,7 @@ POOR_EXPERIMENTS: dict[str, tuple[str, ...]] = {
     "one_frequency": ("ixx", "iyy", "izz"),
 }
 """Experiments that leave parameters unknown, and some that they must leave: nothing turns the base
-about y or z, nothing moves it but about the rod, or inertia cannot be told from stiffness."""
+about y or z, nothing moves it but about the rod, or inertia cannot be separated from stiffness."""
 JOINT_ORDERS = {"right_order": True, "axes_exchanged": False, "hinges_outermost": False}
 """Orders of the base's joints in the data, and whether a fit may be trusted."""
 CASES = ("exactness", *POOR_EXPERIMENTS, *JOINT_ORDERS)
@@ -77,9 +77,9 @@ def swings(
     """Move every arm through windows of excitation from static rest.
 
     Args:
-        arms: By mode name.
+        arms: Arm in each mode, by mode name.
         source: Gives each window's excitation.
-        windows: How many.
+        windows: Number of windows.
     """
     motions: dict[str, list[Trajectory]] = {}
     for mode in arms:
@@ -97,7 +97,7 @@ def arms_in(modes: tuple[str, ...]) -> dict[str, ArmOnMount]:
 
 
 def spinning_arm() -> ArmOnMount:
-    """Return the rod held forward and turned about itself, as the y mode literally says."""
+    """Return the rod held forward and turned about itself, by the literal y mode."""
     along_rod = ArmOnMount.of(RigidArm(), "x")
     return along_rod._replace(axis=(0.0, 1.0, 0.0))
 
@@ -113,7 +113,7 @@ def from_plant(truth: Truth, run: Swings, hinges_outermost: bool = False) -> Out
 
 
 def from_equations(truth: Truth, run: Swings, substeps: int = EXACT_SUBSTEPS) -> Outputs:
-    """Return what the Newton-Euler equations say, finely integrated, free of noise."""
+    """Return the outputs by the Newton-Euler equations, finely integrated, free of noise."""
     outputs = {}
     for mode, motions in run.motions.items():
         state, rows = BaseState.at_rest(), []
@@ -150,7 +150,7 @@ def fitted(run: Swings, outputs: Outputs, generator: np.random.Generator) -> Est
     """Fit outputs with 10 % noise of the fixed range on them.
 
     Args:
-        run: How the arms moved.
+        run: Motion of the arms.
         outputs: Noise-free samples of each mode.
         generator: Random generator for the noise.
     """
@@ -158,12 +158,12 @@ def fitted(run: Swings, outputs: Outputs, generator: np.random.Generator) -> Est
     fit = OutputError(run.arms)
     for window in range(len(next(iter(run.motions.values())))):
         rows = slice(window * WINDOW_STEPS, (window + 1) * WINDOW_STEPS)
-        taken = {}
+        measured = {}
         for mode, motions in run.motions.items():
             clean = outputs[mode][rows]
             noisy = clean + generator.uniform(-bound, bound, clean.shape)
-            taken[mode] = Window(motions[window], noisy, bound / np.sqrt(3))
-        fit.add(taken, relinearise_above=np.inf)
+            measured[mode] = Window(motions[window], noisy, bound / np.sqrt(3))
+        fit.add(measured, relinearise_above=np.inf)
     return fit.fit(MOST_ITERATIONS, restarts=0)
 
 
@@ -182,7 +182,7 @@ def unidentifiable(case: str, seed: int) -> Identifiability:
 
 
 def fit_order(case: str, seed: int) -> Estimate:
-    """Fit data whose joints may not be in the order that the estimator believes.
+    """Fit data whose joints may not be in the order that the estimator assumes.
 
     Args:
         case: One of `JOINT_ORDERS`.
@@ -244,7 +244,7 @@ def verify(options: Options, output: Output) -> None:
 
     Args:
         options: Options of the run.
-        output: Where the metrics and checks go.
+        output: Output that receives metrics and checks.
     """
     configs = [(case, options.seed) for case in CASES]
     results = dict(zip(CASES, sweep(verification, configs, options, output, label="proofs")))

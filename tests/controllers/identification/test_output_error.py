@@ -68,8 +68,8 @@ def test_noisy_mujoco_data_are_explained_to_the_noise():
     estimate = fit(noised, PATHS, bound / np.sqrt(3))
     assert estimate.trustworthy
     assert estimate.chi_square == pytest.approx(1, abs=0.02)
-    spread = np.sqrt(np.diag(estimate.covariance))
-    assert np.all(np.abs(estimate.parameters - TRUTH) < 4 * spread)
+    deviation = np.sqrt(np.diag(estimate.covariance))
+    assert np.all(np.abs(estimate.parameters - TRUTH) < 4 * deviation)
     assert np.all(np.linalg.eigvalsh(estimate.covariance) > 0)
 
 
@@ -92,8 +92,8 @@ def test_result_hardly_depends_on_the_guess():
         search = OutputError(ARMS, guess)
         search.add({mode: Window(PATHS[mode], outputs[mode], sigma) for mode in MODES})
         found.append(search.fit())
-    spread = np.sqrt(np.diag(found[0].covariance))
-    difference = np.abs(found[0].parameters - found[1].parameters) / spread
+    deviation = np.sqrt(np.diag(found[0].covariance))
+    difference = np.abs(found[0].parameters - found[1].parameters) / deviation
     assert np.all(difference < 0.05)
 
 
@@ -116,8 +116,8 @@ def test_estimate_on_line_stays_near_the_final_fit():
     for n in range(5):
         online = search.add({mode: cut(mode, n, outputs[mode], sigma) for mode in MODES})
     final = search.fit()
-    spread = np.sqrt(np.diag(final.covariance))
-    assert np.all(np.abs(online.parameters - final.parameters) < spread)
+    deviation = np.sqrt(np.diag(final.covariance))
+    assert np.all(np.abs(online.parameters - final.parameters) < deviation)
     assert final.measurements == 3 * 400 * 24
 
 
@@ -132,8 +132,8 @@ def test_windows_that_come_after_a_fit_add_to_it():
         if n == 0:
             after.fit()
     final = never.fit()
-    spread = np.sqrt(np.diag(final.covariance))
-    assert np.all(np.abs(found.parameters - final.parameters) < spread)
+    deviation = np.sqrt(np.diag(final.covariance))
+    assert np.all(np.abs(found.parameters - final.parameters) < deviation)
     assert found.chi_square < 1.1
     for mode in MODES:
         ends = [search.states[mode].position for search in (after, never)]

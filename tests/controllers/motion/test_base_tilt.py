@@ -1,4 +1,4 @@
-"""How a base leans under its arm, against MuJoCo."""
+"""How a base tilts under its arm, against MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -45,8 +45,8 @@ def known() -> BaseTilt:
     return BaseTilt(*drawn_springs(describe_rover()), card_arm().mount)
 
 
-def leans(hanging):
-    """Yield how the base truly moved from the first posture's, and the tilt that is told."""
+def tilts(hanging):
+    """Yield how the base truly moved from the first posture's, and the predicted tilt."""
     arm = card_arm()
     first, level = hanging[0]
     for angles, pose in hanging[1:]:
@@ -55,12 +55,12 @@ def leans(hanging):
 
 def test_a_base_leans_as_its_springs_say(hanging):
     pitches, rolls = [], []
-    for moved, told in leans(hanging):
+    for moved, predicted in tilts(hanging):
         true = moved.rotation.as_euler("XYZ")
-        assert told[0] == pytest.approx(true[0], rel=0.05, abs=np.radians(0.001))
+        assert predicted[0] == pytest.approx(true[0], rel=0.05, abs=np.radians(0.001))
         # The centre joint lets the halves roll against each other: softer than eq. A-1 says, but
         # no softer than one half's own springs.
-        assert 0.5 * abs(true[1]) - 1e-5 <= abs(told[1]) <= abs(true[1]) + 1e-5
+        assert 0.5 * abs(true[1]) - 1e-5 <= abs(predicted[1]) <= abs(true[1]) + 1e-5
         pitches.append(true[0])
         rolls.append(true[1])
     assert np.abs(pitches).max() > np.radians(0.05)
@@ -69,10 +69,12 @@ def test_a_base_leans_as_its_springs_say(hanging):
 
 def test_what_stands_still_moves_in_the_robot_as_the_lean_says(hanging):
     ahead = np.array([0.0, 0.6, 0.1])
-    moved, told = next(leans(hanging))  # in pitch alone
+    moved, predicted = next(tilts(hanging))  # in pitch alone
     true = moved.inv().apply(ahead) - ahead
     assert np.linalg.norm(true) > 4e-4
-    np.testing.assert_allclose(known().motion(told).inv().apply(ahead) - ahead, true, atol=3e-5)
+    np.testing.assert_allclose(
+        known().motion(predicted).inv().apply(ahead) - ahead, true, atol=3e-5
+    )
 
 
 def test_the_line_about_which_it_leans_stays():

@@ -37,14 +37,14 @@ def margins(rover, rows, still=LEVEL):
     )
 
 
-def static_limit(load, floor, lean=0.0):
+def static_limit(load, floor, slope=0.0):
     """Angle of the rod at which the whole's centre is above the floor's distance from the edge.
 
-    The ground falls forward by `lean`; base 3 kg at the origin, 0.1 m above it.
+    The ground falls forward by `slope`; base 3 kg at the origin, 0.1 m above it.
     """
     angles = np.linspace(1.4, 0.0, 100001)
     y, z = 0.5 * np.cos(angles) * load, (0.1 + 0.5 * np.sin(angles)) * load
-    forward = (y + (z + 0.3) * np.tan(lean)) / (3.0 + load)
+    forward = (y + (z + 0.3) * np.tan(slope)) / (3.0 + load)
     return angles[np.argmax(forward > 0.2 - floor)]
 
 
@@ -93,13 +93,13 @@ def test_arm_is_not_dropped_so_fast_that_the_wheels_lose_the_ground():
     assert guard.report
 
 
-@pytest.mark.parametrize("lean", [0.0, 0.05])
-def test_motion_is_held_where_the_arm_could_not_stand(lean):
+@pytest.mark.parametrize("slope", [0.0, 0.05])
+def test_motion_is_held_where_the_arm_could_not_stand(slope):
     rover = footing(3.0)
-    still = at_rest([0.0, -np.sin(lean), np.cos(lean)])
+    still = at_rest([0.0, -np.sin(slope), np.cos(slope)])
     guard = OnlineGuard(rover, sweep(1.4, 0.0, 1.0).at)
     rows = passed(guard, 320, still)
-    limit = static_limit(3.0, 1.1 * RESERVE, lean)
+    limit = static_limit(3.0, 1.1 * RESERVE, slope)
     assert limit <= rows[-1, 0] < limit + 0.03
     np.testing.assert_array_equal(rows[-1, 1:], 0.0)
     assert margins(rover, rows, still).min() > 0.5 * RESERVE
@@ -122,13 +122,13 @@ def test_reference_within_a_tick_is_its_own_derivative_and_runs_on_to_the_next()
 
 
 def test_ground_that_begins_to_lean_during_the_motion_stops_it_sooner():
-    rover, lean = footing(3.0), 0.05
+    rover, slope = footing(3.0), 0.05
     guard = OnlineGuard(rover, sweep(1.4, 0.0, 1.5).at)
     passed(guard, 40)
     for _ in range(40, 320):
-        guard.step(at_rest([0.0, -np.sin(lean), np.cos(lean)]))
+        guard.step(at_rest([0.0, -np.sin(slope), np.cos(slope)]))
     angle = guard.at(320 * TICK)[0][0]
-    limit = static_limit(3.0, 1.1 * RESERVE, lean)
+    limit = static_limit(3.0, 1.1 * RESERVE, slope)
     assert limit <= angle < limit + 0.03
 
 

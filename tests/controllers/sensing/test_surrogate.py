@@ -100,8 +100,8 @@ def test_failed_sensor_is_named_in_time_and_replaced(name, kind, within):
             assert getattr(state.observation, name).validity is Validity.PREDICTED
             error = state.wrench.value - run.wrench[tick]
             worst = max(worst, np.abs(error[:3]).max())
-            lean = np.abs(state.tilt.value - run.tilt[tick]).max()
-            assert lean < np.radians(0.2)
+            tilt_error = np.abs(state.tilt.value - run.tilt[tick]).max()
+            assert tilt_error < np.radians(0.2)
     assert (
         named is not None and named <= within and state is not None and state.faults == {name: kind}
     )

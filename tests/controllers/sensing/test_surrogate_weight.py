@@ -1,4 +1,4 @@
-"""A lost inclinometer: the weight of the arm tells the tilt, on rocks and while it is pushed."""
+"""A lost inclinometer: the weight of the arm gives the tilt, on rocks and while it is pushed."""
 
 import numpy as np
 import pytest
@@ -20,12 +20,12 @@ LOST, GO, STOP, END = 100, 150, 650, 800
 NOISE = np.diag(limits()["arm_base_wrench"].noise ** 2)
 
 
-def test_weight_of_an_arm_at_rest_tells_how_far_the_base_leans():
-    """What the model itself says for a leaning base, read with the tilt believed to be another."""
+def test_weight_of_an_arm_at_rest_gives_the_tilt_of_the_base():
+    """The model's own prediction for a tilted base, read with another tilt as the estimate."""
     seen = swing().seen[0]._replace(accelerometer=MISSING, gyro=MISSING)
-    leans = seen.inclinometer.value + np.array([0.05, -0.03])
+    tilted = seen.inclinometer.value + np.array([0.05, -0.03])
     true = wrench_model().predict(
-        seen._replace(inclinometer=seen.inclinometer._replace(value=leans)), PERIOD
+        seen._replace(inclinometer=seen.inclinometer._replace(value=tilted)), PERIOD
     )
     model, unsure = wrench_model(), np.full(2, 0.1)
     expected = model.predict(seen, PERIOD, tilt=unsure)
@@ -66,7 +66,7 @@ def drive(seed, weighs, push=0.0):
         seen = robot.observe()._replace(accelerometer=MISSING, gyro=MISSING, heading=MISSING)
         if tick >= LOST:
             seen = seen._replace(inclinometer=MISSING)
-        # Where contact is announced the weight is not asked.
+        # Where contact is announced the weight is not used.
         state = sensing.step(seen, PERIOD, contact=not weighs, obstacles=True)
         if tick >= LOST:
             true = Rotation.from_matrix(chassis.xmat.reshape(3, 3)).as_euler("ZXY")[1:]

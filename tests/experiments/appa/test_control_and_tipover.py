@@ -34,9 +34,9 @@ def test_rover_rests_on_a_slope_with_its_pressure_below_the_centre_of_all_masses
     down = centre - [0.0, 0.0, centre @ normal[:, 2] / normal[2, 2]]
     np.testing.assert_allclose((normal.T @ down)[:2], pressure, atol=1e-4)
     assert normal[2, 2] == pytest.approx(np.cos(SLOPE))
-    leans = normal[:2, 2]  # to where the ground falls
-    assert np.arctan2(leans[1], leans[0]) == pytest.approx(0.3)
-    assert scene.lean < np.radians(1.5)
+    falls = normal[:2, 2]  # to where the ground falls
+    assert np.arctan2(falls[1], falls[0]) == pytest.approx(0.3)
+    assert scene.tilt < np.radians(1.5)
 
 
 def test_inclinometer_tells_the_slope():
@@ -66,5 +66,5 @@ def test_guards_keep_up_a_rover_that_its_load_would_tip_and_a_5_is_the_pressure(
     assert "slowed" in planned.report and "held" in online.report
     assert 0.2 < online.part < 0.8
     for result in (planned, online):
-        assert result.lean_deg < 2.0
+        assert result.tilt_deg < 2.0
         np.testing.assert_allclose(result.point, result.pressure, atol=1e-4)

@@ -52,7 +52,9 @@ def test_unknown_way_is_refused():
 
 @pytest.mark.slow
 def test_force_half_inserts_with_less_force_between_the_robots_than_positions():
-    hybrid, rigid = (run_truss(TrussTrial(way, 1.0, 2)) for way in ("hybrid", "position_only"))
+    hybrid, rigid = (
+        run_truss(TrussTrial(method, 1.0, 2)) for method in ("hybrid", "position_only")
+    )
     assert hybrid.success
     assert hybrid.contact_peak < 10.0
     assert hybrid.squeeze_error_rms < 0.5 * rigid.squeeze_error_rms
