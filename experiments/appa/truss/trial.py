@@ -222,9 +222,7 @@ def _drive(
     bench: TrussBench, master: Master, slave: Slave, trial: TrussTrial, rng: np.random.Generator
 ) -> list[list[float]]:
     """Run both controllers on their robots until the master is done."""
-    simulation = Simulation(
-        bench.model, list(ROBOTS), seed=trial.seed, period=PERIOD, data=bench.data
-    )
+    simulation = Simulation(bench.model, list(ROBOTS), seed=trial.seed, data=bench.data)
     modems = ModemConfig(error_rate=trial.byte_errors)
     links = virtual_links(ROBOTS, lambda: simulation.time, rng, modems)
     robots = [simulation.robots[name] for name in ROBOTS]
