@@ -214,6 +214,21 @@ def build_blocks(arrangement: Arrangement, mask: bool = False) -> mujoco.MjSpec:
     return scene
 
 
+def camera_axes(position: FloatArray, aim: FloatArray) -> FloatArray:
+    """Return (3, 3) right, up and backward axes of a camera as columns, its top towards z.
+
+    Args:
+        position: (3,) position of the camera [m], world.
+        aim: (3,) point that the camera looks at [m], world.
+    """
+    back = np.asarray(position, dtype=float) - np.asarray(aim, dtype=float)
+    back /= np.linalg.norm(back)
+    up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.999 else np.array([-1.0, 0.0, 0.0])  # noqa: PLR2004
+    right = np.cross(up, back)
+    right /= np.linalg.norm(right)
+    return np.column_stack([right, np.cross(back, right), back])
+
+
 def place_camera(
     model: mujoco.MjModel, data: mujoco.MjData, position: FloatArray, aim: FloatArray
 ) -> None:
@@ -225,15 +240,9 @@ def place_camera(
         position: (3,) [m], world.
         aim: (3,) [m], world.
     """
-    back = np.asarray(position, dtype=float) - np.asarray(aim, dtype=float)
-    back /= np.linalg.norm(back)
-    up = np.array([0.0, 0.0, 1.0]) if abs(back[2]) < 0.999 else np.array([-1.0, 0.0, 0.0])  # noqa: PLR2004
-    right = np.cross(up, back)
-    right /= np.linalg.norm(right)
-    frame = np.column_stack([right, np.cross(back, right), back])
     camera = model.camera(CAMERA_NAME).id
     model.cam_pos[camera] = position
     quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, frame.ravel())
+    mujoco.mju_mat2Quat(quaternion, camera_axes(position, aim).ravel())
     model.cam_quat[camera] = quaternion
     mujoco.mj_forward(model, data)

@@ -7,6 +7,7 @@ scene: the hole's pixels with the blocks there, over those with the blocks taken
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial import ConvexHull
 from controllers.placement.spatial.best_first import direction_tree
 from controllers.placement.spatial.occluders import TargetField, expand
 from controllers.placement.spatial.search import SpatialTask, best_view, rate_positions, spherical
-from controllers.placement.task import Occluder, PlacementError, Target
+from controllers.placement.task import Occluder, PlacementError, Target, View
 from experiments.ch4.spatial.search import LENS, disc
 from models.blocks import (
     CAMERA_NAME,
@@ -101,6 +102,40 @@ def occupancy_of(
     return occupancy
 
 
+class BlocksPlan(NamedTuple):
+    """A view planned on an uncertain model.
+
+    Attributes:
+        believed: Blocks as the planner estimates them.
+        field: The hole with the expanded hulls of these blocks.
+        occupancy: Probability that a camera's place is taken, by these blocks.
+        view: Best view of the hole.
+    """
+
+    believed: tuple[Block, ...]
+    field: TargetField
+    occupancy: Callable[[FloatArray], FloatArray]
+    view: View
+
+
+def plan_view(arrangement: Arrangement, rng: np.random.Generator, hole: int = 0) -> BlocksPlan:
+    """Plan the view of a hole.
+
+    Args:
+        arrangement: Work-piece with its blocks at their true poses.
+        rng: Random generator for the errors of the model.
+        hole: Index of the hole to watch.
+
+    Raises:
+        PlacementError: If no pose sees the hole; the message gives the reasons.
+    """
+    believed = believed_blocks(arrangement.blocks, rng)
+    margins = margins_of(believed)
+    field = expand(hole_of(arrangement, hole), occluders_of(believed), margins)
+    occupancy = occupancy_of(believed, margins)
+    return BlocksPlan(believed, field, occupancy, best_view(SpatialTask([field], LENS, occupancy)))
+
+
 class RenderedBlocks:
     """The true scene, as pictures and as counts of the hole's pixels."""
 
@@ -168,17 +203,13 @@ def run_blocks(trial: BlocksTrial) -> BlocksView | None:
     """Plan in one arrangement and score the plan and random views; None if none is possible."""
     rng = np.random.default_rng(trial.seed)
     arrangement = draw_arrangement(rng, trial.blocks)
-    believed = believed_blocks(arrangement.blocks, rng)
-    margins = margins_of(believed)
-    target, occupancy = hole_of(arrangement), occupancy_of(believed, margins)
     try:
-        field = expand(target, occluders_of(believed), margins)
-        view = best_view(SpatialTask([field], LENS, occupancy))
+        _, field, occupancy, view = plan_view(arrangement, rng)
     except PlacementError:
         return None
     rendered = RenderedBlocks(arrangement)
     places = [view.position, *random_places(field, occupancy, rng, RANDOM_VIEWS)]
-    scores = np.array([rendered.seen(place, target.position) for place in places])
+    scores = np.array([rendered.seen(place, field.target.position) for place in places])
     return BlocksView(
         optimal=float(scores[0, 0]),
         random=scores[1:, 0],

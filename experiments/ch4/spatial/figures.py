@@ -17,7 +17,6 @@ from controllers.placement.spatial.field import signed_caps
 from controllers.placement.spatial.occluders import TargetField
 from controllers.placement.spatial.search import rate_positions, spherical
 from controllers.placement.task import Lens, View
-from experiments.ch4.spatial.blocks import BlocksView
 from experiments.ch4.spatial.search import SpatialSearch, SpatialSearchTrial
 from models.blocks import Arrangement
 from models.datasheets import CAMERA, INCH
@@ -69,7 +68,8 @@ def scene(
         else:
             for shape, colour in zip(field.shapes, itertools.cycle(_COLOURS)):
                 _solid(axes, 1e3 * shape, colour, 0.35)
-        _hole(axes, field)
+        rim = 1e3 * (field.target.position + field.target.outline)
+        axes.add_collection3d(Poly3DCollection([rim], facecolor="k"))
         line = 1e3 * np.array([field.target.position, view.position])
         axes.plot(*line.T, "r-", linewidth=1.5)
         axes.plot(*line[1:].T, "r^", markersize=8)
@@ -85,22 +85,25 @@ def scene(
     return figure
 
 
-def _solid(axes: Any, points: FloatArray, colour: str, opacity: float) -> None:
+def hull_edges(points: FloatArray) -> list[FloatArray]:
+    """Return the ends (2, 3) of each edge of points' hull (N, 3) at which its surface bends."""
     hull = ConvexHull(points)
-    faces = Poly3DCollection(points[hull.simplices], facecolor=colour, alpha=opacity)
-    faces.set_edgecolor("none")
-    axes.add_collection3d(faces)
     normals = hull.equations[:, :3]
-    for face, (neighbours, simplex) in enumerate(zip(hull.neighbors, hull.simplices)):
-        for corner, other in enumerate(neighbours):
-            if other > face and normals[face] @ normals[other] < 0.999:  # noqa: PLR2004
-                edge = points[np.delete(simplex, corner)]
-                axes.plot(*edge.T, color="k", linewidth=0.4, alpha=0.6)
+    return [
+        points[np.delete(hull.simplices[face], corner)]
+        for face, row in enumerate(hull.neighbors)
+        for corner, other in enumerate(row)
+        if other > face and normals[face] @ normals[other] < 0.999  # noqa: PLR2004
+    ]
 
 
-def _hole(axes: Any, field: TargetField) -> None:
-    rim = 1e3 * (field.target.position + field.target.outline)
-    axes.add_collection3d(Poly3DCollection([rim], facecolor="k"))
+def _solid(axes: Any, points: FloatArray, colour: str, opacity: float) -> None:
+    faces = points[ConvexHull(points).simplices]
+    axes.add_collection3d(
+        Poly3DCollection(faces, facecolor=colour, alpha=opacity, edgecolor="none")
+    )
+    for edge in hull_edges(points):
+        axes.plot(*edge.T, color="k", linewidth=0.4, alpha=0.6)
 
 
 def sphere(field: TargetField, view: View, lens: Lens) -> Figure:
@@ -189,9 +192,7 @@ def searches(
     return figure
 
 
-def seen(
-    optimal: FloatArray, others: FloatArray, placed: Sequence[BlocksView], drawn: FloatArray
-) -> Figure:
+def seen(optimal: FloatArray, others: FloatArray, pixels: FloatArray, drawn: FloatArray) -> Figure:
     """Draw how much of the hole planned and random cameras see, in part and in pixels."""
     figure = Figure(figsize=(11, 4))
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
@@ -200,7 +201,6 @@ def seen(
         weights = np.full(len(values), 100.0 / len(values))
         left.hist(100 * values, bins, weights=weights, alpha=0.6, label=name)
     left.set(xlabel="part of the hole that is seen [%]", ylabel="poses [%]")
-    pixels = np.array([result.pixels for result in placed])
     for values, name in ((drawn, "random poses"), (pixels, "planned poses")):
         ordered = np.sort(values)
         share = 100.0 * np.arange(1, len(ordered) + 1) / len(ordered)

@@ -12,7 +12,6 @@ is given, the rating is optimised in space, and the camera's view from there is 
 """
 
 import dataclasses
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,13 +23,10 @@ from controllers.placement.task import View
 from experiments.ch4.spatial import figures
 from experiments.ch4.spatial.blocks import (
     BlocksTrial,
-    BlocksView,
     RenderedBlocks,
-    believed_blocks,
     hole_of,
-    margins_of,
     occluders_of,
-    occupancy_of,
+    plan_view,
     random_places,
     rating_cloud,
     run_blocks,
@@ -103,46 +99,43 @@ def _wall(output: Output) -> None:
     """Find the optimum of the scene that has a closed form."""
     field = expand(hole_of(FIGURE_4_12), occluders_of(FIGURE_4_12.blocks))
     view = best_view(SpatialTask([field], LENS))
-    distance, azimuth, elevation = spherical(field, view.position)
-    values = (distance / INCH, np.rad2deg(azimuth), np.rad2deg(elevation))
-    units = (("r_inch", 5.0, 0.05), ("theta_deg", 0.0, 0.5), ("phi_deg", 60.0, 0.5))
-    for value, (name, thesis, bound) in zip(values, units):
-        output.measure(f"optimum_{name}", float(value), thesis=thesis)
-        off = abs(float(value) - thesis)
+    goals = ((5.0, 0.05), (0.0, 0.5), (60.0, 0.5))
+    for (name, value), (thesis, bound) in zip(_spherical_units(field, view).items(), goals):
+        output.measure(f"optimum_{name}", value, thesis=thesis)
+        off = abs(value - thesis)
         output.check(f"optimum {name} off the thesis'", off, f"<= {bound:g}", off <= bound)
     output.figure("figure_4-12_wall", figures.wall_curve(field, LENS, view))
+
+
+def _spherical_units(field: TargetField, view: View) -> dict[str, float]:
+    """Return a view's distance [inch], azimuth and elevation [deg], by their metrics' names."""
+    distance, azimuth, elevation = spherical(field, view.position)
+    angles = {"theta_deg": azimuth, "phi_deg": elevation}
+    return {"r_inch": distance / INCH} | {k: float(np.rad2deg(a)) for k, a in angles.items()}
 
 
 def _figure_scene(options: Options, output: Output) -> None:
     """Plan in the scene of figure 4-12 from an uncertain model; render what is seen from there."""
     rng = np.random.default_rng(options.seed)
-    believed = believed_blocks(FIGURE_4_12.blocks, rng)
-    margins = margins_of(believed)
-    target = hole_of(FIGURE_4_12, int(options.target.removeprefix("hole")))
-    field = expand(target, occluders_of(believed), margins)
-    occupancy = occupancy_of(believed, margins)
-    view = best_view(SpatialTask([field], LENS, occupancy))
-    distance, azimuth, elevation = spherical(field, view.position)
-    output.measure("uncertain_r_inch", distance / INCH)
-    output.measure("uncertain_theta_deg", np.rad2deg(azimuth))
-    output.measure("uncertain_phi_deg", np.rad2deg(elevation))
+    hole = int(options.target.removeprefix("hole"))
+    believed, field, occupancy, view = plan_view(FIGURE_4_12, rng, hole)
+    for name, value in _spherical_units(field, view).items():
+        output.measure(f"uncertain_{name}", value)
     output.measure("uncertain_free_cap_deg", np.rad2deg(view.free_cap))
     rendered = RenderedBlocks(FIGURE_4_12)
     cloud = rating_cloud(field, occupancy)
     output.figure("figure_4-12", figures.scene(field, view, cloud, FIGURE_4_12))
     output.figure("figure_4-4_sphere", figures.sphere(field, view, LENS))
     others = random_places(field, occupancy, rng, 3)
-    rated = rate_positions(field, LENS, others, occupancy)
-    views = [view, *rated]
-    images = [rendered.picture(v.position, target.position) for v in views]
+    views = [view, *rate_positions(field, LENS, others, occupancy)]
+    aim = field.target.position
+    images = [rendered.picture(v.position, aim) for v in views]
     output.figure("figure_4-13", figures.pictures(views, images))
     pair = _pair(field, occupancy, output)
-    shots = [rendered.picture(v.position, target.position) for v in pair]
+    shots = [rendered.picture(v.position, aim) for v in pair]
     output.figure("two_cameras", figures.pictures(pair, shots, ("first camera", "second camera")))
     if options.record:
-        record_placement(
-            output.file("run.rrd"), field, believed, cloud, views, images, target.position
-        )
+        record_placement(output.file("run.rrd"), field, believed, cloud, views, images, aim)
 
 
 def _pair(field: TargetField, occupancy: Any, output: Output) -> tuple[View, View]:
@@ -213,26 +206,19 @@ def _rendered(options: Options, output: Output) -> None:
     others = np.concatenate([result.random for result in placed])
     output.measure("visible_fraction/optimal", distribution(optimal))
     output.measure("visible_fraction/random", distribution(others))
-    pixels = distribution([result.pixels for result in placed])
-    output.measure("target_pixels/optimal", pixels)
+    pixels = np.array([result.pixels for result in placed])
     drawn = np.concatenate([result.random_pixels for result in placed])
+    output.measure("target_pixels/optimal", distribution(pixels))
     output.measure("target_pixels/random", distribution(drawn))
     least = float(optimal.min())
     output.check("least part of the hole seen from a planned pose", least, ">= 0.98", least >= 0.98)  # noqa: PLR2004
-    output.table("arrangements", *_arrangement_rows(seeds, results))
-    output.figure("seen", figures.seen(optimal, others, placed, drawn))
-
-
-def _arrangement_rows(
-    seeds: Sequence[int], results: Sequence[BlocksView | None]
-) -> tuple[tuple[str, ...], list[list[Any]]]:
     columns = ("seed", "placed", "seen from the plan", "mean seen at random", "free cap [deg]",
                "elevation [deg]")  # fmt: skip
     rows: list[list[Any]] = []
     for seed, result in zip(seeds, results):
-        if result is None:
-            rows.append([seed, 0, "", "", "", ""])
-            continue
-        angles = [float(np.rad2deg(angle)) for angle in (result.cap, result.elevation)]
-        rows.append([seed, 1, result.optimal, float(np.mean(result.random)), *angles])
-    return columns, rows
+        rows.append([seed, 0, "", "", "", ""])
+        if result is not None:
+            angles = np.rad2deg([result.cap, result.elevation]).tolist()
+            rows[-1][1:] = [1, result.optimal, float(np.mean(result.random)), *angles]
+    output.table("arrangements", columns, rows)
+    output.figure("seen", figures.seen(optimal, others, pixels, drawn))
