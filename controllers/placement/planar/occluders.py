@@ -50,7 +50,7 @@ class ExpandedOccluders:
         return points[starts[index] : starts[index + 1]]
 
 
-def hull_corners(name: str, points: FloatArray) -> FloatArray:
+def _hull_corners(name: str, points: FloatArray) -> FloatArray:
     """Return the corners (K, 2) of points' convex hull [m], anticlockwise.
 
     Args:
@@ -91,7 +91,7 @@ def expand(occluders: Sequence[Occluder], target: Target) -> ExpandedOccluders:
         if occluder.points.shape[1] != 2:  # noqa: PLR2004
             raise ValueError(f"occluder {occluder.name!r}: has three coordinates, expected two")
         sums = (occluder.points - target.position)[:, None] - target.outline
-        hulls.append(hull_corners(occluder.name, sums.reshape(-1, 2)))
+        hulls.append(_hull_corners(occluder.name, sums.reshape(-1, 2)))
     starts = np.cumsum([0, *(len(hull) for hull in hulls)]).astype(np.int64)
     points = np.concatenate(hulls) if hulls else np.zeros((0, 2))
     corners = HullCorners(np.ascontiguousarray(points), starts)

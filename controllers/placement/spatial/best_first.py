@@ -5,7 +5,6 @@ triangles of the last level stand for their centres: those are the directions th
 The rest is compiled.
 """
 
-import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -21,20 +20,17 @@ MAX_LEVEL = 8
 _SAFE = 1.0 + 1e-12  # Keeps a bound above what it bounds in spite of rounding.
 
 
-@dataclasses.dataclass(frozen=True)
-class DirectionTree:
+class DirectionTree(NamedTuple):
     """All triangles of all levels; those within triangle k are 4 k + 4 to 4 k + 7.
 
     Attributes:
         centres: (N, 3) unit vectors, z along the target's normal.
         radii: (N,) largest angle from the centre to a point of the triangle [rad].
-        level: Level of the last triangles; the first four have level 0.
-        first_leaf: Number of the first triangle of the last level.
+        first_leaf: Index of the first triangle of the last level.
     """
 
     centres: FloatArray
     radii: FloatArray
-    level: int
     first_leaf: int
 
     @property
@@ -56,12 +52,7 @@ def direction_tree(level: int) -> DirectionTree:
 
     Args:
         level: 0 to `MAX_LEVEL`; at 5 neighbours are about 2 deg apart, at 6 about 1 deg.
-
-    Raises:
-        ValueError: If it is another.
     """
-    if not 0 <= level <= MAX_LEVEL:
-        raise ValueError(f"level {level}: expected 0 to {MAX_LEVEL}")
     x, y, top = np.eye(3)
     corners = np.array([[x, y, top], [y, -x, top], [-x, -y, top], [-y, x, top]])
     centres: list[FloatArray] = []
@@ -76,7 +67,7 @@ def direction_tree(level: int) -> DirectionTree:
         chord = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         radii.append(2.0 * np.arcsin(chord / 2.0))
     first = sum(len(part) for part in centres[:-1])
-    tree = DirectionTree(np.concatenate(centres), np.concatenate(radii), level, first)
+    tree = DirectionTree(np.concatenate(centres), np.concatenate(radii), first)
     tree.centres.setflags(write=False)
     tree.radii.setflags(write=False)
     return tree
@@ -96,18 +87,14 @@ class TreeCandidates(NamedTuple):
     """Candidates of a search in space: every direction of a tree at every ring.
 
     Attributes:
-        centres: (N, 3) centres of the tree's triangles, unit vectors in the target's frame.
-        radii: (N,) largest angle from the centre to a point of the triangle [rad].
-        first_leaf: Index of the first triangle of the last level.
+        tree: Directions about the target, in its frame.
         rings: (R,) distances from the target [m], ascending.
         occupancy: (leaves, R) probability of occupancy at each candidate.
         ring: (N,) index of the first ring at which a leaf within the triangle is free, R if none.
         lowest: (N,) least probability of occupancy of all leaves within the triangle.
     """
 
-    centres: FloatArray
-    radii: FloatArray
-    first_leaf: int
+    tree: DirectionTree
     rings: FloatArray
     occupancy: FloatArray
     ring: IntArray
@@ -155,7 +142,7 @@ def rate_all(hulls, terms, candidates, hiding):
         if candidates.occupancy[i, k] >= FREE_BELOW:
             not_free += 1
             continue
-        x, y, z = candidates.centres[candidates.first_leaf + i]
+        x, y, z = candidates.tree.centres[candidates.tree.first_leaf + i]
         cap, hull = signed_cap(hulls, x, y, z, candidates.rings[k])
         if cap <= 0.0 and hull >= 0:
             hiding[hull] += 1
@@ -180,8 +167,8 @@ def in_order(hulls, terms, candidates):
         key, item = _pop(heap)
         node, rest = item // (2 * rings), item % (2 * rings)
         if rest % 2 == 1:
-            yield -key, node - candidates.first_leaf, rest // 2
-        elif node >= candidates.first_leaf:
+            yield -key, node - candidates.tree.first_leaf, rest // 2
+        elif node >= candidates.tree.first_leaf:
             _try_leaf(hulls, terms, candidates, heap, node, rest // 2)
         else:
             for child in range(4 * node + 4, 4 * node + 8):
@@ -209,10 +196,10 @@ def _open(hulls, terms, candidates, heap, node):
     ring = candidates.ring[node]
     if ring >= len(candidates.rings):
         return
-    if node >= candidates.first_leaf:
+    if node >= candidates.tree.first_leaf:
         _try_leaf(hulls, terms, candidates, heap, node, ring)
         return
-    centre, width = candidates.centres[node], candidates.radii[node]
+    centre, width = candidates.tree.centres[node], candidates.tree.radii[node]
     radius = candidates.rings[ring]
     cap, _ = signed_cap(hulls, centre[0], centre[1], centre[2], radius)
     if cap + width <= 0.0:
@@ -225,8 +212,8 @@ def _open(hulls, terms, candidates, heap, node):
 @numba.njit(cache=True)
 def _try_leaf(hulls, terms, candidates, heap, node, ring):
     """Rate a direction at one ring, and keep a bound for the rings beyond it."""
-    leaf, rings = node - candidates.first_leaf, len(candidates.rings)
-    centre = candidates.centres[node]
+    leaf, rings = node - candidates.tree.first_leaf, len(candidates.rings)
+    centre = candidates.tree.centres[node]
     cap, _ = signed_cap(hulls, centre[0], centre[1], centre[2], candidates.rings[ring])
     if cap <= 0.0:
         return  # Farther away it is hidden as well.

@@ -14,9 +14,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import scipy.ndimage
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull, QhullError
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from controllers.placement.task import Occluder, PlacementError, Target
 from perception.geometry.arrays import FloatArray, IntArray
@@ -127,23 +128,15 @@ def occluders_of_voxels(
     # The grid is the map's own, so a part keeps its shape when the map grows elsewhere.
     keys = np.floor(points / cell + 1e-6).astype(np.int64)
     tiles = keys // tile
-    _, group = np.unique(tiles, axis=0, return_inverse=True)
-    order = np.argsort(group.ravel(), kind="stable")
-    cuts = np.flatnonzero(np.diff(group.ravel()[order])) + 1
-    corners = cell * (np.array(list(itertools.product((-0.5, 0.5), repeat=3))))
+    first, second = cKDTree(keys).query_pairs(1.0, p=np.inf, output_type="ndarray").T
+    joined = np.all(tiles[first] == tiles[second], axis=1)
+    links = coo_array((joined[joined], (first[joined], second[joined])), shape=2 * [len(keys)])
+    count, part = connected_components(links, directed=False)
+    corners = cell * np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
     found: list[Occluder] = []
-    for members in np.split(order, cuts):
-        local = keys[members] - tile * tiles[members[0]]
-        filled = np.zeros((tile,) * 3, dtype=bool)
-        filled[tuple(local.T)] = True
-        labels = np.zeros(filled.shape, dtype=np.int32)
-        scipy.ndimage.label(filled, structure=np.ones((3, 3, 3)), output=labels)
-        mine = labels[tuple(local.T)]
-        for label in range(1, int(labels.max()) + 1):
-            part = points[members[mine == label]]
-            around = (part[:, None] + corners).reshape(-1, 3)
-            outer = around[ConvexHull(around).vertices]
-            found.append(Occluder(f"{name} {len(found)}", outer))
+    for index in range(count):
+        around = (points[part == index, None] + corners).reshape(-1, 3)
+        found.append(Occluder(f"{name} {index}", around[ConvexHull(around).vertices]))
     return found
 
 

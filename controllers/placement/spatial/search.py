@@ -123,9 +123,7 @@ class SpatialTask:
                 free = chances < FREE_BELOW
                 first = np.where(free.any(axis=1), free.argmax(axis=1), config.rings)
                 first, lowest = tree.least(first), tree.least(chances.min(axis=1))
-            candidates = best_first.TreeCandidates(
-                tree.centres, tree.radii, tree.first_leaf, rings, chances, first, lowest
-            )
+            candidates = best_first.TreeCandidates(tree, rings, chances, first, lowest)
             terms = rating_terms(lens, field.target, config.exponents)
             made.append(_PreparedTarget(field, self, candidates, terms))
         return made
@@ -153,8 +151,8 @@ class _PreparedTarget:
 
     def place(self, leaf: int, ring: int) -> FloatArray:
         """Return the position (3,) of a candidate [m], world."""
-        direction = self.candidates.centres[self.candidates.first_leaf + leaf]
-        return self.field.to_world(self.candidates.rings[ring] * direction)
+        radius = self.candidates.rings[ring]
+        return self.field.to_world(radius * self.candidates.tree.leaves[leaf])
 
     def view(self, position: FloatArray) -> View:
         """Return the view from a position (3,) [m], world."""
@@ -311,7 +309,7 @@ def _refined(search: _PreparedTarget, view: View) -> View:
     local = search.field.to_frame(view.position)
     distance = float(np.clip(view.distance, lens.near, lens.far))
     direction, best = local / np.linalg.norm(local), view.rating
-    width = 2.0 * float(search.candidates.radii[-1])
+    width = 2.0 * float(search.candidates.tree.radii[-1])
     step = 0.5 * (search.candidates.rings[1] / search.candidates.rings[0] - 1.0)
     tried = 0
     while width > _MIN_TURN or step * lens.far > _MIN_STRIDE:

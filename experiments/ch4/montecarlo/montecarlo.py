@@ -80,7 +80,6 @@ from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, sweep
-from perception.geometry.arrays import FloatArray
 
 TESTS, QUICK_TESTS = 300, 100
 CHUNK = 25
@@ -140,7 +139,8 @@ def run(options: Options, output: Output) -> None:
     output.check("tests a second and core", rate, f">= {SPEED_BOUND:g}", rate >= SPEED_BOUND)
     coarse = success["one_pixel"].mean(axis=0)
     output.figure("table_4-1", table_figure(success[""], coarse, TABLE_4_1))
-    shown = seeds[_telling(joined[0].sightings)]
+    # The first test, at the density shown, whose fixed camera never sees; or the first of all.
+    shown = seeds[int(np.argmax(joined[0].sightings[:, SHOWN, FIXED, 1] == 0))]
     output.figure("one_test", way_figure(shown))
     if options.record:
         record_test(shown, output.file("run.rrd"))
@@ -151,12 +151,6 @@ def succeeded(results: GuidedTests) -> NDArray[np.bool_]:
     clearance = 0.5 * np.array(TOLERANCES)[:, None, None] / 100.0 * SCENARIO.width
     close = np.abs(results.error)[:, :, None] <= clearance
     return close & (results.sightings > 0)[:, :, None]
-
-
-def _telling(sightings: FloatArray) -> int:
-    """Return the first test, at the density shown, whose fixed camera never sees; or the first."""
-    blind = sightings[:, SHOWN, FIXED, 1] == 0
-    return int(np.argmax(blind))
 
 
 def _measure_table(success: NDArray[np.bool_], variant: str, output: Output) -> None:

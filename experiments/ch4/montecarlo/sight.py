@@ -106,16 +106,7 @@ def _hidden(
     """Tell whether an obstacle or the object hides any part of a marker, exactly."""
     if not separated(camera[0], camera[1], marker, body):
         return True
-    x, y = 0.5 * (marker[0, 0] + marker[1, 0]), marker[0, 1]
-    dx, dy = x - camera[0], y - camera[1]
-    square = dx * dx + dy * dy
-    for i in range(len(corners)):
-        # Most are too far from the line of sight: their circle about a corner tells at once.
-        px, py = corners[i, 0, 0] - camera[0], corners[i, 0, 1] - camera[1]
-        t = min(max((px * dx + py * dy) / square, 0.0), 1.0)
-        reach = 2.0 * scenario.largest + scenario.marker
-        if (px - t * dx) ** 2 + (py - t * dy) ** 2 > reach * reach:
-            continue
-        if not separated(camera[0], camera[1], marker, corners[i]):
+    for obstacle in corners:
+        if not separated(camera[0], camera[1], marker, obstacle):
             return True
     return False

@@ -37,7 +37,7 @@ RELATION_ERROR = 0.5 / math.sqrt(12.0)
 
 def make_lens(near: float = 5.0, far: float = 60.0) -> Lens:
     """Return the thesis' camera with a depth of field fit for these worlds [m]."""
-    return Lens(2.0 * math.atan(0.5 * CAMERA.width / CAMERA.pinhole.fx), CAMERA.width, near, far)
+    return Lens(CAMERA.field_of_view[0], CAMERA.width, near, far)
 
 
 def face(name: str, place: tuple[float, float], direction: float, error: float = 0.0) -> Target:

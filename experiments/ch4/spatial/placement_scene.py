@@ -97,5 +97,4 @@ def panel_targets(scene: StereoScene) -> list[Target]:
 
 def head_lens(near: float = 5.0 * INCH, far: float = 0.6) -> Lens:
     """Return the stereo head's left camera as a lens; near is the thesis' 5 inches."""
-    field = 2.0 * np.arctan(CAMERA.width / (2.0 * CAMERA.pinhole.fx))
-    return Lens(float(field), CAMERA.width, near, far)
+    return Lens(CAMERA.field_of_view[0], CAMERA.width, near, far)
