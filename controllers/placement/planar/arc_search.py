@@ -15,9 +15,9 @@ import numpy as np
 from controllers.placement.planar.field import (
     HullCorners,
     Intervals,
+    farthest_corners,
     free_cap,
     grow_blocked,
-    nearest_and_farthest,
 )
 from controllers.placement.task import FREE_BELOW, RatingTerms, rate_view, sharpness
 from perception.geometry.arrays import FloatArray
@@ -112,7 +112,7 @@ def search_rings(task, rings, directions, floor):
         directions: Number of directions of a full turn.
         floor: Rating that a candidate must exceed [1/m].
     """
-    reach, hidden = nearest_and_farthest(task.hulls), _no_intervals(task.hulls)
+    reach, hidden = farthest_corners(task.hulls), _no_intervals(task.hulls)
     lows, highs = hidden.lows, hidden.highs
     count, inner = 0, -1.0
     best, best_angle, best_radius, best_cap, best_p = floor, 0.0, 0.0, 0.0, UNKNOWN
@@ -183,7 +183,7 @@ def search_arcs(task, rings, directions, floor):
         directions: Number of directions of a full turn.
         floor: Rating that a candidate must exceed [1/m].
     """
-    reach, hidden = nearest_and_farthest(task.hulls), _no_intervals(task.hulls)
+    reach, hidden = farthest_corners(task.hulls), _no_intervals(task.hulls)
     lows, highs = hidden.lows, hidden.highs
     count, inner = 0, -1.0
     best, best_angle, best_radius, best_cap, best_p = floor, 0.0, 0.0, 0.0, UNKNOWN

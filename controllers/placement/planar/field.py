@@ -107,23 +107,14 @@ def blocked_interval(points, first, last, radius):
 
 
 @numba.njit(cache=True)
-def nearest_and_farthest(hulls):
-    """Return the least and the greatest distance (H, 2) of each hull from the target [m]."""
+def farthest_corners(hulls):
+    """Return the greatest distance (H,) of each hull from the target [m]."""
     points, starts = hulls.points, hulls.starts
-    reach = np.empty((starts.size - 1, 2))
+    reach = np.zeros(starts.size - 1)
     for hull in range(starts.size - 1):
-        near, far = np.inf, 0.0
-        first, last = starts[hull], starts[hull + 1]
-        for i in range(first, last):
-            j = i + 1 if i + 1 < last else first
-            ax, ay = points[i, 0], points[i, 1]
-            ex, ey = points[j, 0] - ax, points[j, 1] - ay
-            square = ex * ex + ey * ey
-            t = 0.0 if square == 0.0 else min(max(-(ax * ex + ay * ey) / square, 0.0), 1.0)
-            x, y = ax + t * ex, ay + t * ey
-            near = min(near, math.sqrt(x * x + y * y))
-            far = max(far, math.sqrt(ax * ax + ay * ay))
-        reach[hull, 0], reach[hull, 1] = near, far
+        for i in range(starts[hull], starts[hull + 1]):
+            distance = math.sqrt(points[i, 0] ** 2 + points[i, 1] ** 2)
+            reach[hull] = max(reach[hull], distance)
     return reach
 
 
@@ -207,7 +198,7 @@ def grow_blocked(hulls, reach, axis, inner, radius, intervals, count):
 
     Args:
         hulls: `HullCorners`, none of which contains the target.
-        reach: (H, 2) result of `nearest_and_farthest` [m].
+        reach: (H,) result of `farthest_corners` [m].
         axis: Direction of the target's normal [rad].
         inner: Distance that the intervals hold for [m]; negative at first.
         radius: Distance that they shall hold for [m].
@@ -221,7 +212,7 @@ def grow_blocked(hulls, reach, axis, inner, radius, intervals, count):
     turn, quarter = 2.0 * math.pi, 0.5 * math.pi
     for hull in range(starts.size - 1):
         # A hull hides nothing more once all of it is within the circle.
-        if reach[hull, 0] > radius or reach[hull, 1] <= inner:
+        if reach[hull] <= inner:
             continue
         what, low, high = blocked_interval(points, starts[hull], starts[hull + 1], radius)
         if what != SOMETHING:

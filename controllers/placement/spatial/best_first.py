@@ -67,10 +67,7 @@ def direction_tree(level: int) -> DirectionTree:
         chord = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
         radii.append(2.0 * np.arcsin(chord / 2.0))
     first = sum(len(part) for part in centres[:-1])
-    tree = DirectionTree(np.concatenate(centres), np.concatenate(radii), first)
-    tree.centres.setflags(write=False)
-    tree.radii.setflags(write=False)
-    return tree
+    return DirectionTree(np.concatenate(centres), np.concatenate(radii), first)
 
 
 def _quartered(corners: FloatArray) -> FloatArray:

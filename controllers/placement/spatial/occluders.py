@@ -233,32 +233,33 @@ def _sum_hull(name: str, vertices: FloatArray, outline: FloatArray, margin: floa
 
 def _compile(hulls: Sequence[ConvexHull]) -> HullParts:
     """Gather the parts of hulls, in the target's frame."""
-    planes: list[FloatArray] = []
-    rims: list[FloatArray] = []
-    ridges: list[FloatArray] = []
-    front, cones, nearest = np.zeros((3, len(hulls)))
-    axes = np.zeros((len(hulls), 3))
-    for index, hull in enumerate(hulls):
-        unique = np.unique(np.round(hull.equations / _COPLANAR) * _COPLANAR, axis=0)
-        unique = unique[np.argsort(unique[:, 3] <= 0.0, kind="stable")]
-        planes.append(unique)
-        front[index] = np.count_nonzero(unique[:, 3] > 0.0)
-        silhouette, between = _edges(hull)
-        rims.append(silhouette)
-        ridges.append(between)
-        corners = hull.points[hull.vertices]
-        directions = corners / np.linalg.norm(corners, axis=1, keepdims=True)
-        axis = directions.mean(axis=0)
-        axes[index] = axis / np.linalg.norm(axis)
-        cosine = float(np.min(directions @ axes[index]))
-        # A cone wider than the half space is not convex: it may hold the corners and not the rest.
-        cones[index] = np.arccos(min(cosine, 1.0)) + _COPLANAR if cosine > 0.0 else np.pi
-        nearest[index] = unique[:, 3].max()
+    planes, edges = [_planes(hull) for hull in hulls], [_edges(hull) for hull in hulls]
+    rims, ridges = [rim for rim, _ in edges], [ridge for _, ridge in edges]
+    front = np.array([np.count_nonzero(plane[:, 3] > 0.0) for plane in planes], dtype=np.int64)
+    nearest = np.array([plane[:, 3].max() for plane in planes])
+    cones = np.array([_cone(hull) for hull in hulls]).reshape(-1, 4)
     return HullParts(
-        _joined(planes, (4,)), _starts(planes), front.astype(np.int64),
+        _joined(planes, (4,)), _starts(planes), front,
         _joined(rims, (2, 3)), _starts(rims), _joined(ridges, (2, 3)), _starts(ridges),
-        axes, cones, nearest,
+        np.ascontiguousarray(cones[:, :3]), np.ascontiguousarray(cones[:, 3]), nearest,
     )  # fmt: skip
+
+
+def _planes(hull: ConvexHull) -> FloatArray:
+    """Return the planes (M, 4) of a hull's faces, each once, the front ones first."""
+    unique = np.unique(np.round(hull.equations / _COPLANAR) * _COPLANAR, axis=0)
+    return unique[np.argsort(unique[:, 3] <= 0.0, kind="stable")]
+
+
+def _cone(hull: ConvexHull) -> FloatArray:
+    """Return the axis and the half angle [rad] (4,) of a cone from the origin about a hull."""
+    corners = hull.points[hull.vertices]
+    directions = corners / np.linalg.norm(corners, axis=1, keepdims=True)
+    axis = directions.mean(axis=0)
+    axis /= np.linalg.norm(axis)
+    cosine = float(np.min(directions @ axis))
+    # A cone wider than the half space is not convex: it may hold the corners and not the rest.
+    return np.append(axis, np.arccos(min(cosine, 1.0)) + _COPLANAR if cosine > 0.0 else np.pi)
 
 
 def _edges(hull: ConvexHull) -> tuple[FloatArray, FloatArray]:

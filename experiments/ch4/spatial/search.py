@@ -163,8 +163,3 @@ def _timed(
     except PlacementError:
         view = None
     return view, time.process_time() - start
-
-
-def warm_up() -> None:
-    """Let everything compile, so that no trial's time counts it."""
-    run_search(SpatialSearchTrial(0, 3, True))

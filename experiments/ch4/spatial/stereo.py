@@ -32,7 +32,7 @@ from experiments.ch4.spatial.blocks import (
     run_blocks,
 )
 from experiments.ch4.spatial.record import record_placement
-from experiments.ch4.spatial.search import LENS, SpatialSearchTrial, run_search, warm_up
+from experiments.ch4.spatial.search import LENS, SpatialSearchTrial, run_search
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
@@ -88,7 +88,7 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``optimum_...``, ``search_match_fraction``, ``search_speedup/spatial``,
             ``hull_false_visible``, ``hull_given_up_fraction``, ``visible_fraction/...`` and more.
     """
-    warm_up()
+    run_search(SpatialSearchTrial(0, 3, True))  # Compiles, so that no trial's time counts it.
     _wall(output)
     _figure_scene(options, output)
     _searches(options, output)
