@@ -1,8 +1,8 @@
-"""The ground by a map: where a rover can stand, where it can drive, and what hides a target.
+"""Ground from a map: free positions of a rover, its paths, and the occluders of a target.
 
-What stands out of level ground is taken from the surface of a voxel map. A rover is a disc about
-its middle; it cannot be where several surface points lie within the disc, and unknown ground counts
-as free. Paths go from cell to cell of a grid.
+Obstacles are the points of a voxel map's surface above level ground. A rover is a disc about its
+middle; a position with several obstacle points within the disc is not free, and unknown ground is
+free. Paths go from cell to cell of a grid.
 """
 
 import dataclasses
@@ -22,17 +22,17 @@ from perception.voxels.map import Surface
 
 @dataclasses.dataclass(frozen=True)
 class GroundConfig:
-    """Size of a rover, and what counts as standing in its way.
+    """Size of a rover, and which points are obstacles to it.
 
     Attributes:
         radius: Radius of a disc about the rover's middle that holds it [m].
         climb: Height above the ground up to which a rover drives over things [m].
-        top: Height above the ground from which on things do not touch a rover [m].
+        top: Height above the ground from which a rover passes under things [m].
         min_points: Number of surface points within the disc from which on it is not free.
         cell: Side of a cell of the paths' grid [m].
         reach: Half the side of that grid about the start [m]; paths stay within.
         voxel: Side of the voxels that occluders are made of [m].
-        occluder_range: Distance from a target within which mapped things may hide it [m].
+        occluder_range: Distance from a target within which mapped points are its occluders [m].
         face: Distance out of a target's plane up to which points are the target's own [m].
     """
 
@@ -48,16 +48,16 @@ class GroundConfig:
 
 
 class MappedGround:
-    """What a map says of level ground.
+    """Obstacles on level ground, from the surface of a voxel map.
 
     Args:
         surface: Surface of a voxel map; None where nothing is mapped.
-        transform_map_to_ground: From the map's frame to the ground frame: level, z = 0 on the
-            ground.
-        config: Size of the rover and of what counts.
+        transform_map_to_ground: Transform from the map's frame to the ground frame, which is level
+            with z = 0 on the ground.
+        config: Size of the rover and limits of obstacles.
 
     Attributes:
-        points: (N, 3) surface points that stand out of the ground [m], ground frame.
+        points: (N, 3) surface points above the ground [m], ground frame.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class MappedGround:
         self.points = np.zeros((0, 3))
         if surface is not None and len(surface.means):
             places = transform_map_to_ground.apply(surface.means)
-            # What is uncertain by its own height does not count as standing out of the ground.
+            # A point whose height is as uncertain as it is high is not above the ground.
             sigma = np.sqrt(np.einsum("nii->n", surface.covariances))
             self.points = places[places[:, 2] - sigma > self._config.climb]
 
@@ -80,51 +80,55 @@ class MappedGround:
         return self.points[self.points[:, 2] < self._config.top, :2]
 
     def is_free(self, place: ArrayLike) -> bool:
-        """Return whether a rover can stand at a place (2,) [m], ground frame."""
+        """Return whether a rover is free of obstacles at a position (2,) [m], ground frame."""
         x, y = np.asarray(place, dtype=float)
         off = np.hypot(self._obstacles[:, 0] - x, self._obstacles[:, 1] - y)
         return int(np.sum(off < self._config.radius)) < self._config.min_points
 
     def occluders(self, position: FloatArray, normal: FloatArray) -> list[Occluder]:
-        """Return what stands before a target, as convex pieces.
+        """Return the obstacles before a target, as convex pieces.
 
         Args:
             position: (3,) position of the target [m], ground frame.
             normal: (3,) unit vector out of its visible side, ground frame.
         """
-        how, away = self._config, self.points - position
-        near = (np.linalg.norm(away, axis=1) < how.occluder_range) & (away @ normal > how.face)
-        cells = np.unique(np.floor(self.points[near] / how.voxel), axis=0)
-        return occluders_of_voxels((cells + 0.5) * how.voxel, how.voxel, name="mapped")
+        config, away = self._config, self.points - position
+        near = (np.linalg.norm(away, axis=1) < config.occluder_range) & (
+            away @ normal > config.face
+        )
+        cells = np.unique(np.floor(self.points[near] / config.voxel), axis=0)
+        return occluders_of_voxels((cells + 0.5) * config.voxel, config.voxel, name="mapped")
 
     def paths_from(self, start: ArrayLike) -> "GroundPaths":
-        """Return where a rover can drive to from a place (2,) [m], ground frame.
+        """Return the shortest paths of a rover from a position (2,) [m], ground frame.
 
-        What the map has within the rover's own disc there is none: the rover stands there.
+        Obstacle points within the rover's own disc at the start are ignored.
         """
-        how, begin = self._config, np.asarray(start, dtype=float)
+        config, begin = self._config, np.asarray(start, dtype=float)
         apart = np.linalg.norm(self._obstacles - begin, axis=1)
-        obstacles = self._obstacles[apart >= how.radius]
-        middle = round(how.reach / how.cell)
-        corner = begin - (middle + 0.5) * how.cell
+        obstacles = self._obstacles[apart >= config.radius]
+        middle = round(config.reach / config.cell)
+        corner = begin - (middle + 0.5) * config.cell
         y, x = np.mgrid[: 2 * middle + 1, : 2 * middle + 1]
-        centres = (np.stack([x, y], axis=-1) + 0.5) * how.cell + corner
+        centres = (np.stack([x, y], axis=-1) + 0.5) * config.cell + corner
         enterable = np.ones(x.shape, dtype=bool)
         if len(obstacles):
-            touching = cKDTree(obstacles).query_ball_point(centres, how.radius, return_length=True)
-            enterable = np.asarray(touching) < how.min_points
+            touching = cKDTree(obstacles).query_ball_point(
+                centres, config.radius, return_length=True
+            )
+            enterable = np.asarray(touching) < config.min_points
         return GroundPaths(
-            shortest_paths(enterable, (middle, middle), how.cell), begin, corner, how.cell
+            shortest_paths(enterable, (middle, middle), config.cell), begin, corner, config.cell
         )
 
 
 @dataclasses.dataclass(frozen=True)
 class GroundPaths:
-    """Shortest paths of a rover over the ground from one place.
+    """Shortest paths of a rover over the ground from one position.
 
     Attributes:
         paths: Shortest paths over the cells of a grid; the start is the middle of its middle cell.
-        start: (2,) place that they begin at [m], ground frame.
+        start: (2,) position at which the paths begin [m], ground frame.
         corner: (2,) lowest corner of the first cell [m], ground frame.
         cell: Side of a cell [m].
     """
@@ -135,10 +139,10 @@ class GroundPaths:
     cell: float
 
     def path_to(self, place: ArrayLike) -> FloatArray | None:
-        """Return the points (N, 2) of the shortest path to a place (2,) [m], ground frame.
+        """Return the points (N, 2) of the shortest path to a position (2,) [m], ground frame.
 
-        Both ends are included. None is returned if no path leads to the place's cell or one beside
-        it, or if the place is outside of the grid.
+        Both ends are included. None is returned if no path leads to the position's cell or a
+        neighbour of it, or if the position is outside of the grid.
         """
         goal, lengths = np.asarray(place, dtype=float), self.paths.lengths
         row, column = np.floor((goal - self.corner) / self.cell).astype(int)[::-1]

@@ -1,8 +1,8 @@
 """Moving objects of known shape, and a camera that follows without chatter (Thesis section 4.3.1).
 
-When an object of known CAD moves, the plane is not mapped anew: its cells leave the map, its pose
-is measured by fitting the CAD to the points seen of it, and the CAD at that pose, blurred by the
-pose's uncertainty, is put back. Then the camera is placed again.
+When an object of known CAD moves, the plane is not mapped anew: the object's cells are removed from
+the map, its pose is estimated by fitting the CAD to measured points, and the CAD at that pose,
+blurred by the covariance of the pose, is inserted again. Then the camera is placed again.
 """
 
 import contextlib
@@ -71,7 +71,7 @@ class MovingObject:
 
     Attributes:
         name: Name used in results and errors.
-        outline: (K, 2) corners of the convex outline [m], object frame; kept anticlockwise.
+        outline: (K, 2) corners of the convex outline [m], object frame; sorted anticlockwise.
 
     Raises:
         ValueError: If the outline has no area.
@@ -90,15 +90,15 @@ class MovingObject:
 def fit_outline(
     shape: MovingObject, points: FloatArray, deviation: float, prior: PlanarPose, rounds: int = 20
 ) -> PlanarPose:
-    """Measure an object's pose by fitting its outline to points seen of it (steps 2 and 3).
+    """Estimate an object's pose by fitting its outline to measured points (steps 2 and 3).
 
-    Gauss-Newton on the distances of points to the outline; what the points leave open, for
-    instance along the only side that is seen, is kept from the prior with its uncertainty.
+    Gauss-Newton on the distances of points to the outline; directions that the
+    points do not observe, for instance along the only visible side, keep the prior's covariance.
 
     Args:
         shape: Object with its outline.
         points: (N, 2) points measured on its outline [m], world.
-        deviation: Standard deviation of a point across the outline [m].
+        deviation: Standard deviation of a point, normal to the outline [m].
         prior: Expected pose with a covariance of full rank.
         rounds: Greatest number of steps.
 
@@ -159,11 +159,10 @@ def take_out(
         sigmas: Greatest error of its cells, in standard deviations of the pose.
     """
     centres = cell_centres(space)
-    body = covers(pose.to_world(shape.outline), centres)
-    margin = space.cell * math.sqrt(0.5)
-    wide = swollen(shape, pose, sigmas, margin).points
+    wide = swollen(shape, pose, sigmas, space.cell * math.sqrt(0.5)).points
     near = covers(wide[ConvexHull(wide).vertices], centres)
-    cells = body | (near & (space.probability > OCCUPIED_ABOVE))
+    cells = near & (space.probability > OCCUPIED_ABOVE)
+    cells |= covers(pose.to_world(shape.outline), centres)
     return dataclasses.replace(space, probability=np.where(cells, EMPTY, space.probability))
 
 
@@ -203,9 +202,9 @@ def put_back(
 def swollen(
     shape: MovingObject, pose: PlanarPose, sigmas: float = 3.0, margin: float = 0.0
 ) -> Occluder:
-    """Return an object as an occluder, expanded by the uncertainty of its pose.
+    """Return an object as an occluder, expanded by the covariance of its pose.
 
-    Each corner is widened by a circle of its greatest standard deviation, to first order.
+    Each corner is replaced by a circle of its greatest standard deviation, to first order.
 
     Args:
         shape: Object with its outline.
@@ -236,11 +235,11 @@ def replace_camera(
     factor: float,
     candidates: RingCandidates = DEFAULT_CANDIDATES,
 ) -> tuple[View, bool]:
-    """Place a camera again, staying where it is unless that is much worse.
+    """Place a camera again, with hysteresis.
 
-    It moves only if the best view rates more than ``factor`` times what the present place now
-    gives, or if that gives nothing. So its view is never worse than the best over the factor.
-    Turning to another target in place is no move.
+    The camera moves only if the best view rates more than ``factor`` times the best view from its
+    present position, or if it sees no target from there. So the rating is never below the best one
+    over the factor. A turn to another target without translation is no move.
 
     Args:
         task: Targets, lens, occluders and occupancy map as now estimated.

@@ -1,8 +1,8 @@
-"""Placement of two cameras at once, so that neither hides the other's view nor sees the same.
+"""Placement of two cameras at once, with different views that neither camera occludes.
 
 The thesis places one vision system after the other; here both are chosen together. Each camera has
 a body, a rod from its lens straight back, which is an occluder for the other one and must not touch
-it. Two cameras on the same target must look at it from directions far enough apart. Of all such
+it. Two cameras on the same target must view it from directions far enough apart. Of all such
 pairs of candidates the one with the largest product of ratings is returned.
 """
 
@@ -36,7 +36,7 @@ class VisionSystem:
     Attributes:
         name: Name used in errors.
         lens: Lens of the camera.
-        body_radius: Radius of the rod that stands for housing and arm [m].
+        body_radius: Radius of the rod that bounds housing and arm [m].
         body_length: Length of that rod, from the lens' principal node straight back [m].
 
     Raises:
@@ -69,7 +69,7 @@ def best_pair(
     distance; over all pairs of them the answer is exact.
 
     Args:
-        fields: Targets with what may hide them; each system may watch any of them.
+        fields: Targets with their occluders; each system may watch any of them.
         systems: The two cameras.
         occupancy: Probability of occupancy at points; None if all is free.
         separation: Least angle between two cameras' directions to the same target [rad].
@@ -101,10 +101,10 @@ def go_together(
     views: tuple[View, View],
     separation: float = SEPARATION,
 ) -> bool:
-    """Tell whether two views keep clear of each other, as `best_pair` demands.
+    """Return whether two views are clear of each other, as `best_pair` requires.
 
     Args:
-        fields: Targets with what may hide them.
+        fields: Targets with their occluders.
         systems: The two cameras.
         views: View of each camera.
         separation: Least angle between two cameras' directions to the same target [rad].

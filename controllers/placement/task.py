@@ -1,7 +1,7 @@
 """Target, occluder, lens and the rating of a view (Thesis section 4.2.3).
 
 The same on the plane (two coordinates) and in space (three). The camera is the point at the front
-principal node of its lens and always looks straight at the target.
+principal node of its lens and always points straight at the target.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ import numpy as np
 from perception.geometry.arrays import FloatArray
 
 FREE_BELOW = 0.05
-"""Probability of occupancy below which a place is free for a camera (Thesis section 4.2.3)."""
+"""Probability of occupancy below which a position is free for a camera (section 4.2.3)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,8 +26,8 @@ class Target:
         normal: (D,) unit vector out of the visible side, world.
         outline: (K, D) points whose convex hull is the target [m], from `position`, world axes.
             The hull contains the position.
-        relation_error: Uncertainty of the target's place relative to the primary target, ST_error
-            of eq. 4-4 [m]; 0 for the primary target.
+        relation_error: Uncertainty of the target's position relative to the primary target,
+            ST_error of eq. 4-4 [m]; 0 for the primary target.
 
     Raises:
         ValueError: If an entry is malformed; the message names it.
@@ -90,7 +90,7 @@ class Occluder:
 
 @dataclasses.dataclass(frozen=True)
 class Lens:
-    """Properties of a camera that decide where it can be placed.
+    """Properties of a camera that bound its placement.
 
     Attributes:
         field_of_view: Field of view along one detector axis [rad].
@@ -155,7 +155,7 @@ class View:
 
     Attributes:
         target: Name of the target that the camera watches.
-        position: (D,) camera position [m], world. The camera looks straight at the target.
+        position: (D,) camera position [m], world. The camera points straight at the target.
         distance: Distance from camera to target [m].
         rating: Rating by eq. 4-1 [1/m].
         free_cap: Target field visibility: smallest angle by which the camera can move around the
@@ -176,7 +176,7 @@ class PlacementError(RuntimeError):
 
 
 class RatingTerms(NamedTuple):
-    """Numbers of eq. 4-1 that do not depend on the camera's place, for compiled code.
+    """Numbers of eq. 4-1 that do not depend on the camera's position, for compiled code.
 
     Attributes:
         pixel_per_metre: `Lens.pixel_per_metre` [m/m].
@@ -223,7 +223,7 @@ def rate_view(
 ) -> float:
     """Rate one view by eq. 4-1 [1/m]; 0 where it is none.
 
-    It is none where the target is hidden or averted, where the place is not free, or, unless the
+    It is none where the target is hidden or averted, where the position is not free, or, unless the
     exponent of the depth of field is 0, where the target is out of focus.
 
     Args:

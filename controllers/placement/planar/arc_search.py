@@ -45,7 +45,7 @@ class OccupancyCells(NamedTuple):
 
 
 class ArcTask(NamedTuple):
-    """One target, what may hide it, and where a camera could be, for compiled code.
+    """One target, its occluders, and the occupancy map, for compiled code.
 
     Attributes:
         hulls: Expanded occluders from the target, none of which contains it.
@@ -66,7 +66,7 @@ class ArcTask(NamedTuple):
 
 @numba.njit(cache=True)
 def probability_at(space, x, y):
-    """Return the probability of occupancy at a place of the world; `UNKNOWN` outside the map."""
+    """Return the probability of occupancy at a point [m], world; `UNKNOWN` outside the map."""
     probability = space.probability
     column = math.floor((x - space.x0) / space.cell)
     row = math.floor((y - space.y0) / space.cell)
@@ -172,10 +172,10 @@ def arc_optimum(low, high, field, oblique):
 def search_arcs(task, rings, directions, floor):
     """Find the best candidate from the free arcs and their bounds; the same as `search_rings`.
 
-    Rings are taken from near to far. Nothing farther can do better than the best of this ring's
+    Rings are searched from near to far. Nothing farther can do better than the best of this ring's
     arcs at the next ring's resolution, as both fall with distance. On an arc the rating but for P
-    has a single peak, so its candidates are taken from the peak down, until even P = 0 is no
-    better than what is found.
+    has a single peak, so its candidates are rated from the peak down, until even P = 0 is no
+    better than the best one so far.
 
     Args:
         task: `ArcTask`.

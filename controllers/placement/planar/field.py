@@ -1,8 +1,8 @@
 """Target field visibility on the plane, compiled (Thesis section 4.2.3.3, figures 4-4a and 4-5).
 
 All hulls are hulls of expanded occluders. What a hull hides from distance r is the part of it
-within r, projected from the target: an interval of directions that only grows with r. So going
-outwards, intervals are only added.
+within r, projected from the target: an interval of directions that only grows with r. So from
+ring to ring outwards, intervals are only added.
 """
 
 import math
@@ -162,7 +162,7 @@ def free_cap(hulls, axis, angle, radius):
 
 @numba.njit(cache=True)
 def add_blocked(intervals, count, low, high):
-    """Unite one more interval with disjoint ones in place; return how many there are then.
+    """Unite one more interval with disjoint ones in place; return their new number.
 
     Args:
         intervals: `Intervals` with capacity for one more.
@@ -191,17 +191,17 @@ def add_blocked(intervals, count, low, high):
 
 @numba.njit(cache=True)
 def grow_blocked(hulls, reach, axis, inner, radius, intervals, count):
-    """Go outwards from one distance to the next and unite what is hidden in addition.
+    """Add what is hidden at the next distance to what is hidden at the one before.
 
-    Only directions within a quarter turn of the target's normal are kept: beyond, the target is
+    Only directions within a quarter turn of the target's normal are stored: beyond, the target is
     averted, and the plane of its face is the edge.
 
     Args:
         hulls: `HullCorners`, none of which contains the target.
         reach: (H,) result of `farthest_corners` [m].
         axis: Direction of the target's normal [rad].
-        inner: Distance that the intervals hold for [m]; negative at first.
-        radius: Distance that they shall hold for [m].
+        inner: Distance of the cameras that the intervals apply to [m]; negative at first.
+        radius: Next distance of the cameras [m].
         intervals: `Intervals` of hidden directions from the axis, capacity 2 H + 1.
         count: Number of intervals.
 

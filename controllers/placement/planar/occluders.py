@@ -5,7 +5,7 @@ target to a point: if the line from camera to that point misses the hull of the 
 target is visible.
 
 On an occupancy map, clusters of occupied cells are occluders. The hull of a cluster that is not
-convex, for instance the wall of a room, would hide what stands free in it. So a cluster is halved
+convex, for instance the wall of a room, would hide free space within it. So a cluster is halved
 across its longer side until its cells fill most of their hull.
 """
 
@@ -55,7 +55,7 @@ def _hull_corners(name: str, points: FloatArray) -> FloatArray:
 
     Args:
         name: Name of the occluder, for the error.
-        points: (N, 2) [m].
+        points: (N, 2) points of the expanded occluder [m].
 
     Raises:
         ValueError: If all points are in one line or at one place.
@@ -146,7 +146,7 @@ def _lowest(corners: FloatArray) -> int:
 
 @numba.njit(cache=True)
 def _downwards(corners: FloatArray, a: int, b: int) -> bool:
-    """Tell whether an edge's direction is from half a turn on."""
+    """Return whether an edge's direction is half a turn or more."""
     dy = corners[b, 1] - corners[a, 1]
     return dy < 0.0 or (dy == 0.0 and corners[b, 0] < corners[a, 0])
 

@@ -44,7 +44,7 @@ EDGE_ON = 1e-12
 
 @dataclasses.dataclass(frozen=True)
 class PlanarTask:
-    """All that a placement on the plane depends on; expanded occluders are kept.
+    """All that a placement on the plane depends on; expanded occluders are cached.
 
     Attributes:
         targets: Primary target and any secondary ones, each with a name of its own.
@@ -88,29 +88,28 @@ class PlanarTask:
     def expanded(self, target: Target) -> ExpandedOccluders:
         """Return the occluders that can hide a target, expanded by it.
 
-        Left out is what lies wholly behind the plane of the target's face or beyond the lens' far
-        limit: no line of sight that counts gets there, and the plane is itself an edge.
+        Occluders wholly behind the plane of the target's face or beyond the lens' far limit are
+        left out: they block no line of sight, and the plane itself bounds the field visibility.
 
         Raises:
             ValueError: If an occluder has no area.
         """
         if target.name not in self._expanded:
-            reach = float(np.linalg.norm(target.outline, axis=1).max())
             back = float((target.outline @ target.normal).min())
-            near = self.lens.far + reach
-            kept: list[Occluder] = []
+            near = self.lens.far + float(np.linalg.norm(target.outline, axis=1).max())
+            relevant: list[Occluder] = []
             for occluder in self.occluders:
                 offset = occluder.points - target.position
                 ahead = float((offset @ target.normal).max()) - back > 0.0
                 # The box about its points is no farther than the occluder itself.
                 gap = np.maximum(np.maximum(offset.min(axis=0), -offset.max(axis=0)), 0.0)
                 if ahead and float(np.hypot(*gap)) <= near:
-                    kept.append(occluder)
-            self._expanded[target.name] = expand(kept, target)
+                    relevant.append(occluder)
+            self._expanded[target.name] = expand(relevant, target)
         return self._expanded[target.name]
 
     def compiled(self, target: Target) -> ArcTask:
-        """Return what the compiled searches take of the task for one target.
+        """Return the task for one target as the compiled searches need it.
 
         Raises:
             ValueError: If an occluder has no area.
@@ -146,8 +145,6 @@ class RingCandidates:
 
     def distances(self, lens: Lens) -> FloatArray:
         """Return the rings' distances from the target [m], ascending."""
-        if self.rings == 1:
-            return np.array([lens.near])
         return np.linspace(lens.near, lens.far, self.rings)
 
 
@@ -192,7 +189,7 @@ def best_view(
 
 
 def view_from(task: PlanarTask, position: FloatArray) -> View:
-    """Return the best view that a camera at a place has.
+    """Return the best view from a camera position.
 
     Args:
         task: Targets, lens, occluders and occupancy map.
@@ -202,21 +199,21 @@ def view_from(task: PlanarTask, position: FloatArray) -> View:
         ValueError: If an occluder has no area.
         PlacementError: If the camera sees no target.
     """
-    best: View | None = None
+    views: list[View] = []
     for target in task.targets:
         offset = np.asarray(position, dtype=float) - target.position
         radius = float(np.hypot(*offset))
         angle = math.atan2(offset[1], offset[0]) - axis_of(target)
         rating, cap, p = rate_pose(task.compiled(target), angle, radius)
-        if rating > 0.0 and (best is None or rating > best.rating):
-            best = _view(target, (rating, angle, radius, cap, p))
-    if best is None:
+        views.append(_view(target, (rating, angle, radius, cap, p)))
+    best = max(views, key=lambda view: view.rating)
+    if best.rating <= 0.0:
         raise PlacementError(f"no target is seen from {np.round(position, 3).tolist()} m")
     return best
 
 
 def rating_field(task: PlanarTask, places: FloatArray) -> FloatArray:
-    """Rate cameras at many places for every target (figure 4-8b).
+    """Rate many camera positions for every target (figure 4-8b).
 
     Args:
         task: Targets, lens, occluders and occupancy map.
@@ -246,7 +243,7 @@ def _view(target: Target, answer: tuple[float, ...]) -> View:
 
 
 def _why_unseen(task: PlanarTask, target: Target, candidates: RingCandidates) -> str:
-    """Return why no candidate sees a target; each counts under its first reason."""
+    """Return why no candidate sees a target, each candidate under its first reason."""
     start = f"no pose sees the target {target.name!r}: "
     expanded = task.expanded(target)
     around = hull_around(expanded.hulls)

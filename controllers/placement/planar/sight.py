@@ -2,8 +2,8 @@
 
 Lines of sight from a camera to all of a convex target fill the convex hull of both, so the target
 is wholly visible exactly if that hull meets no occluder. For convex occluders that is decided by
-separating axes; on a map by following lines of sight from cell to cell. It measures what expanding
-the occluders gives up (figure 4-6).
+separating axes; on a map by tracing lines of sight from cell to cell. It measures the views
+that are lost by expanding the occluders (figure 4-6).
 """
 
 import dataclasses
@@ -24,12 +24,12 @@ LINES = 33
 
 @dataclasses.dataclass(frozen=True)
 class KnownSpace:
-    """Occupancy map of the plane: where a camera could be.
+    """Occupancy map of the plane.
 
     Attributes:
         probability: (rows, columns) probability of occupancy; the cell of row r and column c is
-            the square with its lowest corner at ``origin + cell * (c, r)``. Nothing is known
-            outside.
+            the square with its lowest corner at ``origin + cell * (c, r)``. Space outside is
+            unknown.
         cell: Side of a cell [m].
         origin: x and y of the first cell's lowest corner [m], world.
 
@@ -54,7 +54,7 @@ class KnownSpace:
 
 @numba.njit(cache=True)
 def separated(x: float, y: float, outline: FloatArray, corners: FloatArray) -> bool:
-    """Tell whether the hull of camera and target misses a convex occluder.
+    """Return whether the hull of camera and target misses a convex occluder.
 
     Axes are the normals of the occluder's and the target's sides and of the lines from the camera
     to the target's corners; all sides of the hull are among them.
@@ -93,7 +93,7 @@ def separated(x: float, y: float, outline: FloatArray, corners: FloatArray) -> b
 def sees_on_map(
     space: KnownSpace, position: FloatArray, target: Target, lines: int = LINES
 ) -> bool:
-    """Tell whether lines of sight to a target's outline miss all occupied cells but its own.
+    """Return whether lines of sight to a target's outline miss all occupied cells but its own.
 
     Args:
         space: Occupancy map; a cell hides what is behind it if P > 0.5.
@@ -122,7 +122,7 @@ def own_cells(space: KnownSpace, target: Target) -> NDArray[np.bool_]:
 
 @numba.njit(cache=True)
 def clear_line(opaque: NDArray[np.bool_], x: float, y: float, x_end: float, y_end: float) -> bool:
-    """Tell whether a line crosses no opaque cell; outside the map nothing is opaque.
+    """Return whether a line crosses no opaque cell; outside the map nothing is opaque.
 
     Args:
         opaque: (rows, columns) cells that block the line.

@@ -4,5 +4,5 @@
 - `field`: target field visibility behind expanded occluders, compiled.
 - `sight`: exact visibility of a whole target (figure 4-6).
 - `best_first`: tree of directions and the searches over it, compiled.
-- `search`: the task and its best view, or why there is none.
+- `search`: the task, and its best view or the reasons why there is none.
 """

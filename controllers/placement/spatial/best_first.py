@@ -1,8 +1,8 @@
 """Directions before a target in a tree, and searches over them: exhaustive, and best first.
 
 The tree is the upper half of an octahedron, each triangle cut into four level by level. The
-triangles of the last level stand for their centres: those are the directions that a search tries.
-The rest is compiled.
+centres of the last level's triangles are the directions that a search tries. The searches are
+compiled.
 """
 
 import functools
@@ -122,7 +122,7 @@ def rate_places(hulls, terms, directions, distances, occupancy):
 
 @numba.njit(cache=True)
 def rate_all(hulls, terms, candidates, hiding):
-    """Rate every candidate, and count why the others see nothing.
+    """Rate every candidate, and count the reasons of those that see nothing.
 
     Args:
         hulls: `HullParts` of the expanded occluders.
@@ -208,12 +208,12 @@ def _open(hulls, terms, candidates, heap, node):
 
 @numba.njit(cache=True)
 def _try_leaf(hulls, terms, candidates, heap, node, ring):
-    """Rate a direction at one ring, and keep a bound for the rings beyond it."""
+    """Rate a direction at one ring, and push a bound for the rings beyond it."""
     leaf, rings = node - candidates.tree.first_leaf, len(candidates.rings)
     centre = candidates.tree.centres[node]
     cap, _ = signed_cap(hulls, centre[0], centre[1], centre[2], candidates.rings[ring])
     if cap <= 0.0:
-        return  # Farther away it is hidden as well.
+        return  # The target is hidden from farther away as well.
     occupancy = candidates.occupancy[leaf, ring]
     item = 2 * (rings * node + ring)
     rating = rate_view(terms, candidates.rings[ring], cap, centre[2], occupancy)

@@ -1,7 +1,7 @@
-"""Target field visibility in space: how far a camera can move until the target is hidden.
+"""Target field visibility in space: the angle a camera can move until the target is hidden.
 
-Thesis section 4.2.3.3 (iii), exact. Seen from the target's position, a hull cut off by the ball of
-the camera's distance r covers a part of the sphere; what lies beyond the camera hides nothing. That
+Thesis section 4.2.3.3 (iii), exact. From the target's position, a hull cut off by the ball of
+the camera's distance r covers a part of the sphere; hull parts beyond the camera hide nothing. That
 part is bounded by the silhouette's edges within the ball (arcs of great circles) and by the circles
 in which the ball cuts the front faces. The nearest point of each has a closed form.
 """
@@ -23,7 +23,7 @@ def free_caps(field: TargetField, positions: ArrayLike) -> FloatArray:
     """Return the target field visibility (N,) [rad] of cameras.
 
     It is the smallest angle, over all moves around the target at the same distance, until the
-    target is hidden or seen edge-on; 0 where it is.
+    target is hidden or viewed edge-on; 0 where it is.
 
     Args:
         field: Target and its occluders.
@@ -57,15 +57,15 @@ def _caps(hulls, directions, distances):
 
 @numba.njit(cache=True)
 def signed_cap(hulls, x, y, z, radius):
-    """Return the signed free cap of a direction and what bounds it.
+    """Return the signed free cap of a direction, and the hull that bounds it.
 
     It changes by no more than the angle between two directions, and never grows with the radius.
 
     Args:
         hulls: `HullParts` of the expanded occluders.
         x: x of the unit vector towards the camera, target's frame.
-        y: y of the same.
-        z: z of the same, along the target's normal.
+        y: y of the unit vector towards the camera.
+        z: z of the unit vector towards the camera, along the target's normal.
         radius: Distance of the camera [m].
 
     Returns:

@@ -63,13 +63,13 @@ class HullParts(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class TargetField:
-    """A target with everything that may hide it.
+    """A target with its expanded occluders.
 
     Attributes:
         target: Target in three dimensions.
         rotation: (3, 3) rotation from the target's frame to the world; azimuth counts from the
             first axis, elevation from the plane of the first two.
-        names: Name of the occluder of each hull that stands out of the target's plane.
+        names: Name of the occluder of each hull that reaches in front of the target's plane.
         hulls: Faces and edges of the expanded occluders.
         shapes: (N, 3) vertices of each hull [m], world, for pictures.
     """
@@ -92,7 +92,7 @@ class TargetField:
 def frame_of(normal: FloatArray) -> FloatArray:
     """Return (3, 3) axes of a target's frame as columns: z is `normal`, x as near the world's x.
 
-    Where the normal is nearly along x, the world's y takes its place.
+    Where the normal is nearly along x, the world's y is used.
     """
     towards = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]  # noqa: PLR2004
     x = towards - float(towards @ normal) * normal
@@ -105,9 +105,9 @@ def occluders_of_voxels(
 ) -> list[Occluder]:
     """Return occluders of the occupied voxels of a map.
 
-    The hull of a cluster that is not convex would swallow free space, even the target. So clusters
-    are cut along a regular grid: each part is what hangs together (over faces, edges or corners)
-    within one tile of it.
+    The hull of a cluster that is not convex would hold free space, even the target. So clusters are
+    cut along a regular grid: each part is connected (over faces, edges or corners) within one tile
+    of the grid.
 
     Args:
         centres: (N, 3) centres of the occupied voxels [m], world.
@@ -141,7 +141,7 @@ def occluders_of_voxels(
 
 
 def before_plane(target: Target, points: ArrayLike, height: float) -> FloatArray:
-    """Return those of points (N, 3) [m], world, that stand out of a target's plane.
+    """Return those of points (N, 3) [m], world, that are in front of a target's plane.
 
     In a map the target's own face is occupied as well; it is the plane of the target, not an
     occluder, and its voxels are left out by this.
@@ -149,7 +149,7 @@ def before_plane(target: Target, points: ArrayLike, height: float) -> FloatArray
     Args:
         target: Target in three dimensions.
         points: (N, 3) points [m], world, for instance the centres of occupied voxels.
-        height: Height over the plane above which points are kept [m]; about a voxel's diagonal.
+        height: Least height of these points over the plane [m]; about a voxel's diagonal.
     """
     places = np.asarray(points, dtype=float).reshape(-1, 3)
     return places[(places - target.position) @ target.normal > height]
@@ -165,7 +165,8 @@ def expand(
     Args:
         target: Target in three dimensions.
         occluders: Bodies that may hide the target.
-        margin: Uncertainty of their surfaces [m], one or one for each: they grow by at least this.
+        margin: Uncertainty of the occluders' surfaces [m], one or one for each: hulls grow by at
+            least this.
 
     Raises:
         PlacementError: If a hull contains the target's position: it is hidden from everywhere.

@@ -1,4 +1,4 @@
-"""Where to put a camera in space: the best view of any target (Thesis section 4.2.3).
+"""Camera placement in space: the best view of any target (Thesis section 4.2.3).
 
 The thesis searches the known free space point by point. Here the candidates are directions about
 the target (the half sphere before it) at rings of distances. The fast search goes through a tree
@@ -30,7 +30,7 @@ from controllers.placement.task import (
 from perception.geometry.arrays import FloatArray, IntArray
 
 Accept = Callable[[View], bool]
-"""Tells whether a view can be taken, for instance reached by an arm."""
+"""Returns whether a view is feasible, for instance within reach of an arm."""
 Occupancy = Callable[[FloatArray], FloatArray]
 """Probability (N,) that points (N, 3) [m], world, are occupied; NaN where unknown."""
 
@@ -86,9 +86,9 @@ class SpatialTask:
     """All that a placement in space depends on.
 
     Attributes:
-        fields: Targets with what may hide them; any of them may be watched.
+        fields: Targets with their occluders; any of them may be watched.
         lens: Lens of the camera.
-        occupancy: Probability of occupancy at points; a camera may only be where it is below
+        occupancy: Probability of occupancy at points; a camera position is free where it is below
             `task.FREE_BELOW`. None if all is free.
         config: Candidates and exponents.
 
@@ -167,7 +167,7 @@ def best_view(task: SpatialTask, accept: Accept | None = None) -> View:
 
     Args:
         task: Targets, lens, occupancy and candidates.
-        accept: Tells whether a view can be taken; views are offered best first until one is.
+        accept: Returns whether a view is feasible; called with views best first until one is.
 
     Raises:
         PlacementError: If no pose sees any of the targets; the message gives the reasons.
@@ -246,10 +246,10 @@ def rate_positions(
     occupancy: Occupancy | None = None,
     exponents: Exponents | None = None,
 ) -> list[View]:
-    """Rate cameras anywhere; the rating is 0 where the target is not seen or the place not free.
+    """Rate any camera positions; 0 where the target is hidden or the position is not free.
 
     Args:
-        field: Target with what may hide it.
+        field: Target with its occluders.
         lens: Lens of the camera.
         positions: (N, 3) camera positions [m], world, none at the target.
         occupancy: Probability of occupancy at points; None if all is free.
@@ -320,10 +320,8 @@ def _refined(search: _PreparedTarget, view: View) -> View:
         around = np.vstack([np.zeros(2), flat]) @ np.array([side, np.cross(direction, side)])
         around += direction
         around /= np.linalg.norm(around, axis=1, keepdims=True)
-        lengths = np.clip(
-            distance * np.array([1.0 - step, 1.0 - step / 4, 1.0]), lens.near, lens.far
-        )
-        lengths = np.unique(lengths)
+        lengths = distance * np.array([1.0 - step, 1.0 - step / 4, 1.0])
+        lengths = np.unique(np.clip(lengths, lens.near, lens.far))
         sides = np.repeat(around, len(lengths), axis=0)
         radii = np.tile(lengths, len(around))
         places = search.field.to_world(sides * radii[:, None])
@@ -337,7 +335,7 @@ def _refined(search: _PreparedTarget, view: View) -> View:
                 continue
         width, step = width * _SHRINK, step * _SHRINK
     found = search.view(search.field.to_world(direction * distance))
-    return found if found.rating > view.rating else view
+    return max(view, found, key=lambda each: each.rating)
 
 
 def _reason(searches: Sequence[_PreparedTarget], refused: int) -> str:

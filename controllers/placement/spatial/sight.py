@@ -4,7 +4,7 @@ All lines of sight from a camera to a convex target together are the convex hull
 target. The target is wholly visible if that misses every occluder. Two convex bodies miss each
 other if and only if an axis separates them, and one of these does: the normals of their faces, and
 the products of an edge of each (separating axis theorem). So the answer is exact for convex
-occluders; it measures what expanding the occluders gives up (Thesis figure 4-6).
+occluders; it measures the views that are lost by expanding them (Thesis figure 4-6).
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ def sees_all(
     """Return (N,) whether cameras see the whole target, from its visible side.
 
     Args:
-        target: Target in three dimensions; the hull of its outline is what must be seen.
+        target: Target in three dimensions; all of the hull of its outline must be visible.
         occluders: Bodies that may hide the target.
         positions: (N, 3) camera positions [m], world.
     """
@@ -80,14 +80,14 @@ def _different(directions: FloatArray) -> FloatArray:
 
 @numba.njit(cache=True)
 def _remove_hidden(places, shape, solid, seen):
-    """Set ``seen`` to False for the places from which a solid hides a part of a target."""
+    """Set ``seen`` to False for the positions from which a solid hides a part of a target."""
     for index in range(len(places)):
         seen[index] = seen[index] and _missed(places[index], shape, solid)
 
 
 @numba.njit(cache=True)
 def _missed(place, shape, solid):
-    """Whether the hull of a place and a target misses a solid."""
+    """Return whether the hull of a camera position and a target misses a solid."""
     rays = shape.corners - place
     for normals in (solid.normals, shape.normals):
         for n in normals:
@@ -119,7 +119,7 @@ def _crossed(a, b, place, first, second):
 
 @numba.njit(cache=True)
 def _separates(x, y, z, place, first, second):
-    """Whether place and first corners lie wholly on one side of the second ones along an axis."""
+    """Return whether an axis separates the camera position and first corners from the second."""
     low = high = x * place[0] + y * place[1] + z * place[2]
     for i in range(len(first)):
         value = x * first[i, 0] + y * first[i, 1] + z * first[i, 2]

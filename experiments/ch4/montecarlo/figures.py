@@ -33,7 +33,7 @@ def table_figure(
     Args:
         success: (n, densities, tolerances, placements, targets) of tests.
         coarse: (densities, tolerances, placements, targets) shares with errors of a pixel.
-        thesis: The same of the thesis [%].
+        thesis: (densities, tolerances, placements, targets) shares of the thesis [%].
     """
     figure = Figure(figsize=(11, 6.5))
     grid = np.asarray(figure.subplots(2, len(TOLERANCES), sharex=True, sharey=True))
@@ -67,8 +67,8 @@ def table_figure(
     return figure
 
 
-def way_figure(seed: int) -> Figure:
-    """Draw one test, a panel for each placement: obstacles, camera poses, way and sightings."""
+def track_figure(seed: int) -> Figure:
+    """Draw one test, a panel for each placement: obstacles, camera poses, path and sightings."""
     chance = draw_chance(seed)
     world = draw_worlds(chance.candidates)[SHOWN]
     figure = Figure(figsize=(13, 5.2))

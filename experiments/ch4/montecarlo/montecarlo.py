@@ -3,10 +3,10 @@
 The thesis gives the table and not the scenario. This one was derived from geometry and from what
 this project measured, written down before its first run, and not fitted to the table.
 
-**Work space.** A square of 2.4 m with the goal in its middle, so that all places that have the
+**Work space.** A square of 2.4 m with the goal in its middle, so that all positions with the
 goal in focus are in it. Obstacles are hexagons of irregular shape, centred anywhere in it, until
 they cover 5, 20 or 35 % of it. They may overlap. Their circles have radii of 0.05 to 0.225 m: as
-wide as the object, up to as long as a rover. They leave free the way of the object, with two
+wide as the object, up to as long as a rover. They leave free the path of the object, with two
 standard deviations of its drift on each side. The map is known.
 
 **Task.** The object is chapter 5's card, 4.25 inches wide, in the hand of a rover. It starts
@@ -18,10 +18,10 @@ its gap times a gain of 1/s, the classical visual servo of section 5.1, but at m
 **Target.** The distance between the object's corner and the slot's corner (section 4.2.1): two
 markers of 1/4 inch (section 5.3), each one diameter outside its corner. Target is the gap from
 marker to marker, its reference point the middle, its normal the slot's. The primary target is the
-right-hand pair, the secondary the left-hand pair; it tells the same through the widths of card
+right-hand pair, the secondary the left-hand pair, whose gap follows through the widths of card
 and slot, which are known to 0.005 inches (an assumption: the usual tolerance of a board's
 outline). The object is an occluder with known CAD that moves. It hides each pair from about half
-of all places.
+of all positions.
 
 **Error.** What matters is the error across the slot. At first it has a standard deviation of
 10 mm: a voxel of the map. Blind, it grows by 2.5 % of the distance moved since the last sighting:
@@ -33,26 +33,25 @@ direction, of both markers. A marker seen at an angle beta has fewer pixels, so 
 divided by cos beta. Error and sighting are weighed by their variances.
 
 **Sighting.** Both markers are in the field of view of a camera that looks at the gap's middle,
-in focus, seen from the front, and no obstacle, nor the object where it really is, hides any part
-of them (exact, without hulls). If the first target is not seen, the camera looks at the other.
+in focus, seen from the front, and no obstacle, nor the object at its true position, hides any part
+of them (exact, without hulls). If the first target is not seen, the camera turns to the other.
 
 **Camera.** The thesis' camera (`models.datasheets.CAMERA`), in focus from 5 inches (the distance
-of section 4.3.2's result) to 1.1 m (up to there our detector found all markers). It is put where
-all of the gap, with two standard deviations of its place, is in view and in focus however it is
-turned. A place is free if the stereo head
-(38 mm baseline and its housings: a circle of 46 mm radius) touches neither an obstacle nor the
-object's way, and if it can be reached from outside of the work space through free places (the
-constraint of mobility, section 4.2.1).
+of section 4.3.2's result) to 1.1 m (up to there our detector found all markers). Its distance keeps
+all of the gap, with two standard deviations of its position, in view and in focus from any
+direction. A position is free if the stereo head (38 mm baseline and its housings: a circle of 46 mm
+radius) touches neither an obstacle nor the object's path, and if it can be reached from outside of
+the work space through free positions (the constraint of mobility, section 4.2.1).
 
 **Placements.** ``optimal``: every period the best pose of all free ones by eq. 4-1, all exponents
-1, found by the fast search; if none sees a target it stays. ``random``: the first pose, and after
-each period without sighting another one, is drawn evenly from the free places in focus on the
-visible side of the primary target, one draw a period, as a camera is at one place for a picture.
+1, found by the fast search; if none sees a target the camera stays. ``random``: the first pose,
+and after each period without sighting another one, is drawn evenly from the free positions in focus
+on the visible side of the primary target, one draw a period, as a picture has one camera pose.
 ``fixed``: the first of these draws, kept.
 
 **Success.** At arrival the error is within the clearance on its side, half of the tolerance (20,
-10, 1 %) times the object's width (chapter 5's widths of sites mean the same), and it was seen on
-its way at least once: an object that arrives unseen was not visually guided.
+10, 1 %) times the object's width (chapter 5's widths of sites mean the same), and it was seen at
+least once: an object that arrives unseen was not visually guided.
 
 All placements, tolerances and targets share each test's world, errors and draws; a denser world
 is a sparser one with more obstacles.
@@ -64,7 +63,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.ch4.montecarlo.figures import SHOWN, table_figure, way_figure
+from experiments.ch4.montecarlo.figures import SHOWN, table_figure, track_figure
 from experiments.ch4.montecarlo.orderings import cell_name, compare_all, second_chance
 from experiments.ch4.montecarlo.record import record_test
 from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES
@@ -85,14 +84,14 @@ TESTS, QUICK_TESTS = 300, 100
 CHUNK = 25
 """Tests of a job."""
 SPEED_BOUND = 2000.0
-"""Tests a second and core that are aimed at."""
+"""Least number of tests a second and core."""
 VARIANTS: dict[str, dict[str, float]] = {
     "one_pixel": {"pixel": 1.0, "disparity": 1.0},
     "restless": {"stays": 0.0},
 }
-"""What else is tried, to tell what the table depends on: perception that errs by a whole pixel, as
-eq. 4-2 counts, and random cameras that are drawn anew every period, as optimal ones are. Added
-after the first run; the table stays as it is."""
+"""Changes of the scenario that show what the table depends on: perception with errors of a whole
+pixel, as in eq. 4-2, and random cameras that are drawn anew every period, as optimal ones are.
+Added after the first run; the table is not changed by them."""
 # [%], by tolerance, placement, density, target; "<<1" is taken as 0.
 TABLE_4_1 = np.array(
     [
@@ -141,7 +140,7 @@ def run(options: Options, output: Output) -> None:
     output.figure("table_4-1", table_figure(success[""], coarse, TABLE_4_1))
     # The first test, at the density shown, whose fixed camera never sees; or the first of all.
     shown = seeds[int(np.argmax(joined[0].sightings[:, SHOWN, FIXED, 1] == 0))]
-    output.figure("one_test", way_figure(shown))
+    output.figure("one_test", track_figure(shown))
     if options.record:
         record_test(shown, output.file("run.rrd"))
 
@@ -199,7 +198,7 @@ def _measure_orderings(success: NDArray[np.bool_], variant: str, output: Output)
 
 
 def _measure_causes(results: GuidedTests, output: Output) -> None:
-    """Store what the successes come from: being seen, from where, and how late."""
+    """Store the causes of success: sightings, their camera distances, and the last gap seen."""
     for d, density in enumerate(DENSITIES):
         output.measure(f"covered_percent/{density}", 100.0 * float(results.covered[:, d].mean()))
         output.measure(f"reachable_percent/{density}", 100.0 * float(results.free[:, d].mean()))

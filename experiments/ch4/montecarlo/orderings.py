@@ -1,4 +1,4 @@
-"""What table 4-1 must show whatever the scenario: which of two cells is the better one.
+"""Orderings of table 4-1 that hold in any scenario: which of two cells is the better one.
 
 Tests are paired by their seeds, so two cells are compared by the tests in which they differ.
 """

@@ -40,7 +40,7 @@ def record_test(seed: int, path: Path) -> None:
 
 
 def _log_world(stream: rr.RecordingStream, placement: str, world: ObstacleWorld) -> None:
-    """Log what stands still; pictures have y downwards, so it is turned about."""
+    """Log the static scene, mirrored as pictures have y downwards."""
     outlines = [closed(corners) * (1, -1) for corners in world.corners]
     stream.log(f"{placement}/obstacles", rr.LineStrips2D(outlines, colors=GREY), static=True)
     half = 0.5 * SCENARIO.width

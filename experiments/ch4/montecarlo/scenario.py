@@ -1,7 +1,7 @@
-"""The numbers of ``ch4-montecarlo`` and its worlds; `ch4_montecarlo` tells the reasons.
+"""Parameters and worlds of ``ch4-montecarlo``; `montecarlo` gives their reasons.
 
-The goal is the origin; the slot lies along x and faces y. Obstacles are hexagons. The map says
-where a camera can be: in a free place that can be reached.
+The goal is the origin; the slot lies along x and faces y. Obstacles are hexagons. A camera position
+is free on the map if it is clear of obstacles and can be reached.
 """
 
 import math
@@ -21,11 +21,11 @@ DENSITIES = (5, 20, 35)  # [%] of the work space, table 4-1
 TOLERANCES = (20, 10, 1)  # [%] of the object's width, table 4-1
 SIDES = 6
 CANDIDATES = 512
-"""Obstacles drawn for a test, of which the first ones that leave the way free are taken."""
+"""Obstacles drawn for a test, of which the first ones clear of the object's path are used."""
 
 
 class Scenario(NamedTuple):
-    """Numbers of one scenario, in the form that compiled code takes.
+    """Parameters of one scenario, for compiled code.
 
     Attributes:
         side: Side of the square work space [m].
@@ -36,13 +36,13 @@ class Scenario(NamedTuple):
         length: Length of the object [m].
         start: Gap between object and goal at first [m].
         speed: Highest speed of the object [m/s].
-        gain: Its speed over its gap [1/s].
-        period: Between two pictures [s].
+        gain: Speed of the object over its gap [1/s].
+        period: Time between two pictures [s].
         marker: Radius of a marker [m].
-        ear: From a corner to its marker's centre, across the slot [m].
+        ear: Distance from a corner to its marker's centre, across the slot [m].
         relation: ST_error of the secondary target [m].
-        prior: Standard deviation of the object's place at first [m].
-        drift: Standard deviation of what it moves aside, blind, over the distance moved.
+        prior: Standard deviation of the object's initial position [m].
+        drift: Standard deviation of the lateral drift over the distance moved without sightings.
         pixel: Standard deviation of a marker's column [px].
         disparity: Standard deviation of a marker's disparity [px].
         focal: Focal length [px].
@@ -52,7 +52,7 @@ class Scenario(NamedTuple):
         near: Nearest distance in focus [m].
         far: Farthest distance in focus [m].
         head: Radius of the stereo head [m].
-        stays: 1 if a random camera stays where it is while it sees a target, else 0.
+        stays: 1 if a random camera does not move while it sees a target, else 0.
     """
 
     side: float = 2.4
@@ -105,8 +105,8 @@ def draw_worlds(
     """Draw nested worlds: each denser one has the obstacles of the sparser one, and more.
 
     Args:
-        candidates: (M, 4 + `SIDES`) uniform in [0, 1): place, size, turn and shape of obstacles.
-        scenario: Numbers of the scenario.
+        candidates: (M, 4 + `SIDES`) uniform in [0, 1): position, size, turn and shape of obstacles.
+        scenario: Parameters of the scenario.
         densities: Densities of the obstacles, ascending [%].
 
     Raises:
@@ -134,7 +134,7 @@ def draw_worlds(
 
 
 def _passage(scenario: Scenario, margin: float) -> FloatArray:
-    """Return the corners (4, 2) of what object and markers pass, widened by a margin [m]."""
+    """Return the corners (4, 2) of the area swept by object and markers plus a margin [m]."""
     x = 0.5 * scenario.width + scenario.ear + margin
     low, high = -margin, scenario.start + scenario.length + margin
     return np.array([[-x, low], [x, low], [x, high], [-x, high]])
@@ -165,7 +165,7 @@ def _cover(
     A camera may be anywhere in a cell, so half a diagonal is added to its radius.
 
     Returns:
-        How many cells it covers that were not.
+        Number of cells that are newly covered.
     """
     rows, cell, half = len(covered), scenario.cell, 0.5 * scenario.side
     reach = scenario.head + 0.5 * math.sqrt(2.0) * cell
@@ -190,7 +190,7 @@ def _cover(
 
 @numba.njit(cache=True)
 def _distance(hexagon: FloatArray, x: float, y: float) -> float:
-    """Return the distance of a place from an obstacle [m]; 0 within it."""
+    """Return the distance of a point from an obstacle [m]; 0 within it."""
     inside, least = True, np.inf
     for i in range(len(hexagon)):
         j = (i + 1) % len(hexagon)

@@ -1,6 +1,6 @@
-"""What a camera sees in ``ch4-montecarlo``: in focus, in view, hidden or not, and how well.
+"""Visibility of markers in ``ch4-montecarlo``, and the variance of their sightings.
 
-Places are those of `ch4_montecarlo_scenario`: the goal is the origin, the slot faces y.
+Positions are in the frame of `scenario`: the goal is the origin, the slot faces y.
 """
 
 import math
@@ -15,12 +15,12 @@ from perception.geometry.arrays import FloatArray
 
 @numba.njit(cache=True)
 def focus(scenario: Scenario, gap: float, sigma: float) -> tuple[float, float]:
-    """Return the distances between which all of the gap is in view and in focus anyhow turned.
+    """Return the distances that keep all of the gap in view and in focus at any direction.
 
     Args:
-        scenario: The numbers.
-        gap: Between the markers [m].
-        sigma: Standard deviation of the object's place [m].
+        scenario: Parameters of the scenario.
+        gap: Gap between the markers [m].
+        sigma: Standard deviation of the object's position [m].
     """
     reach = math.hypot(0.5 * gap + scenario.marker, scenario.marker) + 2.0 * sigma
     return max(
@@ -37,7 +37,7 @@ def marker_side(scenario: Scenario, target: int) -> float:
 
 @numba.njit(cache=True)
 def object_corners(scenario: Scenario, gap: float, error: float) -> FloatArray:
-    """Return the object's corners (4, 2) [m], with an error of its place across the slot [m]."""
+    """Return the object's corners (4, 2) [m], with an error across the slot [m]."""
     low, high = error - 0.5 * scenario.width, error + 0.5 * scenario.width
     top = gap + scenario.length
     return np.array([[low, gap], [high, gap], [high, top], [low, top]])
@@ -54,15 +54,15 @@ def sighting_variance(
 ) -> float:
     """Return the variance across the slot of what the camera really measures of a target [m^2].
 
-    The camera looks at the middle of the gap, where that is believed to be.
+    The camera points at the estimated middle of the gap.
 
     Args:
-        scenario: The numbers.
+        scenario: Parameters of the scenario.
         corners: (N, `SIDES`, 2) of the obstacles [m].
-        camera: Its place [m].
-        target: 0 primary, 1 secondary.
-        gap: Between the markers [m].
-        error: Error of the object's place across the slot [m].
+        camera: (2,) position of the camera [m].
+        target: Target to watch: 0 primary, 1 secondary.
+        gap: Gap between the markers [m].
+        error: Error of the object's position across the slot [m].
 
     Returns:
         The variance; 0 if a marker is not seen.
@@ -86,27 +86,13 @@ def sighting_variance(
             ex, ey = marker[end, 0] - camera[0], y - camera[1]
             if ax * ex + ay * ey < widest * away * math.hypot(ex, ey):
                 return 0.0
-        if _hidden(scenario, camera, marker, corners, body):
+        if not separated(camera[0], camera[1], marker, body):
             return 0.0
+        for obstacle in corners:
+            if not separated(camera[0], camera[1], marker, obstacle):
+                return 0.0
         across = scenario.pixel * distance / scenario.focal * dy / distance
         along = scenario.disparity * distance**2 / (scenario.focal * scenario.baseline)
         along *= dx / distance
         variance += (across**2 + along**2) / upright
     return variance
-
-
-@numba.njit(cache=True)
-def _hidden(
-    scenario: Scenario,
-    camera: FloatArray,
-    marker: FloatArray,
-    corners: FloatArray,
-    body: FloatArray,
-) -> bool:
-    """Tell whether an obstacle or the object hides any part of a marker, exactly."""
-    if not separated(camera[0], camera[1], marker, body):
-        return True
-    for obstacle in corners:
-        if not separated(camera[0], camera[1], marker, obstacle):
-            return True
-    return False

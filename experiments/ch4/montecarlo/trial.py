@@ -1,7 +1,7 @@
 """One test of ``ch4-montecarlo``: an object guided to its goal by a camera, compiled.
 
-`ch4_montecarlo` tells the scenario. All random numbers are drawn before, from the test's own seed:
-a test is the same whoever runs it, beside whichever others.
+`montecarlo` describes the scenario. All random numbers are drawn first, from the test's own seed:
+a test does not depend on the process that runs it or on other tests.
 """
 
 import dataclasses
@@ -45,7 +45,7 @@ OPTIMAL, RANDOM, FIXED = range(3)
 TARGETS = ("primary", "secondary")
 PERIODS = 48  # More than the longest approach has.
 DRAWS = 256
-"""Places drawn until one is free, in focus and on the visible side."""
+"""Positions drawn until one is free, in focus and on the visible side."""
 RINGS, DIRECTIONS = 32, 720
 
 
@@ -53,11 +53,11 @@ class Chance(NamedTuple):
     """All random numbers of one test.
 
     Attributes:
-        candidates: (`CANDIDATES`, 4 + `SIDES`) of `draw_worlds`.
-        places: (`PERIODS`, `DRAWS`, 2) uniform in [0, 1): places for random cameras.
+        candidates: (`CANDIDATES`, 4 + `SIDES`) uniform in [0, 1): obstacles for `draw_worlds`.
+        places: (`PERIODS`, `DRAWS`, 2) uniform in [0, 1): positions for random cameras.
         slopes: (`PERIODS` + 1,) standard normal: drift after each sighting.
         noise: (`PERIODS`,) standard normal: errors of sightings.
-        constants: (2,) standard normal: error at first, error of the secondary's relation.
+        constants: (2,) standard normal: initial error, error of the secondary's relation.
     """
 
     candidates: FloatArray
@@ -102,7 +102,7 @@ class GuidedTests:
         error: Error at arrival [m].
         sightings: Number of sightings.
         last_gap: Distance of the object from the goal when it was last seen [m]; infinite if never.
-        last_view: Distance of the camera from the goal then [m]; infinite if never.
+        last_view: Distance of the camera from the goal at that time [m]; infinite if never.
         covered: Share of the work space that obstacles cover.
         free: Share of the work space that cameras can reach.
     """
@@ -159,7 +159,7 @@ def guide(
     """Guide the object to the goal.
 
     Args:
-        scenario: Numbers of the scenario.
+        scenario: Parameters of the scenario.
         world: Obstacles and their map.
         chance: All random numbers.
         placement: `OPTIMAL`, `RANDOM` or `FIXED`.
@@ -216,7 +216,7 @@ def expanded(scenario: Scenario, corners: FloatArray, target: int, gap: float) -
     """Return all occluders expanded by the gap, from its middle.
 
     Args:
-        scenario: Numbers of the scenario.
+        scenario: Parameters of the scenario.
         corners: (N, `SIDES`, 2) corners of the obstacles [m].
         target: Target to watch: 0 primary, 1 secondary.
         gap: Gap between the markers [m].
@@ -245,10 +245,10 @@ def _place(
     secondary: bool,
     camera: FloatArray,
 ) -> tuple[bool, int]:
-    """Put the camera where the rating is best.
+    """Place the camera where the rating is best.
 
     Returns:
-        Whether any pose sees a target, and which it is to watch; ``camera`` takes the pose.
+        Whether any pose sees a target, and the index of the target; ``camera`` takes the pose.
     """
     if near > far:
         return False, 0

@@ -22,7 +22,7 @@ from perception.geometry.arrays import FloatArray
 EXTENT = (0.0, float(SIDE), 0.0, float(SIDE))
 COLOURS = {"primary": "tab:red", "secondary": "tab:blue"}
 FRAME, HOLD = 250, 2000
-"""How long a picture of the film stays, and the last one [ms]."""
+"""Duration of a picture of the film, and of the last one [ms]."""
 SOFT = 0.4
 """Exponent of the shade: a rating falls so steeply with distance that its tail would not show."""
 
@@ -147,7 +147,7 @@ def write_film(site: MappedSite, moments: Sequence[Moment], path: Path) -> None:
 
 
 def _draw_moment(axes: Axes, site: MappedSite, moments: Sequence[Moment], step: int) -> None:
-    """Draw the believed map, the panel as it is and as believed, and the camera with its trail."""
+    """Draw the estimated map, the panel's true and estimated outline, and the camera's track."""
     moment = moments[step]
     axes.imshow(
         1.0 - moment.task.space.probability, cmap="gray", vmin=0.0, vmax=1.0, origin="lower",

@@ -34,23 +34,24 @@ from perception.planar.raycast import scan
 
 PANEL = MovingObject("panel", np.array([[-1.5, -5.0], [1.5, -5.0], [1.5, 5.0], [-1.5, 5.0]]))
 START, END, STEP = 88.0, 52.0, 1.5
-"""Of the panel's middle along x, at y = 50; at 52 it is half a metre before the target [m]."""
+"""Initial x, final x and step of the panel's middle [m], at y = 50; at x = 52 the panel is half a
+metre before the target."""
 STEPS = round((START - END) / STEP) + 1
 SLIP = 0.05
-"""Deviation of a step's length and drift over its length: wheels on loose ground."""
+"""Standard deviation of a step's length and drift over its length: wheels on loose ground."""
 TURN_SLIP = math.radians(1.0)
-"""Deviation of the heading after a step [rad]."""
-START_SPREAD = np.diag([0.3, 0.3, math.radians(3.0)]) ** 2
-"""Of the panel's pose when the map is made: about its cells' width."""
+"""Standard deviation of the heading after a step [rad]."""
+START_COVARIANCE = np.diag([0.3, 0.3, math.radians(3.0)]) ** 2
+"""Covariance of the panel's pose when the map is made: about the width of the map's cells."""
 DEPTH_NOISE = 1.5e-3
-"""Deviation of a measured point over its squared distance [1/m]; measured with the stereo pair:
-1.8 mm at 1.1 m."""
+"""Standard deviation of a measured point over its squared distance [1/m]; measured with the stereo
+pair: 1.8 mm at 1.1 m."""
 SPACING = 0.25
-"""Between the points that are measured on the panel [m]."""
+"""Distance between measured points on the panel [m]."""
 SIGMAS = 3.0
 SCAN_ROUNDS, SCANNERS = 20, 2
-LOOKS = ((59.0, 50.0), (59.0, 75.0))
-"""Where they look at the targets from [m]."""
+VIEWPOINTS = ((59.0, 50.0), (59.0, 75.0))
+"""Positions from which the targets are scanned [m]."""
 LENS = make_lens(near=15.0)
 """Focused so that the panel of 10 m fits into the field of view: 5 m / tan(20.6 deg) = 13.3 m."""
 
@@ -70,11 +71,11 @@ class MotionTrial:
 
 @dataclasses.dataclass(frozen=True)
 class Moment:
-    """What an observer of an approach is shown after each step.
+    """State of an approach after a step.
 
     Attributes:
         step: Number of the approach's step.
-        task: Targets, occluders and map as believed.
+        task: Targets, occluders and map as estimated.
         view: View of the camera; None where nothing is seen.
         panel: (4, 2) corners where the panel truly is [m].
     """
@@ -90,9 +91,9 @@ class MappedSite:
     """A mapped site.
 
     Attributes:
-        world: The truth, with the panel where it begins.
-        solid: (rows, columns) the truth without the panel.
-        mapped: What the scans made of it.
+        world: True world with the panel at its initial pose.
+        solid: (rows, columns) true occupancy without the panel.
+        mapped: Map from the scans.
     """
 
     world: World
@@ -103,7 +104,7 @@ class MappedSite:
 def map_site(seed: int) -> MappedSite:
     """Draw a site and map it by few scans of two robots, so that much stays uncertain.
 
-    Each also looks once at a target, as the algorithm begins by identifying them (4.2.2).
+    Each robot also scans a target once, as the algorithm begins by identifying them (4.2.2).
     """
     world, solid = work_site(PlanarPose(START, 50.0, 0.0).to_world(PANEL.outline), seed)
     trial = PlanarTrial(
@@ -112,10 +113,10 @@ def map_site(seed: int) -> MappedSite:
     seen: list[Round] = []
     run_trial(trial, world, seen.append)
     mapped = seen[-1].map
-    for place in LOOKS:
+    for place in VIEWPOINTS:
         row, column = world.grid.cell_at(place)
-        look = scan(world.occupied, world.grid, (int(row), int(column)), math.pi, trial.sensor)
-        mapped.insert(look.passed, look.hit)
+        view = scan(world.occupied, world.grid, (int(row), int(column)), math.pi, trial.sensor)
+        mapped.insert(view.passed, view.hit)
     return MappedSite(world, solid, KnownSpace(mapped.probability(), world.grid.cell))
 
 
@@ -146,31 +147,31 @@ def approach(
     observe: Callable[[Moment], None] | None = None,
     steps: int = STEPS,
 ) -> Approach:
-    """Carry the panel to the target and keep watching.
+    """Carry the panel to the target while the camera watches.
 
     Args:
         trial: Seed and hysteresis.
-        site: The mapped site.
-        observe: Called after each step.
+        site: Mapped site of the approach.
+        observe: Callback after each step.
         steps: Number of steps.
     """
     generator = np.random.default_rng([trial.seed, 5])
     true = PlanarPose(START, 50.0, 0.0)
-    error = generator.multivariate_normal(np.zeros(3), START_SPREAD)
-    believed = PlanarPose(START + error[0], 50.0 + error[1], error[2], START_SPREAD)
-    static = take_out(site.mapped, PANEL, believed, SIGMAS)
+    error = generator.multivariate_normal(np.zeros(3), START_COVARIANCE)
+    estimate = PlanarPose(START + error[0], 50.0 + error[1], error[2], START_COVARIANCE)
+    static = take_out(site.mapped, PANEL, estimate, SIGMAS)
     present: FloatArray | None = None
     targets: list[int] = []
     replans: list[float] = []
     moves, metres, watched = -1, 0.0, 0
     for step in range(steps):
         if step > 0:
-            true, believed = _carry(true, believed, generator)
+            true, estimate = _carry(true, estimate, generator)
         if present is not None:
-            believed = _measure(true, believed, present, site, generator)
+            estimate = _measure(true, estimate, present, site, generator)
         begin = time.process_time()
-        space = put_back(static, PANEL, believed, generator)
-        occluders = (*occluders_of_map(static, work_targets()), swollen(PANEL, believed, SIGMAS))
+        space = put_back(static, PANEL, estimate, generator)
+        occluders = (*occluders_of_map(static, work_targets()), swollen(PANEL, estimate, SIGMAS))
         task = PlanarTask(work_targets(), LENS, occluders, space)
         try:
             view, moved = replace_camera(task, present, trial.factor)
@@ -200,19 +201,19 @@ def watch_approach(trial: MotionTrial) -> tuple[Approach, Approach]:
 
 
 def _carry(
-    true: PlanarPose, believed: PlanarPose, generator: np.random.Generator
+    true: PlanarPose, estimate: PlanarPose, generator: np.random.Generator
 ) -> tuple[PlanarPose, PlanarPose]:
-    """Move the panel by a step: the carrier heads for where it believes the goal to be."""
+    """Move the panel by a step towards the goal, by the carrier's estimate of its pose."""
     covariance = np.diag([SLIP * STEP, SLIP * STEP, TURN_SLIP]) ** 2
     slip = generator.multivariate_normal(np.zeros(3), covariance)
-    # It brings itself back to the line and to the right heading as far as it knows.
-    command = np.array([-STEP, 50.0 - believed.y, -believed.heading])
+    # The carrier corrects its estimated lateral and heading error.
+    command = np.array([-STEP, 50.0 - estimate.y, -estimate.heading])
     real = command + slip
     return (
         PlanarPose(true.x + real[0], true.y + real[1], true.heading + real[2]),
         PlanarPose(
-            believed.x + command[0], believed.y + command[1], believed.heading + command[2],
-            believed.covariance + covariance,
+            estimate.x + command[0], estimate.y + command[1], estimate.heading + command[2],
+            estimate.covariance + covariance,
         ),
     )  # fmt: skip
 
@@ -224,7 +225,7 @@ def _measure(
     site: MappedSite,
     generator: np.random.Generator,
 ) -> PlanarPose:
-    """Fit the CAD to what the camera sees of the panel; nothing seen leaves the prior."""
+    """Fit the CAD to the camera's points on the panel; without any, the prior is returned."""
     points = _seen_points(true.to_world(PANEL.outline), prior, camera, site)
     if len(points) == 0:
         return prior
@@ -239,7 +240,7 @@ def _seen_points(
 ) -> FloatArray:
     """Return points on the panel's sides that face the camera, in its field of view and in sight.
 
-    For this the camera turns for a moment from the target to where it believes the panel to be.
+    For this the camera turns for a moment from the target to the estimated panel.
     """
     ahead = np.array([prior.x, prior.y]) - camera
     ahead = ahead / np.linalg.norm(ahead)
@@ -262,7 +263,7 @@ def _seen_points(
 
 
 def _truly_seen(view: View, panel: FloatArray, site: MappedSite) -> bool:
-    """Tell whether the whole of the watched target is seen past the true panel and obstacles."""
+    """Return whether all of the watched target is visible past the true panel and obstacles."""
     goal = next(target for target in work_targets() if target.name == view.target)
     truth = KnownSpace(site.solid.astype(float), site.world.grid.cell)
     past_panel = separated(view.position[0], view.position[1], goal.position + goal.outline, panel)

@@ -38,16 +38,16 @@ from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, sweep
 
 SPEEDUPS = {5: 20.0, 20: 3.0, 35: 3.0}
-"""Density [%] and how many times faster than the exhaustive search the fast one must be."""
+"""Density [%] and least speed of the fast search over that of the exhaustive one."""
 SCENES = 10
-"""Of a job."""
+"""Number of scenes of a job."""
 CASES, QUICK_CASES = 1000, 500
-"""Of a job about hulls."""
+"""Number of cases of a job that compares hulls with exact sight."""
 VISION_PERIOD = 250.0
-"""A plan must be ready within it [ms]."""
+"""Time within which a plan must be ready [ms]."""
 WATCHED = ("primary", "secondary")
 RADIUS = 40.0
-"""Of the cameras in figure 4-6 [m]."""
+"""Distance of the cameras from the target in figure 4-6 [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Options(contract.Options):
     """Options of ch4-planar.
 
     Attributes:
-        rings: Distances at which camera poses are looked for.
-        directions: Directions about a target in which they are looked for.
-        factor: The camera moves only to a view that rates so many times the present one.
+        rings: Number of distances of candidate camera poses.
+        directions: Number of directions of candidate camera poses about a target.
+        factor: Least rating of a new view over the present one for which the camera moves.
     """
 
     rings: int = 64
@@ -135,7 +135,7 @@ def _searches(options: Options, output: Output, seeds: Sequence[int]) -> None:
 
 
 def _hulls(options: Options, output: Output, seeds: Sequence[int]) -> None:
-    """Measure whether hulls are safe, and what they give up."""
+    """Measure whether hulls are safe, and the share of views that they lose."""
     cases = QUICK_CASES if options.quick else CASES
     trials = [HullTrial(seed, cases) for seed in seeds]
     results = sweep(compare_sights, trials, options, output, label="hulls")

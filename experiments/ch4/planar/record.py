@@ -14,25 +14,25 @@ from perception.geometry.arrays import FloatArray
 from twin.layout import side_by_side
 
 SPACING = 2.0
-"""Between the candidate places that are shown [m]."""
+"""Distance between the rated positions that are shown [m]."""
 SPEED = 1.0
-"""Of the panel on the recording's time line [m/s]."""
+"""Speed of the panel on the recording's time line [m/s]."""
 COLOURS = {"primary": (220, 40, 40), "secondary": (0, 120, 220)}
 GREEN, ORANGE, GREY = (60, 160, 60), (240, 150, 0), (150, 150, 150)
 
 
 def record_approach(site: MappedSite, moments: Sequence[Moment], path: Path) -> None:
-    """Write the approach: believed map, hulls, ratings of places, targets, panel, chosen view.
+    """Write the approach: estimated map, hulls, ratings of positions, targets, panel, chosen view.
 
     Pictures have the world's far side on top; a pixel is a cell.
 
     Args:
-        site: The mapped site.
-        moments: Moments of the approach.
+        site: Mapped site of the approach.
+        moments: States after each step of the approach.
         path: File to write.
     """
     layout = side_by_side(
-        rrb.Spatial2DView(origin="map", name="Map, hulls and ratings of places"),
+        rrb.Spatial2DView(origin="map", name="Map, hulls and ratings of positions"),
         rrb.Vertical(
             rrb.TimeSeriesView(origin="curves/rating", name="Rating [1/m]"),
             rrb.TimeSeriesView(origin="curves/free_cap", name="Target field visibility [deg]"),

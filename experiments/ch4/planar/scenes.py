@@ -27,12 +27,12 @@ TAKEN_P = 0.99
 UNKNOWN_SHARE = 0.1
 """Share of free cells of a random map that were never measured."""
 RADII = (1.5, 6.0)
-"""Of random obstacles [m], as in the unstructured worlds of chapter 3."""
+"""Radii of random obstacles [m], as in the unstructured worlds of chapter 3."""
 WIDTH = 2.0
-"""Of a target [m]."""
+"""Width of a target [m]."""
 RELATION_ERROR = 0.5 / math.sqrt(12.0)
-"""Of the secondary target: its place relative to the primary one is read off a map with cells of
-0.5 m, so it lies anywhere within a cell [m]."""
+"""Standard deviation of the secondary target's position relative to the primary one [m]: it is read
+off a map with cells of 0.5 m, so it lies anywhere within a cell."""
 
 
 def make_lens(near: float = 5.0, far: float = 60.0) -> Lens:
@@ -44,10 +44,10 @@ def face(name: str, place: tuple[float, float], direction: float, error: float =
     """Return a straight target of `WIDTH`.
 
     Args:
-        name: Its name.
-        place: Its middle [m].
+        name: Name of the target.
+        place: Middle of the target [m].
         direction: Direction of its normal from the x axis [rad].
-        error: Its relation_error [m].
+        error: Relation error of the target [m].
     """
     normal = np.array([math.cos(direction), math.sin(direction)])
     along = 0.5 * WIDTH * np.array([-normal[1], normal[0]])
@@ -72,12 +72,11 @@ def random_task(density: float, generator: np.random.Generator) -> PlanarTask:
 
     Args:
         density: Share of the area that obstacles cover.
-        generator: Of everything drawn.
+        generator: Random generator of the scene.
     """
-    space = KnownSpace(generator.uniform(*FREE_P, (SIDE, SIDE)), 1.0)
-    unknown = generator.random((SIDE, SIDE)) < UNKNOWN_SHARE
-    probability = np.where(unknown, 0.5, space.probability)
-    centres = cell_centres(space)
+    probability = generator.uniform(*FREE_P, (SIDE, SIDE))
+    probability[generator.random((SIDE, SIDE)) < UNKNOWN_SHARE] = 0.5
+    centres = cell_centres(KnownSpace(probability, 1.0))
     targets = (
         face("primary", PRIMARY, generator.uniform(-np.pi, np.pi)),
         face("secondary", SECONDARY, generator.uniform(-np.pi, np.pi), RELATION_ERROR),
@@ -87,8 +86,7 @@ def random_task(density: float, generator: np.random.Generator) -> PlanarTask:
     while covered.mean() < density:
         radius = generator.uniform(*RADII)
         middle = generator.uniform(0.0, SIDE, 2)
-        clear = radius + WIDTH
-        if min(float(np.hypot(*(middle - t.position))) for t in targets) < clear:
+        if min(float(np.hypot(*(middle - t.position))) for t in targets) < radius + WIDTH:
             continue
         corners = convex_obstacle(middle, radius, generator)
         low = np.floor(corners.min(axis=0)).astype(int).clip(0)
@@ -97,8 +95,7 @@ def random_task(density: float, generator: np.random.Generator) -> PlanarTask:
         covered[window] |= covers(corners, centres[window])
         occluders.append(Occluder(f"obstacle {len(occluders) + 1}", corners))
     probability[covered] = TAKEN_P
-    space = dataclasses.replace(space, probability=probability)
-    return PlanarTask(targets, make_lens(), tuple(occluders), space)
+    return PlanarTask(targets, make_lens(), tuple(occluders), KnownSpace(probability, 1.0))
 
 
 WORK_PIECE = np.array([[46.0, 42.0], [50.0, 42.0], [50.0, 83.0], [46.0, 83.0]])
@@ -106,8 +103,8 @@ WORK_PIECE = np.array([[46.0, 42.0], [50.0, 42.0], [50.0, 83.0], [46.0, 83.0]])
 BOX = np.array([[-3.0, -4.0], [3.0, -4.0], [3.0, 4.0], [-3.0, 4.0]])
 """The occluder of figure 4-8, such an object as is inserted [m]."""
 BOX_PLACES = ((75.0, 36.0), (54.0, 50.0))
-"""Of its middle: beside the way to the primary target; and a metre before that target, nearer than
-the lens can focus, so that the target is hidden from every place but steeply from the side [m]."""
+"""Positions of its middle [m]: beside the path to the primary target; and a metre before that
+target, nearer than the lens can focus, so that the target is visible only steeply from the side."""
 
 
 def work_targets() -> tuple[Target, Target]:
@@ -131,10 +128,10 @@ def two_instances() -> tuple[PlanarTask, PlanarTask]:
 def work_site(panel: NDArray[np.float64], seed: int) -> tuple[World, NDArray[np.bool_]]:
     """Draw figure 4-10's world: the work-piece, obstacles on 5 % of the area, and the panel.
 
-    The obstacles leave free where the panel passes and what is before the targets.
+    The obstacles leave free the path of the panel and the space before the targets.
 
     Args:
-        panel: (K, 2) corners of the moving object where it begins [m].
+        panel: (K, 2) corners of the moving object at its initial pose [m].
         seed: Seed of the obstacles.
 
     Returns:

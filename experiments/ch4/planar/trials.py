@@ -1,4 +1,4 @@
-"""What ``ch4-planar`` repeats over random scenes: the searches, and the cost of hulls."""
+"""Trials of ``ch4-planar`` over random scenes: the searches, and the views lost by hulls."""
 
 import dataclasses
 import functools
@@ -24,7 +24,7 @@ from experiments.harness import timing
 from perception.geometry.arrays import FloatArray, IntArray
 
 REPEATS = 20
-"""How often the fast search runs for each timing; a single run is too short for the clock."""
+"""Runs of the fast search for each timing; a single run is too short for the clock."""
 ROUNDS = 2
 MAP_SHARE = 0.2
 """Share of the hulls' cases that are on maps, with occluders of any shape."""
@@ -37,9 +37,9 @@ class PlanarSearchTrial:
     Attributes:
         density: Share of the area that is covered.
         seed: Seed of the scenes.
-        scenes: How many.
-        rings: Distances of candidates.
-        directions: Directions of candidates.
+        scenes: Number of scenes.
+        rings: Number of distances of candidates.
+        directions: Number of directions of candidates.
     """
 
     density: float
@@ -71,8 +71,9 @@ class PlanarSearches:
         exhaustive_s: (scenes,) processor time of the exhaustive search [s].
         fast_s: (scenes,) processor time of the fast search [s].
         placement_s: (scenes,) processor time of a whole placement with its hulls [s].
-        gain: (scenes,) gain of the climb between candidates; NaN where no target is seen.
-        cells: (scenes,) rating of the best cell centre over the optimum; NaN likewise.
+        gain: (scenes,) gain of the climb between candidates; NaN where no target is visible.
+        cells: (scenes,) rating of the best cell centre over the optimum; NaN where no target is
+            visible.
         hulls: (scenes,) number of occluders.
         distance: (scenes,) distance of the optimum [m].
     """
@@ -92,9 +93,9 @@ class HullCounts:
     """How hulls compare with exact sight, for convex occluders and for maps.
 
     Attributes:
-        false_visible: (2,) how often hulls see what is hidden.
-        visible: (2,) how often the target is truly visible.
-        given_up: (2,) how often the hulls say hidden of a visible target.
+        false_visible: (2,) number of hidden targets that are visible by the hulls.
+        visible: (2,) number of visible targets.
+        given_up: (2,) number of visible targets that are hidden by the hulls.
     """
 
     false_visible: IntArray
@@ -159,7 +160,7 @@ def _repeat(
 
 
 def compare_sights(trial: HullTrial) -> HullCounts:
-    """Ask hulls and exact sight whether cameras see targets; a job of the sweep.
+    """Compare hulls with exact sight of targets from cameras; a job of the sweep.
 
     Convex occluders are judged by separating axes. On maps the occluders are clusters of any shape
     and sight is by lines from cell to cell.
@@ -212,7 +213,7 @@ def _random_target(generator: np.random.Generator) -> Target:
 
 
 def hulls_see(occluders: Any, target: Target, camera: FloatArray) -> bool:
-    """Tell whether the line to the reduced target misses all expanded occluders."""
+    """Return whether the line to the reduced target misses all expanded occluders."""
     hulls = expand(occluders, target).hulls
     offset = camera - target.position
     angle = math.atan2(offset[1], offset[0])

@@ -1,8 +1,8 @@
-"""Blocks about a work-piece: plan on an uncertain CAD model, then look at what is really seen.
+"""Blocks about a work-piece: plan on an uncertain CAD model, then render the true view.
 
 The planner is given every block with an error of its pose, and expands the hulls by three standard
-deviations of it. What a camera truly sees of the hole is counted in rendered images of the true
-scene: the hole's pixels with the blocks there, over those with the blocks taken away.
+deviations of it. The visible share of the hole is counted in rendered images of the true scene:
+the hole's pixels with the blocks, over those without.
 """
 
 import dataclasses
@@ -31,12 +31,12 @@ from perception.geometry.arrays import FloatArray, ImageArray
 from twin.camera import renderer
 
 SIGMA = 1e-3
-"""Standard deviation of a block's place along x and y, as the planner knows it [m]."""
+"""Standard deviation of a block's estimated position along x and y [m]."""
 SIGMA_YAW = np.deg2rad(1.0)
-"""That of its rotation about the vertical [rad]."""
+"""Standard deviation of a block's estimated rotation about the vertical [rad]."""
 DEVIATIONS = 3.0
 CLEARANCE = 0.04
-"""Between the lens' principal node and anything: half the housing's length and more [m]."""
+"""Least distance of the lens' principal node from anything [m]: over half the housing's length."""
 RANDOM_VIEWS = 5
 
 
@@ -65,7 +65,7 @@ def occluders_of(blocks: tuple[Block, ...]) -> list[Occluder]:
 
 
 def believed_blocks(blocks: Sequence[Block], rng: np.random.Generator) -> tuple[Block, ...]:
-    """Return blocks as the planner knows them: each pose with an error.
+    """Return blocks as the planner estimates them: each pose with an error.
 
     Args:
         blocks: Blocks at their true poses.
@@ -81,14 +81,14 @@ def believed_blocks(blocks: Sequence[Block], rng: np.random.Generator) -> tuple[
 
 
 def margins_of(blocks: tuple[Block, ...]) -> list[float]:
-    """Return how far each block's surface may be from where it is believed [m]."""
+    """Return the bound of each block's surface error [m]."""
     return [DEVIATIONS * (SIGMA + SIGMA_YAW * block.reach) for block in blocks]
 
 
 def occupancy_of(
     blocks: tuple[Block, ...], margins: list[float]
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return P of a camera's place: 1 within the clearance of a block or the face, else 0."""
+    """Return P of a camera position: 1 within the clearance of a block or the face, else 0."""
     planes = [ConvexHull(block.corners).equations for block in blocks]
 
     def occupancy(points: FloatArray) -> FloatArray:
@@ -108,7 +108,7 @@ class BlocksPlan(NamedTuple):
     Attributes:
         believed: Blocks as the planner estimates them.
         field: The hole with the expanded hulls of these blocks.
-        occupancy: Probability that a camera's place is taken, by these blocks.
+        occupancy: Probability of occupancy of camera positions by these blocks.
         view: Best view of the hole.
     """
 
@@ -140,7 +140,7 @@ class RenderedBlocks:
     """The true scene, as pictures and as counts of the hole's pixels."""
 
     def __init__(self, arrangement: Arrangement) -> None:
-        """Compile it: as it looks, as a mask, and as a mask without blocks."""
+        """Compile the scene in colour, as a mask, and as a mask without blocks."""
         empty = dataclasses.replace(arrangement, blocks=())
         self._models = [
             build_blocks(arrangement).compile(),
@@ -150,13 +150,13 @@ class RenderedBlocks:
         self._data = [mujoco.MjData(model) for model in self._models]
 
     def picture(self, position: FloatArray, aim: FloatArray, which: int = 0) -> ImageArray:
-        """Return (height, width, 3) what a camera at a place that looks at `aim` sees."""
+        """Return the picture (height, width, 3) of a camera at a position that points at `aim`."""
         model, data = self._models[which], self._data[which]
         place_camera(model, data, position, aim)
         return renderer().render(model, data, CAMERA_NAME, CAMERA.width, CAMERA.height)
 
     def seen(self, position: FloatArray, aim: FloatArray) -> tuple[float, float]:
-        """Return which part of the hole's pixels is visible, and how many there are unhidden."""
+        """Return the visible share of the hole's pixels, and their number without occluders."""
         there, all_of_it = (
             float(self.picture(position, aim, which)[..., 0].sum()) / 255.0 for which in (1, 2)
         )
@@ -167,7 +167,7 @@ def random_places(
     field: TargetField, occupancy: Callable[[FloatArray], FloatArray], rng: np.random.Generator,
     count: int,
 ) -> FloatArray:  # fmt: skip
-    """Return (count, 3) places before the target, in focus and free, drawn evenly by direction."""
+    """Return (count, 3) free positions before the target, in focus, drawn evenly by direction."""
     found = np.empty((0, 3))
     while len(found) < count:
         rays = rng.normal(size=(50, 3))
@@ -186,7 +186,7 @@ class BlocksView:
         optimal: Visible share of the hole from the planned view.
         random: (n,) visible share from each random view.
         pixels: Number of the hole's pixels seen from the planned view.
-        random_pixels: (n,) the same from each random view.
+        random_pixels: (n,) number of the hole's pixels seen from each random view.
         cap: Angle by which the planned view is free of occlusion [rad].
         elevation: Elevation of the planned view [rad].
     """
@@ -223,7 +223,7 @@ def run_blocks(trial: BlocksTrial) -> BlocksView | None:
 def rating_cloud(
     field: TargetField, occupancy: Callable[[FloatArray], FloatArray] | None, level: int = 4
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (N, 3) places [m], world, on five shells about the target, and their ratings (N,)."""
+    """Return (N, 3) positions [m], world, on five shells about the target, and ratings (N,)."""
     shells = np.geomspace(LENS.near, 2.0 * LENS.near, 5)
     rays = direction_tree(level).leaves
     places = field.to_world((rays[:, None] * shells[:, None]).reshape(-1, 3))

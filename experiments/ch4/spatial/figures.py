@@ -26,7 +26,7 @@ _COLOURS = ("#bf7330", "#4073b3", "#599959", "#b3a64d")
 
 
 def wall_curve(field: TargetField, lens: Lens, view: View) -> Figure:
-    """Draw the rating over the elevation, beside the closed form."""
+    """Draw the rating over the elevation, and the closed form."""
     elevation = np.linspace(0.01, np.pi - 0.01, 400)
     places = lens.near * np.column_stack([np.cos(elevation), 0.0 * elevation, np.sin(elevation)])
     rated = rate_positions(field, lens, field.to_world(places))
@@ -114,10 +114,10 @@ def sphere(field: TargetField, view: View, lens: Lens) -> Figure:
     far = np.hypot(x, y)
     polar = 0.5 * np.pi * far
     scale = np.where(far > 0, np.sin(polar) / np.maximum(far, 1e-12), 0.0)
-    ways = np.stack([x * scale, y * scale, np.cos(polar)], axis=-1)
+    directions = np.stack([x * scale, y * scale, np.cos(polar)], axis=-1)
     figure = Figure(figsize=(11, 5))
     for index, radius in enumerate((view.distance, 2.0 * view.distance)):
-        places = field.to_world(radius * ways.reshape(-1, 3))
+        places = field.to_world(radius * directions.reshape(-1, 3))
         caps = np.rad2deg(signed_caps(field, places)).reshape(x.shape)
         shown = np.where(far < 1.0, caps, np.nan)
         axes = figure.add_subplot(1, 2, index + 1)
@@ -146,7 +146,7 @@ def sphere(field: TargetField, view: View, lens: Lens) -> Figure:
 def pictures(
     views: Sequence[View], images: Sequence[NDArray[np.uint8]], names: Sequence[str] = ()
 ) -> Figure:
-    """Show what cameras see of the target."""
+    """Show the pictures of the target by several cameras."""
     figure = Figure(figsize=(3.6 * len(views), 4.2))
     for index, (view, image) in enumerate(zip(views, images)):
         axes = figure.add_subplot(1, len(views), index + 1)
@@ -164,7 +164,7 @@ def searches(
     trials: Sequence[SpatialSearchTrial], results: Sequence[SpatialSearch], hull: NDArray[Any],
     exact: NDArray[Any], far: FloatArray,
 ) -> Figure:  # fmt: skip
-    """Draw both searches' times over the number of occluders, and what the hulls give up."""
+    """Draw both searches' times over the number of occluders, and the views lost by the hulls."""
     figure = Figure(figsize=(11, 4))
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
     for key, name in (("slow_s", "every candidate"), ("fast_s", "best first")):

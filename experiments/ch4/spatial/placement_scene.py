@@ -16,15 +16,15 @@ from perception.voxels.map import VoxelMap
 BOX = ((-1.5, -1.5, -0.2), (1.5, 1.5, 0.9))
 """Corners of the map [m], world."""
 REACH = (0.25, 2.0)
-"""Nearest and farthest depth that enters the map [m]; that of the mapping robots."""
+"""Nearest and farthest depth that enters the map [m], as for the mapping robots."""
 COLUMNS, ROWS = 170, 164
 """Rays of a view: every third pixel."""
 EYES, SEEN = (-1.1, 1.1), (-0.9, 0.9)
-"""Where the head is and what it looks at, along x and y [m]."""
+"""Bounds along x and y of the head and of the points on its optical axis [m]."""
 NOT_DOWN = 0.3
-"""The head does not look at what is nearer on the ground [m]."""
+"""Least horizontal distance from the head to the point on its axis [m]."""
 SIDES = 16
-"""Corners that stand for a round target."""
+"""Corners of the polygon about a round target."""
 
 
 def map_scene(
@@ -33,9 +33,9 @@ def map_scene(
     """Return a map of a scene.
 
     Args:
-        scene: What is mapped.
-        views: How many.
-        rng: Draws the views and the noise.
+        scene: Scene that is mapped.
+        views: Number of views.
+        rng: Random generator for the views and the noise.
         resolution: Side of a voxel [m].
     """
     voxels = VoxelMap(VoxelGrid(resolution, *BOX))
@@ -48,9 +48,9 @@ def add_view(voxels: VoxelMap, scene: StereoScene, rng: np.random.Generator) -> 
     """Add one view from anywhere to a map.
 
     Args:
-        voxels: The map.
-        scene: What is seen.
-        rng: Draws the view and the noise.
+        voxels: Map that receives the view.
+        scene: Scene that is viewed.
+        rng: Random generator for the view and the noise.
     """
     eye = np.append(rng.uniform(*EYES, 2), rng.uniform(0.4, 0.85))
     while np.linalg.norm(seen_at := rng.uniform(*SEEN, 2) - eye[:2]) < NOT_DOWN:
@@ -78,7 +78,7 @@ def add_view(voxels: VoxelMap, scene: StereoScene, rng: np.random.Generator) -> 
 
 
 def panel_targets(scene: StereoScene) -> list[Target]:
-    """Return the panel's markers as targets, where they truly are."""
+    """Return the panel's markers as targets at their true poses."""
     to_world = scene.transform_panel_to_world
     normal = to_world.rotation.apply([0.0, 0.0, 1.0])
     turn = 2.0 * np.pi * np.arange(SIDES) / SIDES

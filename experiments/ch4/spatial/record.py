@@ -31,12 +31,12 @@ def record_placement(
 
     Args:
         path: File to write, ``.rrd``.
-        field: The target with its expanded hulls.
+        field: Target with its expanded hulls.
         blocks: Blocks as the planner estimates them.
-        cloud: (N, 3) places [m], world, and (N,) their ratings.
-        views: The chosen one first; each is a step of the recording, the chosen one its last.
-        images: (height, width, 3) what they see.
-        aim: (3,) what they look at [m], world.
+        cloud: (N, 3) positions [m], world, and (N,) their ratings.
+        views: Views, the chosen one first; each is a step of the recording, in reverse order.
+        images: (height, width, 3) picture of each view.
+        aim: (3,) point that the cameras look at [m], world.
     """
     with recording(path, _blueprint()) as stream:
         _log_scene(stream, field, blocks, cloud)
@@ -53,7 +53,7 @@ def _log_scene(
     stream: rr.RecordingStream, field: TargetField, blocks: Sequence[Block],
     cloud: tuple[FloatArray, FloatArray],
 ) -> None:  # fmt: skip
-    """Log the blocks, the expanded hulls, the target and the ratings of places."""
+    """Log the blocks, the expanded hulls, the target and the ratings of positions."""
     stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     boxes = rr.Boxes3D(
         centers=[block.centre for block in blocks],

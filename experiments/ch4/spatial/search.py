@@ -1,7 +1,7 @@
-"""Random scenes in space: the fast search beside the exhaustive one, and the hulls beside sight.
+"""Random scenes in space: fast and exhaustive search, and expanded hulls and exact sight compared.
 
-Solids of all kinds stand about a round target. In every second scene places for the camera are
-partly unknown or doubtful, as in a map.
+Solids of all kinds lie about a round target. In every second scene camera positions are partly
+unknown or uncertain, as in a map.
 """
 
 import dataclasses
@@ -27,11 +27,11 @@ from models.datasheets import CAMERA, INCH
 from perception.geometry.arrays import FloatArray
 
 LENS = Lens(CAMERA.field_of_view[0], CAMERA.width, 5.0 * INCH, 24.0 * INCH)
-"""Nearest distance in focus as the thesis' answer of 5 inches says; the farthest is a choice."""
+"""The nearest distance in focus is the thesis' answer of 5 inches; the farthest is a choice."""
 PLAIN = SearchConfig(refine=False)
 SIDES = 12
 SIGHT_CASES = 50
-"""Cameras whose sight is judged in each scene."""
+"""Number of cameras in each scene for which hulls and exact sight are compared."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SpatialSearchTrial:
     Attributes:
         seed: Random seed of the scene.
         occluders: Number of solids, 3 to 20.
-        patchy: Whether places for the camera are partly unknown.
+        patchy: Whether camera positions are partly unknown.
     """
 
     seed: int
@@ -63,8 +63,8 @@ def disc(name: str, radius: float, position: FloatArray, normal: FloatArray) -> 
 def draw_solids(rng: np.random.Generator, count: int, target: Target) -> list[Occluder]:
     """Draw solids before a target: turned boxes and hulls of points, half of each kind.
 
-    They are 2 cm to 24 cm in size and up to 35 cm off, so most stand where they matter for a
-    camera that works from 5 inches on.
+    They are 2 cm to 24 cm in size and up to 35 cm off, so most of them matter for a camera
+    that works from 5 inches on.
     """
     made: list[Occluder] = []
     for index in range(count):
@@ -84,7 +84,7 @@ def draw_solids(rng: np.random.Generator, count: int, target: Target) -> list[Oc
 def make_scene(
     trial: SpatialSearchTrial, rng: np.random.Generator
 ) -> tuple[TargetField, list[Occluder], Occupancy | None]:
-    """Draw a target that something leaves in view, its solids, and the map."""
+    """Draw a target that is not hidden from everywhere, its solids, and the map."""
     while True:
         target = disc("hole", 0.008, rng.normal(size=3), rng.normal(size=3))
         solids = draw_solids(rng, trial.occluders, target)
@@ -97,7 +97,7 @@ def make_scene(
 
 
 def _patches(middle: FloatArray, waves: FloatArray) -> Occupancy:
-    """Return a map of free, doubtful and unknown places in turn."""
+    """Return a map of free, uncertain and unknown positions in turn."""
 
     def occupancy(points: FloatArray) -> FloatArray:
         level = np.sin((points - middle) @ waves).sum(axis=1)
@@ -132,7 +132,7 @@ class SpatialSearch:
 
 
 def run_search(trial: SpatialSearchTrial) -> SpatialSearch:
-    """Search one scene both ways and compare; also ask the hulls and exact sight."""
+    """Search one scene both ways, and compare hulls with exact sight."""
     rng = np.random.default_rng(trial.seed)
     field, solids, occupancy = make_scene(trial, rng)
     slow, slow_s = _timed(best_view_of_all, field, occupancy)

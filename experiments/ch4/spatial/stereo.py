@@ -1,13 +1,13 @@
-"""``ch4-stereo``: where to put a camera among blocks, in space (figures 4-12, 4-13).
+"""``ch4-stereo``: camera placement among blocks, in space (figures 4-12, 4-13).
 
 A work-piece with round holes lies among simple blocks. A CAD model of it with a stated uncertainty
 is given, the rating is optimised in space, and the camera's view from there is rendered.
 
-1. The check with a closed form: a long wall whose edge, expanded by the hole, stands at 60 deg of
+1. The check with a closed form: a long wall whose edge, expanded by the hole, is at 60 deg of
    elevation behind the hole. The thesis' answer (5 in, 0, pi/3) is its exact optimum.
-2. Arrangements of blocks drawn at random: what part of the hole is really seen, by rendering, from
-   the planned pose and from random free poses in focus.
-3. Random scenes: the fast search beside the exhaustive one, expanded hulls beside exact sight.
+2. Arrangements of blocks drawn at random: the visible share of the hole, by rendering, from the
+   planned pose and from random free poses in focus.
+3. Random scenes: fast and exhaustive search, expanded hulls and exact sight compared.
 4. Two cameras placed at once.
 """
 
@@ -54,7 +54,7 @@ class Options(contract.Options):
     """Options of ch4-stereo.
 
     Attributes:
-        scenes: Random scenes in which the searches are compared (unless said, 200; with --quick,
+        scenes: Random scenes in which the searches are compared (200 by default; with --quick,
             24). --seeds sets the number of rendered arrangements.
         blocks: Blocks of a rendered arrangement.
         target: The hole to watch in the scene of figure 4-12: hole0, hole1 or hole2.
@@ -115,7 +115,7 @@ def _spherical_units(field: TargetField, view: View) -> dict[str, float]:
 
 
 def _figure_scene(options: Options, output: Output) -> None:
-    """Plan in the scene of figure 4-12 from an uncertain model; render what is seen from there."""
+    """Plan in the scene of figure 4-12 from an uncertain model, and render the planned view."""
     rng = np.random.default_rng(options.seed)
     hole = int(options.target.removeprefix("hole"))
     believed, field, occupancy, view = plan_view(FIGURE_4_12, rng, hole)
@@ -173,9 +173,8 @@ def _searches(options: Options, output: Output) -> None:
     output.measure("search_ms/fast", distribution(1e3 * fast))
     output.measure("search_ms/exhaustive", distribution(1e3 * slow))
     output.measure("refined_over_exhaustive", distribution([r.gain for r in results]))
-    hull = np.concatenate([r.hull for r in results])
-    exact = np.concatenate([r.exact for r in results])
-    far = np.concatenate([r.distance for r in results])
+    sights = [(r.hull, r.exact, r.distance) for r in results]
+    hull, exact, far = np.concatenate(sights, axis=1)
     wrong = int(np.count_nonzero((hull == 1) & (exact == 0)))
     output.measure("hull_false_visible", wrong)
     output.measure("hull_cases", len(hull))

@@ -1,4 +1,4 @@
-"""Where a rover can stand and drive by a map, against counting points and against geometry."""
+"""Free positions and paths of a rover on a map, against counting points and against geometry."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def length(path):
     return np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
 
 
-def test_a_place_is_free_if_fewer_than_three_points_of_its_disc_are_in_the_way():
+def test_a_place_is_free_if_fewer_than_three_points_of_its_disc_are_obstacles():
     rng = np.random.default_rng(0)
     points = rng.uniform([-2, -2, 0.0], [2, 2, 0.6], (300, 3))
     turn = RigidTransform.from_components([0.3, -0.2, 0.1], Rotation.from_euler("z", 0.7))
@@ -45,7 +45,7 @@ def test_a_place_is_free_if_fewer_than_three_points_of_its_disc_are_in_the_way()
     assert 50 < sum(answers) < 350
 
 
-def test_what_is_uncertain_by_its_height_over_the_limit_is_not_in_the_way():
+def test_a_point_as_uncertain_as_its_height_over_the_limit_is_no_obstacle():
     stake = [[0.1, 0.0, 0.10]] * 3
     assert not MappedGround(surface(stake, 0.019), LEVEL).is_free([0.0, 0.0])
     assert MappedGround(surface(stake, 0.021), LEVEL).is_free([0.0, 0.0])
@@ -108,8 +108,8 @@ def test_no_path_leads_through_a_gap_narrower_than_the_rover():
         assert ground.paths_from([0.5, 0.5]).path_to([0.0, 0.0]) is not None
 
 
-def test_a_rover_may_leave_the_place_where_it_stands():
-    """The map has points within its own disc, which are noise: it stands there."""
+def test_a_rover_may_leave_its_position_among_noise():
+    """The map has points within its own disc, which are noise."""
     ground = MappedGround(surface(wall([-0.1, 0.0], [0.1, 0.0])), LEVEL)
     assert not ground.is_free([0.0, 0.05])
     path = ground.paths_from([0.0, 0.05]).path_to([1.0, 1.0])

@@ -24,7 +24,7 @@ from controllers.placement.planar.sight import KnownSpace
 from controllers.placement.task import Lens, PlacementError, Target
 
 PANEL = MovingObject("panel", [[-1.5, -0.5], [1.5, -0.5], [1.5, 0.5], [-1.5, 0.5]])
-SPREAD = np.diag([0.05, 0.05, 0.03]) ** 2
+COVARIANCE = np.diag([0.05, 0.05, 0.03]) ** 2
 SPACE = KnownSpace(np.full((60, 60), 0.02), 0.2)
 FEW = RingCandidates(16, 128)
 
@@ -46,20 +46,20 @@ def seen_points(pose, generator, deviation, sides=(0, 1)):
 
 def test_fitted_pose_is_as_uncertain_as_its_covariance_says():
     generator = np.random.default_rng(1)
-    prior_spread = np.diag([0.1, 0.1, 0.1]) ** 2
+    prior_covariance = np.diag([0.1, 0.1, 0.1]) ** 2
     scores = []
     for _ in range(60):
         true = PlanarPose(*generator.uniform([4, 4, -3], [8, 8, 3]))
         prior = dataclasses.replace(drawn(
-            dataclasses.replace(true, covariance=prior_spread), generator),
-            covariance=prior_spread)  # fmt: skip
+            dataclasses.replace(true, covariance=prior_covariance), generator),
+            covariance=prior_covariance)  # fmt: skip
         fit = fit_outline(PANEL, seen_points(true, generator, 0.01), 0.01, prior)
         error = np.array([true.x - fit.x, true.y - fit.y, true.heading - fit.heading])
         scores.append(error @ np.linalg.solve(fit.covariance, error))
     assert np.mean(scores) == pytest.approx(3.0, abs=1.2)
 
 
-def test_one_side_leaves_the_way_along_it_to_the_prior():
+def test_one_side_leaves_the_direction_along_it_to_the_prior():
     generator = np.random.default_rng(2)
     true = PlanarPose(6.0, 6.0, 0.0)
     prior = PlanarPose(6.05, 6.05, 0.02, np.diag([0.1, 0.1, 0.1]) ** 2)
@@ -77,7 +77,7 @@ def test_object_taken_out_of_the_map_leaves_measured_empty_cells():
     values = np.where(inside, 0.95, 0.5)
     values[5, 5] = 0.95
     mapped = dataclasses.replace(SPACE, probability=values)
-    emptied = take_out(mapped, PANEL, dataclasses.replace(pose, covariance=SPREAD))
+    emptied = take_out(mapped, PANEL, dataclasses.replace(pose, covariance=COVARIANCE))
     assert np.all(emptied.probability[inside] == EMPTY)
     assert np.all(emptied.probability[~inside] == values[~inside])
 
@@ -102,7 +102,7 @@ def test_uncertain_object_is_put_back_as_often_as_it_covers_a_cell():
 
 def test_swollen_occluder_holds_the_object_in_all_but_few_drawn_poses():
     generator = np.random.default_rng(3)
-    pose = PlanarPose(6.0, 6.0, 0.7, SPREAD)
+    pose = PlanarPose(6.0, 6.0, 0.7, COVARIANCE)
     corners = swollen(PANEL, pose, 3.0).points
     corners = corners[ConvexHull(corners).vertices]
     held = [covers(corners, drawn(pose, generator).to_world(PANEL.outline)).all()
@@ -113,11 +113,11 @@ def test_swollen_occluder_holds_the_object_in_all_but_few_drawn_poses():
 
 
 def jittering_tasks(steps, generator):
-    """A panel that stands still beside the view, measured anew each step."""
+    """A panel at rest beside the view, measured anew each step."""
     target = Target("slot", [6.0, 2.0], [0.0, 1.0], [[-0.2, 0.0], [0.2, 0.0]])
-    pose = PlanarPose(6.0, 4.2, 0.0, SPREAD)
+    pose = PlanarPose(6.0, 4.2, 0.0, COVARIANCE)
     for _ in range(steps):
-        measured = dataclasses.replace(drawn(pose, generator), covariance=SPREAD)
+        measured = dataclasses.replace(drawn(pose, generator), covariance=COVARIANCE)
         space = put_back(SPACE, PANEL, measured, generator, draws=50)
         yield PlanarTask((target,), Lens(0.72, 510, 2.5, 6.0), (swollen(PANEL, measured),), space)
 
@@ -142,7 +142,7 @@ def test_camera_moves_when_it_is_hidden():
     assert view.rating > 0.0
 
 
-def test_no_view_at_all_is_told():
+def test_no_view_at_all_is_an_error_with_its_reason():
     task = next(jittering_tasks(1, np.random.default_rng(5)))
     blind = dataclasses.replace(task, space=KnownSpace(np.full((60, 60), 0.5), 0.2))
     with pytest.raises(PlacementError, match="not known to be free"):

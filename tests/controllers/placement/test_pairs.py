@@ -1,4 +1,4 @@
-"""Two cameras at once: the best of all pairs, and none that is in the other's way."""
+"""Two cameras at once: the best of all pairs, and neither camera occludes the other."""
 
 import itertools
 
@@ -71,16 +71,16 @@ def test_distance_of_segments_is_that_of_their_nearest_points():
 def test_each_still_sees_all_of_its_target_past_the_others_body():
     field = expand(disc_target(), [])
     views = best_pair([field], (FIRST, FIRST))
-    ways = [view.position / view.distance for view in views]
-    assert np.arccos(ways[0] @ ways[1]) >= np.deg2rad(30.0)
+    directions = [view.position / view.distance for view in views]
+    assert np.arccos(directions[0] @ directions[1]) >= np.deg2rad(30.0)
     for mine, other in (views, views[::-1]):
         # A box about the other's rod.
-        way = other.position / other.distance
-        side = np.cross(way, [1.0, 0.0, 0.0])
+        back = other.position / other.distance
+        side = np.cross(back, [1.0, 0.0, 0.0])
         side /= np.linalg.norm(side)
-        axes = np.array([side, np.cross(way, side), way])
+        axes = np.array([side, np.cross(back, side), back])
         body = box("body", np.zeros(3), [FIRST.body_radius / 2**0.5] * 2 + [0.075])
-        rod = type(body)("body", body.points @ axes + other.position + 0.075 * way)
+        rod = type(body)("body", body.points @ axes + other.position + 0.075 * back)
         assert sees_all(field.target, [rod], [mine.position])[0]
 
 

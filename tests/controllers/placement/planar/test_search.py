@@ -41,7 +41,7 @@ def task(occluders=(), space=FREE, exponents=EVEN, targets=(HOLE,)):
 
 
 def wall_at(elevation):
-    """A thick wall whose expanded edge stands at an elevation behind the hole, and goes far."""
+    """A thick wall whose expanded edge is at an elevation behind the hole, and extends far."""
     edge = 0.5 * np.array([math.cos(math.pi - elevation), math.sin(math.pi - elevation)])
     edge -= [0.1, 0.0]
     return Occluder("wall", [edge, edge + [-9.0, 0.0], [-9.5, -0.1], [edge[0], -0.1]])
@@ -116,7 +116,7 @@ def test_optimum_of_an_arc_is_that_of_a_fine_grid():
         assert value >= values.max() * (1.0 - 1e-9)
 
 
-def test_camera_stands_only_where_the_map_is_free():
+def test_camera_is_placed_only_where_the_map_is_free():
     scene = random_task(0.2, np.random.default_rng(11))
     view = best_view(scene)
     column, row = np.floor(view.position).astype(int)

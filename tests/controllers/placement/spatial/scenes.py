@@ -49,7 +49,7 @@ def random_occluders(rng, count, target):
 
 
 def fibonacci(count):
-    """(count, 3) directions spread evenly; no gap is wider than about 3.6 / sqrt(count) rad."""
+    """(count, 3) even directions; no gap is wider than about 3.6 / sqrt(count) rad."""
     index = np.arange(count) + 0.5
     z = 1.0 - 2.0 * index / count
     turn = np.pi * (1.0 + 5.0**0.5) * index

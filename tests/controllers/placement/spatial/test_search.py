@@ -1,4 +1,4 @@
-"""The fast search finds what rating every candidate finds, and says why when there is none."""
+"""The fast search finds what rating every candidate finds, and reports why if there is none."""
 
 import dataclasses
 import itertools
@@ -32,7 +32,7 @@ COARSE = SearchConfig(level=3, rings=8, refine=False)
 
 
 def patchy(points):
-    """Free, unknown and doubtful places in turn."""
+    """Free, unknown and uncertain positions in turn."""
     wave = np.sin(40 * points[:, 0]) * np.sin(37 * points[:, 1]) * np.sin(23 * points[:, 2])
     return np.where(wave > 0.2, np.nan, 0.024 * (1.0 + np.sin(50 * points[:, 0])))
 
@@ -60,10 +60,10 @@ def test_triangles_cover_the_half_sphere_and_hold_their_parts():
         apart = np.arccos(np.clip(children @ tree.centres[node], -1.0, 1.0))
         assert np.all(apart <= tree.radii[node])
     rng = np.random.default_rng(0)
-    any_way = rng.normal(size=(2000, 3)) * [1, 1, 1]
-    any_way /= np.linalg.norm(any_way, axis=1, keepdims=True)
-    any_way[:, 2] = np.abs(any_way[:, 2])
-    nearest = np.arccos(np.clip((any_way @ leaves.T).max(axis=1), -1.0, 1.0))
+    directions = rng.normal(size=(2000, 3)) * [1, 1, 1]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions[:, 2] = np.abs(directions[:, 2])
+    nearest = np.arccos(np.clip((directions @ leaves.T).max(axis=1), -1.0, 1.0))
     assert nearest.max() <= tree.radii[tree.first_leaf :].max()
 
 
@@ -108,8 +108,8 @@ def test_each_direction_is_rated_at_its_best_distance():
     rated = rate_directions(SpatialTask(field, LENS, patchy, COARSE))
     best = {}
     for view in views_in_order(SpatialTask(field, LENS, patchy, COARSE)):
-        way = tuple(np.round((view.position - field[0].target.position) / view.distance, 9))
-        best.setdefault(way, view.rating)
+        direction = tuple(np.round((view.position - field[0].target.position) / view.distance, 9))
+        best.setdefault(direction, view.rating)
     np.testing.assert_allclose(rated.ratings, sorted(best.values(), reverse=True), rtol=1e-9)
 
 
@@ -128,22 +128,22 @@ def test_wall_at_sixty_degrees_gives_five_inch_zero_and_sixty_degrees():
 
 def test_views_are_offered_best_first_until_one_is_accepted():
     field = random_fields(np.random.default_rng(7))
-    asked = []
+    offered = []
 
     def accept(view):
-        asked.append(view.rating)
-        return len(asked) == 30
+        offered.append(view.rating)
+        return len(offered) == 30
 
     view = best_view(SpatialTask(field, LENS, config=COARSE), accept)
     expected = [
         v.rating
         for v in itertools.islice(views_in_order(SpatialTask(field, LENS, None, COARSE)), 30)
     ]
-    assert asked == expected
+    assert offered == expected
     assert view.rating == expected[-1]
 
 
-def test_cameras_only_stand_where_a_voxel_map_is_known_to_be_free():
+def test_cameras_are_placed_only_where_a_voxel_map_is_known_to_be_free():
     voxels = scanned()
     target = disc_target(position=[0.0, 0.0, 0.6], normal=[0.0, 0.0, -1.0])
     cells, _ = voxels.occupied_cells()

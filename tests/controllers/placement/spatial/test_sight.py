@@ -110,11 +110,11 @@ def test_box_just_beside_the_line_of_sight_hides_a_disc_but_not_its_middle():
     assert not sees_all(disc_target(radius=0.011), [block], camera)[0]
 
 
-def test_a_fine_mesh_takes_no_more_room_than_its_corners():
+def test_a_fine_mesh_takes_no_more_memory_than_its_corners():
     rng = np.random.default_rng(3)
-    way = rng.normal(size=(2000, 3))
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    ball = Occluder("ball", np.array([0.0, 0.0, 0.2]) + 0.05 * way)
+    directions = rng.normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ball = Occluder("ball", np.array([0.0, 0.0, 0.2]) + 0.05 * directions)
     tracemalloc.start()
     found = sees_all(disc_target(), [ball], [[0.0, 0.0, 0.4], [0.3, 0.0, 0.1]])
     _, most = tracemalloc.get_traced_memory()

@@ -90,7 +90,7 @@ def test_success_is_within_the_clearance_and_seen():
 
 
 @pytest.mark.slow
-def test_an_object_that_is_never_seen_drifts_all_the_way():
+def test_an_object_that_is_never_seen_drifts_over_its_whole_path():
     chance = draw_chance(1)
     blocked = ObstacleWorld(np.zeros((0, 6, 2)), np.ones((240, 240)))
     expected = SCENARIO.prior * chance.constants[0]
@@ -103,7 +103,7 @@ def test_an_object_that_is_never_seen_drifts_all_the_way():
 
 
 @pytest.mark.slow
-def test_arrival_error_has_the_spread_that_the_sightings_predict():
+def test_arrival_error_has_the_variance_that_the_sightings_predict():
     # In the open all periods are seen; what is left is the last weighted error and a short drift.
     world = ObstacleWorld(np.zeros((0, 6, 2)), np.zeros((240, 240)))
     ratios = []
@@ -165,7 +165,7 @@ def test_random_cameras_move_only_when_they_see_nothing_and_fixed_ones_never():
 
 
 @pytest.mark.slow
-def test_a_test_is_the_same_beside_whichever_others():
+def test_a_test_does_not_depend_on_the_others_of_its_job():
     together, _ = run_tests(GuidanceJob((3, 4), {}))
     alone, _ = run_tests(GuidanceJob((4,), {}))
     for name, values in vars(alone).items():

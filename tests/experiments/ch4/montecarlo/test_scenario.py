@@ -1,4 +1,4 @@
-"""The worlds of table 4-1, and what a camera really sees in them."""
+"""The worlds of table 4-1, and the true visibility of markers in them."""
 
 import itertools
 import math
@@ -58,16 +58,16 @@ def test_a_denser_world_is_a_sparser_one_with_more_obstacles(drawn):
         assert np.all(dense.occupied >= sparse.occupied)
 
 
-def test_obstacles_leave_the_way_free_by_two_standard_deviations_of_drift(drawn):
+def test_obstacles_leave_the_path_free_by_two_standard_deviations_of_drift(drawn):
     margin = SCENARIO.marker + 2.0 * SCENARIO.drift * SCENARIO.start
     x = SIDE + margin
     top = SCENARIO.start + SCENARIO.length + margin
-    way = path(np.array([[-x, -margin], [x, -margin], [x, top], [-x, top]]))
+    passage = path(np.array([[-x, -margin], [x, -margin], [x, top], [-x, top]]))
     for corners in drawn[-1].corners:
-        assert not way.intersects_path(path(corners), filled=True)
+        assert not passage.intersects_path(path(corners), filled=True)
 
 
-def test_cameras_can_be_where_they_touch_nothing_and_can_get_to(drawn):
+def test_free_camera_positions_touch_nothing_and_can_be_reached(drawn):
     world = drawn[1]
     free = world.occupied == 0.0
     labels, _ = ndimage.label(free)

@@ -40,18 +40,18 @@ def test_both_searches_agree_and_hulls_see_no_more_than_there_is():
         assert not np.any((result.hull == 1) & (result.exact == 0))
 
 
-def test_rendered_hole_is_whole_just_where_exact_sight_says_so():
+def test_rendered_hole_is_whole_just_where_exact_sight_agrees():
     rng = np.random.default_rng(1)
     arrangement = draw_arrangement(rng, 8)
     target, rendered = hole_of(arrangement), RenderedBlocks(arrangement)
-    way = rng.normal(size=(24, 3))
-    way[:, 2] = 0.2 + np.abs(way[:, 2])
-    places = way / np.linalg.norm(way, axis=1, keepdims=True) * rng.uniform(0.15, 0.3, (24, 1))
+    rays = rng.normal(size=(24, 3))
+    rays[:, 2] = 0.2 + np.abs(rays[:, 2])
+    places = rays / np.linalg.norm(rays, axis=1, keepdims=True) * rng.uniform(0.15, 0.3, (24, 1))
     parts = np.array([rendered.seen(place, target.position)[0] for place in places])
     whole = sees_all(target, occluders_of(arrangement.blocks), places)
     assert 4 < whole.sum() < 20
     assert np.all(parts[whole] > 0.999)
-    # The polygon that stands for the disc is larger than it, by 3.5 % in its corners.
+    # The polygon about the disc is larger than it, by 3.5 % in its corners.
     assert np.count_nonzero(parts[~whole] > 0.999) <= 2
 
 
