@@ -273,8 +273,7 @@ def replace_camera(
 
 def cell_centres(space: KnownSpace) -> FloatArray:
     """Return the centres (rows, columns, 2) of a map's cells [m], world."""
-    rows, columns = space.probability.shape
-    y, x = np.mgrid[:rows, :columns]
+    y, x = np.mgrid[tuple(map(slice, space.probability.shape))]
     return (np.stack([x, y], axis=-1) + 0.5) * space.cell + np.asarray(space.origin)
 
 

@@ -89,9 +89,8 @@ def best_pair(
         )
     views: list[View] = []
     for system, found, index in zip(systems, rated, (first, second)):
-        field = fields[int(found.fields[index])]
-        place = found.positions[index][None]
-        views += rate_positions(field, system.lens, place, occupancy, config.exponents)
+        field, position = fields[int(found.fields[index])], found.positions[index]
+        views += rate_positions(field, system.lens, position, occupancy, config.exponents)
     return views[0], views[1]
 
 

@@ -94,8 +94,8 @@ def expand(occluders: Sequence[Occluder], target: Target) -> ExpandedOccluders:
         hulls.append(_hull_corners(occluder.name, sums.reshape(-1, 2)))
     starts = np.cumsum([0, *(len(hull) for hull in hulls)]).astype(np.int64)
     points = np.concatenate(hulls) if hulls else np.zeros((0, 2))
-    corners = HullCorners(np.ascontiguousarray(points), starts)
-    return ExpandedOccluders(tuple(occluder.name for occluder in occluders), corners)
+    names = tuple(occluder.name for occluder in occluders)
+    return ExpandedOccluders(names, HullCorners(np.ascontiguousarray(points), starts))
 
 
 @numba.njit(cache=True)
@@ -172,8 +172,7 @@ def occluders_of_map(space: KnownSpace, targets: Sequence[Target] = ()) -> tuple
         parts = _halved(np.argwhere(labels[window] == number) + first)
         for index, corners in enumerate(parts, start=1):
             name = f"cluster {number}" + (f".{index}" if len(parts) > 1 else "")
-            world = corners[:, ::-1] * space.cell + np.asarray(space.origin)
-            occluders.append(Occluder(name, world))
+            occluders.append(Occluder(name, corners[:, ::-1] * space.cell + space.origin))
     return tuple(occluders)
 
 

@@ -112,17 +112,13 @@ class SpatialTask:
         rings[[0, -1]] = lens.near, lens.far  # In spite of rounding they are in focus.
         made: list[_PreparedTarget] = []
         for field in self.fields:
-            if self.occupancy is None:
-                chances = np.zeros((len(tree.leaves), config.rings))
-                first, lowest = np.zeros(len(tree.centres), np.int64), np.zeros(len(tree.centres))
-            else:
-                places = (tree.leaves[:, None] * rings[:, None]).reshape(-1, 3)
-                chances = probabilities_at(self.occupancy, field.to_world(places)).reshape(
-                    -1, config.rings
-                )
-                free = chances < FREE_BELOW
-                first = np.where(free.any(axis=1), free.argmax(axis=1), config.rings)
-                first, lowest = tree.least(first), tree.least(chances.min(axis=1))
+            chances = np.zeros((len(tree.leaves), config.rings))
+            if self.occupancy is not None:
+                places = field.to_world((tree.leaves[:, None] * rings[:, None]).reshape(-1, 3))
+                chances = probabilities_at(self.occupancy, places).reshape(chances.shape)
+            free = chances < FREE_BELOW
+            first = tree.least(np.where(free.any(axis=1), free.argmax(axis=1), config.rings))
+            lowest = tree.least(chances.min(axis=1))
             candidates = best_first.TreeCandidates(tree, rings, chances, first, lowest)
             terms = rating_terms(lens, field.target, config.exponents)
             made.append(_PreparedTarget(field, self, candidates, terms))

@@ -132,8 +132,7 @@ def run(options: Options, output: Output) -> None:
         _measure_table(cells, name, output)
         _measure_orderings(cells, name, output)
     _measure_causes(joined[0], output)
-    seconds = sum(seconds for _, seconds in results[: len(chunks)])
-    rate = success[""].size / seconds
+    rate = success[""].size / sum(seconds for _, seconds in results[: len(chunks)])
     output.measure("tests_per_second", rate)
     output.check("tests a second and core", rate, f">= {SPEED_BOUND:g}", rate >= SPEED_BOUND)
     coarse = success["one_pixel"].mean(axis=0)

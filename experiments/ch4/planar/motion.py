@@ -114,8 +114,8 @@ def map_site(seed: int) -> MappedSite:
     run_trial(trial, world, seen.append)
     mapped = seen[-1].map
     for place in VIEWPOINTS:
-        row, column = world.grid.cell_at(place)
-        view = scan(world.occupied, world.grid, (int(row), int(column)), math.pi, trial.sensor)
+        row, column = map(int, world.grid.cell_at(place))
+        view = scan(world.occupied, world.grid, (row, column), math.pi, trial.sensor)
         mapped.insert(view.passed, view.hit)
     return MappedSite(world, solid, KnownSpace(mapped.probability(), world.grid.cell))
 

@@ -92,9 +92,8 @@ def run(options: Options, output: Output) -> None:
     _searches(options, output, seeds)
     _hulls(options, output, seeds[:10])
     tasks = two_instances()
-    for name, task in zip(("first", "second"), tasks):
+    for name, task, expected in zip(("first", "second"), tasks, WATCHED):
         view = best_view(task)
-        expected = WATCHED[name == "second"]
         output.measure(f"watched/{name}_instance", view.target, thesis=expected)
         agrees = view.target == expected
         output.check(f"{name} instance: watches the {expected} target", agrees, 1, agrees)
@@ -171,8 +170,7 @@ def _motion(options: Options, output: Output, seeds: Sequence[int]) -> None:
         )
         watched = sum(run.watched for run in runs)
         output.measure(f"watched_fraction{ending}", fraction(watched, max(placed, 1)))
-    fewer = sum(r.moves for r in steady)
-    more = sum(r.moves for r in plains)
+    fewer, more = (sum(run.moves for run in runs) for runs in (steady, plains))
     output.check("moves with hysteresis against without", fewer, f"<= {more}", fewer <= more)
     orders = [_order(r.target) for r in steady]
     turned = sum(order == "primary, secondary" for order in orders)

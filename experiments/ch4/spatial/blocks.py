@@ -55,8 +55,8 @@ class BlocksTrial:
 
 def hole_of(arrangement: Arrangement, index: int = 0) -> Target:
     """Return a hole of the work-piece as a target."""
-    place = np.array([*arrangement.holes[index], 0.0])
-    return disc(f"hole{index}", arrangement.hole_radius, place, np.array([0.0, 0.0, 1.0]))
+    position, normal = np.array([[*arrangement.holes[index], 0.0], [0.0, 0.0, 1.0]])
+    return disc(f"hole{index}", arrangement.hole_radius, position, normal)
 
 
 def occluders_of(blocks: tuple[Block, ...]) -> list[Occluder]:
@@ -141,11 +141,10 @@ class RenderedBlocks:
 
     def __init__(self, arrangement: Arrangement) -> None:
         """Compile the scene in colour, as a mask, and as a mask without blocks."""
-        empty = dataclasses.replace(arrangement, blocks=())
         self._models = [
             build_blocks(arrangement).compile(),
             build_blocks(arrangement, mask=True).compile(),
-            build_blocks(empty, mask=True).compile(),
+            build_blocks(dataclasses.replace(arrangement, blocks=()), mask=True).compile(),
         ]
         self._data = [mujoco.MjData(model) for model in self._models]
 
@@ -225,7 +224,7 @@ def rating_cloud(
 ) -> tuple[FloatArray, FloatArray]:
     """Return (N, 3) positions [m], world, on five shells about the target, and ratings (N,)."""
     shells = np.geomspace(LENS.near, 2.0 * LENS.near, 5)
-    rays = direction_tree(level).leaves
-    places = field.to_world((rays[:, None] * shells[:, None]).reshape(-1, 3))
-    views = rate_positions(field, LENS, places, occupancy)
-    return places, np.array([view.rating for view in views])
+    rays = direction_tree(level).leaves[:, None] * shells[:, None]
+    places = field.to_world(rays.reshape(-1, 3))
+    ratings = [view.rating for view in rate_positions(field, LENS, places, occupancy)]
+    return places, np.array(ratings)

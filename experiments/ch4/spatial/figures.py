@@ -144,17 +144,14 @@ def sphere(field: TargetField, view: View, lens: Lens) -> Figure:
 
 
 def pictures(
-    views: Sequence[View], images: Sequence[NDArray[np.uint8]], names: Sequence[str] = ()
+    views: Sequence[View], images: Sequence[NDArray[np.uint8]], names: Sequence[str]
 ) -> Figure:
     """Show the pictures of the target by several cameras."""
     figure = Figure(figsize=(3.6 * len(views), 4.2))
-    for index, (view, image) in enumerate(zip(views, images)):
+    for index, (view, image, name) in enumerate(zip(views, images, names)):
         axes = figure.add_subplot(1, len(views), index + 1)
-        axes.imshow(
-            image, aspect=CAMERA.pinhole.fx / CAMERA.pinhole.fy
-        )  # Pixels are wider than high.
-        default = "optimal pose" if index == 0 else f"random pose {index}"
-        name = names[index] if names else default
+        # Pixels are wider than high.
+        axes.imshow(image, aspect=CAMERA.pinhole.fx / CAMERA.pinhole.fy)
         axes.set_title(f"{name}\n{view.distance / INCH:.1f} in, rating {view.rating:.0f} per m")
         axes.axis("off")
     return figure

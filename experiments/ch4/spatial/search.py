@@ -150,8 +150,7 @@ def run_search(trial: SpatialSearchTrial) -> SpatialSearch:
     places = field.target.position + distance[:, None] * rays
     hull = (free_caps(field, places) > 0.0).astype(np.int8)
     exact = sees_all(field.target, solids, places).astype(np.int8)
-    seen = slow is not None
-    return SpatialSearch(bool(match), gain, seen, slow_s, fast_s, hull, exact, distance)
+    return SpatialSearch(bool(match), gain, slow is not None, slow_s, fast_s, hull, exact, distance)
 
 
 def _timed(

@@ -45,8 +45,8 @@ SCENES, QUICK_SCENES = 200, 24
 ARRANGEMENTS, QUICK_ARRANGEMENTS = 60, 8
 BLOCKS = 8
 SYSTEMS = (VisionSystem("first", LENS), VisionSystem("second", LENS))
-COUNTS = (3, 20)
-"""Fewest and most solids of a random scene."""
+COUNTS = range(3, 21)
+"""Numbers of solids of random scenes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +130,8 @@ def _figure_scene(options: Options, output: Output) -> None:
     views = [view, *rate_positions(field, LENS, others, occupancy)]
     aim = field.target.position
     images = [rendered.picture(v.position, aim) for v in views]
-    output.figure("figure_4-13", figures.pictures(views, images))
+    names = ("optimal pose", "random pose 1", "random pose 2", "random pose 3")
+    output.figure("figure_4-13", figures.pictures(views, images, names))
     pair = _pair(field, occupancy, output)
     shots = [rendered.picture(v.position, aim) for v in pair]
     output.figure("two_cameras", figures.pictures(pair, shots, ("first camera", "second camera")))
@@ -145,8 +146,8 @@ def _pair(field: TargetField, occupancy: Any, output: Output) -> tuple[View, Vie
     rays = [(v.position - field.target.position) / v.distance for v in pair]
     apart = float(np.rad2deg(np.arccos(np.clip(rays[0] @ rays[1], -1.0, 1.0))))
     output.measure("pair_separation_deg", apart)
-    product = pair[0].rating * pair[1].rating / alone.rating**2
-    output.measure("pair_product_over_best_squared", product)
+    product = pair[0].rating * pair[1].rating
+    output.measure("pair_product_over_best_squared", product / alone.rating**2)
     fits = go_together([field], SYSTEMS, pair) and apart >= np.rad2deg(SEPARATION) - 1e-9
     output.check("two cameras keep clear of each other, deg apart", apart, ">= 30", fits)
     return pair
@@ -156,9 +157,9 @@ def _searches(options: Options, output: Output) -> None:
     """Compare searches, and hulls with exact sight, on random scenes."""
     count = options.scenes or (QUICK_SCENES if options.quick else SCENES)
     words = np.random.SeedSequence((options.seed, 1)).generate_state(count)
-    span = COUNTS[1] - COUNTS[0] + 1
     trials = [
-        SpatialSearchTrial(int(w), COUNTS[0] + i % span, i % 2 == 1) for i, w in enumerate(words)
+        SpatialSearchTrial(int(word), COUNTS[i % len(COUNTS)], i % 2 == 1)
+        for i, word in enumerate(words)
     ]
     # What is timed runs alone, one scene after the other.
     results = [run_search(trial) for trial in trials]
