@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
+from models.compose import FLAT, FieldConfig, RobotPlacement
 from twin.camera import StereoConfig
 from twin.clock import Clock, WallClock
-from twin.describe import describe_placement
 from twin.hardware.connect_boards import (
     Wiring,
     emulated_robots,
@@ -20,7 +19,7 @@ from twin.hardware.connect_boards import (
 )
 from twin.hardware.emulator.modem import ModemConfig, virtual_links
 from twin.hardware.emulator.process import EmulatorProcess
-from twin.hardware.emulator.scene import SETTLING, EmulatedScene, SceneConfig
+from twin.hardware.emulator.scene import EmulatedScene, SceneConfig, simulate
 from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedConfig, FramedLink
 from twin.hardware.serial_link import SerialLink
@@ -136,25 +135,13 @@ def connect(
     elif target == "quantised":
         bare = _connect_quantised(scene)
     elif target == "sim":
-        bare = _connect_simulation(scene, suite)
+        simulation = simulate(scene, suite)
+        bare = Connection(simulation.robots, simulation, simulation)
     else:
         raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
     radio_rng = lines.radio_rng or np.random.default_rng([seed, 6])
     links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, lines.modems)
     return dataclasses.replace(bare, links=links)
-
-
-def _connect_simulation(scene: SceneConfig, suite: SensorSuite) -> Connection:
-    model = make_model(scene.field, scene.robots)
-    simulation = Simulation(
-        model,
-        [describe_placement(robot) for robot in scene.robots],
-        suite=suite,
-        stereo=scene.stereo,
-        seed=scene.seed,
-        data=settle(model, SETTLING),
-    )
-    return Connection(simulation.robots, simulation, simulation)
 
 
 def _connect_quantised(config: SceneConfig) -> Connection:

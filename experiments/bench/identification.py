@@ -410,8 +410,7 @@ def _compare_searches(
 ) -> None:
     """Measure the time of both searches, and the errors of what they find."""
     truth = from_mapping(TABLE_2_1_TRUTH)
-    names = ("ours_cpu_s", "sysid_cpu_s", "searched_excess_percent")
-    rows: dict[str, list[float]] = {name: [] for name in names}
+    rows: list[tuple[float, float, float]] = []
     for recording in recordings:
         start = time.process_time()
         ours = fit_ours(recording, arms)
@@ -420,11 +419,12 @@ def _compare_searches(
             recording.motions(), recording.joined(), recording.sigma, arms, Prior()
         ).fit(ITERATIONS)
         excess = average_error_percent(ours, truth) - average_error_percent(peer, truth)
-        for name, value in zip(names, (ours_seconds, peer_seconds, excess), strict=True):
-            rows[name].append(value)
-    for name, values in rows.items():
+        rows.append((ours_seconds, peer_seconds, excess))
+    columns = np.transpose(rows)
+    names = ("ours_cpu_s", "sysid_cpu_s", "searched_excess_percent")
+    for name, values in zip(names, columns, strict=True):
         output.measure(f"sysid/{name}", distribution(values))
-    ratio = distribution(np.divide(rows["ours_cpu_s"], rows["sysid_cpu_s"]))
+    ratio = distribution(columns[0] / columns[1])
     output.measure("sysid_time_ratio", ratio)
     text = "identification, time over that of mujoco.sysid"
     output.check(text, ratio["median"], f"<= {TIME_BOUND:g}", ratio["median"] <= TIME_BOUND)
@@ -452,9 +452,8 @@ def _compare_errors(
         output.measure(f"sysid/{kind}ours_error_percent", distribution(ours))
         output.measure(f"sysid/{kind}sysid_error_percent", distribution(peer))
         output.measure(f"sysid/{kind}excess_percent", distribution(ours - peer))
-        output.measure(f"sysid_error_ratio{kind and '/shared_step'}", distribution(ours / peer))
-    for kind, errors in found.items():
-        ratio = distribution(np.divide(*np.array(errors).T))
+        ratio = distribution(ours / peer)
+        output.measure(f"sysid_error_ratio{kind and '/shared_step'}", ratio)
         # Both seek the same optimum, so chance decides on which side of 1 the median lies.
         text = f"identification, error over that of mujoco.sysid{kind and ', its own steps'}"
         bound = f"<= {ERROR_BOUND:g} within its interval"

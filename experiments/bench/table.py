@@ -151,7 +151,7 @@ def bench_table(result: Result) -> str:
     """Return the table in Markdown, and what it was measured on.
 
     Args:
-        result: Result of bench; rows without a metric say so.
+        result: Result of bench; rows without a metric read "not run".
     """
     measured = result.metrics["measured"]
     checks = {check["name"]: check for check in result.metrics["checks"]}

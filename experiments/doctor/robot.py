@@ -227,7 +227,7 @@ def _stop_finding(boards: WiredBoards, press_stop: Callable[[], None], patience:
     stuck = _await_stop(boards, pressed=False, patience=patience)
     if stuck:
         remedy = "release it; some firmware wants its power switched off and on"
-        return Finding("e-stop", f"still pressed, says {stuck}", remedy)
+        return Finding("e-stop", f"still pressed by the report of {stuck}", remedy)
     return Finding("e-stop", "seen and released on every board")
 
 

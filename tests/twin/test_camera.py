@@ -154,7 +154,7 @@ def test_pairs_come_at_their_rate_and_are_repeated_bit_for_bit():
     assert runs[0] == runs[1]
 
 
-def test_restored_run_sees_the_same_images():
+def test_restored_run_gives_the_same_images():
     simulation = Simulation(
         MODEL, ["rover1"], suite=IDEAL, servo=SERVO, stereo=StereoConfig(20.0), seed=3
     )
@@ -295,7 +295,7 @@ def test_noise_differs_by_seed_robot_eye_and_frame():
     assert inside.sum() > 2000 and np.abs(alike).max() < 0.12
 
 
-def test_pair_that_was_not_read_before_its_simulation_was_closed_says_so():
+def test_pair_that_was_not_read_before_its_simulation_was_closed_is_an_error():
     simulation = simulated()
     read = simulation.robots["rover1"].observe().stereo
     seen = read.value

@@ -55,7 +55,7 @@ def test_two_simulated_rovers_drive_forward_by_themselves():
     assert {r.lifecycle for r in link.robots.values()} == {Lifecycle.UNCONFIGURED}
 
 
-def test_settled_rover_stands_still_at_time_zero():
+def test_settled_rover_is_at_rest_at_time_zero():
     with connect("sim") as link:
         assert link.clock.time == 0.0
         assert np.abs(link.simulation.data.qvel).max() < 1e-2

@@ -92,7 +92,7 @@ def test_card_in_the_gripper_counts_as_part_of_the_wrist():
     assert dataclasses.replace(holding, arm=None).body.mass == without.body.mass
 
 
-def test_description_does_not_depend_on_where_the_robot_stands():
+def test_description_does_not_depend_on_the_pose_of_the_robot():
     field = FieldConfig(relief=0.02, seed=3, texture_pixels=16)
     robots = [RobotPlacement("a", (1.0, 0.3), 0.7), RobotPlacement("b", (-1.0, 0.3), -2.0)]
     model = make_model(field, robots)

@@ -12,7 +12,7 @@ INTRINSIC = 'focal="0.0085 0.0085" sensorsize="0.0064 0.0048" principal="0.0011 
 
 
 def crowd(camera: str, light: str = "false", count: int = 150) -> mujoco.MjModel:
-    """Return a plane with bodies strewn all around a camera that looks at some of them."""
+    """Return a plane with bodies strewn all around a camera that views some of them."""
     rng = np.random.default_rng(5)
     geoms = ""
     for index in range(count):
@@ -52,7 +52,7 @@ def test_image_without_unseen_geoms_is_the_whole_scenes_bit_for_bit(monkeypatch,
     image = seen(model)
     monkeypatch.setattr(twin.camera, "cull", lambda *_: None)
     np.testing.assert_array_equal(image, seen(model))
-    # A third of the bodies stand in sight.
+    # A third of the bodies are in view.
     assert 20 < kept[0] < 0.6 * model.ngeom
 
 

@@ -11,23 +11,23 @@ PAIR = (RobotPlacement("rover1"), RobotPlacement("rover2", (1.5, 0.0)))
 def exchange(connection, ticks):
     """Send a numbered message every tenth tick; return (tick, message) as they arrive."""
     first, second = connection.links["rover1"], connection.links["rover2"]
-    heard = []
+    received = []
     for tick in range(ticks):
         if tick % 10 == 0:
             first.send_latest(b"t" + bytes([tick]))
         first.poll()
-        heard += [(tick, message[1]) for message in second.poll().messages]
+        received += [(tick, message[1]) for message in second.poll().messages]
         connection.clock.tick()
-    return heard
+    return received
 
 
 @pytest.mark.parametrize("target", ["sim", "quantised"])
 def test_message_arrives_after_the_modems_time_for_its_bytes(target):
     with connect(target, robots=PAIR) as connection:
-        heard = exchange(connection, 50)
-    assert [sent for _, sent in heard] == [0, 10, 20, 30, 40]
+        received = exchange(connection, 50)
+    assert [sent for _, sent in received] == [0, 10, 20, 30, 40]
     # About 12 bytes of a frame at 960 a second, and 5 ms of delay.
-    assert all(tick - sent == 2 for tick, sent in heard)
+    assert all(tick - sent == 2 for tick, sent in received)
 
 
 def test_radio_rng_decides_what_is_lost_and_sensors_do_not():

@@ -57,7 +57,7 @@ def test_loop_ticks_at_the_servo_rate_and_deactivates_at_the_end(simulation):
     assert log.flushed == 1 and all_inactive(simulation)
 
 
-def test_loop_ends_early_when_it_is_told_to(simulation):
+def test_loop_ends_early_on_its_condition(simulation):
     push = Push("rover1")
     summary = run(
         simulation.robots, [push], simulation, duration=0.5, until=lambda: push.calls == 7
@@ -100,8 +100,8 @@ def test_robot_that_cannot_be_stopped_hides_neither_the_others_nor_what_went_wro
     log, push = Log(), Push("rover1", "rover2", fail_at=bug and 3, error=bug)
     with pytest.raises(ValueError if bug else RobotError) as raised:
         run(simulation.robots, [push], simulation, [log], duration=0.05)
-    said = str(raised.value), *getattr(raised.value, "__notes__", ())
-    assert said == (("bug", "and at the end: no answer") if bug else ("no answer",))
+    texts = str(raised.value), *getattr(raised.value, "__notes__", ())
+    assert texts == (("bug", "and at the end: no answer") if bug else ("no answer",))
     assert log.flushed == 1
     assert simulation.robots["rover2"].lifecycle is Lifecycle.INACTIVE
 

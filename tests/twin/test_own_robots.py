@@ -59,7 +59,7 @@ def test_robot_of_another_shape_connects_drives_and_is_recorded(kind, tmp_path):
         seen = robot.observe()
         assert seen.wheel_speeds.value.shape == (len(wheels),)
         np.testing.assert_allclose(seen.wheel_speeds.value, SPEED, atol=0.1)
-        # Two seconds at 3 rad/s on wheels of 49 mm, less the time to get going.
+        # Two seconds at 3 rad/s on wheels of 49 mm, less the time to speed up.
         assert 0.2 < data.body("mine/chassis").xpos[1] - before[1] < 0.3
         if joints:
             np.testing.assert_allclose(seen.arm_angles.value, drive.hold, atol=0.05)

@@ -28,7 +28,7 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 class Drive:
-    """Drives slowly, and looks at the ground ahead."""
+    """Drives slowly, and views the ground ahead."""
 
     arm = np.array(ARM.home) + [0.0, 0.4, -0.4, -0.8]
     speed = 1.0
@@ -285,6 +285,6 @@ def test_half_written_screenshot_is_waited_for(tmp_path):
     _wait_for(out, time.monotonic())
 
 
-def test_screenshot_of_nothing_says_so(tmp_path):
+def test_screenshot_of_nothing_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no recording .*none\.rrd"):
         screenshot(tmp_path / "none.rrd", tmp_path / "out.png")

@@ -98,7 +98,7 @@ def test_mapping_beside_octomap(tmp_path):
     for state in ("occupied", "free"):
         counts = measured[f"exact_voxels/{state}"]
         assert counts["ours"] == counts["octomap"] > 0
-    # How fast is for the report to say.
+    # The speed is a figure of the report.
     for what in ("exact_1cm", "fast_1cm", "views"):
         assert measured[f"octomap_speedup/{what}"] > 0.0
     assert measured["surface_within_one_voxel/1cm"] > 0.99

@@ -19,7 +19,7 @@ def test_unfound_centres_are_not_counted_as_errors():
 
 
 @pytest.mark.slow
-def test_rendered_markers_are_where_the_truth_says():
+def test_rendered_markers_are_at_their_true_places():
     scene = MarkerScene(np.random.default_rng(0), noise_db=None)
     view = scene.view(0.5, 40.0)
     for image, truth in zip(view.pair, view.ellipses):

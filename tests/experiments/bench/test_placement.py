@@ -38,7 +38,7 @@ def test_stations_are_found_on_the_map_and_the_search_is_exact(tmp_path):
     assert main(["bench", "--only", "placement", "--quick", "--out", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "bench" / "metrics.json").read_text())
     measured = found["measured"]
-    # How fast is for the report to say; that the search is exact is a fact.
+    # The speed is a figure of the report; that the search is exact is a fact.
     exact = [check["ok"] for check in found["checks"] if "exhaustive" in check["name"]]
     assert exact == [True]
     assert measured["search_speedup/map"] > 0.0

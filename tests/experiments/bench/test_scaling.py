@@ -87,7 +87,7 @@ def test_brute_force_finds_no_better_word_and_curves_are_drawn(tmp_path):
     assert main(words) == 0
     measured = json.loads((tmp_path / "bench" / "metrics.json").read_text())["measured"]
     assert measured["braid_same_cost"] == 1.0
-    # How fast, and how time grows, is for the report to say.
+    # Times and their growth are figures of the report.
     assert measured["braid_speedup/5"] > 0.0
     for what in ("robots", "stages", "voxels"):
         assert np.isfinite(measured[f"scaling_exponent/{what}"]["median"])

@@ -39,7 +39,7 @@ def test_missing_library_names_its_apt_package(monkeypatch, capsys):
     assert "1 required" not in text and "2 required things are missing" in text
 
 
-def test_probe_that_hangs_is_told(monkeypatch):
+def test_probe_that_hangs_is_reported(monkeypatch):
     monkeypatch.setattr(doctor, "PROBE_TIMEOUT", 0.001)
     assert doctor.examine_frame()[0].fatal
 
@@ -82,7 +82,7 @@ def test_port_that_is_not_there_is_a_finding_not_an_end():
     assert findings[1].fatal and "/dev/no-port" in findings[1].value
 
 
-def test_stale_calibration_is_told_before_the_boards():
+def test_stale_calibration_is_reported_before_the_boards():
     finding = next(examine_robot("serial:/dev/no-port", 1.0))
     assert finding.fatal and "2002-01-01" in finding.value
 

@@ -15,6 +15,7 @@ from twin.describe import describe_placement
 from twin.hardware.calibration.calibration import calibration_path, load_calibration
 from twin.hardware.calibration.section import from_table
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
+from twin.sensors import SensorSuite
 from twin.simulation import Simulation
 
 SETTLING = 1.0
@@ -51,6 +52,24 @@ class SceneConfig:
         return from_table(cls, json.loads(words))
 
 
+def simulate(config: SceneConfig, suite: SensorSuite) -> Simulation:
+    """Return a scene at rest.
+
+    Args:
+        config: Robots, ground, stereo heads and seed.
+        suite: Specification of the robots' sensors.
+    """
+    model = make_model(config.field, config.robots)
+    return Simulation(
+        model,
+        [describe_placement(robot) for robot in config.robots],
+        suite=suite,
+        stereo=config.stereo,
+        seed=config.seed,
+        data=settle(model, SETTLING),
+    )
+
+
 class EmulatedScene:
     """Physics that advance by a tick, never by a command: a repeated one must not count twice."""
 
@@ -67,17 +86,10 @@ class EmulatedScene:
             robot.name: load_calibration(calibration_path(robot.name), robot.name, None)
             for robot in config.robots
         }
-        model = make_model(config.field, config.robots)
-        self.simulation = Simulation(
-            model,
-            [describe_placement(robot) for robot in config.robots],
-            suite=ANALOGUE_SENSORS,
-            stereo=config.stereo,
-            seed=config.seed,
-            data=settle(model, SETTLING),
-        )
+        self.simulation = simulate(config, ANALOGUE_SENSORS)
+        model, data = self.simulation.model, self.simulation.data
         self.rovers = {
-            name: EmulatedRover(robot, model, self.simulation.data, calibrations[name])
+            name: EmulatedRover(robot, model, data, calibrations[name])
             for name, robot in self.simulation.robots.items()
         }
 
