@@ -77,6 +77,21 @@ def sweep(
     return [finished[key] for key in keys]
 
 
+def seeded_chunks(count: int, size: int, seed: int | tuple[int, ...]) -> list[tuple[int, int]]:
+    """Divide repetitions into jobs.
+
+    Args:
+        count: Number of repetitions.
+        size: Number of repetitions in a job, at most.
+        seed: Root of the jobs' seeds.
+
+    Returns:
+        Seed and number of repetitions of each job.
+    """
+    sizes = [min(size, count - first) for first in range(0, count, size)]
+    return list(zip(np.random.SeedSequence(seed).generate_state(len(sizes)).tolist(), sizes))
+
+
 def concatenated(parts: Sequence[Result]) -> Result:
     """Return dataclasses of arrays as one, each field joined along its first axis.
 

@@ -84,15 +84,10 @@ class BraidSheet:
         return self.barrier * math.sqrt(27.0) / (2.0 * self.half_stroke)
 
     @property
-    def wire_length(self) -> float:
-        """Of each wire, folded over posts: it contracts by the whole stroke [m]."""
-        return 2.0 * self.half_stroke / MUSCLE_WIRE.contraction
-
-    @property
     def leg_power(self) -> float:
-        """What heating one bundle takes [W]."""
-        ohmic = MUSCLE_WIRE.current**2 * MUSCLE_WIRE.resistance
-        return self.strands * self.wire_length * ohmic
+        """Power that heats a bundle [W]; each wire, folded over posts, contracts by the stroke."""
+        length = 2.0 * self.half_stroke / MUSCLE_WIRE.contraction
+        return self.strands * length * (MUSCLE_WIRE.current**2 * MUSCLE_WIRE.resistance)
 
     @property
     def flexure_stiffness(self) -> float:

@@ -7,6 +7,7 @@ import math
 
 import numba
 import numpy as np
+from scipy.spatial import KDTree
 
 from controllers.braid.arm.stage import STATES
 from perception.geometry.arrays import FloatArray, IntArray
@@ -115,26 +116,6 @@ def reduced_count(count: int) -> int:
 
 
 def count_poses(poses: FloatArray, tolerance: float = 1e-9) -> int:
-    """Count poses (m, 12) that differ by more than rounding in any component.
-
-    Poses are grouped by one random projection, so that none is compared with all others.
-    """
-    direction = np.random.default_rng(0).standard_normal(12)
-    order = np.argsort(poses @ direction)
-    ordered, shadow = poses[order], (poses @ direction)[order]
-    width = tolerance * np.abs(direction).sum()
-    last = np.searchsorted(shadow, shadow + width, side="right")
-    return int(_count(ordered, last, tolerance))
-
-
-@numba.njit(cache=True)
-def _count(ordered, last, tolerance):
-    """Count the rows that no earlier row equals."""
-    repeated = np.zeros(ordered.shape[0], dtype=np.bool_)
-    for i in range(ordered.shape[0]):
-        if repeated[i]:
-            continue
-        for j in range(i + 1, last[i]):
-            if np.abs(ordered[i] - ordered[j]).max() <= tolerance:
-                repeated[j] = True
-    return ordered.shape[0] - repeated.sum()
+    """Count poses (m, 12) that differ by more than rounding in any component."""
+    pairs = KDTree(poses).query_pairs(tolerance, p=np.inf, output_type="ndarray")
+    return len(poses) - len(np.unique(pairs[:, 1]))  # less those that equal one before

@@ -190,9 +190,8 @@ def _place(pose, point, out):
 @numba.njit(cache=True)
 def _from_segment(start, end, point):
     """Return the squared distance of a point from a segment."""
-    length, along = 0.0, 0.0
+    length, along = _squared(start, end), 0.0
     for d in range(3):
-        length += (end[d] - start[d]) ** 2
         along += (end[d] - start[d]) * (point[d] - start[d])
     share = min(max(along / length, 0.0), 1.0)
     total = 0.0
@@ -204,9 +203,8 @@ def _from_segment(start, end, point):
 @numba.njit(cache=True)
 def _from_disc(pose, radius, point):
     """Return the squared distance of a point from a flat disc about the z axis of a pose."""
-    height, whole = 0.0, 0.0
+    height, whole = 0.0, _squared(point, pose)
     for d in range(3):
         height += pose[5 + 3 * d] * (point[d] - pose[d])
-        whole += (point[d] - pose[d]) ** 2
     out = np.sqrt(max(whole - height * height, 0.0)) - radius
     return height * height + max(out, 0.0) ** 2

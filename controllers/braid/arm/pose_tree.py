@@ -15,6 +15,7 @@ from perception.geometry.arrays import FloatArray, IntArray
 LEAF = 12
 """Poses in a leaf at most."""
 _DEPTH = 64
+_EVEN = np.ones(12)  # Weights of coordinates that are scaled already.
 
 
 class PoseTree(NamedTuple):
@@ -70,74 +71,41 @@ def build_tree(poses: FloatArray, weight: float) -> PoseTree:
     return PoseTree(sorted_points, order, low, high, span, basis, scale, frame, levels)
 
 
-@numba.njit(cache=True)
-def _build(points, order, levels):
+def _build(
+    points: FloatArray, order: IntArray, levels: int
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Halve the points again and again along the longest side of their box; sort ``order`` so."""
     nodes = 2 ** (levels + 1) - 1
-    low, high = np.empty((nodes, 12)), np.empty((nodes, 12))
-    span = np.empty((nodes, 2), dtype=np.int64)
-    span[0, 0], span[0, 1] = 0, points.shape[0]
+    low, high = np.empty((2, nodes, 12))
+    span = np.array([[0, len(points)]] * nodes)
     for node in range(nodes):
-        first, end = span[node, 0], span[node, 1]
-        low[node], high[node] = points[order[first]], points[order[first]]
-        for k in range(first + 1, end):
-            for d in range(12):
-                value = points[order[k], d]
-                low[node, d] = min(low[node, d], value)
-                high[node, d] = max(high[node, d], value)
+        first, end = span[node]
+        inside = points[order[first:end]]
+        low[node], high[node] = inside.min(axis=0), inside.max(axis=0)
         if 2 * node + 2 < nodes:
-            axis = np.argmax(high[node] - low[node])
-            middle = (first + end) // 2
-            _halve(points, order, first, end, middle, axis)
-            span[2 * node + 1, 0], span[2 * node + 1, 1] = first, middle
-            span[2 * node + 2, 0], span[2 * node + 2, 1] = middle, end
+            axis, middle = np.argmax(high[node] - low[node]), (first + end) // 2
+            halves = np.argpartition(inside[:, axis], middle - first)
+            order[first:end] = order[first:end][halves]
+            span[2 * node + 1], span[2 * node + 2] = (first, middle), (middle, end)
     return low, high, span
 
 
 @numba.njit(cache=True)
-def _halve(points, order, first, end, middle, axis):
-    """Order the indices so that none before the middle lies above it (Hoare's selection)."""
-    left, right = first, end - 1
-    while left < right:
-        pivot = points[order[(left + right) // 2], axis]
-        i, j = left, right
-        while i <= j:
-            while points[order[i], axis] < pivot:
-                i += 1
-            while points[order[j], axis] > pivot:
-                j -= 1
-            if i <= j:
-                order[i], order[j] = order[j], order[i]
-                i += 1
-                j -= 1
-        if middle <= j:
-            right = j
-        elif middle >= i:
-            left = i
-        else:
-            return
+def _gap(low, high, scale, at, bound):
+    """Return the squared distance from a place to a box, or something above the bound.
 
-
-@numba.njit(cache=True)
-def _gap(tree, node, at, bound):
-    """Return the squared distance from a place to a box, or something above the bound."""
+    Args:
+        low: (12,) least corner of the box.
+        high: (12,) greatest corner of the box.
+        scale: (12,) weights of the coordinates.
+        at: (12,) place.
+        bound: Squared distance beyond which the exact value does not matter.
+    """
     total = 0.0
     for d in range(12):
-        over = max(tree.low[node, d] - at[d], at[d] - tree.high[node, d])
+        over = scale[d] * max(low[d] - at[d], at[d] - high[d])
         if over > 0.0:
             total += over * over
-            if total >= bound:
-                break
-    return total
-
-
-@numba.njit(cache=True)
-def _frame_gap(tree, row, bound):
-    """Return the squared distance from a row to the box of all poses, axes not turned."""
-    total = 0.0
-    for d in range(12):
-        over = max(tree.frame[0, d] - row[d], row[d] - tree.frame[1, d])
-        if over > 0.0:
-            total += (tree.scale[d] * over) ** 2
             if total >= bound:
                 break
     return total
@@ -165,12 +133,12 @@ def nearest(tree, row, bound):
     Returns:
         Index of the pose and its squared cost; -1 and the bound where none is below it.
     """
-    if _frame_gap(tree, row, bound) >= bound:
+    if _gap(tree.frame[0], tree.frame[1], tree.scale, row, bound) >= bound:
         return -1, bound
     at = _turned(tree, row)
     best = -1
     nodes, gaps = np.empty(_DEPTH, dtype=np.int64), np.empty(_DEPTH)
-    nodes[0], gaps[0], size = 0, _gap(tree, 0, at, bound), 1
+    nodes[0], gaps[0], size = 0, _gap(tree.low[0], tree.high[0], _EVEN, at, bound), 1
     inner = 2**tree.levels - 1
     while size > 0:
         size -= 1
@@ -179,7 +147,8 @@ def nearest(tree, row, bound):
             continue
         if node < inner:
             left, right = 2 * node + 1, 2 * node + 2
-            a, b = _gap(tree, left, at, bound), _gap(tree, right, at, bound)
+            a = _gap(tree.low[left], tree.high[left], _EVEN, at, bound)
+            b = _gap(tree.low[right], tree.high[right], _EVEN, at, bound)
             if a < b:
                 left, right, a, b = right, left, b, a
             nodes[size], gaps[size] = left, a  # the farther below
@@ -209,7 +178,7 @@ def gather(tree, row, bound, found, costs):
         found: (k,) indices, filled from the front.
         costs: (k,) squared costs, filled alike.
     """
-    if _frame_gap(tree, row, bound) >= bound:
+    if _gap(tree.frame[0], tree.frame[1], tree.scale, row, bound) >= bound:
         return 0
     at = _turned(tree, row)
     nodes, count = np.empty(_DEPTH, dtype=np.int64), 0
@@ -218,7 +187,7 @@ def gather(tree, row, bound, found, costs):
     while size > 0:
         size -= 1
         node = nodes[size]
-        if _gap(tree, node, at, bound) >= bound:
+        if _gap(tree.low[node], tree.high[node], _EVEN, at, bound) >= bound:
             continue
         if node < inner:
             nodes[size], nodes[size + 1] = 2 * node + 1, 2 * node + 2

@@ -26,7 +26,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from controllers.braid.bus.code import DEFAULT_TIMING, AddressCode, PulseTiming, check_word
 from controllers.braid.bus.decoder_chips import (
@@ -183,29 +183,21 @@ class PowerBus:
         decoding = code.decoding(circuit.rc_time is not None)
         self._model = BusModel(_line_values(circuit), chips, decoding)
         voltages, waits, limits = np.zeros((2, n)), np.ones((2, n)), np.vstack((chips.upper,) * 2)
-        counts, latches, refused = np.zeros((3, n), np.int64)
-        self._state = BusState(
-            np.zeros(2), voltages, waits, limits, np.zeros(n), counts, latches, refused
-        )
+        counts, latches = np.zeros((2, n), np.int64)
+        self._state = BusState(np.zeros(2), voltages, waits, limits, np.zeros(n), counts, latches)
 
     @property
     def word(self) -> BoolArray:
         """(n,) states of the latches."""
         return self._state.latches.astype(bool)
 
-    @property
-    def refused(self) -> NDArray[np.int64]:
-        """(n,) number of counts at each decoder that no command has."""
-        return self._state.refused.copy()
-
     def preset(self, word: ArrayLike) -> None:
         """Bring all latches to a word, clear the counters and let the line settle."""
         states = check_word(self.code, word)
         state = self._state
-        state.counts[:] = state.refused[:] = 0
         state.latches[:] = states
-        state.voltages[:] = 0.0
-        state.waits[:], state.limits[:], state.capacitors[:] = 1.0, self._model.chips.upper, 0.0
+        state.counts[:] = state.voltages[:] = state.capacitors[:] = 0
+        state.waits[:], state.limits[:] = 1.0, self._model.chips.upper
         drop = self.circuit.line_resistance * self.circuit.actuator_current * states.sum()
         state.line[:] = -drop
 
@@ -215,13 +207,13 @@ class PowerBus:
         Returns:
             (m, n) the latches after each train.
         """
-        return self._run(trains, self._trace(0))
+        return run_chips(self._pieces(trains), self._model, self._state, self._rng, self._trace(0))
 
     def observe(self, trains: Sequence[Train]) -> Trace:
         """Put trains on the line and return what an oscilloscope sees."""
-        _, lengths, _ = sampled_segments(trains, self.timing, self.circuit.sample)
-        trace = self._trace(int(lengths.sum()))
-        self._run(trains, trace)
+        pieces = self._pieces(trains)
+        trace = self._trace(int(pieces.lengths.sum()))
+        run_chips(pieces, self._model, self._state, self._rng, trace)
         return trace._replace(line=self.circuit.supply + trace.line)
 
     def _trace(self, samples: int) -> Trace:
@@ -244,12 +236,11 @@ class PowerBus:
         current += circuit.sense_noise * self._rng.standard_normal()
         return round(current / circuit.actuator_current)
 
-    def _run(self, trains: Sequence[Train], trace: Trace) -> BoolArray:
+    def _pieces(self, trains: Sequence[Train]) -> LinePieces:
         circuit = self.circuit
         levels, lengths, starts = sampled_segments(trains, self.timing, circuit.sample)
         volts = np.array([0.0, circuit.address_signal, circuit.flag_signal])
-        pieces = LinePieces(volts[levels.astype(int)] * circuit.signal_divider, lengths, starts)
-        return run_chips(pieces, self._model, self._state, self._rng, trace)
+        return LinePieces(volts[levels.astype(int)] * circuit.signal_divider, lengths, starts)
 
 
 def _smoothing(sample: float, time: float | FloatArray) -> FloatArray:

@@ -205,8 +205,8 @@ def shortest_commands(
     Args:
         code: Meaning of the trains.
         start: (n,) word that the actuators hold.
-        goal: (n,) word that they shall hold.
-        timing: What a train costs.
+        goal: (n,) word that the actuators shall hold.
+        timing: Timing of the pulses, which decides what a train costs.
 
     Returns:
         Commands in the order in which to send them; none if the words are equal.
@@ -215,13 +215,10 @@ def shortest_commands(
         ValueError: If a word has not one state for each actuator.
     """
     start, goal = check_word(code, start), check_word(code, goal)
-    best = _differences(code, start, goal)
+    sequences = [_differences(code, start, goal)]
     if code.broadcast:
-        for command, state in ((code.home, False), (code.home + 1, True)):
-            other = (command, *_differences(code, np.full_like(start, state), goal))
-            if duration(code, other, timing) < duration(code, best, timing):
-                best = other
-    return best
+        sequences += _after_broadcasts(code, goal)
+    return min(sequences, key=lambda commands: duration(code, commands, timing))
 
 
 def rewriting_commands(
@@ -232,20 +229,21 @@ def rewriting_commands(
     Args:
         code: Meaning of the trains.
         goal: (n,) word that the actuators shall hold.
-        timing: What a train costs.
+        timing: Timing of the pulses, which decides what a train costs.
 
     Raises:
-        ValueError: If the code only toggles: then no sequence does it.
+        ValueError: If the code has no broadcasts.
     """
-    goal = check_word(code, goal)
-    if code.broadcast:
-        home, on = code.home, code.home + 1
-        off_first = (home, *_differences(code, np.zeros_like(goal), goal))
-        on_first = (on, *_differences(code, np.ones_like(goal), goal))
-        return min(off_first, on_first, key=lambda commands: duration(code, commands, timing))
-    if code.mode == "set":
-        return tuple(code.single(index, bool(state)) for index, state in enumerate(goal))
-    raise ValueError("rewriting: a code that only toggles cannot reach a word from an unknown one")
+    sequences = _after_broadcasts(code, check_word(code, goal))
+    return min(sequences, key=lambda commands: duration(code, commands, timing))
+
+
+def _after_broadcasts(code: AddressCode, goal: BoolArray) -> list[tuple[int, ...]]:
+    """Return the sequences that begin with all off and with all on."""
+    return [
+        (command, *_differences(code, np.full_like(goal, state), goal))
+        for command, state in ((code.home, False), (code.home + 1, True))
+    ]
 
 
 def check_word(code: AddressCode, word: ArrayLike) -> BoolArray:

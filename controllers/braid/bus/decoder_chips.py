@@ -102,7 +102,6 @@ class BusState(NamedTuple):
         capacitors: (n,) voltages of the RC buffers [V].
         counts: (n,) counters.
         latches: (n,) 1 where the actuator is on.
-        refused: (n,) number of counts that no command has.
     """
 
     line: FloatArray
@@ -112,7 +111,6 @@ class BusState(NamedTuple):
     capacitors: FloatArray
     counts: IntArray
     latches: IntArray
-    refused: IntArray
 
 
 class LinePieces(NamedTuple):
@@ -164,12 +162,8 @@ def command_of(pulses, decoding):
 @numba.njit(cache=True)
 def _act(chip, pulses, decoding, state):
     """Let one chip's latch obey a count of address pulses."""
-    if pulses <= 0:
-        return
     command = command_of(pulses, decoding)
-    if command == 0:
-        state.refused[chip] += 1
-    elif command > decoding.singles:
+    if command > decoding.singles:
         state.latches[chip] = command - decoding.singles - 1
     elif decoding.sets == 0 and command == chip + 1:
         state.latches[chip] ^= 1

@@ -24,9 +24,9 @@ class DriveConfig:
     """Times of the drive.
 
     Attributes:
-        heating: How long a group is heated [s].
+        heating: Time for which a group is heated [s].
         cooling: Rest after the last group [s].
-        at_once: Legs of a group.
+        at_once: Number of legs in a group.
     """
 
     heating: float = 1.1
@@ -60,7 +60,7 @@ def word_bits(word: IntArray) -> NDArray[np.bool_]:
 
 
 class WireDrive:
-    """Heats what a change of word asks for.
+    """Heats the wires that a change of word needs.
 
     Attributes:
         word: (n,) states that the arm has, or will have after this change.
@@ -78,11 +78,10 @@ class WireDrive:
         Raises:
             ValueError: If a state is not 0 to 7.
         """
-        word_bits(word)
+        self._long = word_bits(word)
         self.word = np.asarray(word, dtype=np.int64).copy()
         self.groups: list[NDArray[np.int64]] = []
         self._config = config or DriveConfig()
-        self._rising = np.zeros((len(self.word), LEGS), dtype=bool)
 
     @property
     def duration(self) -> float:
@@ -100,17 +99,17 @@ class WireDrive:
         wanted = word_bits(word)
         if len(wanted) != len(self.word):
             raise ValueError(f"word of {len(wanted)} stages: expected {len(self.word)}")
-        changed = np.argwhere(wanted != word_bits(self.word))[::-1]
+        changed = np.argwhere(wanted != self._long)[::-1]
         step = self._config.at_once
         self.groups = [changed[i : i + step] for i in range(0, len(changed), step)]
-        self._rising = wanted
+        self._long = wanted
         self.word = np.asarray(word, dtype=np.int64).copy()
 
     def levels(self, time: float) -> FloatArray:
-        """Return how much of the rated current each bundle gets.
+        """Return the share of the rated current that each bundle gets.
 
         Args:
-            time: Since `change` [s].
+            time: Time since `change` [s].
 
         Returns:
             (n, 3, 2) 0 or 1, extending and retracting bundle of each leg.
@@ -119,5 +118,5 @@ class WireDrive:
         turn = math.floor(time / self._config.heating)
         if 0 <= turn < len(self.groups):
             for stage, leg in self.groups[turn]:
-                levels[stage, leg, EXTEND if self._rising[stage, leg] else RETRACT] = 1.0
+                levels[stage, leg, EXTEND if self._long[stage, leg] else RETRACT] = 1.0
         return levels

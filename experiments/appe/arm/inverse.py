@@ -7,6 +7,7 @@ they measure the draw rather than the search. All lengths are in radii of the di
 """
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -29,7 +30,7 @@ from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
-from experiments.harness.sweep import concatenated, sweep
+from experiments.harness.sweep import concatenated, seeded_chunks, sweep
 
 Results = dict[str, Solved]
 
@@ -38,17 +39,23 @@ TARGETS, QUICK_TARGETS = 1000, 20
 PLANTED, QUICK_PLANTED = 100, 20
 SCENES, QUICK_SCENES = 200, 20
 CHUNK = 50
-"""Targets of a job."""
+"""Number of targets in a job."""
 EXACT, PLANTED_COST = 1e-9, 1e-9
 MEET_MS, RATIO = 30.0, 0.65
 OBSTACLES = ("balls", "voxels")
-"""How the obstacles of a scene are told: as places, or as the occupied voxels of a map."""
+"""Form of a scene's obstacles: a function of places, or the occupied voxels of a map."""
 CHOSEN = {5: "kd-tree", 10: "meet", 20: "walk"}
 """The method to use with so many stages."""
 COLOURS = {name: f"C{index}" for index, name in enumerate(METHODS)}
 COLOURS[EQUAL_TIME] = COLOURS["exchange"]  # dashed
-WHAT = {"cost": 1.0, "displacement": 1.0, "angle": 180.0 / np.pi, "ms": 1.0}
-NAMES = {"cost": "cost", "displacement": "displacement", "angle": "angle_deg", "ms": "ms"}
+LABELS = {EQUAL_TIME: "exchange, equal time"}
+MEASURED = {
+    "cost": ("cost", 1.0),
+    "displacement": ("displacement", 1.0),
+    "angle": ("angle_deg", 180.0 / np.pi),
+    "ms": ("ms", 1.0),
+}
+"""Name in the results, and factor of its unit, of each field of `Solved`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,10 +96,11 @@ def run(options: Options, output: Output) -> None:
     cases = [(kind, stages) for kind in ("reachable", "random") for stages in STAGES]
     cases.append(("planted", 10))
     planted = QUICK_PLANTED if options.quick else PLANTED
+    counts = {"reachable": options.count(), "random": options.count(), "planted": planted}
     trials = [
         TargetTrial(stages, kind, seed, size)
         for kind, stages in cases
-        for seed, size in _chunks(planted if kind == "planted" else options.count(), options)
+        for seed, size in seeded_chunks(counts[kind], CHUNK, options.seed)
     ]
     solved = sweep(solve_targets, trials, options, output, label="targets")
     results = {case: _joined(case, trials, solved) for case in cases}
@@ -100,18 +108,12 @@ def run(options: Options, output: Output) -> None:
         _measure(kind, stages, result, output)
     _check_exact(results, output)
     _check_heuristics(results, output)
-    chunks = _chunks(QUICK_SCENES if options.quick else SCENES, options)
+    chunks = seeded_chunks(QUICK_SCENES if options.quick else SCENES, CHUNK, options.seed)
     for kind in OBSTACLES:
         scenes = [ClearTrial(seed, size, kind == "voxels") for seed, size in chunks]
-        _measure_scenes(kind, sweep(solve_scenes, scenes, options, output, label=kind), output)
+        found = sweep(solve_scenes, scenes, options, output, label=kind)
+        _measure_scenes(kind, concatenated(found), output)
     output.figure("inverse", _figure(results))
-
-
-def _chunks(count: int, options: Options) -> list[tuple[int, int]]:
-    """Return seed and size of each job."""
-    sizes = [min(CHUNK, count - first) for first in range(0, count, CHUNK)]
-    words = np.random.SeedSequence(options.seed).generate_state(len(sizes))
-    return [(int(word), size) for word, size in zip(words, sizes)]
 
 
 def _joined(
@@ -125,9 +127,9 @@ def _measure(kind: str, stages: int, result: Results, output: Output) -> None:
     rows = []
     for method in methods_for(stages):
         row: list[Any] = [method]
-        for what, factor in WHAT.items():
-            summary = distribution(factor * getattr(result[method], what))
-            output.measure(f"{NAMES[what]}/{kind}/{stages}/{method}", summary)
+        for field, (name, factor) in MEASURED.items():
+            summary = distribution(factor * getattr(result[method], field))
+            output.measure(f"{name}/{kind}/{stages}/{method}", summary)
             row += [summary["median"], summary["p95"]]
         rows.append(row)
     names = ("cost [r]", "displacement [r]", "angle [deg]", "time [ms]")
@@ -169,63 +171,50 @@ def _check_heuristics(results: Mapping[tuple[str, int], Results], output: Output
     output.measure("time_ratio_of_exchange/20", float(share))
     name = "20 stages: median cost over the exchange heuristic's at equal time"
     output.check(name, ratio, f"<= {RATIO:g}", ratio <= RATIO)
-    better = 0
-    for (_, stages), result in results.items():
-        if "meet" in methods_for(stages):
-            better += int(np.sum(result["genetic"].cost < result["meet"].cost - EXACT))
+    exact = [result for result in results.values() if "meet" in result]
+    better = sum(int(np.sum(r["genetic"].cost < r["meet"].cost - EXACT)) for r in exact)
     output.measure("genetic_better_than_exact", better)
     output.check("targets where genetic search beats the exact one", better, "== 0", better == 0)
 
 
-def _measure_scenes(kind: str, solved: Sequence[ClearWords], output: Output) -> None:
+def _measure_scenes(kind: str, found: ClearWords, output: Output) -> None:
     """Compare the searches among clear words with the exhaustive one."""
-    exists = np.concatenate([np.isfinite(result.costs["exhaustive"]) for result in solved])
-    touches = np.concatenate([result.touches for result in solved])
-    output.measure(f"scenes/{kind}/with_clear_word", fraction(int(exists.sum()), len(exists)))
-    output.measure(
-        f"scenes/{kind}/nearest_word_touches", fraction(int(touches.sum()), len(touches))
-    )
-    collisions = int(sum(result.collisions for result in solved))
+    exists = np.isfinite(found.exhaustive)
+    for name, scenes in (("with_clear_word", exists), ("nearest_word_touches", found.touches)):
+        output.measure(f"scenes/{kind}/{name}", fraction(int(scenes.sum()), len(scenes)))
+    collisions = int(found.collisions.sum())
     output.check(f"{kind}: words found clear that touch", collisions, "== 0", collisions == 0)
-    best = np.concatenate([result.costs["exhaustive"] for result in solved])
-    plain = np.concatenate([result.costs["ignoring"] for result in solved])
     if exists.any():
-        output.measure(f"scenes/{kind}/cost_clear", distribution(best[exists]))
-    output.measure(f"scenes/{kind}/cost_ignoring", distribution(plain))
-    for method in ("kd-tree", "neighbourhood"):
-        cost = np.concatenate([result.costs[method] for result in solved])
-        found = int(np.sum(np.isfinite(cost) & exists))
-        share = found / max(int(exists.sum()), 1)
+        output.measure(f"scenes/{kind}/cost_clear", distribution(found.exhaustive[exists]))
+    output.measure(f"scenes/{kind}/cost_ignoring", distribution(found.ignoring))
+    for method, cost in (("kd-tree", found.kd_tree), ("neighbourhood", found.neighbourhood)):
+        share = int(np.isfinite(cost[exists]).sum()) / max(int(exists.sum()), 1)
         output.measure(f"clear_found_fraction/{kind}/{method}", share)
         name = f"{CLEAR_STAGES} stages, {kind}: {method} finds a clear word where there is one"
         output.check(name, share, "== 1", share == 1.0)
 
 
 def _figure(results: Mapping[tuple[str, int], Results]) -> Figure:
-    """Draw how costs are spread, a row for each kind of target."""
+    """Draw the distribution of costs, a row for each kind of target."""
     figure = Figure(figsize=(14, 11))
-    for row, kind in enumerate(("reachable", "random")):
-        for column, stages in enumerate(STAGES):
-            axes = figure.add_subplot(2, 3, 3 * row + column + 1)
-            result, methods = results[kind, stages], methods_for(stages)
-            for index, method in enumerate(methods):
-                costs = np.sort(result[method].cost)
-                time = float(np.median(result[method].ms))
-                share = np.arange(1, len(costs) + 1) / len(costs)
-                digits = max(1 - int(np.floor(np.log10(max(time, 1e-3)))), 0)
-                name = "exchange, equal time" if method == EQUAL_TIME else method
-                label = f"{name}, {time:.{digits}f} ms"
-                axes.plot(
-                    costs,
-                    share,
-                    "--" if method == EQUAL_TIME else "-",
-                    color=COLOURS[method],
-                    linewidth=1.0 + 0.5 * (len(methods) - index),  # what is beneath shows
-                    label=label,
-                )
-            axes.set(title=f"{stages} stages, {kind}", xlabel="cost [r]", ylabel="targets")
-            axes.grid(alpha=0.3)
-            below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "frameon": False}
-            axes.legend(fontsize=7.5, ncols=2, **below)
+    panels = figure.subplots(2, 3).flat
+    for axes, (kind, stages) in zip(panels, itertools.product(("reachable", "random"), STAGES)):
+        methods = methods_for(stages)
+        for index, method in enumerate(methods):
+            result = results[kind, stages][method]
+            time = float(np.median(result.ms))
+            digits = max(1 - int(np.floor(np.log10(max(time, 1e-3)))), 0)
+            axes.plot(
+                np.sort(result.cost),
+                np.arange(1, len(result.cost) + 1) / len(result.cost),
+                "--" if method == EQUAL_TIME else "-",
+                color=COLOURS[method],
+                linewidth=1.0 + 0.5 * (len(methods) - index),  # what is beneath shows
+                label=f"{LABELS.get(method, method)}, {time:.{digits}f} ms",
+            )
+        axes.set(title=f"{stages} stages, {kind}", xlabel="cost [r]", ylabel="targets")
+        axes.grid(alpha=0.3)
+        below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "frameon": False}
+        axes.legend(fontsize=7.5, ncols=2, **below)
     figure.subplots_adjust(left=0.05, right=0.98, wspace=0.2, hspace=0.5, bottom=0.15, top=0.96)
     return figure

@@ -2,10 +2,10 @@
 
 import dataclasses
 import time
-from collections.abc import Set
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from controllers.braid.arm.chain import chain_pose, forward
@@ -99,15 +99,20 @@ class ClearWords:
     """Searches for words that keep clear of obstacles.
 
     Attributes:
-        costs: (count,) cost of each method's word, NaN where none was found: exhaustive, kd-tree,
-            neighbourhood, and ignoring (which disregards obstacles).
-        touches: (count,) whether the ignoring word collides.
-        collisions: Number of words found that have a sampled point within an obstacle.
+        exhaustive: (count,) cost of the best clear word [r], NaN where none was found.
+        kd_tree: (count,) cost of the word by the tree [r], NaN where none was found.
+        neighbourhood: (count,) cost of the word by neighbourhoods [r], NaN where none was found.
+        ignoring: (count,) cost of the best word that disregards obstacles [r].
+        touches: (count,) whether the word that disregards obstacles collides.
+        collisions: (count,) number of words found that have a sampled point within an obstacle.
     """
 
-    costs: dict[str, FloatArray]
+    exhaustive: FloatArray
+    kd_tree: FloatArray
+    neighbourhood: FloatArray
+    ignoring: FloatArray
     touches: NDArray[np.bool_]
-    collisions: int
+    collisions: IntArray
 
 
 def solve_targets(trial: TargetTrial) -> dict[str, Solved]:
@@ -149,33 +154,28 @@ def _exchange_for(
 
 
 def solve_scenes(trial: ClearTrial) -> ClearWords:
-    """Put balls onto the arm's best word and ask for one that keeps clear."""
+    """Put balls onto the arm's best word and search one that keeps clear."""
     rng = np.random.default_rng(trial.seed)
     arm = BinaryArm(CLEAR_STAGES)
-    costs: dict[str, list[float]] = {
-        name: [] for name in ("exhaustive", "kd-tree", "neighbourhood", "ignoring")
-    }
-    touches, collisions = [], 0
+    rows = []
     for target in draw_targets("reachable", arm.count, trial.count, arm.geometry, rng):
         straight = solve(arm, target, "kd-tree", rng)
         assert straight is not None
         centres = _balls(arm, straight, rng)
-        sampled = LinkCheck(arm.geometry, lambda points, at=centres: occupied(points, at))
-        check = sampled
+        check = sampled = LinkCheck(arm.geometry, lambda points, at=centres: occupied(points, at))
         if trial.voxels:
             voxels = voxels_of(centres)
             check = LinkCheck(arm.geometry, voxels)
-            keys = {tuple(key) for key in _keys(voxels.centres).tolist()}
-            sampled = LinkCheck(arm.geometry, lambda points, at=keys: _in_voxels(points, at))
-        touches.append(not bool(check.free(straight.word[None])[0]))
-        costs["ignoring"].append(straight.cost)
-        for name in ("exhaustive", "kd-tree", "neighbourhood"):
-            solution = solve(arm, target, name, rng, check)
-            costs[name].append(np.nan if solution is None else solution.cost)
-            if solution is not None:
-                collisions += not bool(sampled.free(solution.word[None])[0])
-    arrays = {name: np.array(values) for name, values in costs.items()}
-    return ClearWords(arrays, np.array(touches), collisions)
+            tree = KDTree(voxels.centres)
+            sampled = LinkCheck(arm.geometry, lambda points, at=tree: _in_voxels(points, at))
+        methods = ("exhaustive", "kd-tree", "neighbourhood")
+        found = [solve(arm, target, name, rng, check) for name in methods]
+        costs = [np.nan if solution is None else solution.cost for solution in found]
+        words = [solution.word for solution in found if solution is not None]
+        collisions = sum(not sampled.free(word[None])[0] for word in words)
+        touches = not check.free(straight.word[None])[0]
+        rows.append((*costs, straight.cost, touches, collisions))
+    return ClearWords(*map(np.array, zip(*rows)))
 
 
 def occupied(points: FloatArray, centres: FloatArray) -> FloatArray:
@@ -195,13 +195,9 @@ def voxels_of(centres: FloatArray) -> VoxelObstacles:
     return VoxelObstacles(middles[occupied(middles, centres) > 0.5], VOXEL)
 
 
-def _keys(points: FloatArray) -> IntArray:
-    return np.floor(points / VOXEL).astype(np.int64)
-
-
-def _in_voxels(points: FloatArray, keys: Set[tuple[int, ...]]) -> FloatArray:
-    """Return 1.0 for places (n, 3) in one of some voxels, else 0.0."""
-    return np.array([float(tuple(key) in keys) for key in _keys(points).tolist()])
+def _in_voxels(points: FloatArray, centres: KDTree) -> FloatArray:
+    """Return 1.0 for places (n, 3) in a voxel around one of the centres, else 0.0."""
+    return (centres.query(points, p=np.inf)[0] < 0.5 * VOXEL).astype(float)
 
 
 def _balls(arm: BinaryArm, solution: WordSolution, rng: np.random.Generator) -> FloatArray:

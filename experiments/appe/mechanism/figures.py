@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from controllers.braid.arm.stage import STATES
 from experiments.appe.mechanism.bench import BraidBench, make_bench
-from experiments.appe.mechanism.trial import SagTrial, WordErrors
+from experiments.appe.mechanism.trial import ArmTrial, WordErrors
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
 from models.render_pictures import Shot, take
@@ -101,7 +101,7 @@ def toggle(course: FloatArray) -> Figure:
     return figure
 
 
-def sag(trials: Sequence[SagTrial], results: Sequence[WordErrors]) -> Figure:
+def sag(trials: Sequence[ArmTrial], results: Sequence[WordErrors]) -> Figure:
     """Draw sag and load of the detents by the number of stages."""
     figure = Figure(figsize=(10, 3.8), layout="tight")
     tip, load = figure.subplots(1, 2)

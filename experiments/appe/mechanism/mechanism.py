@@ -18,8 +18,7 @@ from experiments.appe.mechanism import figures
 from experiments.appe.mechanism.bench import make_bench
 from experiments.appe.mechanism.record import record_words
 from experiments.appe.mechanism.trial import (
-    SagTrial,
-    WordTrial,
+    ArmTrial,
     find_barrier,
     pull,
     run_sag,
@@ -31,7 +30,7 @@ from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
-from experiments.harness.sweep import concatenated, sweep
+from experiments.harness.sweep import concatenated, seeded_chunks, sweep
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID
 
@@ -96,7 +95,7 @@ def run(options: Options, output: Output) -> None:
     output.figure("figure_E-9_arm", figures.arms())
     output.figure("toggle", figures.toggle(toggle_course()))
     if options.record:
-        trial = WordTrial(options.stages, options.seed, RECORDED, options.group())
+        trial = ArmTrial(options.stages, options.seed, RECORDED, at_once=options.group())
         record_words(trial, output.file("run.rrd"))
 
 
@@ -132,7 +131,7 @@ def _sag(options: Options, output: Output) -> None:
     counts = QUICK_SAGGING if options.quick else SAGGING
     words = QUICK_SAG_WORDS if options.quick else SAG_WORDS
     seed = options.job_seeds(1, 1)[0]
-    trials = [SagTrial(n, seed, words, head) for n in counts for head in (True, False)]
+    trials = [ArmTrial(n, seed, words, head) for n in counts for head in (True, False)]
     results = sweep(run_sag, trials, options, output, label="arms")
     rows = []
     for trial, result in zip(trials, results):
@@ -155,10 +154,9 @@ def _sag(options: Options, output: Output) -> None:
 def _words(options: Options, output: Output) -> None:
     """Drive an arm through random words."""
     count = options.words or (QUICK_WORDS if options.quick else WORDS)
-    sizes = [min(CHUNK, count - first) for first in range(0, count, CHUNK)]
-    seeds = np.random.SeedSequence((options.seed, 1)).generate_state(len(sizes))
+    chunks = seeded_chunks(count, CHUNK, (options.seed, 1))
     group = options.group()
-    trials = [WordTrial(options.stages, int(s), n, group) for s, n in zip(seeds, sizes)]
+    trials = [ArmTrial(options.stages, seed, n, at_once=group) for seed, n in chunks]
     results = sweep(run_words, trials, options, output, label="words")
     errors = concatenated([result.errors for result in results])
     wrong = int(errors.wrong.sum())

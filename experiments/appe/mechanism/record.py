@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from controllers.braid.arm.stage import STATES
 from controllers.braid.bus.drive import DriveConfig, WireDrive
 from experiments.appe.mechanism.bench import TICK, BraidBench, make_bench
-from experiments.appe.mechanism.trial import WordTrial
+from experiments.appe.mechanism.trial import ArmTrial
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
 from twin.layout import scene_view, side_by_side
@@ -29,7 +29,7 @@ def recorded_ticks(recorder: Recorder, bench: BraidBench, drive: WireDrive) -> I
         yield time
 
 
-def record_words(trial: WordTrial, path: Path) -> None:
+def record_words(trial: ArmTrial, path: Path) -> None:
     """Write an arm with the stereo head that goes to random words.
 
     Args:

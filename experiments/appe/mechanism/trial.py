@@ -20,37 +20,22 @@ _BISECTIONS = 7
 
 
 @dataclasses.dataclass(frozen=True)
-class SagTrial:
-    """An arm under its weight, put into words.
+class ArmTrial:
+    """Words of an arm.
 
     Attributes:
         stages: Number of the arm's stages.
         seed: Seed of the words.
-        words: Number of random words, besides the eight of equal stages.
+        words: Number of random words.
         head: Whether the arm carries the stereo head.
-    """
-
-    stages: int
-    seed: int
-    words: int
-    head: bool
-
-
-@dataclasses.dataclass(frozen=True)
-class WordTrial:
-    """Random words that an arm is driven to, one after the other.
-
-    Attributes:
-        stages: Number of the arm's stages.
-        seed: Seed of the words.
-        words: Number of words.
         at_once: Number of legs that are heated together.
     """
 
     stages: int
     seed: int
     words: int
-    at_once: int
+    head: bool = True
+    at_once: int = 3
 
 
 def settle_states(flexures: bool) -> tuple[FloatArray, FloatArray]:
@@ -173,8 +158,8 @@ class WordRun:
     warnings: int
 
 
-def run_sag(trial: SagTrial) -> WordErrors:
-    """Put an arm into words and let it sag."""
+def run_sag(trial: ArmTrial) -> WordErrors:
+    """Put an arm into the eight words of equal stages and random ones, and let it sag."""
     bench = make_bench(BraidConfig(trial.stages, head=trial.head))
     rng = np.random.default_rng(trial.seed)
     equal = np.tile(np.arange(STATES)[:, None], trial.stages)
@@ -186,9 +171,9 @@ def run_sag(trial: SagTrial) -> WordErrors:
     return WordErrors(*map(np.array, zip(*rows)))
 
 
-def run_words(trial: WordTrial) -> WordRun:
-    """Drive an arm that carries the stereo head from word to word, wires and weight simulated."""
-    bench = make_bench(BraidConfig(trial.stages))
+def run_words(trial: ArmTrial) -> WordRun:
+    """Drive an arm from word to word, wires and weight simulated."""
+    bench = make_bench(BraidConfig(trial.stages, head=trial.head))
     rng = np.random.default_rng(trial.seed)
     word: IntArray = np.zeros(trial.stages, dtype=np.int64)
     bench.put(word)

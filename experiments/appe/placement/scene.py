@@ -11,13 +11,14 @@ from models.blocks import Block
 from models.braid.build import BraidConfig, build_rover
 from models.compose import FLAT, RobotPlacement
 from models.datasheets import CAMERA
+from models.render_pictures import Shot, take
 from perception.geometry.arrays import FloatArray, ImageArray
 from twin.camera import camera_model, camera_pose
 
 ROVER = "rover1/"
 CAMERA_NAME = f"{ROVER}stereo_left"
 TARGET_RADIUS = 0.01
-"""Of the disc on the board [m]."""
+"""Radius of the disc on the board [m]."""
 FACING = np.array([0.0, -1.0, 0.0])
 """Normal of the target: it faces the rover, which looks along y."""
 SETTLE = 1.0
@@ -28,11 +29,11 @@ _COLOURS = ([0.75, 0.45, 0.2, 1.0], [0.25, 0.45, 0.7, 1.0], [0.35, 0.6, 0.35, 1.
 
 @dataclasses.dataclass(frozen=True)
 class PlacementSetting:
-    """What stands before the rover.
+    """Target and blocks before the rover.
 
     Attributes:
         target: (3,) middle of the disc [m], world.
-        blocks: Upright, on the ground, between rover and target.
+        blocks: Upright blocks on the ground between rover and target.
     """
 
     target: FloatArray
@@ -43,8 +44,8 @@ def draw_setting(rng: np.random.Generator, count: int = 2) -> PlacementSetting:
     """Draw a target, and blocks that stand about the line to it from the arm at home.
 
     Args:
-        rng: Source of randomness.
-        count: Blocks.
+        rng: Random generator for target and blocks.
+        count: Number of blocks.
     """
     target = np.array([rng.uniform(-0.08, 0.08), rng.uniform(0.48, 0.56), rng.uniform(0.28, 0.4)])
     blocks = []
@@ -62,9 +63,9 @@ class RoverView:
     """The rover with BRAID in a setting, at rest.
 
     Attributes:
-        bench: Physics.
-        transform_base_to_world: Of BRAID's base, the rover at rest with all legs short.
-        transform_camera_to_tip: Where the left camera is on the last platform.
+        bench: Simulation of the rover with BRAID.
+        transform_base_to_world: Pose of BRAID's base, the rover at rest with all legs short.
+        transform_camera_to_tip: Pose of the left camera on the last platform.
         intrinsics: Intrinsics of the left camera.
     """
 
@@ -83,18 +84,18 @@ class RoverView:
         self.intrinsics = camera_model(model, CAMERA_NAME)
 
     def transform_camera_to_world(self) -> RigidTransform:
-        """Return where the left camera truly is."""
+        """Return the true pose of the left camera."""
         rotation, place = camera_pose(self.bench.data, self._camera)
         return RigidTransform.from_components(place, Rotation.from_matrix(rotation))
 
     def picture(self) -> ImageArray:
-        """Return (height, width, 3) what the left camera sees."""
+        """Return the left camera's image (height, width, 3)."""
         with mujoco.Renderer(self.bench.model, CAMERA.height, CAMERA.width) as renderer:
             renderer.update_scene(self.bench.data, CAMERA_NAME, self._option(True))
             return renderer.render().copy()
 
     def seen(self) -> tuple[float, float]:
-        """Return which part of the target's pixels is visible, and how many there are unhidden.
+        """Return the visible share of the target's pixels, and their number if nothing hid it.
 
         A target that is cut off by the picture's edge counts with what is in the picture only.
         """
@@ -109,12 +110,8 @@ class RoverView:
 
     def from_outside(self) -> ImageArray:
         """Return (480, 640, 3) rover, blocks and target from the side."""
-        view = mujoco.MjvCamera()
-        view.lookat[:] = (0.0, 0.28, 0.22)
-        view.distance, view.azimuth, view.elevation = 1.15, 155.0, -20.0
-        with mujoco.Renderer(self.bench.model, 480, 640) as renderer:
-            renderer.update_scene(self.bench.data, view)
-            return renderer.render().copy()
+        shot = Shot((0.0, 0.28, 0.22), 1.15, 155.0, -20.0)
+        return take(self.bench.model, self.bench.data, shot, (640, 480))
 
     def _option(self, blocks: bool) -> mujoco.MjvOption:
         option = mujoco.MjvOption()

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -24,10 +25,10 @@ from experiments.appe.mechanism.bench import GEOMETRY
 from experiments.appe.placement.scene import (
     FACING,
     TARGET_RADIUS,
-    PlacementSetting,
     RoverView,
     draw_setting,
 )
+from experiments.ch3.stereo.scene import look_at
 from experiments.ch4.spatial.blocks import (
     CLEARANCE,
     believed_blocks,
@@ -41,9 +42,10 @@ from models.blocks import Block
 from perception.geometry.arrays import FloatArray, IntArray
 
 WEIGHT = 0.1
-"""What a radian of the camera's direction is worth [m]: half its field of view is 36 mm."""
+"""Distance [m] that costs as much as a radian of the camera's direction: half its field of view is
+then 36 mm."""
 NEAR_A_WORD = 0.015
-"""A place for the camera is tried if a word that looks at the target is as near as this [m]."""
+"""Greatest distance of a placement that is tried from a word that views the target [m]."""
 ROLLS = np.deg2rad([0.0, 15.0, -15.0, 30.0, -30.0, 45.0, -45.0])
 MARGIN = 40.0
 """Least distance of the target from the picture's edge, by the kinematics [px]."""
@@ -59,7 +61,7 @@ class PlacementTrial:
 
     Attributes:
         seed: Seed of the scene and of the search.
-        stages: Of BRAID, up to 5: their words are all listed.
+        stages: Number of BRAID's stages, up to 5: their words are all listed.
     """
 
     seed: int
@@ -71,10 +73,10 @@ class Plan:
     """A word that brings the camera before the target.
 
     Attributes:
-        view: The placement that it stands for.
+        view: The placement that the word realises.
         word: (n,) states.
-        transform_camera_to_world: From the camera to the world, by the kinematics.
-        tries: Placements that were offered until this one.
+        transform_camera_to_world: Pose of the camera by the kinematics.
+        tries: Number of placements that were tried, this one included.
     """
 
     view: View
@@ -84,51 +86,49 @@ class Plan:
 
 
 class BraidPlanner:
-    """Looks for placements that BRAID can take, from blocks that are believed to be so.
+    """Finds placements that BRAID can take, from blocks that are believed to be so.
 
     Attributes:
-        lens: The left camera.
+        lens: Field of view and range of the left camera.
         field: The target with what may hide it.
-        seeing: How many words see the target, by the kinematics, of all.
+        seeing: Number of words that see the target, by the kinematics.
     """
 
-    def __init__(self, scene: RoverView, target: FloatArray, told: tuple[Block, ...]) -> None:
+    def __init__(self, scene: RoverView, target: FloatArray, believed: tuple[Block, ...]) -> None:
         """Expand the blocks and list where the camera can be.
 
         Args:
-            scene: For the rover's pose and the camera's mount, which a rover knows.
-            target: (3,) [m], world.
-            told: Blocks as they are believed.
+            scene: Scene that gives the rover's pose and the camera's mount, which a rover knows.
+            target: (3,) target [m], world.
+            believed: Blocks as they are believed to be.
 
         Raises:
             PlacementError: If a block hides the target from everywhere.
         """
-        margins = margins_of(told)
+        margins = margins_of(believed)
         self.lens = head_lens()
         goal = disc("target", TARGET_RADIUS, target, FACING)
-        self.field: TargetField = expand(goal, occluders_of(told), margins)
+        self.field: TargetField = expand(goal, occluders_of(believed), margins)
         self._base, self._mount = scene.transform_base_to_world, scene.transform_camera_to_tip
         self._intrinsics = scene.intrinsics
         self._arm = BinaryArm(scene.bench.stages, GEOMETRY, InverseConfig(weight=WEIGHT))
-        self._blocked = occupancy_of(told, margins)
-        self._links = LinkCheck(GEOMETRY, _in_base(told, margins, self._base))
-        places = self._looking_places(target)
+        self._blocked = occupancy_of(believed, margins)
+        self._links = LinkCheck(GEOMETRY, _in_base(believed, margins, self._base))
+        places = self._viewing_positions(target)
         seeing = rate_positions(self.field, self.lens, places, self._blocked) if len(places) else []
         self.seeing = sum(view.rating > 0.0 for view in seeing)
         # Without any word that looks at the target, every place is far.
         self._reach = cKDTree(places if len(places) else np.full((1, 3), 1e3))
 
-    def _looking_places(self, target: FloatArray) -> FloatArray:
-        """Return where the camera is (N, 3) [m], world, in clear words that look at the target."""
+    def _viewing_positions(self, target: FloatArray) -> FloatArray:
+        """Return the camera's positions (N, 3) [m], world, in clear words that view the target."""
         words = all_words(self._arm.count)
         tips = forward(self._arm.stages, words)
         turns = tips[:, 3:].reshape(-1, 3, 3)
         aim = np.einsum("nji,nj->ni", turns, self._base.inv().apply(target) - tips[:, :3])
-        pixels = self._intrinsics.pixels(self._mount.inv().apply(aim))
-        size = np.array([self._intrinsics.width, self._intrinsics.height])
-        looking = np.all((pixels > MARGIN) & (pixels < size - MARGIN), axis=1)
-        looking[looking] = self._links.free(words[looking])
-        cameras = tips[looking, :3] + turns[looking] @ self._mount.translation
+        viewing = self._in_picture(self._mount.inv().apply(aim))
+        viewing[viewing] = self._links.free(words[viewing])
+        cameras = tips[viewing, :3] + turns[viewing] @ self._mount.translation
         return np.asarray(self._base.apply(cameras))
 
     def occupancy(self, points: FloatArray) -> FloatArray:
@@ -145,11 +145,14 @@ class BraidPlanner:
     def sees(self, camera: RigidTransform) -> bool:
         """Return whether a camera has all of the target in its picture, unhidden by belief."""
         rim = self.field.target.position + self.field.target.outline
-        pixels = self._intrinsics.pixels(camera.inv().apply(rim))
-        size = [self._intrinsics.width, self._intrinsics.height]
-        inside = (pixels > MARGIN) & (pixels < np.array(size) - MARGIN)
         rated = rate_positions(self.field, self.lens, camera.translation)[0]
-        return bool(inside.all()) and rated.rating > 0.0
+        return bool(self._in_picture(camera.inv().apply(rim)).all()) and rated.rating > 0.0
+
+    def _in_picture(self, points: FloatArray) -> NDArray[np.bool_]:
+        """Return which points (N, 3) [m], camera frame, are in the picture with a margin."""
+        pixels = self._intrinsics.pixels(points)
+        size = np.array([self._intrinsics.width, self._intrinsics.height])
+        return np.all((pixels > MARGIN) & (pixels < size - MARGIN), axis=1)
 
     def plan(self) -> Plan | None:
         """Return the best rated placement that a word stands for, or None."""
@@ -165,10 +168,10 @@ class BraidPlanner:
     def _word(self, view: View) -> IntArray | None:
         """Solve the inverse kinematics for a placement, whichever way up the camera is best."""
         rng = np.random.default_rng(0)  # the exact search does not use it
-        found = []
+        found, level = [], look_at(view.position, self.field.target.position)
         for roll in ROLLS:
-            camera = look_at(view.position, self.field.target.position, float(roll))
-            tip = self._base.inv() * camera * self._mount.inv()
+            turn = RigidTransform.from_rotation(Rotation.from_euler("z", float(roll)))
+            tip = self._base.inv() * level * turn * self._mount.inv()
             pose = np.concatenate([tip.translation, tip.rotation.as_matrix().ravel()])
             solution = solve(self._arm, pose, "kd-tree", rng, self._links)
             if solution is not None:
@@ -176,28 +179,18 @@ class BraidPlanner:
         return min(found, key=lambda s: s.cost).word if found else None
 
 
-def look_at(place: FloatArray, aim: FloatArray, roll: float) -> RigidTransform:
-    """Return a camera at a place [m] that looks at another, level but for a roll [rad]."""
-    ahead = (aim - place) / np.linalg.norm(aim - place)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    level = Rotation.from_matrix(np.column_stack([right, np.cross(ahead, right), ahead]))
-    return RigidTransform.from_components(place, level * Rotation.from_euler("z", roll))
+def prepare(trial: PlacementTrial) -> tuple[RoverView, Plan | None, int]:
+    """Draw settings until the arm at home does not see all of the target, and plan in the last.
 
-
-def hidden_setting(rng: np.random.Generator, stages: int) -> tuple[PlacementSetting, RoverView]:
-    """Draw settings until the arm at home does not see all of the target."""
+    Returns:
+        The setting with the arm at home, the plan, and the number of words that see the target.
+    """
+    rng = np.random.default_rng(trial.seed)
     while True:
         setting = draw_setting(rng)
-        scene = RoverView(setting, stages)
+        scene = RoverView(setting, trial.stages)
         if scene.seen()[0] < 1.0:
-            return setting, scene
-
-
-def prepare(trial: PlacementTrial) -> tuple[RoverView, Plan | None, int]:
-    """Return a setting with the arm at home, `run_placement`'s plan, and how many words see."""
-    rng = np.random.default_rng(trial.seed)
-    setting, scene = hidden_setting(rng, trial.stages)
+            break
     try:
         planner = BraidPlanner(scene, setting.target, believed_blocks(setting.blocks, rng))
     except PlacementError:

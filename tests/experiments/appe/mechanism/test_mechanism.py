@@ -9,8 +9,7 @@ from controllers.braid.bus.drive import WireDrive, word_bits
 from experiments.appe.mechanism.bench import GEOMETRY, ideal_tip, make_bench
 from experiments.appe.mechanism.mechanism import Options
 from experiments.appe.mechanism.trial import (
-    SagTrial,
-    WordTrial,
+    ArmTrial,
     pull,
     run_sag,
     run_words,
@@ -79,14 +78,14 @@ def test_a_straight_arm_sinks_as_its_weight_presses_its_detents_in():
 
 
 def test_words_change_bit_by_bit_without_a_wrong_one():
-    result = run_words(WordTrial(stages=3, seed=0, words=4, at_once=9))
+    result = run_words(ArmTrial(stages=3, seed=0, words=4, at_once=9))
     assert result.errors.wrong.sum() == 0
     assert result.changed.sum() > 4
     assert result.warnings == 0
 
 
 def test_longer_arms_sag_more():
-    short, long = (run_sag(SagTrial(n, 0, 0, True)) for n in (1, 3))
+    short, long = (run_sag(ArmTrial(n, 0, 0, True)) for n in (1, 3))
     assert not short.wrong.any()
     assert not long.wrong.any()
     assert long.sag.max() > 5.0 * short.sag.max()
