@@ -18,6 +18,7 @@ from controllers.placement.mapped_ground import MappedGround
 from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
 from controllers.placement.task import Lens, Occluder, PlacementError, View
 from perception.geometry.arrays import FloatArray
+from perception.stereo.geometry import StereoGeometry
 from twin.description import RobotDescription, StereoHeadDescription
 
 NEAREST, FARTHEST = 0.35, 1.2
@@ -227,3 +228,9 @@ def camera_arm(robot: RobotDescription) -> tuple[SerialChain, StereoHeadDescript
             f"robot {robot.name!r} has no stereo head on an arm: it cannot look around"
         )
     return SerialChain.of_robot(robot), robot.head
+
+
+def stereo_geometry(robot: RobotDescription) -> StereoGeometry:
+    """Return the geometry of a rover's stereo head as drawn."""
+    head = camera_arm(robot)[1]
+    return StereoGeometry(*head.camera.intrinsics, head.baseline)

@@ -1,4 +1,8 @@
-"""The card at the end of the slave's arm: where it is, how it is moved, and what touches it."""
+"""The card at the end of the slave's arm: its pose, its motion, and what touches it.
+
+What runs several times a tick takes and returns poses as matrices (4, 4), as
+`SerialChain.tool_frame` does: a fiftieth of the time of a `RigidTransform`.
+"""
 
 import dataclasses
 import math
@@ -36,7 +40,7 @@ def to_plane(card_in_slot: FloatArray) -> FloatArray:
     with the plane.
 
     Args:
-        card_in_slot: (4, 4).
+        card_in_slot: (4, 4) pose of the card.
     """
     x, y, z = card_in_slot[:3, 3]
     right, forward, out = card_in_slot[:3, 1]
@@ -64,6 +68,10 @@ class CardArm:
         robot: The rover as drawn; its wrist's body counts the card.
         tip: Distance from the wrist's joint to the middle of the card's leading edge [m].
 
+    Attributes:
+        limits: (4, 2) lowest and highest joint angles [rad].
+        mount: (3,) position of the arm's base in the robot frame [m].
+
     Raises:
         ValueError: If the robot has no arm, naming it.
     """
@@ -74,25 +82,25 @@ class CardArm:
         card = RigidTransform.from_components(place, Rotation.from_matrix(CARD_IN_WRIST))
         self._chain = dataclasses.replace(arm, transform_tool_to_link=card)
         self._base = arm.transform_base_to_robot.as_matrix()
+        self.limits, self.mount = arm.limits, self._base[:3, 3]
 
-    @property
-    def limits(self) -> FloatArray:
-        """(4, 2) lowest and highest joint angles [rad]."""
-        return self._chain.limits
-
-    def card_in_robot(self, angles: ArrayLike) -> FloatArray:
+    def card_frame(self, angles: ArrayLike) -> FloatArray:
         """Return (4, 4) from the card to the robot frame at joint angles (4,) [rad]."""
         return self._chain.tool_frame(angles)
 
+    def transform_card_to_robot(self, angles: ArrayLike) -> RigidTransform:
+        """Return the transform from the card to the robot frame at joint angles (4,) [rad]."""
+        return RigidTransform.from_matrix(self.card_frame(angles))
+
     def angles_at(self, place: ArrayLike, pitch: float, near: ArrayLike) -> FloatArray:
-        """Return the joint angles that bring the card somewhere.
+        """Return the joint angles that bring the card to a place.
 
         The arm has four joints: the card's yaw is that of the arm, and its roll is the robot's.
 
         Args:
-            place: (3,) of the middle of the leading edge [m], robot frame.
+            place: (3,) middle of the leading edge [m], robot frame.
             pitch: Pitch of the card's forward axis [rad].
-            near: (4,) the angles now; the nearest solution is taken.
+            near: (4,) present angles [rad]; the nearest solution counts.
 
         Returns:
             (4,) [rad]; NaN if it is out of reach.
@@ -100,16 +108,11 @@ class CardArm:
         found = self._inverse.solutions([*np.asarray(place, dtype=float), pitch], near)
         return found[0] if len(found) else np.full(4, np.nan)
 
-    @property
-    def mount(self) -> FloatArray:
-        """(3,) the arm's base in the robot frame [m]."""
-        return self._base[:3, 3]
-
     def weight(self, angles: ArrayLike, up: ArrayLike) -> FloatArray:
         """Return the wrench by the rover that holds arm and card up at rest.
 
         Args:
-            angles: (4,) of the joints [rad].
+            angles: (4,) joint angles [rad].
             up: (3,) unit vector that points up, robot frame.
 
         Returns:
@@ -124,7 +127,7 @@ class CardArm:
 
         Args:
             wrench: (6,) by the rover on the arm, in and about the arm's base [N, N m].
-            angles: (4,) of the joints [rad].
+            angles: (4,) joint angles [rad].
             up: (3,) unit vector that points up, robot frame.
 
         Returns:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, to_plane
 from controllers.insertion.guidance import Guidance
@@ -25,6 +26,7 @@ from perception.geometry.gravity import GRAVITY
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 _ELBOW = 3.0  # Rates beyond are of the other elbow, not of a step [rad/s].
+_STILL = np.zeros(4)
 
 
 class InsertionStage(enum.Enum):
@@ -93,50 +95,54 @@ class CardInserterConfig:
 
 
 class CardInserter:
-    """Drives wheels and arm of the slave, one step each servo tick."""
+    """Drives wheels and arm of the slave, one step each servo tick.
+
+    Args:
+        config: Speeds, tolerances and timeouts.
+        arm: Arm with the card.
+        steer: Wheels of the slave.
+        transform_slot_to_robot: Prior transform from the slot to the robot, by the map.
+        covariance: (6, 6) covariance of its xi.
+        base: Tilt of the robot under its arm, fed forward while force guides; None for a robot
+            that is taken to keep its tilt.
+
+    Attributes:
+        config: Speeds, tolerances and timeouts.
+        stage: What the slave is doing.
+        reason: Why it stopped; empty if it did not.
+        guide: Guide of the insertion by force; None before it begins.
+        contact: (6,) force and moment on the card less the tare, card frame [N, N m].
+        belief: Estimate of the slot's pose.
+        error: (5,) `to_plane` of the card in the last view, from where it stands off; NaN before.
+    """
 
     def __init__(
         self,
         config: CardInserterConfig,
         arm: CardArm,
         steer: SkidSteer,
-        slot_in_robot: FloatArray,
+        transform_slot_to_robot: RigidTransform,
         covariance: FloatArray,
         base: BaseTilt | None = None,
     ) -> None:
-        """Begin where the map says.
-
-        Args:
-            config: How it moves.
-            arm: With the card.
-            steer: Its wheels.
-            slot_in_robot: (4, 4) by the map.
-            covariance: (6, 6) of its xi.
-            base: How the robot leans under its arm: fed forward while force guides. None for a
-                robot that is taken to stay as it stands.
-        """
         self.config = config
         self.stage, self.reason = InsertionStage.WAIT, ""
         self.guide: InsertionGuide | None = None
         self.contact = np.zeros(6)
-        self._load = 0.0  # force [N] that must not grow too large
-        self.belief = SlotBelief(slot_in_robot, covariance, config.belief)
+        self.belief = SlotBelief(transform_slot_to_robot, covariance, config.belief)
         self.error = np.full(5, np.nan)
-        self._arm = arm
-        self._steer, self._base = steer, base
+        self._arm, self._steer, self._base = arm, steer, base
         self._odometry = Odometry(steer)
         self._levelled = False
-        self._time = 0.0
-        self._last_look = -math.inf
-        self._since = 0.0
+        self._load = 0.0  # Force that must not grow too large [N].
+        self._time, self._since, self._last_look = 0.0, 0.0, -math.inf
         self._good = 0
         self._tare: list[FloatArray] = []
         self._offset = np.zeros(6)
-        self._wanted: FloatArray | None = None  # joints
+        self._wanted = np.empty(0)  # Joint angles; empty before the first step.
         # When force began to guide: the slot in the robot, its up, and how the arm weighed on it.
-        self._slot: FloatArray | None = None
-        self._up = np.array([0.0, 0.0, 1.0])
-        self._weight = np.zeros(6)
+        self._slot = self.belief.slot_in_start
+        self._up, self._weight = np.array([0.0, 0.0, 1.0]), np.zeros(6)
 
     @property
     def over(self) -> bool:
@@ -156,7 +162,7 @@ class CardInserter:
         if not all(each.usable and np.isfinite(each.value).all() for each in joints):
             return self._fail("no arm angles", np.zeros(4), arm=False)
         angles = np.asarray(seen.arm_angles.value, dtype=float)
-        if self._wanted is None:
+        if not len(self._wanted):
             self._wanted = angles.copy()
         self._reckon(seen, angles)
         self._listen(looks)
@@ -196,16 +202,8 @@ class CardInserter:
             self._wanted = angles.copy()
         return self._hold() if arm else Command(wheel_mode=WheelMode.DUTY, arm_mode=ArmMode.DUTY)
 
-    def _hold(self, wheels: FloatArray | None = None, rates: FloatArray | None = None) -> Command:
-        assert self._wanted is not None
-        still = np.zeros(4)
-        return Command(
-            still if wheels is None else wheels,
-            self._wanted,
-            WheelMode.SPEED,
-            ArmMode.POSITION,
-            still if rates is None else rates,
-        )
+    def _hold(self, wheels: FloatArray = _STILL, rates: FloatArray = _STILL) -> Command:
+        return Command(wheels, self._wanted, WheelMode.SPEED, ArmMode.POSITION, rates)
 
     def _reckon(self, seen: Observation, angles: FloatArray) -> None:
         """Bring dead reckoning on; the tilt counts from where it was at the start."""
@@ -215,11 +213,11 @@ class CardInserter:
             # The map's prior was given in the robot's own frame.
             self.belief.slot_in_start = self._odometry.pose() @ self.belief.slot_in_start
             self._levelled = True
-        if self.stage in (InsertionStage.INSERT, InsertionStage.DONE, InsertionStage.FAILED):
+        if self.stage is InsertionStage.INSERT or self.over:
             return
-        way, turn = self._odometry.distance - before, self._odometry.turned - turned
-        card = self._odometry.pose() @ self._arm.card_in_robot(angles)
-        self.belief.note(seen.time, card, way, turn, self.config.period)
+        driven, turn = self._odometry.distance - before, self._odometry.turned - turned
+        card = self._odometry.pose() @ self._arm.card_frame(angles)
+        self.belief.note(seen.time, card, driven, turn, self.config.period)
 
     def _listen(self, looks: Sequence[Guidance]) -> None:
         for look in looks:
@@ -231,22 +229,20 @@ class CardInserter:
             self.error = to_plane(look.transform_slot_to_card.inv().as_matrix())
             self.error[1] += self.config.stand_off
             across, turn = self.config.aligned
-            fits = np.all(np.abs(self.error[:2]) < across) and abs(self.error[2]) < turn
+            fits = np.all(np.abs(self.error[:3]) < [across, across, turn])
             self._good = self._good + 1 if fits else 0
 
     def _feel(self, seen: Observation, angles: FloatArray) -> None:
         """Work out what touches the card, less what it was when nothing did."""
-        felt = np.full(6, np.nan)
+        felt, inserts = np.full(6, np.nan), self.stage is InsertionStage.INSERT
         up = level_of(seen).specific_force / GRAVITY
-        if self.stage is not InsertionStage.INSERT:
+        if not inserts:
             self._up = up
         if seen.arm_base_wrench.usable:
             felt = self._arm.contact(seen.arm_base_wrench.value, angles, up)
         self._load = 0.0
         if not np.all(np.isfinite(felt)):
-            self.contact = (
-                np.full(6, np.nan) if self.stage is InsertionStage.INSERT else np.zeros(6)
-            )
+            self.contact = np.full(6, np.nan if inserts else 0.0)
             return
         if self.stage is InsertionStage.ALIGN:
             self._tare = [*self._tare, felt][-round(self.config.settle / self.config.period) :]
@@ -267,15 +263,14 @@ class CardInserter:
             return self._hold()
         slot = inverse(self._odometry.pose()) @ self.belief.slot_in_start
         gap = float(slot[1, 3]) - config.reach - config.stand_off
-        wheels = np.zeros(4)
+        wheels = _STILL
         if self.stage is InsertionStage.APPROACH:
             wheels = self._steer_to(slot, gap)
             if abs(gap) < config.near:
                 self._enter(InsertionStage.ALIGN)
         # While the robot is away, the card stays where the arm is at ease.
         away = max(gap, 0.0) if self.stage is InsertionStage.APPROACH else 0.0
-        ahead = -config.stand_off - away
-        rates = self._bring(slot @ planar([0.0, ahead, 0.0]))
+        rates = self._bring(slot @ planar([0.0, -config.stand_off - away, 0.0]))
         if self.stage is InsertionStage.ALIGN:
             waited = self._time - self._since
             tared = len(self._tare) * config.period >= config.settle - 1e-9
@@ -285,10 +280,10 @@ class CardInserter:
 
     def _steer_to(self, slot: FloatArray, gap: float) -> FloatArray:
         """Return wheel speeds onto the slot's line, slower when near."""
-        config = self.config
+        config, (x, y) = self.config, slot[:2, 3]
         heading = math.atan2(-slot[0, 1], slot[1, 1])  # of the slot's line, to the left
         # How far the line lies to the left of the robot's origin.
-        beside = -slot[0, 3] * math.cos(heading) - slot[1, 3] * math.sin(heading)
+        beside = -x * math.cos(heading) - y * math.sin(heading)
         speed = min(max(config.slowing * gap, -config.speed), config.speed)
         curve = 2.0 * heading / config.look_ahead + beside / config.look_ahead**2
         turn = min(max(curve * abs(speed), -config.turn), config.turn)
@@ -296,50 +291,41 @@ class CardInserter:
 
     def _bring(self, card: FloatArray) -> FloatArray:
         """Move the wanted joints a step towards a pose of the card; return their rates."""
-        assert self._wanted is not None
-        config = self.config
-        now = self._arm.card_in_robot(self._wanted)
+        config, now = self.config, self._arm.card_frame(self._wanted)
         way = card[:3, 3] - now[:3, 3]
-        most = config.card_speed * config.period
+        most, step = config.card_speed * config.period, config.card_turn * config.period
         place = now[:3, 3] + way * min(1.0, most / max(float(np.linalg.norm(way)), 1e-9))
-        step = config.card_turn * config.period
         pitch = pitch_of(now)
         pitch += min(max(pitch_of(card) - pitch, -step), step)
         return self._command_card(place, pitch)
 
     def _command_card(self, place: FloatArray, pitch: float) -> FloatArray:
-        assert self._wanted is not None
+        """Set the wanted joints for a place and pitch, if in reach; return their rates."""
         target = self._arm.angles_at(place, pitch, self._wanted)
-        if not np.all(np.isfinite(target)):
-            return np.zeros(4)
         rates = (target - self._wanted) / self.config.period
-        if np.abs(rates).max() > _ELBOW:
-            return np.zeros(4)
+        if not np.all(np.abs(rates) <= _ELBOW):
+            return _STILL
         self._wanted = target
         return rates
 
     def _hand_over(self, slot: FloatArray) -> None:
         """Let force guide from here; the slot stays in the world where it is believed now."""
-        assert self._wanted is not None
         self._slot = slot
         self._weight = self._arm.weight(self._wanted, self._up)
-        start = to_plane(inverse(slot) @ self._arm.card_in_robot(self._wanted))
+        start = to_plane(inverse(slot) @ self._arm.card_frame(self._wanted))
         self.guide = InsertionGuide(self.config.guide, start[:3])
         self._enter(InsertionStage.INSERT)
 
     def _slot_now(self) -> FloatArray:
-        """Return (4, 4) from the slot to the robot, which leans as its arm reaches on."""
-        assert self._slot is not None and self._wanted is not None
+        """Return (4, 4) from the slot to the robot, which tilts as its arm reaches on."""
         if self._base is None:
             return self._slot
         change = self._arm.weight(self._wanted, self._up) - self._weight
         return self._base.motion(self._base.tilt(change)).inv().as_matrix() @ self._slot
 
     def _insert(self, angles: FloatArray) -> Command:
-        assert self.guide is not None and self._slot is not None
-        wrench = self.contact[[0, 1, 5]]
-        pose = self.guide.step(wrench if np.all(np.isfinite(wrench)) else None)
-        card = self._slot_now() @ planar(pose)
+        assert self.guide is not None
+        card = self._slot_now() @ planar(self.guide.step(self.contact[[0, 1, 5]]))
         rates = self._command_card(card[:3, 3], pitch_of(card))
         if self.guide.phase is Phase.DONE:
             self._enter(InsertionStage.DONE)

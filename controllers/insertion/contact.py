@@ -19,9 +19,9 @@ import enum
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 
 
 class Touch(enum.Enum):
@@ -33,6 +33,8 @@ class Touch(enum.Enum):
     WALL = "corner on the inner wall"
 
 
+CORNERS = ((Touch.EDGE, Touch.SIDE), (Touch.FACE, Touch.WALL))
+"""Contacts of a mouth corner with the card, and of a card's corner with a wall."""
 STATES: dict[int, tuple[tuple[Touch, int], ...]] = {
     1: ((Touch.EDGE, 1),),
     2: ((Touch.SIDE, 1),),
@@ -49,12 +51,12 @@ class CardInSlot:
     """Shapes and friction, as the CAD has them. Lengths [m].
 
     Attributes:
-        card_width: Across the card.
-        card_length: Along the insertion.
-        slot_width: Between the walls.
+        card_width: Width of the card, across.
+        card_length: Length of the card, along the insertion.
+        slot_width: Width between the walls.
         slot_depth: Depth of the walls.
         wall: Width of the faces beside the mouth.
-        friction: Between card and slot.
+        friction: Coulomb coefficient between card and slot.
     """
 
     card_width: float
@@ -70,10 +72,9 @@ class CardInSlot:
         Raises:
             ValueError: Naming the field.
         """
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if not (0.0 < value < math.inf or (field.name == "friction" and value == 0.0)):
-                raise ValueError(f"{field.name} = {value}: expected a positive number")
+        check_numbers("card in slot", self, "friction", zero=True)
+        *lengths, _ = (field.name for field in dataclasses.fields(self))
+        check_numbers("card in slot", self, *lengths)
         if self.slot_width <= self.card_width:
             raise ValueError(
                 f"slot_width = {self.slot_width}: expected more than the card's {self.card_width}"
@@ -86,33 +87,33 @@ class ContactPoint:
 
     Attributes:
         gap: Distance between the features; negative when they overlap [m].
-        gradient: (3,) of the gap by the pose.
-        point: (2,) in the card's frame [m].
+        gradient: (3,) derivative of the gap by the pose.
+        point: (2,) position in the card's frame [m].
         normal: (2,) unit force on the card, card's frame.
         excess: How far the point lies beyond the end of its feature, 0 within [m].
     """
 
     gap: float
-    gradient: Floats
-    point: Floats
-    normal: Floats
+    gradient: FloatArray
+    point: FloatArray
+    normal: FloatArray
     excess: float
 
 
-def turn(theta: float) -> Floats:
+def turn(theta: float) -> FloatArray:
     """Return (2, 2) from the card's frame to the slot's."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s], [s, c]])
 
 
-def contact_at(shape: CardInSlot, pose: Floats, touch: Touch, side: int) -> ContactPoint:
+def contact_at(shape: CardInSlot, pose: FloatArray, touch: Touch, side: int) -> ContactPoint:
     """Return gap, point and normal of one pair of features.
 
     Args:
-        shape: Of card and slot.
+        shape: Shapes of card and slot.
         pose: (3,) [m, m, rad].
-        touch: Which features.
-        side: -1 left, 1 right: of the mouth corner, or of the card's corner.
+        touch: Features that meet.
+        side: Side of the mouth corner or of the card's corner, -1 left and 1 right.
 
     Returns:
         The contact (Thesis figure A-6: normals at theta for EDGE and SIDE, the slot's otherwise).
@@ -121,7 +122,7 @@ def contact_at(shape: CardInSlot, pose: Floats, touch: Touch, side: int) -> Cont
     half_card, half_slot = shape.card_width / 2.0, shape.slot_width / 2.0
     if touch in (Touch.EDGE, Touch.SIDE):
         x, y = rotation.T @ (np.array([side * half_slot, 0.0]) - pose[:2])
-        move = np.column_stack([-rotation.T, [y, -x]])  # of the point, by the pose
+        move = np.column_stack([-rotation.T, [y, -x]])  # derivative of the point by the pose
         point = np.array([x, y])
         if touch is Touch.EDGE:
             excess = max(abs(x) - half_card, 0.0)
@@ -142,13 +143,13 @@ def contact_at(shape: CardInSlot, pose: Floats, touch: Touch, side: int) -> Cont
     return ContactPoint(half_slot - side * x, gradient, point, normal, excess)
 
 
-def contacts_of(shape: CardInSlot, pose: Floats, state: int, side: int) -> list[ContactPoint]:
+def contacts_of(shape: CardInSlot, pose: FloatArray, state: int, side: int) -> list[ContactPoint]:
     """Return the contacts of a state at a pose.
 
     Args:
-        shape: Of card and slot.
-        pose: (3,).
-        state: 1 to 6.
+        shape: Shapes of card and slot.
+        pose: (3,) pose of the card [m, m, rad].
+        state: Contact state, 1 to 6.
         side: 1 as in `STATES`, -1 for the mirror image.
 
     Raises:
@@ -159,18 +160,17 @@ def contacts_of(shape: CardInSlot, pose: Floats, state: int, side: int) -> list[
     return [contact_at(shape, pose, touch, side * sign) for touch, sign in STATES[state]]
 
 
-def overlap(shape: CardInSlot, pose: Floats) -> float:
+def overlap(shape: CardInSlot, pose: FloatArray) -> float:
     """Return how deep card and slot overlap at a pose, 0 if they don't [m]."""
-    deepest = 0.0
-    for side in (-1, 1):
-        gaps = {touch: contact_at(shape, pose, touch, side) for touch in Touch}
-        mouth = min(-gaps[Touch.EDGE].gap, -gaps[Touch.SIDE].gap)  # a mouth corner in the card
-        corner = min(-gaps[Touch.FACE].gap, -gaps[Touch.WALL].gap)  # a card's corner in a wall
-        deepest = max(deepest, mouth, corner)
-    return deepest
+    depths = (
+        -max(contact_at(shape, pose, touch, side).gap for touch in pair)
+        for side in (-1, 1)
+        for pair in CORNERS
+    )
+    return max(0.0, *depths)
 
 
-def wrench_cone(contacts: list[ContactPoint], friction: float) -> Floats:
+def wrench_cone(contacts: list[ContactPoint], friction: float) -> FloatArray:
     """Return (3, 2 n) wrenches whose non-negative sums n frictional contacts can give.
 
     The two columns of a contact are its friction cone's edges, normal part 1 (Thesis figure A-6:
@@ -178,27 +178,26 @@ def wrench_cone(contacts: list[ContactPoint], friction: float) -> Floats:
     """
     columns = []
     for contact in contacts:
-        along = np.array([-contact.normal[1], contact.normal[0]])
+        (x, y), (across, ahead) = contact.point, contact.normal
         for sign in (-1.0, 1.0):
-            force = contact.normal + sign * friction * along
-            x, y = contact.point
+            force = contact.normal + sign * friction * np.array([-ahead, across])
             columns.append([force[0], force[1], x * force[1] - y * force[0]])
     return np.array(columns).T
 
 
 def pose_in_state(
     shape: CardInSlot, state: int, side: int, tilt: float, place: float = 0.0
-) -> Floats:
+) -> FloatArray:
     """Construct a pose where exactly the features of a state meet.
 
     Args:
-        shape: Of card and slot.
-        state: 1 to 6.
+        shape: Shapes of card and slot.
+        state: Contact state, 1 to 6.
         side: 1 as in `STATES`, -1 for the mirror image.
         tilt: Size of the card's angle [rad]; its sign follows from state and side.
-        place: Where the features meet [m]: from the card's corner along the leading edge (1) or
-            the side (2), from the mouth corner along the face (3) or the wall (6); states 4 and 5
-            have no freedom left.
+        place: Position where the features meet [m]: from the card's corner along the leading edge
+            (1) or the side (2), from the mouth corner along the face (3) or the wall (6); states 4
+            and 5 have no freedom left.
 
     Returns:
         (3,) pose, with which nothing else overlaps.
@@ -233,7 +232,7 @@ def pose_in_state(
     return pose
 
 
-def contact_point(shape: CardInSlot, wrench: Floats) -> Floats:
+def contact_point(shape: CardInSlot, wrench: FloatArray) -> FloatArray:
     """Return where the line of action of one contact's force meets the card's outline.
 
     Thesis figure A-6: the point r with r x f = m. The larger part of the force says whether it is

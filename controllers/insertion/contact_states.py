@@ -1,7 +1,7 @@
-"""Which of the six contact states a measured wrench tells of (Thesis section A.4, figure A-6).
+"""Classification of the six contact states by a measured wrench (Thesis section A.4, figure A-6).
 
 The wrench alone leaves it open: forces of two contacts often add up to what one could give. So the
-card's pose is believed as vision and arm report it, with its covariance. A state is rated by how
+card's pose is taken as vision and arm estimate it, with its covariance. A state is rated by how
 far the pose must move for its features to meet, and by how far the wrench lies from what its
 frictional contacts can give there; the unknown part of the pose is integrated over to first order.
 
@@ -11,28 +11,28 @@ and that there is a contact at all.
 
 import dataclasses
 import math
+import operator
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from controllers.insertion.contact import (
+    CORNERS,
     STATES,
     CardInSlot,
     ContactPoint,
-    Touch,
     contact_at,
     contacts_of,
     wrench_cone,
 )
-
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
 
 _STEPS = 4  # Newton steps onto a state's set of poses.
 _MET = 1e-4  # Gap that may be left then [m].
-_MOVE = 1e-5  # For differences by the pose [m, m, rad].
+_MOVE = 1e-5  # Step of the differences by the pose [m, m, rad].
 _EXACT = 1e-5  # Standard deviation of the CAD's lengths [m].
-_HOPELESS = 300.0  # Cost of the pose alone beyond which the wrench is not asked.
+_HOPELESS = 300.0  # Cost of the pose alone beyond which the wrench does not matter.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,9 +40,9 @@ class WrenchNoise:
     """Error of the wrench sensor, normal.
 
     Attributes:
-        relative: Standard deviation by the force's size; of the moment, with `lever`.
+        relative: Standard deviation as a share of the force's size; for the moment with `lever`.
         force: Standard deviation at no load [N].
-        torque: The same of the moment [N m].
+        torque: Standard deviation of the moment at no load [N m].
         lever: Arm that turns a force into the moment of a full scale [m].
     """
 
@@ -51,7 +51,7 @@ class WrenchNoise:
     torque: float = 0.0
     lever: float = 0.05
 
-    def sigma(self, wrench: Floats) -> Floats:
+    def sigma(self, wrench: FloatArray) -> FloatArray:
         """Return (3,) standard deviations at a load (3,)."""
         size = self.relative * math.hypot(wrench[0], wrench[1])
         force = math.hypot(size, self.force)
@@ -63,7 +63,7 @@ class StateEstimate:
     """A classified contact.
 
     Attributes:
-        state: 1 to 6.
+        state: Contact state, 1 to 6.
         side: 1 as in `contact.STATES`, -1 for the mirror image.
         cost: Cost of the chosen hypothesis: squared distances, whitened.
         margin: Cost of the best other state less that of the chosen one.
@@ -74,24 +74,24 @@ class StateEstimate:
     side: int
     cost: float
     margin: float
-    pose: Floats
+    pose: FloatArray
 
 
 def classify(
     shape: CardInSlot,
-    wrench: Floats,
+    wrench: FloatArray,
     noise: WrenchNoise,
-    pose: Floats,
-    covariance: Floats,
+    pose: FloatArray,
+    covariance: FloatArray,
 ) -> StateEstimate:
     """Return the contact state that explains wrench and believed pose best.
 
     Args:
-        shape: Of card and slot.
-        wrench: (3,) what the slot puts on the card, card's frame [N, N, N m].
+        shape: Shapes of card and slot.
+        wrench: (3,) wrench by the slot on the card, card's frame [N, N, N m].
         noise: Standard deviations of the wrench's noise.
         pose: (3,) believed pose of the card in the slot's frame [m, m, rad].
-        covariance: (3, 3) of the pose.
+        covariance: (3, 3) covariance of the pose.
 
     Returns:
         The state.
@@ -104,14 +104,12 @@ def classify(
             raise ValueError(f"{name} {value}: expected three finite numbers")
     if not math.hypot(wrench[0], wrench[1]) > 0.0:
         raise ValueError("wrench without force: there is no contact to classify")
-    rated: list[tuple[float, int, int, Floats]] = []
+    rated: list[tuple[float, int, int, FloatArray]] = []
     for state in STATES:
         for side in (-1, 1):
             met = _meet(shape, pose, covariance, state, side)
-            if met.cost > _HOPELESS:
-                rated.append((met.cost, state, side, met.pose))
-                continue
-            cost = _rate(shape, wrench, noise, met, state, side)
+            hopeless = met.cost > _HOPELESS
+            cost = met.cost if hopeless else _rate(shape, wrench, noise, met, state, side)
             rated.append((cost, state, side, met.pose))
     rated.sort(key=lambda entry: entry[0])
     cost, state, side, met = rated[0]
@@ -119,17 +117,16 @@ def classify(
     return StateEstimate(state, side, cost, other - cost, met)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Meeting:
+class _Meeting(NamedTuple):
     """The likeliest pose where a state's features meet, its covariance, and what it costs."""
 
-    pose: Floats
-    covariance: Floats
+    pose: FloatArray
+    covariance: FloatArray
     cost: float
 
 
 def _rate(
-    shape: CardInSlot, wrench: Floats, noise: WrenchNoise, met: _Meeting, state: int, side: int
+    shape: CardInSlot, wrench: FloatArray, noise: WrenchNoise, met: _Meeting, state: int, side: int
 ) -> float:
     """Return -2 ln of a hypothesis' evidence, but for what all share.
 
@@ -160,7 +157,9 @@ def _rate(
     return met.cost + residual**2 + math.log(volume)
 
 
-def _meet(shape: CardInSlot, pose: Floats, covariance: Floats, state: int, side: int) -> _Meeting:
+def _meet(
+    shape: CardInSlot, pose: FloatArray, covariance: FloatArray, state: int, side: int
+) -> _Meeting:
     """Move a believed pose to where a state's features meet."""
     met = pose.copy()
     for _ in range(_STEPS):
@@ -172,17 +171,19 @@ def _meet(shape: CardInSlot, pose: Floats, covariance: Floats, state: int, side:
         return _Meeting(met, covariance, math.inf)  # too far for these steps to get there
     density = rows @ covariance @ rows.T
     keep = np.eye(3) - gain @ rows
-    spread = keep @ covariance @ keep.T
+    left = keep @ covariance @ keep.T
     moved = met - pose
     cost = float(moved @ np.linalg.solve(covariance, moved))
     # Gaps that are not closed may be anything up to the clearance.
     clearance = shape.slot_width - shape.card_width
     cost += math.log(np.linalg.det(density * (2.0 * math.pi / clearance**2)))
-    cost += _misplaced(shape, met, spread, contacts, state, side)
-    return _Meeting(met, spread, cost)
+    cost += _misplaced(shape, met, left, contacts, state, side)
+    return _Meeting(met, left, cost)
 
 
-def _pull(contacts: list[ContactPoint], covariance: Floats) -> tuple[Floats, Floats, Floats]:
+def _pull(
+    contacts: list[ContactPoint], covariance: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return gaps (n,), their gradients (n, 3), and the gain (3, n) that closes them likeliest."""
     gaps = np.array([contact.gap for contact in contacts])
     rows = np.array([contact.gradient for contact in contacts])
@@ -191,26 +192,21 @@ def _pull(contacts: list[ContactPoint], covariance: Floats) -> tuple[Floats, Flo
 
 def _misplaced(
     shape: CardInSlot,
-    met: Floats,
-    spread: Floats,
+    met: FloatArray,
+    covariance: FloatArray,
     contacts: list[ContactPoint],
     state: int,
     side: int,
 ) -> float:
     """Return the cost of points beyond their features, and of other features that overlap."""
-    variance = spread[0, 0] + spread[1, 1] + _EXACT**2
+    variance = covariance[0, 0] + covariance[1, 1] + _EXACT**2
     cost = sum(contact.excess**2 for contact in contacts) / variance
     own = {(touch, side * sign) for touch, sign in STATES[state]}
     for other in (-1, 1):
-        for pair in ((Touch.EDGE, Touch.SIDE), (Touch.FACE, Touch.WALL)):
-            if any((touch, other) in own for touch in pair):
-                continue
-            least = max((contact_at(shape, met, touch, other) for touch in pair), key=_gap)
-            if least.gap < 0.0:
-                variance = float(least.gradient @ spread @ least.gradient)
+        for pair in CORNERS:
+            contacts = [contact_at(shape, met, touch, other) for touch in pair]
+            least = max(contacts, key=operator.attrgetter("gap"))
+            if least.gap < 0.0 and own.isdisjoint((touch, other) for touch in pair):
+                variance = float(least.gradient @ covariance @ least.gradient)
                 cost += least.gap**2 / (variance + _EXACT**2)
     return cost
-
-
-def _gap(contact: ContactPoint) -> float:
-    return contact.gap

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from controllers.insertion.planar_grip import GripSensor, PlanarArm, Stance
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 from twin.robot import ArmMode, Command, Observation, RobotError
 
 MASTER_FORCES = (False, False, True)
@@ -40,7 +41,7 @@ def encode(kind: int, values: ArrayLike) -> bytes:
 
     Args:
         kind: `SET_POINT`, (6,) pose and rate, or `REPORT`, (3,) wrench.
-        values: In SI units, plan frame.
+        values: Numbers in SI units, plan frame.
 
     Raises:
         ValueError: If the kind is unknown or a number is missing or not finite.
@@ -70,10 +71,10 @@ def decode(message: bytes) -> tuple[int, FloatArray]:
 
 @dataclasses.dataclass(frozen=True)
 class Grip:
-    """Where a robot holds the segment.
+    """A robot's grip on the segment.
 
     Attributes:
-        place: (2,) in the segment's frame [m].
+        place: (2,) position in the segment's frame [m].
         angle: Angle of the gripper against the segment, plan frame [rad].
     """
 
@@ -84,7 +85,7 @@ class Grip:
         """Return the gripper's pose (3,) for a segment's.
 
         Args:
-            segment: (3,).
+            segment: (3,) pose in the plan frame [m, m, rad].
         """
         s, z, angle = np.asarray(segment, dtype=float)
         lever = self.lever(angle)
@@ -112,7 +113,7 @@ class Grip:
         """Return a wrench (3,) at the grip about the segment's origin, plan frame.
 
         Args:
-            wrench: (3,).
+            wrench: (3,) wrench at the grip, plan frame [N, N, N m].
             angle: Angle of the segment [rad].
         """
         f_s, f_z, moment = np.asarray(wrench, dtype=float)
@@ -122,10 +123,10 @@ class Grip:
 
 @dataclasses.dataclass(frozen=True)
 class HybridConfig:
-    """How forces and positions are held.
+    """Gains and limits of force and position control.
 
     Attributes:
-        forces: Which of s, z, angle are controlled by force.
+        forces: Whether each of s, z, angle is controlled by force.
         wanted: (3,) wrench of the gripper on the segment, where by force [N, N, N m].
         give: Speed by missing force [m/s/N].
         give_turn: Turning rate by missing moment [rad/s/(N m)].
@@ -159,14 +160,10 @@ class HybridConfig:
         Raises:
             ValueError: Naming the field.
         """
-        for name in ("give", "give_turn", "speed", "turn_rate", "reach", "turn_reach", "take_up",
-                     "filter_time", "joint_rate", "period"):  # fmt: skip
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} = {value}: expected a positive number")
-        for name in ("forces", "wanted"):
-            if len(getattr(self, name)) != 3:
-                raise ValueError(f"{name} = {getattr(self, name)}: expected three")
+        _, _, *numbers = (field.name for field in dataclasses.fields(self))
+        check_numbers("grip", self, *numbers)
+        if not len(self.forces) == len(self.wanted) == 3:
+            raise ValueError(f"forces {self.forces}, wanted {self.wanted}: expected three of each")
 
 
 class HybridGrip:
@@ -190,10 +187,13 @@ class HybridGrip:
         self.stance = stance
         self.wrench: FloatArray | None = None
         self._config, self._arm, self._sensor = config, arm, sensor
-        self._forces = np.array(config.forces)
-        self._gives = np.array([config.give, config.give, config.give_turn])
-        self._speeds = np.array([config.speed, config.speed, config.turn_rate])
-        self._reaches = np.array([config.reach, config.reach, config.turn_reach])
+        self._gives, self._speeds, self._reaches = np.array(
+            [
+                [config.give, config.give, config.give_turn],
+                [config.speed, config.speed, config.turn_rate],
+                [config.reach, config.reach, config.turn_reach],
+            ]
+        )
         self._angles: FloatArray | None = None
         self._begin: FloatArray | None = None
         self._correction: FloatArray | None = None
@@ -228,13 +228,11 @@ class HybridGrip:
 
     def feel(self, seen: Observation) -> None:
         """Take the wrench of this tick."""
-        felt = self._sensor.felt(seen, self.stance)
-        if felt is None or self.wrench is None:
-            self.wrench = felt
-            return
-        config = self._config
-        share = config.period / (config.period + config.filter_time)
-        self.wrench = self.wrench + share * (felt - self.wrench)
+        felt, config = self._sensor.felt(seen, self.stance), self._config
+        if felt is not None and self.wrench is not None:
+            share = config.period / (config.period + config.filter_time)
+            felt = self.wrench + share * (felt - self.wrench)
+        self.wrench = felt
 
     def command(self, target: FloatArray, rate: FloatArray) -> Command:
         """Return the arm's command; without a wrench the forces' corrections stay as they are.
@@ -251,10 +249,9 @@ class HybridGrip:
         config = self._config
         if self._correction is None:
             self._correction = self._begin - target
-        moved = np.where(self._forces, 0.0, -self._correction / config.take_up)
-        if self.wrench is not None:
-            missing = np.array(config.wanted) - self.wrench
-            moved = np.where(self._forces, self._gives * missing, moved)
+        missing = np.zeros(3) if self.wrench is None else np.array(config.wanted) - self.wrench
+        by_place = -self._correction / config.take_up
+        moved = np.where(config.forces, self._gives * missing, by_place)
         moved = np.clip(moved, -self._speeds, self._speeds)
         corrected = self._correction + config.period * moved
         # A first difference may be beyond the reach: it is let be, but not let grow.
@@ -268,10 +265,8 @@ class HybridGrip:
     ) -> tuple[FloatArray, FloatArray]:
         """Return joints (4,) a step of Newton nearer to a gripper's pose, and their rates (4,)."""
         bends, most = angles[1:], self._config.joint_rate
-        jacobian = self._arm.jacobian(bends)
-        away = self.stance.to_robot(pose) - self._arm.task(bends)
-        step = _solve(jacobian, away)
-        limit = most * self._config.period
+        jacobian, limit = self._arm.jacobian(bends), most * self._config.period
+        step = _solve(jacobian, self.stance.to_robot(pose) - self._arm.task(bends))
         moved = np.append(angles[0], bends + np.clip(step, -limit, limit))
         rates = np.clip(_solve(jacobian, self.stance.rate_to_robot(rate)), -most, most)
         return moved, np.append(0.0, rates)

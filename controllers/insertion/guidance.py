@@ -28,22 +28,22 @@ class GuidanceError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Guidance:
-    """One look of the master.
+    """One view of the master.
 
     Attributes:
         time: Time stamp of the images [s].
         card_seen: Whether the card was seen in them.
-        slot_seen: Whether the slot was.
-        transform_slot_to_card: The slot from the card; None if the card was not seen.
-        covariance: (6, 6) of xi in ``true = from_exp_coords(xi) * transform_slot_to_card``,
-            rotation [rad] then translation [m]; zeros without a pose.
+        slot_seen: Whether the slot was seen in them.
+        transform_slot_to_card: Pose of the slot from the card; None if the card was not seen.
+        covariance: (6, 6) covariance of xi, rotation [rad] then translation [m], in
+            ``true = from_exp_coords(xi) * transform_slot_to_card``; zeros without a pose.
     """
 
     time: float
     card_seen: bool
     slot_seen: bool
-    transform_slot_to_card: RigidTransform | None
-    covariance: FloatArray
+    transform_slot_to_card: RigidTransform | None = None
+    covariance: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((6, 6)))
 
     def pack(self) -> bytes:
         """Return the message's bytes.
@@ -52,18 +52,18 @@ class Guidance:
             GuidanceError: If the pose is too far away or a number is not finite.
         """
         flags = _CARD * self.card_seen | _SLOT * self.slot_seen
-        steps, spread = np.zeros(6), np.zeros(21)
+        steps, variances = np.zeros(6), np.zeros(21)
         if self.transform_slot_to_card is not None:
             flags |= _POSE
             place = self.transform_slot_to_card.translation / _LENGTH
             turn = self.transform_slot_to_card.rotation.as_rotvec() / _ANGLE
             steps = np.rint(np.concatenate([turn, place]))
             # Milliradians and millimetres, so that half precision has room on both sides.
-            spread = 1e6 * self.covariance[_UPPER]
-        numbers = np.concatenate([steps, spread, [self.time]])
+            variances = 1e6 * self.covariance[_UPPER]
+        numbers = np.concatenate([steps, variances, [self.time]])
         if not np.all(np.isfinite(numbers)) or np.abs(steps).max() > 0x7FFF:
             raise GuidanceError(f"guidance {self}: not finite, or farther than 0.65 m")
-        halves = np.clip(spread, -6e4, 6e4)
+        halves = np.clip(variances, -6e4, 6e4)
         return _FORM.pack(
             KIND, flags, round(self.time / _TIME), *(int(n) for n in steps), *halves.tolist()
         )

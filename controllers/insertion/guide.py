@@ -6,10 +6,10 @@ y into the slot. It needs no vision once it has begun.
 
 - A force against the leading edge before the card is in: hold it at a small push, and slide away
   from the side where the line of action meets the edge (states 1 and 3).
-- A force across the card: give way along it, and turn by the moment of the normal forces alone
+- A force across the card: yield along it, and turn by the moment of the normal forces alone
   about the middle of what is inserted (states 2, 5 and 6). The moment of friction is taken off
   first: with it a card that touches a wall with one corner would turn into the wall.
-- Inside a deadband nothing gives way, so that noise does not make the card drift.
+- Inside a deadband nothing yields, so that noise does not make the card drift.
 """
 
 import dataclasses
@@ -17,11 +17,10 @@ import enum
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from controllers.insertion.contact import turn
-
-Floats = NDArray[np.float64]
+from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 
 _MEDIAN = 3  # Samples of which the middle counts: one bad sample is no contact.
 
@@ -39,19 +38,19 @@ class Phase(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class GuideConfig:
-    """What the guide knows and how it moves.
+    """Shape, friction, stiffness, gains and limits of the insertion by force.
 
     Attributes:
-        card_width: [m].
-        friction: Between card and slot.
-        stiffness: Of hand, arm and base along an axis, as identified [N/m].
-        depth: Where the card is seated [m].
-        period: Between two wrenches [s].
+        card_width: Width of the card, across [m].
+        friction: Coulomb coefficient between card and slot.
+        stiffness: Stiffness of hand, arm and base along an axis, as drawn or identified [N/m].
+        depth: Depth at which the card is seated [m].
+        period: Time between two wrenches [s].
         speed: Speed of the insertion in free motion [m/s].
-        slide_speed: Along the face [m/s].
+        slide_speed: Speed along the face [m/s].
         push: Force held against the face [N].
-        deadband: Force that nothing gives way to [N].
-        moment_deadband: The same of the moment [N m].
+        deadband: Force below which nothing yields [N].
+        moment_deadband: Moment below which nothing yields [N m].
         give: Speed across the card by force [m/s/N].
         give_turn: Turning rate by moment [rad/s/(N m)].
         turn_rate: Largest turning rate [rad/s].
@@ -61,9 +60,9 @@ class GuideConfig:
         steepest: Largest angle of the card that is expected [rad].
         jam_time: Time without progress that makes a jam [s].
         progress: Least advance that is progress [m].
-        retreat: Way back after a jam [m].
+        retreat: Distance drawn back after a jam [m].
         retries: How often the insertion is begun again.
-        reach: Largest way across from the start [m].
+        reach: Largest distance across from the start [m].
         turn_reach: Largest turn from the start [rad].
         lost_time: Time without a wrench after which the guide gives up [s].
         timeout: Time after which the guide gives up [s].
@@ -101,85 +100,84 @@ class GuideConfig:
         Raises:
             ValueError: Naming the field.
         """
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if not 0.0 <= value < math.inf:
-                raise ValueError(f"{field.name} = {value}: expected a finite number from 0 up")
-        for name in ("card_width", "stiffness", "period", "speed", "force_limit"):
-            if getattr(self, name) == 0.0:
-                raise ValueError(f"{name} = 0: expected a positive number")
+        check_numbers("guide", self, zero=True)
+        check_numbers("guide", self, "card_width", "stiffness", "period", "speed", "force_limit")
 
 
 class InsertionGuide:
-    """Commands the card's pose from the measured wrench, one step each period."""
+    """Commands the card's pose from the measured wrench, one step each period.
 
-    def __init__(self, config: GuideConfig, start: Floats) -> None:
-        """Begin in front of the slot.
+    Args:
+        config: Shape, friction, stiffness, gains and limits.
+        start: (3,) commanded pose now, in front of the slot [m, m, rad].
 
-        Args:
-            config: What it knows.
-            start: (3,) commanded pose now [m, m, rad].
+    Attributes:
+        config: Shape, friction, stiffness, gains and limits.
+        phase: What the guide is doing.
+        reason: Why it drew back or gave up last; empty if it did not.
+        tries: How often the insertion was begun again.
+        command: (3,) commanded pose [m, m, rad].
 
-        Raises:
-            ValueError: If the start is not three finite numbers.
-        """
+    Raises:
+        ValueError: If the start is not three finite numbers.
+    """
+
+    def __init__(self, config: GuideConfig, start: FloatArray) -> None:
         if np.shape(start) != (3,) or not np.all(np.isfinite(start)):
             raise ValueError(f"start {start}: expected three finite numbers")
         self.config = config
-        self.phase = Phase.APPROACH
-        self.reason = ""
-        self.tries = 0
+        self.phase, self.reason, self.tries = Phase.APPROACH, "", 0
         self._start = np.array(start, dtype=float)
         self.command = self._start.copy()
-        self._recent: list[Floats] = []
+        self._recent: list[FloatArray] = []
         self._wrench = np.zeros(3)
-        self._time = 0.0
-        self._load, self._lost = 0.0, 0.0
-        self._deepest, self._since = float(start[1]), 0.0
-        self._goal_back, self._slid = 0.0, 0.0
+        self._time = self._since = self._lost = self._load = 0.0
+        self._deepest, self._goal_back, self._slid = float(start[1]), 0.0, 0.0
 
     @property
     def over(self) -> bool:
         """Whether it has ended, in DONE or FAILED."""
         return self.phase in (Phase.DONE, Phase.FAILED)
 
-    def step(self, wrench: Floats | None) -> Floats:
+    def step(self, wrench: FloatArray | None) -> FloatArray:
         """Take a wrench and return the next command.
 
         Args:
-            wrench: (3,) what the slot puts on the card, card's frame, about the middle of the
+            wrench: (3,) wrench by the slot on the card, card's frame, about the middle of the
                 leading edge [N, N, N m]; None or not finite where the sensor gave none.
 
         Returns:
-            (3,) commanded pose of the card; held where it was once the guide is over, and while
-            the wrench is missing.
+            (3,) commanded pose of the card; held once the guide is over, and while the wrench is
+            missing.
         """
-        config = self.config
-        self._time += config.period
-        if self.over:
-            return self.command.copy()
-        if wrench is None or not np.all(np.isfinite(wrench)):
-            self._lost += config.period
-            if self._lost >= config.lost_time:
-                self._fail("no wrench")
-            return self.command.copy()
-        self._lost = 0.0
-        self._sense(np.asarray(wrench, dtype=float))
-        if self._time > config.timeout:
-            self._fail("out of time")
-            return self.command.copy()
-        self._choose()
+        self._time += self.config.period
         if not self.over:
-            self._move()
+            self._advance(wrench)
         return self.command.copy()
 
-    def believed(self) -> Floats:
-        """Return the card's pose as command and deflection of the hand tell, (3,)."""
+    def _advance(self, wrench: FloatArray | None) -> None:
+        """Choose phase and motion by a wrench."""
+        if wrench is None or not np.all(np.isfinite(wrench)):
+            self._lost += self.config.period
+            if self._lost >= self.config.lost_time:
+                self._fail("no wrench")
+            return
+        self._lost = 0.0
+        self._sense(np.asarray(wrench, dtype=float))
+        if self._time > self.config.timeout:
+            self._fail("out of time")
+        else:
+            self._choose()
+        if not self.over:
+            self._move()
+
+    def believed(self) -> FloatArray:
+        """Return (3,) the card's pose by the command and the deflection of the hand."""
         pose = self.command.copy()
         pose[:2] += turn(pose[2]) @ self._wrench[:2] / self.config.stiffness
         return pose
 
-    def _sense(self, wrench: Floats) -> None:
+    def _sense(self, wrench: FloatArray) -> None:
         self._recent = [*self._recent[1 - _MEDIAN :], wrench]
         middle = np.median(self._recent, axis=0)
         share = self.config.period / (self.config.period + self.config.filter_time)
@@ -229,14 +227,12 @@ class InsertionGuide:
     def _move(self) -> None:
         """Add this step's motion to the command."""
         config = self.config
-        across, ahead, rate = 0.0, 0.0, 0.0
-        if self.phase is Phase.RETREAT:
-            # A card that is drawn out bent would spring aside and hit the slot.
-            across, ahead = self._give_aside(), -config.speed
-        elif self.phase is Phase.SLIDE:
+        # A card that is drawn out bent would spring aside and hit the slot.
+        across, ahead, rate = self._give_aside(), -config.speed, 0.0
+        if self.phase is Phase.SLIDE:
             across, ahead = self._slide()
-        else:
-            across, rate = self._give_way()
+        elif self.phase is not Phase.RETREAT:
+            rate = self._turn_away()
             load = math.hypot(self._wrench[0], self._wrench[1])
             free = 1.0 - max(load - config.deadband, 0.0) / config.slow_force
             ahead = config.speed * max(free, 0.0)
@@ -249,15 +245,13 @@ class InsertionGuide:
 
     def _slide(self) -> tuple[float, float]:
         """Return speeds across and ahead that keep the push and leave the face."""
-        config = self.config
         _, force_y, moment = self._wrench
-        place = moment / force_y
-        self._slid = -math.copysign(1.0, place)
-        held = (config.push + force_y) * config.give
-        return self._slid * config.slide_speed, held
+        self._slid = -math.copysign(1.0, moment / force_y)
+        held = (self.config.push + force_y) * self.config.give
+        return self._slid * self.config.slide_speed, held
 
-    def _give_way(self) -> tuple[float, float]:
-        """Return speed across and turning rate away from what presses on the sides."""
+    def _turn_away(self) -> float:
+        """Return the turning rate away from what presses on the sides."""
         config = self.config
         force_x, _, moment = self._wrench
         depth = max(float(self.believed()[1]), 0.0)
@@ -266,41 +260,26 @@ class InsertionGuide:
         normal = moment - config.friction * config.card_width / 2.0 * force_x
         about = normal - depth / 2.0 * force_x
         rate = config.give_turn * _beyond(about, config.moment_deadband)
-        return self._give_aside(), min(max(rate, -config.turn_rate), config.turn_rate)
+        return min(max(rate, -config.turn_rate), config.turn_rate)
 
     def _give_aside(self) -> float:
         """Return the speed across, away from what presses on the sides."""
         return self.config.give * _beyond(self._wrench[0], self.config.deadband)
 
 
-class StraightInsertion:
+class StraightInsertion(InsertionGuide):
     """Insertion without guidance: straight ahead, and stop at the same limit of force."""
 
-    def __init__(self, config: GuideConfig, start: Floats) -> None:
-        """Begin as `InsertionGuide`."""
-        self.config, self.phase = config, Phase.APPROACH
-        self.reason, self.tries = "", 0
-        self.command = np.array(start, dtype=float)
-
-    @property
-    def over(self) -> bool:
-        """Whether it has ended, in DONE or FAILED."""
-        return self.phase in (Phase.DONE, Phase.FAILED)
-
-    def step(self, wrench: Floats | None) -> Floats:
-        """Take a wrench and return the next command, as `InsertionGuide.step`."""
-        if self.over:
-            return self.command.copy()
+    def _advance(self, wrench: FloatArray | None) -> None:
+        config = self.config
         if wrench is None or not np.all(np.isfinite(wrench)):
-            self.phase, self.reason = Phase.FAILED, "no wrench"
-        elif math.hypot(wrench[0], wrench[1]) > self.config.force_limit:
-            self.phase, self.reason = Phase.FAILED, "force"
-        elif self.command[1] >= self.config.depth + self.config.push / self.config.stiffness:
+            self._fail("no wrench")
+        elif math.hypot(wrench[0], wrench[1]) > config.force_limit:
+            self._fail("force")
+        elif self.command[1] >= config.depth + config.push / config.stiffness:
             self.phase = Phase.DONE
         else:
-            way = self.config.speed * self.config.period
-            self.command[:2] += turn(self.command[2]) @ [0.0, way]
-        return self.command.copy()
+            self.command[:2] += turn(self.command[2]) @ [0.0, config.speed * config.period]
 
 
 def _beyond(value: float, deadband: float) -> float:

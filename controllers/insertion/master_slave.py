@@ -1,8 +1,8 @@
 """Master and slave who carry a segment together and insert it (Thesis section A.4).
 
-The master plans the segment's path, adds up what both grips feel (figure A-6) and lets the
+The master plans the segment's path, adds up both grips' wrenches (figure A-6) and lets the
 insertion guide move the plan in the direction of least resistance. The slave follows the set points
-that the radio brings. Neither sees the other's joints, nor where the stage truly is.
+that the radio brings. Neither knows the other's joints, nor the stage's true pose.
 """
 
 import dataclasses
@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controllers.insertion.cooperation import REPORT, SET_POINT, Grip, HybridGrip, decode, encode
-from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
+from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
 from controllers.motion.base_motion import level_of
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 from twin.robot import Command, Observation
-
-Guide = InsertionGuide | StraightInsertion
 
 
 class Stage(enum.Enum):
@@ -39,7 +38,7 @@ class PairConfig:
     Attributes:
         master: The master's grip.
         slave: The slave's grip.
-        mouth: (2,) s, z of the mouth's middle as the master believes [m]; it stands level.
+        mouth: (2,) s, z of the mouth's middle by the master's estimate [m]; the stage is level.
         guide: How the segment is inserted; `card_width` is its web's.
         stand_off: Height of the leading edge above the mouth before the insertion [m].
         hold: Time in which the tilt is taken and the forces settle [s].
@@ -47,7 +46,7 @@ class PairConfig:
         rest: Time before the insertion in which the segment's weight is taken off the wrench [s].
         every: Ticks between two messages.
         latency: Known latency of a message by the radio [s].
-        lost_time: Age from which a message counts no more [s].
+        lost_time: Age beyond which a message does not count [s].
         period: Servo tick [s].
     """
 
@@ -70,37 +69,50 @@ class PairConfig:
         Raises:
             ValueError: Naming the field.
         """
-        for name in ("hold", "carry", "rest", "lost_time", "period"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} = {value}: expected a positive time [s]")
+        check_numbers("pair", self, "hold", "carry", "rest", "lost_time", "period")
         if self.every < 1:
             raise ValueError(f"every = {self.every}: expected 1 tick or more between messages")
 
 
-class _Holding:
-    """Averages the tilt while the robot holds still."""
+class _Partner:
+    """Common part of master and slave: the partner's messages, and holding still at the start."""
 
-    def __init__(self, config: PairConfig) -> None:
-        self.over = False
-        self._ticks = round(config.hold / config.period)
+    def __init__(self, grip: HybridGrip, config: PairConfig) -> None:
+        self._grip, self._config = grip, config
+        self._message: FloatArray | None = None
+        self._age = math.inf  # Age of the message [s].
+        self._sent = 0
+        self._holding = round(config.hold / config.period)  # Ticks to go.
         self._tilts: list[float] = []
 
-    def step(self, seen: Observation) -> None:
-        """Take a tick's sample."""
+    def _take(self, seen: Observation, heard: list[bytes], kind: int, age: float = 0.0) -> None:
+        """Take the wrench, and the newest message of a kind, which is of an age [s] then."""
+        self._age += self._config.period
+        for message in heard:
+            found, values = decode(message)
+            if found == kind:
+                self._message, self._age = values, age
+        self._grip.feel(seen)
+
+    def _start(self, seen: Observation) -> FloatArray | None:
+        """Average the tilt for a tick; at the end start the grip and return its pose (3,)."""
         if seen.inclinometer.usable:
             up = level_of(seen).specific_force
             self._tilts.append(math.atan2(up[1], up[2]))
-        self._ticks -= 1
-        self.over = self._ticks <= 0
+        self._holding -= 1
+        if self._holding > 0:
+            return None
+        return self._grip.start(float(np.mean(self._tilts)) if self._tilts else 0.0)
 
-    @property
-    def tilt(self) -> float:
-        """Mean pitch [rad]; 0 if none was measured."""
-        return float(np.mean(self._tilts)) if self._tilts else 0.0
+    def _encoded(self, kind: int, values: ArrayLike | None) -> bytes | None:
+        """Return a message where one is due; without values there is none."""
+        self._sent += 1
+        if self._sent % self._config.every or values is None:
+            return None
+        return encode(kind, values)
 
 
-class Master:
+class Master(_Partner):
     """Plans, guides, and holds its end of the segment.
 
     Without the slave's reports, or its own wrench, it waits in REST; in INSERT it stands still, and
@@ -114,29 +126,24 @@ class Master:
     Attributes:
         stage: What the pair is doing.
         target: (3,) planned pose of the segment, plan frame; NaN while it holds.
-        felt: (3,) what the stage puts on the segment as both grips have it, in the guide's frame;
-            None without it.
+        felt: (3,) wrench by the stage on the segment as both grips measure it, in the guide's
+            frame; None without it.
     """
 
     def __init__(
         self,
         grip: HybridGrip,
         config: PairConfig,
-        guide: Callable[[GuideConfig, FloatArray], Guide] = InsertionGuide,
+        guide: Callable[[GuideConfig, FloatArray], InsertionGuide] = InsertionGuide,
     ) -> None:
+        super().__init__(grip, config)
         self.stage = Stage.HOLD
         self.target = np.full(3, np.nan)
         self.felt: FloatArray | None = None
-        self._grip, self._config = grip, config
-        self._holding = _Holding(config)
         self._guide = guide(config.guide, np.array([0.0, -config.stand_off, 0.0]))
-        self._rate = np.zeros(3)
-        self._report: FloatArray | None = None
-        self._age = math.inf
-        self._time, self._ticks = 0.0, 0
+        self._time = 0.0
         self._tare: list[FloatArray] = []
-        self._weight = np.zeros(3)
-        self._begin = np.zeros(3)
+        self._weight, self._rate, self._begin = np.zeros((3, 3))
 
     @property
     def success(self) -> bool:
@@ -165,33 +172,24 @@ class Master:
             ValueError: If a message is none of the two.
         """
         config = self._config
-        self._age += config.period
-        for message in heard:
-            kind, values = decode(message)
-            if kind == REPORT:
-                self._report, self._age = values, 0.0
-        self._grip.feel(seen)
+        self._take(seen, heard, REPORT)
         if self.stage is Stage.HOLD:
-            self._holding.step(seen)
-            if not self._holding.over:
-                return self._grip.hold(seen), None
-            self._grip.hold(seen)
-            self._begin = config.master.segment_of(self._grip.start(self._holding.tilt))
-            self.target, self.stage, self._time = self._begin.copy(), Stage.CARRY, 0.0
+            held, gripper = self._grip.hold(seen), self._start(seen)
+            if gripper is None:
+                return held, None
+            self._begin = config.master.segment_of(gripper)
+            self.target, self.stage = self._begin.copy(), Stage.CARRY
         self._plan()
         command = self._grip.command(
             config.master.on(self.target), config.master.rate_on(self.target, self._rate)
         )
-        self._ticks += 1
-        if self._ticks % config.every:
-            return command, None
-        return command, encode(SET_POINT, [*self.target, *self._rate])
+        return command, self._encoded(SET_POINT, [*self.target, *self._rate])
 
     def _plan(self) -> None:
-        """Move the segment's planned pose on by a tick."""
-        config = self._config
+        """Advance the segment's planned pose by a tick."""
+        config, total = self._config, self._total()
         self._time += config.period
-        self.felt = self._contact()
+        self.felt = self._contact(total)
         before = self.target.copy()
         if self.stage is Stage.CARRY:
             share = min(self._time / config.carry, 1.0)
@@ -201,7 +199,6 @@ class Master:
             if share == 1.0:
                 self.stage, self._time = Stage.REST, 0.0
         elif self.stage is Stage.REST:
-            total = self._total()
             if self._time > config.rest / 2.0 and total is not None:
                 self._tare.append(total)
             if self._time >= config.rest and self._tare:
@@ -219,39 +216,30 @@ class Master:
         return np.array([s + pose[0], z - pose[1], -pose[2]])
 
     def _total(self) -> FloatArray | None:
-        """Return (3,) what both grips put on the segment about its origin, plan frame."""
-        if self._grip.wrench is None or self._report is None:
-            return None
-        if self._age > self._config.lost_time:
+        """Return (3,) wrench by both grips on the segment about its origin, plan frame."""
+        own, report, lost = self._grip.wrench, self._message, self._age > self._config.lost_time
+        if own is None or report is None or lost:
             return None
         angle = float(self.target[2])
-        own = self._config.master.about_segment(self._grip.wrench, angle)
-        return own + self._config.slave.about_segment(self._report, angle)
+        own = self._config.master.about_segment(own, angle)
+        return own + self._config.slave.about_segment(report, angle)
 
-    def _contact(self) -> FloatArray | None:
-        """Return (3,) what the stage puts on the segment, in its frame as the guide has it."""
-        total = self._total()
-        if total is None or self.stage in (Stage.HOLD, Stage.CARRY, Stage.REST):
+    def _contact(self, total: FloatArray | None) -> FloatArray | None:
+        """Return (3,) wrench by the stage on the segment, in the guide's frame."""
+        if total is None or self.stage in (Stage.CARRY, Stage.REST):
             return None
         f_s, f_z, moment = self._weight - total
         c, n = math.cos(self.target[2]), math.sin(self.target[2])
         return np.array([c * f_s + n * f_z, n * f_s - c * f_z, -moment])
 
 
-class Slave:
+class Slave(_Partner):
     """Holds its end of the segment where the master's set points and its own forces have it.
 
     Args:
         grip: Control of the slave's gripper.
         config: Agreement of master and slave.
     """
-
-    def __init__(self, grip: HybridGrip, config: PairConfig) -> None:
-        self._grip, self._config = grip, config
-        self._holding = _Holding(config)
-        self._set_point: FloatArray | None = None
-        self._age = math.inf
-        self._ticks = 0
 
     def step(self, seen: Observation, heard: list[bytes]) -> tuple[Command, bytes | None]:
         """Return the arm's command and a message for the master, None if there is none.
@@ -267,31 +255,17 @@ class Slave:
             RobotError: If joint angles are missing when it starts.
             ValueError: If a message is none of the two.
         """
-        config = self._config
-        self._age += config.period
-        for message in heard:
-            kind, values = decode(message)
-            if kind == SET_POINT:
-                self._set_point, self._age = values, config.latency
-        self._grip.feel(seen)
-        if not self._holding.over:
-            self._holding.step(seen)
-            if self._holding.over:
-                self._grip.hold(seen)
-                self._grip.start(self._holding.tilt)
-        if self._holding.over and self._set_point is not None:
-            command = self._follow(self._set_point)
-        else:
-            command = self._grip.hold(seen)
-        self._ticks += 1
-        if self._ticks % config.every or self._grip.wrench is None:
-            return command, None
-        return command, encode(REPORT, self._grip.wrench)
+        self._take(seen, heard, SET_POINT, self._config.latency)
+        command = self._grip.hold(seen)
+        if self._holding > 0:
+            self._start(seen)
+        if self._holding <= 0 and self._message is not None:
+            command = self._follow(*np.split(self._message, 2))
+        return command, self._encoded(REPORT, self._grip.wrench)
 
-    def _follow(self, point: ArrayLike) -> Command:
-        pose, rate = np.split(np.asarray(point, dtype=float), 2)
-        lost = self._age > self._config.lost_time
-        segment = pose + min(self._age, self._config.lost_time) * rate
-        moving = np.zeros(3) if lost else rate
-        grip = self._config.slave
+    def _follow(self, pose: FloatArray, rate: FloatArray) -> Command:
+        """Return the command for a set point: pose (3,) and rate (3,) of the segment."""
+        grip, most = self._config.slave, self._config.lost_time
+        segment = pose + min(self._age, most) * rate
+        moving = np.zeros(3) if self._age > most else rate
         return self._grip.command(grip.on(segment), grip.rate_on(segment, moving))

@@ -1,11 +1,11 @@
-"""A gripper in the plane of its arm: where it is, and what it puts on what it holds.
+"""A gripper in the plane of its arm: its pose, and its wrench on what it holds.
 
 The plan frame is shared by all robots that work in one vertical plane: s along it, z up, angles
 about its normal from s to z. A robot looks along s or against it. Poses are (s, z, angle) [m, m,
 rad], wrenches (f_s, f_z, m) [N, N, N m].
 
-A robot has no sensor in its hand. What the gripper puts on the world is what the sensor under the
-arm reads, less what the arm itself asks for (surrogate sensing, Thesis figure A-8).
+A robot has no sensor in its hand. The gripper's wrench on the world is what the sensor under the
+arm measures, less what the arm itself takes (surrogate sensing, Thesis figure A-8).
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ class PlanarArm:
     """Shoulder, elbow and wrist, their axes across the plane; the yaw is held.
 
     Attributes:
-        shoulder: (2,) its place forward and up in the robot frame [m].
+        shoulder: (2,) position forward and up in the robot frame [m].
         lengths: (3,) shoulder to elbow, elbow to wrist, wrist to grip point [m].
     """
 
@@ -33,7 +33,7 @@ class PlanarArm:
     lengths: tuple[float, float, float]
 
     def task(self, bends: ArrayLike) -> FloatArray:
-        """Return (3,) the grip's place forward and up [m] and its pitch [rad].
+        """Return (3,) the grip's position forward and up [m] and its pitch [rad].
 
         Args:
             bends: (3,) angles of the joints [rad].
@@ -47,7 +47,7 @@ class PlanarArm:
         """Return (3, 3): change of `task` per angle of a joint.
 
         Args:
-            bends: (3,) [rad].
+            bends: (3,) angles of the joints [rad].
         """
         pitches = np.cumsum(np.asarray(bends, dtype=float))
         lengths = np.array(self.lengths)
@@ -59,12 +59,12 @@ class PlanarArm:
 
 @dataclasses.dataclass(frozen=True)
 class Stance:
-    """Where a robot stands in the plan frame, as it believes.
+    """A robot's pose in the plan frame, by its own estimate.
 
     Attributes:
-        place: (2,) origin of its robot frame [m].
-        facing: 1 if it looks along s, -1 if against.
-        tilt: Its pitch, nose up [rad].
+        place: (2,) origin of the robot frame [m].
+        facing: 1 if the robot faces along s, -1 if against.
+        tilt: Pitch of the robot, nose up [rad].
     """
 
     place: tuple[float, float]
@@ -96,29 +96,31 @@ class Stance:
         """Return a pose of the plan frame in the robot's plane; undoes `to_plan`.
 
         Args:
-            pose: (3,).
+            pose: (3,) pose in the plan frame [m, m, rad].
         """
         s, z, angle = np.asarray(pose, dtype=float)
-        ahead, up = self.facing * (s - self.place[0]), z - self.place[1]
-        c, n = math.cos(self.tilt), math.sin(self.tilt)
-        return np.array([c * ahead + n * up, c * up - n * ahead, self.facing * angle - self.tilt])
+        forward, up = self._turned_back(s - self.place[0], z - self.place[1])
+        return np.array([forward, up, self.facing * angle - self.tilt])
 
     def rate_to_robot(self, rate: ArrayLike) -> FloatArray:
         """Return a rate of the plan frame in the robot's plane.
 
         Args:
-            rate: (3,) [m/s, m/s, rad/s].
+            rate: (3,) rate in the plan frame [m/s, m/s, rad/s].
         """
         s, z, turning = np.asarray(rate, dtype=float)
-        c, n = math.cos(self.tilt), math.sin(self.tilt)
-        ahead = self.facing * s
-        return np.array([c * ahead + n * z, c * z - n * ahead, self.facing * turning])
+        return np.array([*self._turned_back(s, z), self.facing * turning])
+
+    def _turned_back(self, s: float, z: float) -> tuple[float, float]:
+        """Return a vector along s and z in the robot frame, forward and up; undoes `turned`."""
+        c, n, ahead = math.cos(self.tilt), math.sin(self.tilt), self.facing * s
+        return c * ahead + n * z, c * z - n * ahead
 
     def turned(self, vector: ArrayLike) -> FloatArray:
         """Return a vector (forward, up) of the robot frame along s and z.
 
         Args:
-            vector: (2,).
+            vector: (2,) forward and up, robot frame.
         """
         forward, up = np.asarray(vector, dtype=float)
         c, n = math.cos(self.tilt), math.sin(self.tilt)
@@ -127,12 +129,12 @@ class Stance:
 
 @dataclasses.dataclass(frozen=True)
 class GripSensor:
-    """What the gripper puts on what it holds, from the sensor under the arm.
+    """Wrench of the gripper on what it holds, from the sensor under the arm.
 
     Attributes:
-        chain: The arm and what the sensor carries before its first joint.
+        chain: Arm, with what the sensor carries before its first joint.
         arm: Plane model of the arm, in the robot frame.
-        mount: (2,) place of the sensor's frame forward and up in the robot frame [m].
+        mount: (2,) position of the sensor's frame forward and up in the robot frame [m].
     """
 
     chain: SerialChain
@@ -142,14 +144,14 @@ class GripSensor:
     def felt(self, seen: Observation, stance: Stance) -> FloatArray | None:
         """Return (3,) the wrench of the gripper on what it holds, about the grip point.
 
-        Slow motion is assumed: what the arm's own acceleration asks for is not taken off.
+        Slow motion is assumed: what the arm's own acceleration takes is not subtracted.
 
         Args:
             seen: Observation of the robot.
             stance: Facing and tilt of the robot, which turn the wrench into the plan frame.
 
         Returns:
-            In the plan frame; None if the wrench or the joint angles are missing or stale.
+            Wrench in the plan frame; None if the wrench or the joint angles are missing or stale.
         """
         if not (seen.arm_base_wrench.usable and seen.arm_angles.usable):
             return None

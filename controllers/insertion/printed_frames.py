@@ -17,10 +17,10 @@ from perception.geometry.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class RequiredMotion:
-    """What brings the object to the goal, camera frame (thesis eq. 5-4).
+    """Motion that brings the object to the goal, camera frame (thesis eq. 5-4).
 
     Attributes:
-        translation: (3,) of the object's origin [m].
+        translation: (3,) motion of the object's origin [m].
         angles: (3,) differences of the Euler angles about x, y and z [rad].
     """
 
@@ -78,7 +78,7 @@ def printed_angles(points: ArrayLike) -> FloatArray:
 
 
 def euler_angles(points: ArrayLike) -> FloatArray:
-    """Return the angles of eq. 5-1, mended: R_y by the distance between points, all quadrants told.
+    """Return the angles of eq. 5-1, mended: R_y by the distance between points, in all quadrants.
 
     Args:
         points: (3, 3) origin, one along x, one along z [m], camera frame.
@@ -121,7 +121,7 @@ def base_in_camera(
 
     Args:
         effector_in_camera: A_VT, the transform from the end effector to the camera.
-        effector_in_base: From the end effector to the arm's base, by its kinematics: A_TS.
+        effector_in_base: A_TS, the transform from the end effector to the arm's base.
     """
     return effector_in_camera * effector_in_base.inv()
 
@@ -131,7 +131,7 @@ def required_motion(goal: ArrayLike, card: ArrayLike) -> RequiredMotion:
 
     Args:
         goal: (3, 3) the goal's three points [m], camera frame.
-        card: (3, 3) the object's.
+        card: (3, 3) the object's three points [m], camera frame.
     """
     turn = euler_angles(goal) - euler_angles(card)
     wrapped = np.remainder(turn + math.pi, 2.0 * math.pi) - math.pi

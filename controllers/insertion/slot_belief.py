@@ -1,11 +1,12 @@
-"""Where the slave believes the slot to be, in the frame of its dead reckoning.
+"""The slave's estimate of the slot's pose, in the frame of its dead reckoning.
 
-Looks of the master come late and seldom. Each is brought to the place where the slave was when the
-images were taken; between them the slot stands still in the frame of dead reckoning, whose drift is
-the uncertainty that grows.
+The master's views come late and seldom. Each is brought to the pose of the slave at the time of its
+images; between them the slot is at rest in the frame of dead reckoning, whose drift is the
+uncertainty that grows.
 """
 
 import dataclasses
+import math
 from collections import deque
 
 import numpy as np
@@ -20,19 +21,19 @@ _SIMULTANEOUS = 0.05  # Between images and joint angles that count as of one mom
 
 @dataclasses.dataclass(frozen=True)
 class BeliefConfig:
-    """How fast what is believed grows uncertain, and what is refused.
+    """Process noise of the slot's pose, and the gate of the master's views.
 
     Attributes:
-        drift: Error of the way driven, over it.
-        turn_drift: Error of the angle turned, over it.
-        veer: Turn that nobody asked for, over the way [rad/m].
-        bump: Tilt [rad] over the way [m] that the inclinometer misses, and rise over the way.
-        stretch: Way [m] and turn [rad] over which these errors stay alike.
+        drift: Error of the distance driven, as a share of it.
+        turn_drift: Error of the angle turned, as a share of it.
+        veer: Turn that was not commanded, per distance [rad/m].
+        bump: Tilt per distance that the inclinometer misses [rad/m], and rise per distance.
+        stretch: Distance [m] and turn [rad] in which these errors stay alike.
         standing: Deviations of turn [rad] and place [m] that a second at rest adds.
         card: Deviations of turn [rad] and place [m] of the card by the arm's joints.
-        gate: Squared distance, whitened, beyond which a look is refused (six degrees of freedom).
-        refusals: Looks in a row after which the next one is believed all the same.
-        memory: How long the slave remembers where the card was [s].
+        gate: Squared distance, whitened, beyond which a view is refused (six degrees of freedom).
+        refusals: Refused views in a row after which the next one is used all the same.
+        memory: Time for which poses of the card are stored [s].
     """
 
     drift: float = 0.1
@@ -48,49 +49,46 @@ class BeliefConfig:
 
 
 class SlotBelief:
-    """A Kalman filter for a slot that stands still.
+    """A Kalman filter for a slot at rest.
+
+    Args:
+        transform_slot_to_start: Prior transform from the slot to the frame of dead reckoning.
+        covariance: (6, 6) covariance of its xi.
+        config: Noise and gate.
 
     Attributes:
         slot_in_start: (4, 4) from the slot to the frame of dead reckoning.
-        covariance: (6, 6) of xi in ``true = from_exp_coords(xi) * slot_in_start``.
-        innovation: Squared distance, whitened, of the last look from what was believed.
-        refused: Looks refused in a row.
+        covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * slot_in_start``.
+        innovation: Squared distance, whitened, of the last view from the estimate.
+        refused: Number of views refused in a row.
     """
 
     def __init__(
-        self, slot_in_start: FloatArray, covariance: FloatArray, config: BeliefConfig
+        self, transform_slot_to_start: RigidTransform, covariance: FloatArray, config: BeliefConfig
     ) -> None:
-        """Begin with what the map says.
-
-        Args:
-            slot_in_start: (4, 4).
-            covariance: (6, 6) of its xi.
-            config: Noises.
-        """
-        self.slot_in_start = np.array(slot_in_start, dtype=float)
+        self.slot_in_start = transform_slot_to_start.as_matrix()
         self.covariance = np.array(covariance, dtype=float)
-        self.innovation = float("nan")
-        self.refused = 0
+        self.innovation, self.refused = math.nan, 0
         self._config = config
         self._where: deque[tuple[float, FloatArray]] = deque()
-        self._drifted = np.zeros(3)  # way, turn and time since the last look
+        self._drifted = np.zeros(3)  # Distance, turn and time since the last view.
 
     def note(
-        self, time: float, card_in_start: FloatArray, way: float, turned: float, period: float
+        self, time: float, card_in_start: FloatArray, driven: float, turned: float, period: float
     ) -> None:
-        """Remember where the card is now, and how it came there.
+        """Store the card's pose, and add up the motion for the drift.
 
         Args:
-            time: [s].
-            card_in_start: (4, 4) by joints and dead reckoning.
-            way: Driven since the last call [m].
-            turned: Turned since then [rad].
-            period: Passed since then [s].
+            time: Robot time [s].
+            card_in_start: (4, 4) pose of the card by joints and dead reckoning.
+            driven: Distance driven since the last call [m].
+            turned: Angle turned since the last call [rad].
+            period: Time since the last call [s].
         """
         self._where.append((time, card_in_start))
         while self._where[0][0] < time - self._config.memory:
             self._where.popleft()
-        self._drifted += [way, turned, period]
+        self._drifted += [driven, turned, period]
 
     def deviation(self) -> float:
         """Return the larger standard deviation of the slot's place in its plane now [m]."""
@@ -99,13 +97,13 @@ class SlotBelief:
         return float(np.sqrt(np.linalg.eigvalsh(plane @ self.covariance @ plane.T)[-1]))
 
     def take(self, guidance: Guidance) -> bool:
-        """Take a look of the master.
+        """Take a view of the master.
 
         Args:
-            guidance: With a pose.
+            guidance: View of the master.
 
         Returns:
-            Whether it was used: it may be too old, or too far from what is believed.
+            Whether it was used: it may have no pose, be too old, or too far from the estimate.
         """
         seen = guidance.transform_slot_to_card
         if seen is None or not self._where:
@@ -114,22 +112,21 @@ class SlotBelief:
         if abs(time - guidance.time) > _SIMULTANEOUS:
             return False
         self._drift()
-        card = RigidTransform.from_matrix(matrix)
-        believed = RigidTransform.from_matrix(self.slot_in_start)
+        card, believed = (RigidTransform.from_matrix(m) for m in (matrix, self.slot_in_start))
         own = np.diag(np.repeat(np.square(self._config.card), 3))
         noise = composed_covariance(card, np.zeros((6, 6)), guidance.covariance + own)
         error = np.asarray((card * seen * believed.inv()).as_exp_coords())
-        spread = self.covariance + noise
-        self.innovation = float(error @ np.linalg.solve(spread, error))
+        total = self.covariance + noise
+        self.innovation = float(error @ np.linalg.solve(total, error))
         if self.innovation > self._config.gate and self.refused < self._config.refusals:
             self.refused += 1
             return False
         if self.refused >= self._config.refusals:
-            # It was not the looks that were wrong.
+            # It was not the views that were wrong.
             self.covariance = self.covariance + np.outer(error, error)
-            spread = self.covariance + noise
+            total = self.covariance + noise
         self.refused = 0
-        gain = np.linalg.solve(spread, self.covariance).T
+        gain = np.linalg.solve(total, self.covariance).T
         corrected = RigidTransform.from_exp_coords(gain @ error) * believed
         self.slot_in_start = corrected.as_matrix()
         left = np.eye(6) - gain
@@ -137,13 +134,12 @@ class SlotBelief:
         return True
 
     def _drift(self) -> None:
-        """Add what dead reckoning has lost since the last look, about where the robot is."""
+        """Add the drift of dead reckoning since the last view, about the robot's position."""
         if not self._where:
             return  # Not moved yet.
         config = self._config
-        way, turned, period = self._drifted
+        (driven, turning), period = self._drifted[:2] * config.stretch, self._drifted[2]
         self._drifted = np.zeros(3)
-        driven, turning = way * config.stretch[0], turned * config.stretch[1]
         yaw = config.turn_drift**2 * turning + config.veer**2 * driven
         tilt, along = config.bump**2 * driven, config.drift**2 * driven
         drift = np.diag([tilt, tilt, yaw, 0.1 * along, along, tilt])

@@ -1,4 +1,4 @@
-"""The insertion of a card by two rovers: the master looks and tells, the slave hears and acts.
+"""The insertion of a card by two rovers: the master sends what it sees, the slave acts on it.
 
 Each robot's part sees its own observations alone; guidance passes by radio (Thesis section 5.1).
 """
@@ -6,8 +6,9 @@ Each robot's part sees its own observations alone; guidance passes by radio (The
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.camera_station import camera_arm, watch_plan
+from controllers.insertion.camera_station import camera_arm, stereo_geometry, watch_plan
 from controllers.insertion.card_inserter import CardInserter, InsertionStage
 from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.guidance import Guidance, GuidanceLink
@@ -22,11 +23,12 @@ from controllers.sensing.surrogate_models import (
     WrenchModel,
     WrenchModelConfig,
 )
+from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription
 from twin.robot import MISSING, Command, Observation
 
 ARM_REACH = 0.4
-"""Distance ahead at which the base's give is taken for that of the hand [m]."""
+"""Distance ahead at which the base's compliance is taken for that of the hand [m]."""
 _ABSENT = dict.fromkeys(("accelerometer", "gyro", "heading"), MISSING)
 _PREDICTED = 5.0
 """Longest time that a failed sensor is predicted [s]; the tilt's model lasts longer."""
@@ -37,12 +39,12 @@ class InsertionMaster:
 
     Args:
         robot: Name of the master.
-        marker_guide: Its eyes for card and slot.
-        link: Its end of the radio.
+        marker_guide: Guide that sees card and slot.
+        link: The robot's end of the radio.
 
     Attributes:
-        marker_guide: Its eyes for card and slot.
-        sent: Guidance of this tick; None for nothing new.
+        marker_guide: Guide that sees card and slot.
+        sent: Guidance of this tick; None without a new one.
     """
 
     def __init__(self, robot: str, marker_guide: MarkerGuide, link: GuidanceLink) -> None:
@@ -51,7 +53,7 @@ class InsertionMaster:
         self._link = link
 
     def step(self, seen: Observation) -> Command:
-        """Look, send what is seen, and return the next command.
+        """Take a view, send what it shows, and return the next command.
 
         Args:
             seen: Observation of the master.
@@ -67,12 +69,12 @@ class InsertionSlave:
     Args:
         robot: Name of the slave.
         inserter: Brings the card to the slot and inserts it.
-        sensing: Mends the slave's observations.
-        link: Its end of the radio.
+        sensing: Replaces failed sensors of the slave by surrogates.
+        link: The robot's end of the radio.
 
     Attributes:
         inserter: Brings the card to the slot and inserts it.
-        failed: Sensors that are failed now, by their surrogates.
+        failed: Names of the sensors that their surrogates find failed now.
     """
 
     def __init__(
@@ -83,19 +85,18 @@ class InsertionSlave:
         self._sensing, self._link = sensing, link
 
     def step(self, seen: Observation) -> Command:
-        """Hear what the master sees, and return the next command.
+        """Take the master's guidance, and return the next command.
 
         Args:
             seen: Observation of the slave.
         """
-        looks, inserter = self._link.receive(), self.inserter
-        inserts = inserter.stage is InsertionStage.INSERT
-        period = inserter.config.period
+        views, inserter = self._link.receive(), self.inserter
+        period, inserts = inserter.config.period, inserter.stage is InsertionStage.INSERT
         sensed = self._sensing.step(_bare(seen), period, contact=inserts, obstacles=True)
         self.failed = sensed.failed
         if sensed.stop:
             inserter.stop(sensed.stop)
-        return inserter.step(sensed.observation, looks)
+        return inserter.step(sensed.observation, views)
 
 
 class InsertionTeam:
@@ -110,23 +111,23 @@ class InsertionTeam:
         self.master, self.slave = master, slave
 
     def reset(self) -> None:
-        """Nothing is learnt that a new run could not be made for."""
+        """Do nothing: a new run gets a new team."""
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Let the master look and tell, and the slave hear and act."""
+        """Step the master, then the slave."""
         parts = (self.master, self.slave)
         return {part.robot: part.step(observations[part.robot]) for part in parts}
 
 
 def guide_config(drawing: InsertionDrawing, pitch: TiltAxis) -> GuideConfig:
-    """Return how force guides a card that a rover's arm holds.
+    """Return the configuration of force guidance for a card that a rover's arm holds.
 
     The wrench is measured half a metre behind the card: the sensor's noise of 0.1 N is 0.05 N m
     there, so the filter is longer and the answers are slower than on the bench of ``ch5-contact``.
 
     Args:
-        drawing: Card and slot.
-        pitch: How the rover pitches on its springs: the softest of what holds the card.
+        drawing: Card and slot as drawn.
+        pitch: Pitch dynamics of the rover, the softest of what holds the card.
     """
     return GuideConfig(
         drawing.card_width,
@@ -139,30 +140,41 @@ def guide_config(drawing: InsertionDrawing, pitch: TiltAxis) -> GuideConfig:
     )
 
 
-def marker_guide_config(
-    robot: RobotDescription, drawing: InsertionDrawing, placed: bool, detector: str = "blob"
-) -> MarkerGuideConfig:
-    """Return how a rover looks at card and slot.
+def marker_guide(
+    robot: RobotDescription,
+    drawing: InsertionDrawing,
+    slot: tuple[RigidTransform, FloatArray],
+    card: RigidTransform,
+    angles: FloatArray,
+    placed: bool,
+    detector: str = "blob",
+) -> MarkerGuide:
+    """Return the guide of a rover that sees card and slot.
 
     Args:
-        robot: The rover that looks.
-        drawing: Card and slot.
-        placed: Whether it places its camera anew, or leaves it where it is.
-        detector: Name in `perception.markers.markers.DETECTORS`.
+        robot: The rover with the camera.
+        drawing: Card and slot as drawn.
+        slot: Prior transform from the slot to the robot, and its covariance (6, 6).
+        card: Rough transform from the card to the robot.
+        angles: (4,) joint angles at which the camera begins [rad].
+        placed: Whether the camera is placed anew, or left where it is.
+        detector: Name in `perception.markers.bodies.DETECTORS`.
     """
-    plan = watch_plan(camera_arm(robot)[1], drawing) if placed else None
-    return MarkerGuideConfig(drawing.card, drawing.slot, drawing.marker_diameter, plan, detector)
+    arm, head = camera_arm(robot)
+    plan = watch_plan(head, drawing) if placed else None
+    config = MarkerGuideConfig(drawing.card, drawing.slot, drawing.marker_diameter, plan, detector)
+    return MarkerGuide(config, arm, stereo_geometry(robot), slot, card, angles)
 
 
 def surrogate_sensing(
     robot: RobotDescription, tip: float, springs: tuple[TiltAxis, TiltAxis]
 ) -> SurrogateSensing:
-    """Return what a robot expects its wrench and its inclinometer to be.
+    """Return the surrogates of a robot's wrench sensor and inclinometer.
 
     Args:
         robot: The rover with the card in its gripper.
-        tip: From the wrist's joint to the middle of the card's leading edge [m].
-        springs: How it pitches and rolls.
+        tip: Distance from the wrist's joint to the middle of the card's leading edge [m].
+        springs: Pitch and roll dynamics.
 
     Raises:
         ValueError: If it has no arm, naming it.

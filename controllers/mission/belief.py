@@ -1,4 +1,4 @@
-"""What one robot of a mission believes: drawn, then measured or received, stage by stage."""
+"""Estimates of one robot of a mission: drawn, then measured or received, stage by stage."""
 
 import dataclasses
 
@@ -20,19 +20,19 @@ from twin.robot import Observation, RobotError
 
 @dataclasses.dataclass
 class MissionBelief:
-    """What one robot believes.
+    """Estimates of one robot.
 
     Attributes:
         robot: The robot as drawn.
-        site: The drawing of the site.
-        transform_slot_to_level: From the slot to the robot frame, which for the master is brought
-            level.
-        slot_covariance: (6, 6) of its twist.
-        partner: Where the slot is from the other robot.
-        pitch: How the robot pitches on its springs, once it has swung its arm.
-        turn_share: Share of rolling wheels' turn that skidding leaves; all of it until identified.
-        map: The map; None without.
-        localization: Where the robot is on the map, once it has found the panel.
+        site: Drawing of the site.
+        transform_slot_to_level: Transform from the slot to the robot frame, which for the master is
+            brought level.
+        slot_covariance: (6, 6) covariance of its twist.
+        partner: Pose of the slot from the other robot.
+        pitch: Pitch dynamics on the springs, once the robot has swung its arm.
+        turn_share: Share of rolling wheels' turn that skidding leaves; 1 until identified.
+        map: Map of the site; None without one.
+        localization: Localization of the robot on the map, once it has found the panel.
     """
 
     robot: RobotDescription
@@ -49,7 +49,7 @@ class MissionBelief:
     def initial(
         cls, robot: RobotDescription, partner: RobotDescription, site: SiteDrawing
     ) -> "MissionBelief":
-        """Return what a robot believes at the start, by the drawing alone.
+        """Return a robot's estimates at the start, by the drawing alone.
 
         Args:
             robot: The robot.
@@ -60,17 +60,27 @@ class MissionBelief:
         other = site.initial_slot(partner.name, partner.centre_height)
         return cls(robot, site, *slot, SlotPose(*other))
 
+    @property
+    def home(self) -> FloatArray:
+        """(n,) joint angles of the arm at home [rad]."""
+        assert self.robot.arm is not None
+        return self.robot.arm.home
+
+    @property
+    def transform_ground_to_level(self) -> RigidTransform:
+        """Transform from the ground below the slot to the robot frame of the slot's estimate."""
+        return self.transform_slot_to_level * self.site.insertion.transform_slot_to_ground.inv()
+
     def steer(self) -> SkidSteer:
-        """Return how the robot's wheels move it."""
-        return SkidSteer(self.robot.wheel_radius, self.robot.half_track, self.turn_share)
+        """Return the robot's wheels, with the turn share as identified."""
+        return SkidSteer.of(self.robot, self.turn_share)
 
     def springs(self) -> tuple[TiltAxis, TiltAxis]:
-        """Return how the robot pitches and rolls; by a guess if it did not swing its arm."""
+        """Return pitch and roll dynamics, by the prior if the robot did not swing its arm."""
+        prior = PitchPrior()
+        pitch = TiltAxis(prior.inertia, prior.damping, prior.stiffness, (0.0, 0.0))
         if self.pitch is not None:
             pitch = TiltAxis.of(self.pitch.parameters)
-        else:
-            prior = PitchPrior()
-            pitch = TiltAxis(prior.inertia, prior.damping, prior.stiffness, (0.0, 0.0))
         return pitch, roll_axis(pitch, self.robot)
 
     def slot_in_robot(self, tilt: FloatArray) -> tuple[RigidTransform, FloatArray]:
@@ -80,26 +90,26 @@ class MissionBelief:
             tilt: (2,) pitch and roll of the robot [rad].
         """
         upright = tilt_to_level(tilt).inv()
-        return (
-            upright * self.transform_slot_to_level,
-            transport_covariance(upright, self.slot_covariance),
-        )
+        covariance = transport_covariance(upright, self.slot_covariance)
+        return upright * self.transform_slot_to_level, covariance
 
-    def card_in_robot(self, tilt: FloatArray, card_in_partner: RigidTransform) -> RigidTransform:
-        """Return roughly where the card is that the partner holds, in the tilted robot's frame.
+    def card_in_robot(
+        self, tilt: FloatArray, transform_card_to_partner: RigidTransform
+    ) -> RigidTransform:
+        """Return the rough pose of the card that the partner holds, in the tilted robot's frame.
 
         Args:
             tilt: (2,) pitch and roll of the robot [rad].
-            card_in_partner: From the card to the partner's frame, by its joints.
+            transform_card_to_partner: Pose of the card in the partner's frame, by its joints.
         """
         slot, _ = self.slot_in_robot(tilt)
-        return slot * self.partner.transform_slot_to_robot.inv() * card_in_partner
+        return slot * self.partner.transform_slot_to_robot.inv() * transform_card_to_partner
 
     def localize(self, found: RobotLocalization) -> None:
-        """Work out where the slot is, from where the robot is on the map.
+        """Set the slot's pose by the robot's localization on the map.
 
         Args:
-            found: Where the robot is.
+            found: Localization of the robot.
         """
         assert self.map is not None and self.map.transform_target_to_world is not None
         to_world = self.map.transform_target_to_world
@@ -111,7 +121,7 @@ class MissionBelief:
         self.slot_covariance = transport_covariance(to_level, covariance)
 
     def hear(self, exchange: Exchange, partner: str) -> None:
-        """Take what the partner has found out of itself.
+        """Take what the partner has identified and measured.
 
         Args:
             exchange: All that passes between the robots.
@@ -119,8 +129,7 @@ class MissionBelief:
         """
         self.partner = exchange.read(partner, SlotPose) or self.partner
         share = exchange.read(partner, TurnShare)
-        if share is not None:
-            self.turn_share = share.share
+        self.turn_share = share.share if share is not None else self.turn_share
 
 
 def tilt_of(seen: Observation, robot: str) -> FloatArray:
@@ -131,12 +140,12 @@ def tilt_of(seen: Observation, robot: str) -> FloatArray:
         robot: Name of the robot.
 
     Raises:
-        RobotError: If its inclinometer says nothing.
+        RobotError: If its inclinometer has no usable reading.
     """
     channel = seen.inclinometer
     if not (channel.usable and np.isfinite(channel.value).all()):
         raise RobotError(
             f"the inclinometer of {robot} is {channel.validity.value}: without it the mission "
-            "cannot tell how the robot is tilted; check its connection"
+            "cannot know the robot's tilt; check its connection"
         )
     return np.asarray(channel.value, dtype=float)

@@ -1,4 +1,4 @@
-"""One robot's part of a mission: stage after stage, each by what the ones before have found out.
+"""One robot's part of a mission: stage after stage, each by the estimates of the ones before.
 
 A stage ends when both robots have done their parts of it.
 """
@@ -32,13 +32,13 @@ class RobotMission:
     """One robot's part of a mission; it sees its own observations alone.
 
     Args:
-        belief: What the robot believes.
+        belief: Estimates of the robot.
         partner: Name of the other robot.
         exchange: All that passes between the robots.
         stages: The robot's stages, each made when the one before has ended.
 
     Attributes:
-        belief: What the robot believes.
+        belief: Estimates of the robot.
         stage: The present stage.
         ended: Names of the stages so far and when they ended [s].
         over: Whether the last stage has ended.
@@ -75,7 +75,7 @@ class RobotMission:
             self._exchange.post(self.name, StagesDone(len(self.ended) + 1))
 
     def step(self, seen: Observation) -> Command | None:
-        """Go on with the present stage, or begin the next; to be called after `report` of both.
+        """Continue the present stage, or begin the next; to be called after `report` of both.
 
         Args:
             seen: Observation of the robot.
@@ -85,8 +85,6 @@ class RobotMission:
         if self.stage.done and done and not self.over:
             self.ended.append((self.stage.name, seen.time))
             following = next(self._stages, None)
-            if following is None:
-                self.over = True
-            else:
-                self.stage = following
+            self.over = following is None
+            self.stage = following or self.stage
         return self.stage.step(seen)

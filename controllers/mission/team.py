@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_arm import CardArm
 from controllers.mission.belief import MissionBelief
@@ -15,7 +14,7 @@ from controllers.mission.stages.find import FindPanel
 from controllers.mission.stages.identify import SwingArm
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
 from controllers.mission.stages.map import MapTogether
-from controllers.mission.stages.meet import FindCard, TurnInView
+from controllers.mission.stages.meet import FindCard, GuidedSlave, TurnInView
 from controllers.mission.stages.place import PlaceCamera, choose_station
 from controllers.mission.stages.rest import Rest
 from twin.link import Link
@@ -27,11 +26,11 @@ OMITTABLE = ("identification", "mapping", "placement")
 
 @dataclasses.dataclass(frozen=True)
 class MissionConfig:
-    """How a mission goes.
+    """Configuration of a mission.
 
     Attributes:
         without: One of `OMITTABLE` that is left out; empty for none.
-        scans: Views of the master alone, and of each robot when both have met.
+        scans: Number of views of the master alone, and of each robot when both have met.
     """
 
     without: str = ""
@@ -43,14 +42,14 @@ class MissionTeam:
 
     Args:
         roles: Both robots as drawn.
-        site: The drawing of the site.
-        config: How the mission goes.
+        site: Drawing of the site.
+        config: Configuration of the mission.
         rng: Random generator for the excitations and for candidate views.
         links: Each robot's end of the radio, by robot name.
 
     Attributes:
-        master: The part of the robot that looks.
-        slave: The part of the robot that holds the card.
+        master: Part of the robot with the camera.
+        slave: Part of the robot that holds the card.
     """
 
     def __init__(
@@ -66,16 +65,16 @@ class MissionTeam:
         swings = identify.spawn(2)
         master = MissionBelief.initial(roles.master, roles.slave, site)
         slave = MissionBelief.initial(roles.slave, roles.master, site)
-        looking = _master_stages(master, roles, exchange, config, (swings[0], explore))
+        guiding = _master_stages(master, roles, exchange, config, (swings[0], explore))
         holding = _slave_stages(slave, roles, exchange, config, swings[1])
-        self.master = RobotMission(master, roles.slave.name, exchange, looking)
+        self.master = RobotMission(master, roles.slave.name, exchange, guiding)
         self.slave = RobotMission(slave, roles.master.name, exchange, holding)
 
     def reset(self) -> None:
-        """Nothing is learnt that a new run could not be made for."""
+        """Do nothing: a new mission gets a new team."""
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Let both report, then let each go on."""
+        """Let both report, then step each."""
         parts = (self.master, self.slave)
         for part in parts:
             part.report(observations[part.name])
@@ -101,30 +100,26 @@ def _master_stages(
     config: MissionConfig,
     sources: tuple[np.random.Generator, np.random.Generator],
 ) -> Iterator[MissionStage]:
-    """Yield the stages of the robot that looks; the sources are for excitation and views."""
+    """Yield the stages of the robot with the camera; the sources are for excitation and views."""
     swing, explore = sources
-    partner, card = roles.slave.name, _card_at_rest(roles, belief.site)
+    assert roles.slave.arm is not None
+    arm = CardArm(roles.slave, belief.site.insertion.tip)
+    card = arm.transform_card_to_robot(roles.slave.arm.home)
+    slave = GuidedSlave(belief, roles.slave.name, exchange, card)
     if config.without != "identification":
         yield SwingArm(belief, swing)
     if config.without != "mapping":
         yield FindPanel(belief, config.scans[0], explore)
     if belief.map is not None:
         exchange.post(belief.robot.name, MapBegun())
-    yield FindCard(belief, partner, exchange, card)
-    belief.hear(exchange, partner)
+    yield FindCard(slave)
+    belief.hear(exchange, slave.name)
     if belief.map is not None:
         yield MapTogether.begin(belief, roles.slave, exchange, config.scans[1], explore)
     placed = config.without != "placement"
     if placed:
         yield PlaceCamera(belief, choose_station(belief))
-    yield GuideInsertion(belief, partner, exchange, card, placed)
-
-
-def _card_at_rest(roles: MissionRoles, site: SiteDrawing) -> RigidTransform:
-    """Return the transform from the card to the slave that holds it, its arm at home."""
-    assert roles.slave.arm is not None
-    arm = CardArm(roles.slave, site.insertion.tip)
-    return RigidTransform.from_matrix(arm.card_in_robot(roles.slave.arm.home))
+    yield GuideInsertion(slave, placed)
 
 
 def _slave_stages(

@@ -7,13 +7,18 @@ a drive (`identify_turn_share`), not known.
 
 import dataclasses
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
-from twin.robot import Channel, Observation
+from twin.description import RobotDescription
+from twin.robot import ArmMode, Channel, Command, Observation, WheelMode
+
+_SPEED, _TURN = 0.06, 0.25  # Speed and turn rate of the identification drive [m/s, rad/s].
+_TURN_EVERY = 1.5  # Time from a curve to the left to one to the right [s].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +44,16 @@ class SkidSteer:
             ValueError: Naming the number and what is valid.
         """
         check_numbers("skid steering", self)
+
+    @classmethod
+    def of(cls, robot: RobotDescription, turn_share: float = 1.0) -> "SkidSteer":
+        """Return the wheels of a robot as drawn.
+
+        Args:
+            robot: The rover.
+            turn_share: Share of rolling wheels' turn rate.
+        """
+        return cls(robot.wheel_radius, robot.half_track, turn_share)
 
     def wheel_speeds(self, forward: float, turn: float) -> FloatArray:
         """Return (4,) wheel speeds for a motion [rad/s], in the order of `WHEELS`.
@@ -136,6 +151,41 @@ class Odometry:
 
 def _is_good(channel: Channel) -> bool:
     return channel.usable and bool(np.isfinite(channel.value).all())
+
+
+class TurnShareDrive:
+    """Drives curves to the left and right on flat ground; a `twin.robot.Controller`.
+
+    Args:
+        robot: Name of the rover, which has a heading sensor.
+        steer: Wheels of the rover.
+        period: Servo tick [s].
+    """
+
+    def __init__(self, robot: str, steer: SkidSteer, period: float) -> None:
+        self._robot, self._steer, self._period = robot, steer, period
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all measurements."""
+        self._speeds: list[FloatArray] = []
+        self._headings: list[float] = []
+        self._held: FloatArray | None = None
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Take wheel speeds and heading, and drive on with the arm held."""
+        seen = observations[self._robot]
+        if self._held is None:
+            self._held = np.array(seen.arm_angles.value, dtype=float)
+        left = math.floor(len(self._headings) * self._period / _TURN_EVERY) % 2 == 0
+        self._speeds.append(np.asarray(seen.wheel_speeds.value, dtype=float))
+        self._headings.append(float(seen.heading.value[0]))
+        wheels = self._steer.wheel_speeds(_SPEED, _TURN if left else -_TURN)
+        return {self._robot: Command(wheels, self._held, WheelMode.SPEED, ArmMode.POSITION)}
+
+    def finish(self) -> tuple[float, float]:
+        """Return `identify_turn_share` of the drive."""
+        return identify_turn_share(self._steer, self._speeds, self._headings, self._period)
 
 
 def identify_turn_share(

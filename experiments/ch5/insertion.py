@@ -7,8 +7,9 @@ of the map and noise. Four parts: Table 5-1, what must fail, ten times the camer
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+
+import numpy as np
 
 from experiments.ch5.insertion_faults import ENDS_IN, Fault
 from experiments.ch5.insertion_figures import (
@@ -20,10 +21,10 @@ from experiments.ch5.insertion_figures import (
 from experiments.ch5.insertion_film import film_trial
 from experiments.ch5.insertion_identify import identify_slip
 from experiments.ch5.insertion_setting import NOISE_DB, InsertionTrial
-from experiments.ch5.insertion_trial import run_trial
+from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
-from experiments.harness.intervals import distribution, fraction, mcnemar
+from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CARD_AND_SLOT, INCH
@@ -41,8 +42,9 @@ NOISY_DB = NOISE_DB - 20.0
 """Ten times the noise [dB]."""
 MOST_FORCE = 10.0
 PARTS = ("table", "impossible", "noise", "faults")
-Results = list[dict[str, Any]]
+Results = list[InsertionOutcome]
 Cells = dict[tuple[str, float], Results]
+Shares = dict[tuple[str, float], Distribution]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,13 +70,12 @@ class Options(contract.Options):
             raise OptionError(
                 f"--detector {self.detector}: expected one of {', '.join(sorted(DETECTORS))}"
             )
-        for part in self.parts:
-            if part not in PARTS:
-                raise OptionError(f"--parts {part}: expected some of {', '.join(PARTS)}")
+        if unknown := set(self.parts) - set(PARTS):
+            raise OptionError(f"--parts {min(unknown)}: expected some of {', '.join(PARTS)}")
 
 
 def run(options: Options, output: Output) -> None:
-    """Run the parts that were asked for.
+    """Run the chosen parts.
 
     Args:
         options: ``quick`` takes one pair of trials at the narrowest slot and one at a slot that is
@@ -83,21 +84,24 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``success/<optimal or random>/<width>``, ``mcnemar_p/<width>``,
             ``success/impossible`` and more, and the figures 5-11 to 5-14.
     """
-    share, sigma = identify_slip(options.job_seeds(1, 1)[0])
-    output.measure("turn_share", share)
+    turn_share, sigma = identify_slip(options.job_seeds(1, 1)[0])
+    output.measure("turn_share", turn_share)
     output.measure("turn_share_sigma", sigma)
     runs = {"table": _table, "impossible": _impossible, "noise": _noise, "faults": _faults}
     quick = ("table", "impossible")
+    base = InsertionTrial(
+        CARD_AND_SLOT.slot_widths[-1], True, 0, turn_share, detector=options.detector
+    )
     for part in options.parts or (quick if options.quick else PARTS):
-        runs[part](options, share, output)
+        runs[part](options, base, output)
 
 
-def _table(options: Options, turn_share: float, output: Output) -> None:
+def _table(options: Options, base: InsertionTrial, output: Output) -> None:
     """Measure Table 5-1 and draw a success and a failure."""
     widths = CARD_AND_SLOT.slot_widths[-1:] if options.quick else CARD_AND_SLOT.slot_widths
     seeds = options.job_seeds(30, 1)
     jobs = [
-        InsertionTrial(width, placement == "optimal", seed, turn_share, detector=options.detector)
+        dataclasses.replace(base, width=width, optimal=placement == "optimal", seed=seed)
         for width in widths
         for placement in PLACEMENTS
         for seed in seeds
@@ -105,69 +109,67 @@ def _table(options: Options, turn_share: float, output: Output) -> None:
     results = sweep(run_trial, jobs, options, output, label="insertions")
     cells: Cells = {}
     for job, result in zip(jobs, results):
-        cells.setdefault(("optimal" if job.optimal else "random", job.width), []).append(result)
-    _measure_cells(cells, widths, output)
-    _measure_all(results, output)
+        cells.setdefault((_placement(job), job.width), []).append(result)
+    shares = {
+        (placement, width): _success(cells[placement, width])
+        for placement in PLACEMENTS
+        for width in widths
+    }
+    _measure_cells(cells, shares, widths, output)
+    _measure_all(jobs, results, output)
     _tabulate(jobs, results, output)
-    output.figure("table_5-1", draw_table(_shares(cells, widths), widths, THESIS))
+    output.figure("table_5-1", draw_table(shares, widths, THESIS))
     _show(jobs, results, options, output)
 
 
-def _measure_cells(cells: Cells, widths: Sequence[float], output: Output) -> None:
-    rows = _shares(cells, widths)
-    for (placement, width), share in rows.items():
+def _measure_cells(cells: Cells, shares: Shares, widths: Sequence[float], output: Output) -> None:
+    for (placement, width), share in shares.items():
         column = CARD_AND_SLOT.slot_widths.index(width)
         key = f"success/{placement}/{width / INCH:g}"
         output.measure(key, share, thesis=THESIS[placement][column])
     for width in widths:
-        best, other = cells["optimal", width], cells["random", width]
-        p = mcnemar([r["success"] for r in best], [r["success"] for r in other])
-        name = f"{width / INCH:g}"
+        pair = ([r.success for r in cells[placement, width]] for placement in PLACEMENTS)
+        p, name = mcnemar(*pair), f"{width / INCH:g}"
         output.measure(f"mcnemar_p/{name}", p)
-        value = float(rows["optimal", width]["mean"])
+        value = float(shares["optimal", width]["mean"])
         output.check(f"optimal, {name} in", value, ">= 29/30", value >= 29.0 / 30.0)
-        worse = p < 0.05 and rows["random", width]["mean"] < value
+        worse = p < 0.05 and shares["random", width]["mean"] < value
         output.check(f"random lower, {name} in (McNemar p)", p, "< 0.05", worse)
     if len(widths) > 1:
-        values = [float(rows["random", width]["mean"]) for width in widths]
+        values = [float(shares["random", width]["mean"]) for width in widths]
         falls = all(a >= b for a, b in zip(values, values[1:])) and values[0] > values[-1]
         output.check("random, widest less narrowest", values[0] - values[-1], "> 0, falling", falls)
 
 
-def _measure_all(results: Results, output: Output) -> None:
+def _measure_all(jobs: Sequence[InsertionTrial], results: Results, output: Output) -> None:
     """Store errors, forces and times over all trials."""
-    over = [r for r in results if not math.isnan(r["across"])]
-    output.measure("peak_force", distribution(r["peak"] for r in results))
-    largest = max(r["peak"] for r in results)
+    output.measure("peak_force", distribution(r.peak for r in results))
+    largest = max(r.peak for r in results)
     output.measure("largest_force", largest)
     output.check("largest contact force [N]", largest, f"<= {MOST_FORCE:g}", largest <= MOST_FORCE)
-    pace = distribution(r["seconds"] / r["wall"] for r in results)
+    pace = distribution(r.seconds / r.wall for r in results)
     output.measure("real_time_factor", pace)
     faster = float(pace["median"]) > 1.0
     output.check("real-time factor with vision, median", float(pace["median"]), "> 1", faster)
-    if over:
-        output.measure("hand_over_mm", distribution(1e3 * abs(r["across"]) for r in over))
-        turns = [math.degrees(abs(r["turn"])) for r in over]
-        output.measure("hand_over_deg", distribution(turns))
-    output.measure("seconds", distribution(r["seconds"] for r in results))
+    errors = np.abs([r.hand_over for r in results if not math.isnan(r.hand_over[0])])
+    if len(errors):
+        output.measure("hand_over_mm", distribution(1e3 * errors[:, 0]))
+        output.measure("hand_over_deg", distribution(np.degrees(errors[:, 1])))
+    output.measure("seconds", distribution(r.seconds for r in results))
     for placement in PLACEMENTS:
-        chosen = [r for r in results if r["best"] == (placement == "optimal")]
-        output.measure(f"seen_share/{placement}", distribution(r["seen"] for r in chosen))
-        told = [r["nees"] for r in chosen if not math.isnan(r["nees"])]
-        if told:
-            output.measure(f"guidance_nees/{placement}", distribution(told))
+        chosen = [r for job, r in zip(jobs, results) if _placement(job) == placement]
+        output.measure(f"seen_share/{placement}", distribution(r.seen for r in chosen))
+        nees = [r.nees for r in chosen if not math.isnan(r.nees)]
+        if nees:
+            output.measure(f"guidance_nees/{placement}", distribution(nees))
 
 
-def _shares(cells: Cells, widths: Sequence[float]) -> dict[tuple[str, float], Any]:
-    return {
-        (placement, width): _share(cells[placement, width])
-        for placement in PLACEMENTS
-        for width in widths
-    }
+def _placement(job: InsertionTrial) -> str:
+    return "optimal" if job.optimal else "random"
 
 
-def _share(results: Sequence[Mapping[str, Any]]) -> Any:
-    return fraction(sum(bool(result["success"]) for result in results), len(results))
+def _success(results: Results) -> Distribution:
+    return success_fraction(result.success for result in results)
 
 
 def _tabulate(jobs: Sequence[InsertionTrial], results: Results, output: Output) -> None:
@@ -175,9 +177,9 @@ def _tabulate(jobs: Sequence[InsertionTrial], results: Results, output: Output) 
                "across [mm]", "turn [deg]", "camera [m]", "slant [deg]", "seen",
                "moves"]  # fmt: skip
     rows = [
-        [job.width / INCH, "optimal" if job.optimal else "random", job.seed, r["success"],
-         r["reason"], r["seconds"], r["peak"], 1e3 * r["across"], math.degrees(r["turn"]),
-         r["distance"], math.degrees(r["slant"]), r["seen"], r["moves"]]
+        [job.width / INCH, _placement(job), job.seed, r.success, r.reason, r.seconds, r.peak,
+         1e3 * r.hand_over[0], math.degrees(r.hand_over[1]), r.station.distance,
+         math.degrees(r.station.slant), r.seen, r.moves]
         for job, r in zip(jobs, results)
     ]  # fmt: skip
     output.table("insertions", columns, rows)
@@ -188,76 +190,65 @@ def _show(
 ) -> None:
     """Run a success and a failure at the narrowest slot again, and draw them."""
     hard = [(j, r) for j, r in zip(jobs, results) if j.width == CARD_AND_SLOT.slot_widths[-1]]
-    good = next((j for j, r in hard if j.optimal and r["success"]), None)
-    # A failure that got as far as touching tells more than one that saw nothing.
-    bad = sorted(
-        ((j, r) for j, r in hard if not j.optimal and not r["success"]), key=lambda e: e[1]["gap"]
-    )
+    good = next((j for j, r in hard if j.optimal and r.success), None)
+    # A failure that got as far as touching shows more than one that saw nothing.
+    failed = [(r.gap, j) for j, r in hard if not j.optimal and not r.success]
     if good is not None:
         film = film_trial(good, output.file("run.rrd") if options.record else None)
-        output.figure("figure_5-11", draw_steps(film.steps))
+        output.figure("figure_5-11", draw_steps(film.steps()))
         output.figure("figure_5-12", draw_pairs(film.pairs))
         output.figure("figure_5-13", draw_course(film.course, "Optimal placement"))
         film.save(output.file("insertion.gif"))
-    if bad:
-        course = run_trial(dataclasses.replace(bad[0][0], trace=True))["course"]
+    if failed:
+        _, bad = min(failed, key=lambda entry: entry[0])
+        course = run_trial(dataclasses.replace(bad, trace=True)).course
         output.figure("figure_5-14", draw_course(course, "Random placement"))
 
 
-def _impossible(options: Options, turn_share: float, output: Output) -> None:
+def _impossible(options: Options, base: InsertionTrial, output: Output) -> None:
     """Try a slot that is narrower than the card: none gets in, and the force stays bounded."""
-    jobs = [
-        InsertionTrial(IMPOSSIBLE, True, seed, turn_share, detector=options.detector)
-        for seed in options.job_seeds(10, 1)
-    ]
+    seeds = options.job_seeds(10, 1)
+    jobs = [dataclasses.replace(base, width=IMPOSSIBLE, seed=seed) for seed in seeds]
     results = sweep(run_trial, jobs, options, output, label="impossible")
-    output.measure("success/impossible", _share(results))
-    largest = max(result["peak"] for result in results)
+    output.measure("success/impossible", _success(results))
+    largest = max(result.peak for result in results)
     output.measure("largest_force/impossible", largest)
-    ok = not any(r["success"] for r in results) and largest <= MOST_FORCE
+    ok = not any(r.success for r in results) and largest <= MOST_FORCE
     output.check(
         "slot narrower than the card: largest force [N]", largest, f"<= {MOST_FORCE:g}, none in", ok
     )
 
 
-def _noise(options: Options, turn_share: float, output: Output) -> None:
+def _noise(options: Options, base: InsertionTrial, output: Output) -> None:
     """Raise the cameras' noise tenfold."""
-    width = CARD_AND_SLOT.slot_widths[-1]
-    jobs = [
-        InsertionTrial(width, True, seed, turn_share, NOISY_DB, options.detector)
-        for seed in options.job_seeds(10, 1)
-    ]
-    results = sweep(run_trial, jobs, options, output, label="noisy cameras")
-    share = _share(results)
+    seeds = options.job_seeds(10, 1)
+    jobs = [dataclasses.replace(base, seed=seed, noise_db=NOISY_DB) for seed in seeds]
+    share = _success(sweep(run_trial, jobs, options, output, label="noisy cameras"))
     output.measure("success/noise_x10", share)
     ok = float(share["mean"]) <= 0.5
     output.check("optimal with ten times the camera noise", float(share["mean"]), "<= 0.5", ok)
 
 
-def _faults(options: Options, turn_share: float, output: Output) -> None:
-    """Let things go wrong; each fault has a stated end."""
-    width = CARD_AND_SLOT.slot_widths[1]
+def _faults(options: Options, base: InsertionTrial, output: Output) -> None:
+    """Cause each fault; each has a stated end."""
     jobs = [
-        InsertionTrial(width, True, seed, turn_share, detector=options.detector, fault=fault.name)
+        dataclasses.replace(base, width=CARD_AND_SLOT.slot_widths[1], seed=seed, fault=fault.name)
         for fault in Fault
         for seed in options.job_seeds(3, 1)
     ]
     results = sweep(run_trial, jobs, options, output, label="faults")
-    rows: list[list[Any]] = []
+    rows: list[list[object]] = []
     for fault in Fault:
         chosen = [r for j, r in zip(jobs, results) if j.fault == fault.name]
         wanted, reason = ENDS_IN[fault]
         right = [
-            r["success"] == wanted and r["reason"].startswith(reason) and r["peak"] <= MOST_FORCE
+            r.success == wanted and r.reason.startswith(reason) and r.peak <= MOST_FORCE
             for r in chosen
         ]
-        output.measure(f"fault_ends_right/{fault.name.lower()}", fraction(sum(right), len(right)))
+        share = success_fraction(right)
+        output.measure(f"fault_ends_right/{fault.name.lower()}", share)
         stated = "inserted" if wanted else f"stops: {reason}"
-        name = f"{fault.value}: {stated}"
-        output.check(name, sum(right) / len(right), "== 1", all(right))
-        rows += [
-            [fault.value, stated, r["success"], r["reason"], r["seconds"], r["peak"]]
-            for r in chosen
-        ]
+        output.check(f"{fault.value}: {stated}", float(share["mean"]), "== 1", all(right))
+        rows += [[fault.value, stated, r.success, r.reason, r.seconds, r.peak] for r in chosen]
     columns = ["fault", "stated end", "inserted", "reason", "time [s]", "peak [N]"]
     output.table("faults", columns, rows)

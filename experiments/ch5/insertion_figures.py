@@ -1,7 +1,6 @@
 """Figures of ch5-insertion: Table 5-1, and figures 5-11 to 5-14."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,6 +8,7 @@ from matplotlib.figure import Figure
 
 from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_trial import COURSE, STAGES
+from experiments.harness.intervals import Distribution, error_bars
 from models.datasheets import INCH
 from perception.geometry.arrays import FloatArray, ImageArray
 
@@ -16,7 +16,7 @@ COLOURS = {"optimal": "tab:green", "random": "tab:orange"}
 
 
 def draw_table(
-    shares: Mapping[tuple[str, float], Any],
+    shares: Mapping[tuple[str, float], Distribution],
     widths: Sequence[float],
     thesis: Mapping[str, Sequence[float]],
 ) -> Figure:
@@ -32,11 +32,9 @@ def draw_table(
     place = np.arange(len(widths), dtype=float)
     for offset, placement in ((-0.18, "optimal"), (0.18, "random")):
         cells = [shares[placement, width] for width in widths]
-        mean = np.array([cell["mean"] for cell in cells])
-        low = mean - [cell["low"] for cell in cells]
-        high = np.array([cell["high"] for cell in cells]) - mean
+        mean, errors = error_bars(cells)
         axes.bar(place + offset, mean, 0.34, color=COLOURS[placement], label=placement)
-        axes.errorbar(place + offset, mean, [low, high], fmt="none", color="k", capsize=3)
+        axes.errorbar(place + offset, mean, errors, fmt="none", color="k", capsize=3)
         axes.plot(
             place + offset,
             thesis[placement][-len(widths) :],
@@ -58,8 +56,7 @@ def draw_steps(steps: Sequence[tuple[float, ImageArray]]) -> Figure:
         steps: Times [s] and colour pictures.
     """
     figure = Figure(figsize=(10.0, 7.2))
-    for index, (time, picture) in enumerate(steps):
-        axes = figure.add_subplot(2, 2, index + 1)
+    for axes, (time, picture) in zip(figure.subplots(2, 2).flat, steps):
         _show(axes, picture)
         axes.set_title(f"{time:.1f} s", fontsize=10)
     figure.tight_layout()
@@ -74,23 +71,21 @@ def draw_pairs(pairs: Mapping[str, tuple[ImageArray, Sequence[FloatArray]]]) -> 
     """
     figure = Figure(figsize=(8.0, 3.9 * max(len(pairs), 1)))
     for row, (moment, (pair, ellipses)) in enumerate(pairs.items()):
-        for side in range(2):
+        for side, name in enumerate(("left", "right")):
             axes = figure.add_subplot(len(pairs), 2, 2 * row + side + 1)
             _show(axes, pair[side])
-            for u, v, suu, suv, svv in ellipses[side]:
-                axes.plot(*_outline(u, v, suu, suv, svv), color="tab:red", linewidth=1.2)
-            axes.set_title(f"{moment}, {('left', 'right')[side]}", fontsize=10)
+            for ellipse in ellipses[side]:
+                axes.plot(*_outline(ellipse), color="tab:red", linewidth=1.2)
+            axes.set_title(f"{moment}, {name}", fontsize=10)
     figure.tight_layout()
     return figure
 
 
-def _outline(u: float, v: float, suu: float, suv: float, svv: float) -> FloatArray:
-    """Return (2, 60) points on an ellipse."""
-    root = np.linalg.cholesky(np.array([[suu, suv], [suv, svv]]) + 1e-9 * np.eye(2))
+def _outline(ellipse: FloatArray) -> FloatArray:
+    """Return (2, 60) points on an ellipse (5,): centre and second moments suu, suv, svv."""
+    root = np.linalg.cholesky(ellipse[[[2, 3], [3, 4]]] + 1e-9 * np.eye(2))
     angle = np.linspace(0.0, 2.0 * np.pi, 60)
-    return np.array([[u], [v]], dtype=float) + np.asarray(root, dtype=float) @ np.stack(
-        [np.cos(angle), np.sin(angle)]
-    )
+    return ellipse[:2, None] + root @ [np.cos(angle), np.sin(angle)]
 
 
 def _show(axes: Axes, picture: ImageArray) -> None:
@@ -105,22 +100,28 @@ def draw_course(course: FloatArray, title: str) -> Figure:
         course: (n, k) rows of `COURSE`.
         title: Title of the figure.
     """
-    columns = {name: course[:, index] for index, name in enumerate(COURSE)}
-    time, stage = columns["time"], columns["stage"]
+    columns: dict[str, FloatArray] = dict(zip(COURSE, course.T))
+    time = columns["time"]
     figure = Figure(figsize=(9.0, 6.4))
     (place, turn), (across, ahead) = figure.subplots(2, 2, sharex=True)
-    place.plot(time, 1e3 * columns["across"], label="across, true")
-    place.plot(time, 1e3 * (columns["ahead"]), label="ahead, true")
-    place.plot(time, 1e3 * columns["seen_across"], ":", color="tab:blue", label="across, last seen")
+    degree = 180.0 / np.pi
+    for axes, column, scale, style, colour, label in (
+        (place, "across", 1e3, "-", "tab:blue", "across, true"),
+        (place, "ahead", 1e3, "-", "tab:orange", "ahead, true"),
+        (place, "seen_across", 1e3, ":", "tab:blue", "across, last seen"),
+        (turn, "turn", degree, "-", "tab:blue", "true"),
+        (turn, "seen_turn", degree, ":", "tab:blue", "last seen"),
+        (across, "force_across", 1.0, "-", "0.7", "measured"),
+        (across, "true_across", 1.0, "-", "tab:red", "true"),
+        (ahead, "force_ahead", 1.0, "-", "0.7", "measured"),
+        (ahead, "true_ahead", 1.0, "-", "tab:red", "true"),
+    ):
+        axes.plot(time, scale * columns[column], style, color=colour, label=label)
     place.set_ylabel("from the mouth [mm]")
-    turn.plot(time, np.degrees(columns["turn"]), label="true")
-    turn.plot(time, np.degrees(columns["seen_turn"]), ":", color="tab:blue", label="last seen")
     turn.set_ylabel("angle [deg]")
-    for axes, direction in ((across, "across"), (ahead, "ahead")):
-        axes.plot(time, columns[f"force_{direction}"], color="0.7", label="measured")
-        axes.plot(time, columns[f"true_{direction}"], color="tab:red", label="true")
-        axes.set(ylabel=f"force {direction} [N]", xlabel="time [s]")
-    begun = time[stage >= STAGES.index(InsertionStage.INSERT)]
+    across.set(ylabel="force across [N]", xlabel="time [s]")
+    ahead.set(ylabel="force ahead [N]", xlabel="time [s]")
+    begun = time[columns["stage"] >= STAGES.index(InsertionStage.INSERT)]
     for axes in (place, turn, across, ahead):
         axes.grid(alpha=0.3)
         if begun.size:

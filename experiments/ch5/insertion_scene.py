@@ -21,8 +21,7 @@ from models.compose import (
     FieldConfig,
     RobotPlacement,
     arm_hold_voltage,
-    build_scene,
-    compile_scene,
+    make_model,
 )
 from models.datasheets import CARD_AND_SLOT
 from perception.geometry.arrays import FloatArray
@@ -30,17 +29,27 @@ from perception.markers.poses import BodyCad
 from twin.describe import body_pose, describe_rover
 
 MASTER, SLAVE = "rover1", "rover2"
+FIELD = FieldConfig(
+    size=(4.8, 4.8),
+    relief=0.02,
+    cell=0.1,
+    rocks=120,
+    rock_radius=(0.02, 0.05),
+    texture_tile=0.5,
+    shadows=False,
+)
+"""Rough ground that all trials share."""
 
 
 @dataclasses.dataclass(frozen=True)
 class InsertionScene:
-    """Where everything stands.
+    """Poses of the robots before a slot.
 
     Attributes:
-        width: Between the slot's walls [m].
-        slave: (3,) x, y [m] and yaw [rad] of the slave's chassis.
-        master: (3,) the same of the master's.
-        field: The ground.
+        width: Width between the slot's walls [m].
+        slave: (3,) x, y [m] and yaw [rad] of the slave's chassis, world.
+        master: (3,) x, y [m] and yaw [rad] of the master's chassis, world.
+        field: Configuration of the ground.
     """
 
     width: float
@@ -80,7 +89,7 @@ def insertion_drawing(width: float) -> InsertionDrawing:
 
 @functools.cache
 def best_station(width: float) -> CameraStation:
-    """Return where the master sees card and slot best, with nothing else about.
+    """Return where the master sees card and slot best, with no other obstacle.
 
     Args:
         width: Width between the slot's walls [m].
@@ -94,34 +103,26 @@ def _box(*sides: tuple[float, float]) -> FloatArray:
 
 
 def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:
-    """Compile the scene.
+    """Compile a scene in which the master alone has cameras.
 
     Args:
-        scene: Where everything stands.
+        scene: Poses of the robots, slot and ground.
 
     Raises:
         ValueError: If the slot's width or a start is impossible.
     """
-    robots = placements(scene)
     field = dataclasses.replace(scene.field, slot_width=scene.width, shadows=False)
-    spec = build_scene(field, robots)
-    return compile_scene(spec)
-
-
-def placements(scene: InsertionScene) -> list[RobotPlacement]:
-    """Return the robots of a scene; only the master has cameras."""
-    return [
-        RobotPlacement(MASTER, scene.master[:2], scene.master[2], stereo=True),
-        RobotPlacement(SLAVE, scene.slave[:2], scene.slave[2], stereo=False, card=True),
-    ]
+    master = RobotPlacement(MASTER, scene.master[:2], scene.master[2], stereo=True)
+    slave = RobotPlacement(SLAVE, scene.slave[:2], scene.slave[2], stereo=False, card=True)
+    return make_model(field, [master, slave])
 
 
 def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:
-    """Let the master's arm begin where its camera was taken before, in the key frame ``home``.
+    """Set the master's arm in the key frame ``home``, where its camera was placed before.
 
     Args:
         model: From `compile_insertion`; its key frame is changed.
-        angles: (4,) of the joints [rad].
+        angles: (4,) joint angles [rad].
     """
     home = model.key("home").id
     for name, angle in zip(ARM_JOINTS, angles, strict=True):
@@ -155,3 +156,8 @@ def contact_force(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
 def transform(data: mujoco.MjData, body: str) -> RigidTransform:
     """Return the true transform from a body to the world."""
     return body_pose(data, data.body(body).id)
+
+
+def transform_between(data: mujoco.MjData, body: str, frame: str) -> RigidTransform:
+    """Return the true transform from a body to another body's frame."""
+    return transform(data, frame).inv() * transform(data, body)

@@ -5,6 +5,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy import stats
 
+from perception.geometry.arrays import FloatArray
+
 CONFIDENCE = 0.95
 
 Distribution = dict[str, float | int]
@@ -78,6 +80,22 @@ def success_fraction(successes: Iterable[bool]) -> Distribution:
     """
     flags = list(successes)
     return fraction(sum(flags), len(flags))
+
+
+def error_bars(
+    cells: Sequence[Distribution], centre: str = "mean"
+) -> tuple[FloatArray, FloatArray]:
+    """Return values and their intervals as matplotlib's ``errorbar`` takes them.
+
+    Args:
+        cells: n distributions or fractions.
+        centre: Key of the value.
+
+    Returns:
+        (n,) values and (2, n) distances to the lower and to the upper end of the interval.
+    """
+    values, *ends = np.array([[cell[key] for cell in cells] for key in (centre, "low", "high")])
+    return values, np.abs(np.array(ends) - values)
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> float:

@@ -1,12 +1,12 @@
 """Figures of ``mission``: how it went, what was known when, and what each stage is worth."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from experiments.harness.intervals import Distribution, error_bars
 from experiments.mission.results import after_stage, stages_of
 from experiments.mission.trial import MissionResult
 from perception.geometry.arrays import FloatArray, ImageArray
@@ -68,7 +68,7 @@ def draw_knowledge(results: Sequence[MissionResult]) -> Figure:
 
 
 def draw_worth(
-    shares: Mapping[str, Any],
+    shares: Mapping[str, Distribution],
     stops: Mapping[str, Sequence[float]],
     off: Mapping[str, Sequence[float]],
 ) -> Figure:
@@ -83,12 +83,10 @@ def draw_worth(
     figure = Figure(figsize=(12.0, 3.8), layout="constrained")
     inserted, stopped, seated = figure.subplots(1, 3)
     place = np.arange(len(shares), dtype=float)
-    mean = np.array([cell["mean"] for cell in shares.values()])
-    low = mean - [cell["low"] for cell in shares.values()]
-    high = np.array([cell["high"] for cell in shares.values()]) - mean
+    mean, errors = error_bars(list(shares.values()))
     colours = ["tab:green", *["tab:orange"] * (len(shares) - 1)]
     inserted.bar(place, mean, 0.6, color=colours)
-    inserted.errorbar(place, mean, [low, high], fmt="none", color="k", capsize=4)
+    inserted.errorbar(place, mean, errors, fmt="none", color="k", capsize=4)
     inserted.set(ylabel="card inserted (95 % interval)", ylim=(0.0, 1.05))
     for spot, colour, kind in zip(place, colours, shares):
         _scatter(stopped, spot, 100.0 * np.asarray(stops[kind], dtype=float), colour, "stays")

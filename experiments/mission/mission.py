@@ -97,10 +97,10 @@ def run(options: Options, output: Output) -> None:
         MissionTrial(seed, without=kind, robot=options.robot) for kind in kinds for seed in seeds
     ]
     if len(jobs) == 1:
-        film = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
-        results = [film.result]
-        if film.steps:
-            output.figure("mission_steps", draw_steps(film.steps))
+        result, steps = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
+        results = [result]
+        if steps:
+            output.figure("mission_steps", draw_steps(steps))
     else:
         results = sweep(run_mission, jobs, options, output, label="missions")
         if options.record:

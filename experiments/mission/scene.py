@@ -13,7 +13,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mission.site import MissionRoles, SiteDrawing
-from experiments.ch5.insertion_scene import MASTER, SLAVE, insertion_drawing, transform
+from experiments.ch5.insertion_scene import (
+    FIELD,
+    MASTER,
+    SLAVE,
+    insertion_drawing,
+    transform_between,
+)
 from models.clutter import PanelConfig
 from models.compose import FieldConfig, RobotPlacement, make_model
 from perception.geometry.se3 import transport_covariance
@@ -49,18 +55,12 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
         width: Width between the slot's walls [m].
         rng: Random generator for ground and initial poses.
     """
-    field = FieldConfig(
-        size=(4.8, 4.8),
-        relief=0.02,
-        cell=0.1,
-        rocks=120,
-        rock_radius=(0.02, 0.05),
+    field = dataclasses.replace(
+        FIELD,
         seed=int(rng.integers(2**31)),
         texture_pixels=2048,
-        texture_tile=0.5,
         panel=PANEL,
         slot_width=width,
-        shadows=False,
     )
     errors = np.array([INITIAL_PLACE_ERROR, INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR])
     robots = []
@@ -80,9 +80,8 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
     model = make_model(dataclasses.replace(scene.field, texture_pixels=16), ())
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    panel, slot = transform(data, "panel"), transform(data, "slot")
     deviations = np.array([SURVEY_TURN] * 3 + [SURVEY_PLACE] * 3)
-    true = panel.inv() * slot
+    true = transform_between(data, "slot", "panel")
     centred = RigidTransform.from_translation(true.translation)
     error = RigidTransform.from_exp_coords(deviations * rng.normal(size=6))
     # Errors about the slot's own place, in the panel's axes.

@@ -2,15 +2,13 @@
 
 import numpy as np
 
-from controllers.insertion.camera_station import camera_arm
+from controllers.insertion.camera_station import stereo_geometry
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.belief import MissionBelief
-from perception.stereo.geometry import StereoGeometry
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap
-from twin.description import RobotDescription
 from twin.robot import Command, Observation
 
 VOXEL = 0.01
@@ -38,7 +36,9 @@ class FindPanel:
         self._belief, robot = belief, belief.robot
         config = MapperConfig(scans=scans, search_scans=_SEARCH_SCANS)
         voxels, target = VoxelMap(VoxelGrid(VOXEL, *BOX)), belief.site.target
-        shared = SharedMap(voxels, eyes(robot), target, config.stereo.stride, config.reach)
+        shared = SharedMap(
+            voxels, stereo_geometry(robot), target, config.stereo.stride, config.reach
+        )
         self.mapper = StereoMapper({robot.name: robot}, shared, config, rng)
 
     @property
@@ -55,9 +55,3 @@ class FindPanel:
             self._belief.map = self.mapper.shared
             self._belief.localize(found)
         return command
-
-
-def eyes(robot: RobotDescription) -> StereoGeometry:
-    """Return the geometry of a robot's stereo head as drawn."""
-    head = camera_arm(robot)[1]
-    return StereoGeometry(*head.camera.intrinsics, head.baseline)

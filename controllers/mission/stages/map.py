@@ -25,9 +25,9 @@ class MapTogether:
     name = "map"
 
     def __init__(self, belief: MissionBelief, exchange: Exchange) -> None:
-        assert exchange.mapper is not None and belief.robot.arm is not None
+        assert exchange.mapper is not None
         self._robot, self._exchange, self.mapper = belief.robot.name, exchange, exchange.mapper
-        self._rest = ArmMove(belief.robot.arm.home)
+        self._rest = ArmMove(belief.home)
 
     @classmethod
     def begin(

@@ -9,11 +9,16 @@ import math
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.camera_station import CameraStation, best_camera_station, camera_arm
+from controllers.insertion.camera_station import (
+    CameraStation,
+    best_camera_station,
+    camera_arm,
+    stereo_geometry,
+)
+from controllers.insertion.card_arm import planar
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.belief import MissionBelief, tilt_of
-from controllers.mission.stages.find import eyes
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.drive_to_pose import DriveToPose
 from controllers.placement.mapped_ground import MappedGround
@@ -34,9 +39,7 @@ def mapped_ground(belief: MissionBelief) -> MappedGround:
     """
     if belief.map is None or belief.localization is None:
         return MappedGround(None, RigidTransform.identity())
-    ground = belief.site.insertion.transform_slot_to_ground
-    to_level = belief.transform_slot_to_level * ground.inv()
-    to_map = belief.localization.transform_level_to_world * to_level
+    to_map = belief.localization.transform_level_to_world * belief.transform_ground_to_level
     return MappedGround(belief.map.voxels.surface(), to_map.inv())
 
 
@@ -49,10 +52,8 @@ def choose_station(belief: MissionBelief) -> CameraStation:
     Raises:
         PlacementError: If there is no place.
     """
-    drawing = belief.site.insertion
-    to_level = belief.transform_slot_to_level * drawing.transform_slot_to_ground.inv()
-    start = to_level.inv().translation[:2]
-    return best_camera_station(belief.robot, drawing, ground=mapped_ground(belief), start=start)
+    start, ground = belief.transform_ground_to_level.inv().translation[:2], mapped_ground(belief)
+    return best_camera_station(belief.robot, belief.site.insertion, ground=ground, start=start)
 
 
 class PlaceCamera:
@@ -64,7 +65,6 @@ class PlaceCamera:
 
     Attributes:
         done: Whether it is there, or will get no nearer.
-        found: Whether it has found the panel from there.
         station: Where it shall be.
         stops: How often it has driven and stopped by dead reckoning.
     """
@@ -73,26 +73,20 @@ class PlaceCamera:
 
     def __init__(self, belief: MissionBelief, station: CameraStation) -> None:
         self.done = False
-        self.found = False
         self.station, self.stops = station, 0
         self._belief = belief
         self._set_off()
 
     def _set_off(self) -> None:
         """Drive to the station from where the slot is seen now."""
-        arm = self._belief.robot.arm
-        assert arm is not None
-        self._home = arm.home
-        self._going = DriveToPose(self._belief.steer(), self._path(), free=self._free)
-        self._fold = ArmMove(self._home)
-        self._folded = False
+        self._drive = DriveToPose(self._belief.steer(), self._path(), free=self._free)
+        self._fold, self._folded = ArmMove(self._belief.home), False
         self._search: TargetSearch | None = None
         self._look: ArmMove | None = None
 
     def _path(self) -> FloatArray:
         """Return (3,) x to the right, y ahead [m] and turn [rad] to the station from here."""
-        ground = self._belief.site.insertion.transform_slot_to_ground
-        site = self._belief.transform_slot_to_level * ground.inv()
+        site = self._belief.transform_ground_to_level
         x, y, yaw = self.station.place
         place = site.apply([x, y, 0.0])
         ahead = site.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
@@ -115,8 +109,8 @@ class PlaceCamera:
         if not self._folded:
             self._folded = self._fold.is_there(seen)
             return self._fold.command(seen)
-        if not self._going.done:
-            return self._going.step(seen)
+        if not self._drive.done:
+            return self._drive.step(seen)
         if self._look is None:
             self.stops += 1
             self._reckon()
@@ -132,16 +126,13 @@ class PlaceCamera:
 
     def _reckon(self) -> None:
         """Bring the slot into the new frame by dead reckoning."""
-        odometry, belief = self._going.odometry, self._belief
+        odometry, belief = self._drive.odometry, self._belief
         x, y = odometry.place
-        moved = RigidTransform.from_matrix(_planar_pose(x, y, odometry.yaw))
+        moved = RigidTransform.from_matrix(planar([x, y, odometry.yaw]))
         belief.transform_slot_to_level = moved.inv() * belief.transform_slot_to_level
         far, turned = odometry.distance, odometry.turned
-        added = np.diag(
-            np.square(
-                [0.02, 0.02, 0.03 + 0.05 * turned, 0.02 + 0.05 * far, 0.02 + 0.05 * far, 0.01]
-            )
-        )
+        place = 0.02 + 0.05 * far
+        added = np.diag(np.square([0.02, 0.02, 0.03 + 0.05 * turned, place, place, 0.01]))
         belief.slot_covariance = transport_covariance(moved.inv(), belief.slot_covariance) + added
 
     def _begin_search(self) -> None:
@@ -149,7 +140,7 @@ class PlaceCamera:
         belief, config = self._belief, MapperConfig()
         arm, survey = camera_arm(belief.robot)[0], np.array(config.views.survey)
         extent = belief.site.target.extent
-        self._search = TargetSearch(arm, self._home, survey, extent, config.search)
+        self._search = TargetSearch(arm, belief.home, survey, extent, config.search)
         panel = belief.transform_slot_to_level * belief.site.transform_slot_to_panel.inv()
         self._look = ArmMove(aim(arm, panel.translation, survey))
 
@@ -163,22 +154,13 @@ class PlaceCamera:
         found = belief.map.locate(arm, angles, tilt, pair, config.marker_sigma, config.localization)
         if found is not None:
             belief.localize(found)
-            self.found = True
             if self._missed() and self.stops < _MOST_DRIVES:
                 self._set_off()
             else:
                 self.done = True
             return
-        hints = possible_markers(pair, eyes(belief.robot), belief.site.target)
+        hints = possible_markers(pair, stereo_geometry(belief.robot), belief.site.target)
         goal = self._search.after(angles, hints, tilt)
-        if goal is None:
-            self.done = True
-        else:
+        self.done = goal is None
+        if goal is not None:
             self._look = ArmMove(goal)
-
-
-def _planar_pose(x: float, y: float, yaw: float) -> FloatArray:
-    pose = np.eye(4)
-    c, s = math.cos(yaw), math.sin(yaw)
-    pose[:2] = [[c, -s, 0.0, x], [s, c, 0.0, y]]
-    return pose

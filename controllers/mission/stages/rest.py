@@ -9,7 +9,7 @@ class Rest:
     """Brings the arm home and keeps it there.
 
     Args:
-        belief: What the robot believes.
+        belief: Estimates of the robot.
         name: Name of the stage.
 
     Attributes:
@@ -19,10 +19,8 @@ class Rest:
     done = True
 
     def __init__(self, belief: MissionBelief, name: str) -> None:
-        assert belief.robot.arm is not None
-        self.name = name
-        self._move = ArmMove(belief.robot.arm.home)
+        self.name, self._move = name, ArmMove(belief.home)
 
     def step(self, seen: Observation) -> Command:
-        """Return where the arm goes."""
+        """Return the command of the arm."""
         return self._move.command(seen)

@@ -81,7 +81,7 @@ class Slave:
 
     def card_in_slot(self) -> np.ndarray:
         """Return (4, 4), true."""
-        return inverse(SLOT) @ self.robot() @ self.arm.card_in_robot(self.angles)
+        return inverse(SLOT) @ self.robot() @ self.arm.card_frame(self.angles)
 
     def error(self) -> np.ndarray:
         """Return (5,) `to_plane` of the card in the slot."""
@@ -94,7 +94,7 @@ class Slave:
         """
         slot = RigidTransform.from_matrix(inverse(self.robot()) @ SLOT)
         wrong = RigidTransform.from_exp_coords(np.zeros(6) if error is None else error)
-        believed = (wrong * slot).as_matrix()
+        believed = wrong * slot
         return CardInserter(config(**changes), self.arm, STEER, believed, PRIOR, base)
 
     def look(self) -> Guidance:
@@ -105,7 +105,7 @@ class Slave:
     def observe(self) -> Observation:
         """Return what it measures, without noise; the wrench is that of a level robot."""
         held = self._chain.inverse_dynamics(self.angles, np.zeros(4), np.zeros(4))[1]
-        card = self.arm.card_in_robot(self.angles)
+        card = self.arm.card_frame(self.angles)
         lever = card[:3, 3] - self._base()
         force, moment = card[:3, :3] @ self.push[:3], card[:3, :3] @ self.push[3:]
         outside = np.concatenate([force, moment + np.cross(lever, force)])

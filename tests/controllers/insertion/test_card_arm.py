@@ -20,7 +20,7 @@ def test_card_is_where_mujoco_has_it():
         angles = drawn_angles(arm, rng)
         arm_at(model, data, SLAVE, angles)
         true = in_robot(data, SLAVE, f"{SLAVE}/card").as_matrix()
-        np.testing.assert_allclose(arm.card_in_robot(angles), true, atol=1e-9)
+        np.testing.assert_allclose(arm.card_frame(angles), true, atol=1e-9)
         forward = true[:3, 1]
         assert pitch_of(true) == pytest.approx(np.arcsin(forward[2]))
 
@@ -29,7 +29,7 @@ def test_angles_bring_the_card_where_asked_or_are_none():
     arm, rng = card_arm(), np.random.default_rng(1)
     for _ in range(20):
         angles = drawn_angles(arm, rng)
-        card = arm.card_in_robot(angles)
+        card = arm.card_frame(angles)
         pitch = float(angles[1:].sum())  # as the arm counts it, beyond a quarter turn too
         np.testing.assert_allclose(arm.angles_at(card[:3, 3], pitch, angles), angles, atol=1e-6)
     assert np.isnan(arm.angles_at([0.0, 2.0, 0.0], 0.0, np.zeros(4))).all()

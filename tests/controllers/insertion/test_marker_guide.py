@@ -56,7 +56,7 @@ class Eyes:
         slot = RigidTransform.from_exp_coords(error).inv() * parts.slot_pose
         config = MarkerGuideConfig(DRAWING.card, DRAWING.slot, DRAWING.marker_diameter, None)
         card = ROUGH * parts.card_pose
-        return MarkerGuide(config, ARM, EYES, (slot, PRIOR), card)
+        return MarkerGuide(config, ARM, EYES, (slot, PRIOR), card, self.angles)
 
     def observe(self, stamp: float = 0.0, pair=None) -> Observation:
         image = self.rig.capture(self.data, (self.rng, self.rng)) if pair is None else pair
@@ -150,11 +150,11 @@ def test_pair_that_shows_nothing_gives_no_pose(eyes, kind):
         "noise": rng.integers(0, 256, shape, dtype=np.uint8),
     }[kind]
     marker_guide = eyes.marker_guide()
-    before = marker_guide.slot.as_matrix()
+    before = marker_guide.transform_slot_to_robot.as_matrix()
     _, guidance = marker_guide.step(eyes.observe(pair=pair))
     assert guidance is not None and guidance.transform_slot_to_card is None
     assert not guidance.card_seen and not guidance.slot_seen
-    np.testing.assert_array_equal(marker_guide.slot.as_matrix(), before)
+    np.testing.assert_array_equal(marker_guide.transform_slot_to_robot.as_matrix(), before)
 
 
 def test_frozen_camera_gives_no_pose_though_its_stamps_go_on(eyes):
@@ -194,7 +194,7 @@ def test_camera_goes_to_its_place_no_faster_than_allowed(eyes):
     made = eyes.marker_guide()
     marker_guide = MarkerGuide(
         dataclasses.replace(made.config, rate=0.5), ARM, EYES,
-        (made.slot, PRIOR), made.card, goal,
+        (made.transform_slot_to_robot, PRIOR), made.transform_card_to_robot, goal,
     )  # fmt: skip
     # Before anything is seen it stays.
     blind = eyes.observe(-1.0, np.zeros((2, 492, 510), np.uint8))
@@ -217,7 +217,8 @@ def test_camera_leaves_its_place_only_for_one_that_is_clearly_better(
     eyes.place((0.0, 0.0))
     made = eyes.marker_guide()
     config = dataclasses.replace(made.config, plan=PLAN)
-    guide = MarkerGuide(config, ARM, EYES, (made.slot, PRIOR), made.card, None)
+    slot, card = made.transform_slot_to_robot, made.transform_card_to_robot
+    guide = MarkerGuide(config, ARM, EYES, (slot, PRIOR), card, eyes.angles)
     goal = eyes.angles + [0.1, 0.0, 0.0, 0.0]
     found = dataclasses.replace(
         best_angles(PLAN, true_parts(eyes.data), ARM, EYES, eyes.angles),

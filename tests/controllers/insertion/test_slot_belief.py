@@ -55,7 +55,7 @@ def batch(believed: RigidTransform, seen, spreads) -> tuple[RigidTransform, np.n
 def test_posterior_is_that_of_a_batch_least_squares_fit():
     rng = np.random.default_rng(0)
     believed = small(rng, 4e-3, 2e-3) * SLOT
-    belief = SlotBelief(believed.as_matrix(), PRIOR, STILL)
+    belief = SlotBelief(believed, PRIOR, STILL)
     noise = np.diag([1e-3**2] * 3 + [3e-4**2] * 3)
     own = np.diag([STILL.card[0] ** 2] * 3 + [STILL.card[1] ** 2] * 3)
     seen, spreads = [], []
@@ -79,7 +79,7 @@ def test_errors_are_as_large_as_the_covariance_says():
     noise = np.diag([2e-3**2] * 3 + [4e-4**2] * 3)
     for _ in range(50):
         believed = RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), PRIOR)).inv()
-        belief = SlotBelief((believed * SLOT).as_matrix(), PRIOR, STILL)
+        belief = SlotBelief(believed * SLOT, PRIOR, STILL)
         for number, card in enumerate(cards(rng, 3)):
             belief.note(float(number), card.as_matrix(), 0.0, 0.0, 0.25)
             joints = small(rng, *STILL.card)
@@ -96,7 +96,7 @@ def test_errors_are_as_large_as_the_covariance_says():
 
 def test_late_look_counts_from_where_the_card_was_when_it_was_taken():
     rng = np.random.default_rng(2)
-    start = (small(rng, 4e-3, 2e-3) * SLOT).as_matrix()
+    start = small(rng, 4e-3, 2e-3) * SLOT
     prompt, late = SlotBelief(start, PRIOR, STILL), SlotBelief(start, PRIOR, STILL)
     noise = 1e-7 * np.eye(6)
     ways = cards(rng, 40)
@@ -112,7 +112,7 @@ def test_late_look_counts_from_where_the_card_was_when_it_was_taken():
 
 
 def test_look_older_than_memory_is_not_used():
-    belief = SlotBelief(SLOT.as_matrix(), PRIOR, STILL)
+    belief = SlotBelief(SLOT, PRIOR, STILL)
     card = cards(np.random.default_rng(0), 1)[0]
     guidance = look(0.0, card, SLOT, 1e-7 * np.eye(6))
     assert not belief.take(guidance)  # nothing is remembered yet
@@ -125,7 +125,7 @@ def test_look_older_than_memory_is_not_used():
 
 
 def after(way: float, turned: float, period: float = 0.0) -> SlotBelief:
-    belief = SlotBelief(SLOT.as_matrix(), PRIOR, STILL)
+    belief = SlotBelief(SLOT, PRIOR, STILL)
     card = RigidTransform.from_translation([0.0, 0.5, 0.3])
     belief.note(0.0, card.as_matrix(), way, turned, period)
     return belief
@@ -146,7 +146,7 @@ def test_drift_is_that_of_drawn_errors_of_dead_reckoning():
     """The way's error lies along it, and a turn's grows with the lever to the slot."""
     config = dataclasses.replace(STILL, veer=0.0, bump=0.0)
     way, turned = 0.2, 0.3
-    belief = SlotBelief(SLOT.as_matrix(), np.zeros((6, 6)), config)
+    belief = SlotBelief(SLOT, np.zeros((6, 6)), config)
     card = RigidTransform.from_translation([0.0, 0.5, 0.3])
     belief.note(0.0, card.as_matrix(), way, turned, 0.0)
     along = config.drift**2 * way * config.stretch[0]
@@ -164,7 +164,7 @@ def test_drift_is_that_of_drawn_errors_of_dead_reckoning():
 def test_veer_and_bumps_of_the_way_add_to_turn_tilt_and_height():
     """About the robot itself, where no lever mixes them: rate^2 x way x stretch."""
     config = dataclasses.replace(STILL, drift=0.3, turn_drift=0.4, veer=0.5, bump=0.6)
-    belief = SlotBelief(SLOT.as_matrix(), np.zeros((6, 6)), config)
+    belief = SlotBelief(SLOT, np.zeros((6, 6)), config)
     belief.note(0.0, np.eye(4), 0.2, 0.7, 0.0)
     belief.deviation()
     (stretch, bend), way, turned = config.stretch, 0.2, 0.7
@@ -191,5 +191,5 @@ def test_one_outlier_is_refused_and_a_persistent_one_believed():
 
 def test_deviation_before_the_robot_has_moved_is_the_maps() -> None:
     prior = np.diag([1e-12] * 3 + [9e-6, 4e-6, 1e-6])
-    belief = SlotBelief(np.eye(4), prior, BeliefConfig())
+    belief = SlotBelief(RigidTransform.identity(), prior, BeliefConfig())
     assert belief.deviation() == pytest.approx(3e-3)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.camera_station import CameraStation, camera_arm
+from controllers.insertion.camera_station import CameraStation, camera_arm, stereo_geometry
 from controllers.mapping.localization import RobotLocalization, level_target, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
 from controllers.mission.belief import MissionBelief, tilt_of
 from controllers.mission.exchange import Exchange, SlotPose, TurnShare
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import SiteDrawing
-from controllers.mission.stages.find import VOXEL, eyes
+from controllers.mission.stages.find import VOXEL
 from controllers.mission.stages.place import PlaceCamera, choose_station, mapped_ground
 from controllers.mission.stages.rest import Rest
 from controllers.motion.drive_to_pose import DriveToPose
@@ -83,7 +83,7 @@ def test_a_standing_and_the_drawing_tell_where_the_slot_is(site: SiteDrawing) ->
 
 def _map(target: TargetCad) -> SharedMap:
     voxels = VoxelMap(VoxelGrid(VOXEL, (-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)))
-    return SharedMap(voxels, eyes(ROLES.master), target, 4, (0.25, 2.0))
+    return SharedMap(voxels, stereo_geometry(ROLES.master), target, 4, (0.25, 2.0))
 
 
 def test_a_leaning_rover_sees_the_slot_where_its_lean_puts_it(site: SiteDrawing) -> None:

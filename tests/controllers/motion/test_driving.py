@@ -1,5 +1,6 @@
 """Wheel speeds and motion belong together, and dead reckoning goes where geometry says."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,13 +8,15 @@ import pytest
 
 from controllers.mapping.localization import tilt_to_level
 from controllers.motion.driving import Odometry, SkidSteer, identify_turn_share
-from experiments.ch5.insertion_identify import ROBOT, identify_slip, rover_steer
+from experiments.ch5.insertion_identify import ROBOT, identify_slip
 from models.compose import RobotPlacement
 from tests.models.scenes import make_scene
+from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Channel, Command, Observation, Validity, WheelMode
 from twin.simulation import Simulation
 
 STEER = SkidSteer(0.05, 0.15, turn_share=0.6)
+ROLLING = SkidSteer.of(describe_rover(ROBOT))
 PERIOD = 0.01
 
 
@@ -38,7 +41,7 @@ def slip_drive():
         seen = robot.observe()
         speeds.append(np.array(seen.wheel_speeds.value))
         yaw.append(math.atan2(-chassis.xmat[1], chassis.xmat[4]))
-        wheels = rover_steer().wheel_speeds(0.06, 0.25)
+        wheels = ROLLING.wheel_speeds(0.06, 0.25)
         robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
         simulation.tick()
     simulation.close()
@@ -137,7 +140,10 @@ def test_share_of_mujocos_rover_brings_dead_reckoning_to_its_true_heading(slip_d
     assert 0.2 < share < 1.0 and deviation < 0.01
     speeds, yaw, period = slip_drive
     errors = {}
-    for name, steer in (("rolling", rover_steer()), ("identified", rover_steer(share))):
+    for name, steer in (
+        ("rolling", ROLLING),
+        ("identified", dataclasses.replace(ROLLING, turn_share=share)),
+    ):
         odometry = Odometry(steer, yaw=yaw[0])
         for row in speeds:
             odometry.update(driving(row), period)

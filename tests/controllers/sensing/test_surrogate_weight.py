@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from controllers.insertion.team import surrogate_sensing
 from controllers.motion.base_tilt import drawn_springs
-from experiments.ch5.insertion_identify import rover_steer
+from controllers.motion.driving import SkidSteer
 from models.card_and_slot.stand import TIP
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from tests.controllers.sensing.surrogate_runs import PERIOD, limits, swing, wrench_model
@@ -74,7 +74,7 @@ def drive(seed, weighs, push=0.0):
             deviations.append(np.sqrt(np.diag(state.tilt.covariance)))
             states.append(state)
         forward = 0.06 if GO <= tick < STOP else 0.0
-        wheels = rover_steer().wheel_speeds(forward, 0.0)
+        wheels = SkidSteer.of(describe_rover(ROBOT)).wheel_speeds(forward, 0.0)
         robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
         if push and tick >= STOP + 50:
             simulation.data.xfrc_applied[wrist, 1] = -push

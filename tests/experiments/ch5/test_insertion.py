@@ -43,12 +43,12 @@ def test_fault_ends_as_stated_with_bounded_force(fault):
     )
     result = run_trial(trial)
     inserted, reason = ENDS_IN[fault]
-    assert result["success"] == inserted, result
-    assert result["reason"].startswith(reason)
-    assert result["finite"] and result["peak"] <= ch5_insertion.MOST_FORCE
-    course = result["course"]
+    assert result.success == inserted, result
+    assert result.reason.startswith(reason)
+    assert result.finite and result.peak <= ch5_insertion.MOST_FORCE
+    course = result.course
     assert course.shape[1] == len(COURSE)
-    assert STAGES[int(course[-1, -1])].value == result["stage"]
+    assert STAGES[int(course[-1, -1])] is result.stage
     assert np.isfinite(course[:, :5]).all()
 
 

@@ -113,7 +113,7 @@ def test_masters_camera_begins_where_the_map_says_it_sees_best():
     slot = parts.slot_pose, 1e-6 * np.eye(6)
     arm, head = ARM, EYES
     marker_guide = MarkerGuide(config, arm, head, slot, parts.card_pose, station.angles)
-    angles = marker_guide.begin(station.angles)
+    angles = marker_guide.begin()
     camera = arm.tool_in_robot(angles[None])
     assert in_both_images(camera, parts.card_pose.apply(parts.card.points), head, 5.0)[0]
     begin_with_camera_at(model, angles)
