@@ -68,7 +68,7 @@ def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
 
     Raises:
         OptionError: If the options are bad.
-        ExperimentError: If the experiment says that it is no success; its results are written.
+        ExperimentError: If the experiment reports that it is no success; its results are written.
         Exception: What the experiment raised.
     """
     options_type, run = experiment.load()

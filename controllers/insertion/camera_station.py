@@ -1,7 +1,7 @@
-"""Where a rover stands so that its camera sees card and slot: best views, and random ones.
+"""Camera stations from which a rover sees card and slot: best views, and random ones.
 
-A camera station is a place on the ground with a posture of the arm, for the middle of the approach
-(Thesis section 4.2.3). Places are given in the ground frame of an `InsertionDrawing`.
+A camera station is a rover's pose on the ground with joint angles of the arm, for the middle of the
+approach (Thesis section 4.2.3). Poses are given in the ground frame of an `InsertionDrawing`.
 """
 
 import dataclasses
@@ -22,28 +22,28 @@ from perception.stereo.geometry import StereoGeometry
 from twin.description import RobotDescription, StereoHeadDescription
 
 NEAREST, FARTHEST = 0.35, 1.2
-"""Distances from which a marker can be told [m] (READINGS are of 0.35 to 1.1 m)."""
+"""Distances at which a marker can be detected [m] (READINGS are of 0.35 to 1.1 m)."""
 STEEPEST = math.radians(80.0)
 """Largest angle of a random view with the faces' normal."""
 AIM = math.radians(5.0)
-"""Standard deviation of where a random camera looks from the target, in both angles."""
+"""Standard deviation of a random camera's direction from the target's, in both angles [rad]."""
 GAP = 0.20
-"""Gap of the card before the mouth in the middle of the approach [m], for which a place is
+"""Gap of the card before the mouth in the middle of the approach [m], for which a station is
 chosen."""
-_CLEAR = 0.55  # From the camera rover's middle to the other rover's path [m].
-_FIELD = 1.9  # Half of the square in which the camera rover may stand [m].
-_REACHES = np.arange(0.20, 0.45, 0.01)  # Of the camera before the robot's origin [m].
+_CLEAR = 0.55  # Distance of the camera rover's middle from the other rover's path [m].
+_FIELD = 1.9  # Half of the square in which the camera rover may be [m].
+_REACHES = np.arange(0.20, 0.45, 0.01)  # Distances of the camera before the robot's origin [m].
 _TRIES = 2000
 
 
 @dataclasses.dataclass(frozen=True)
 class CameraStation:
-    """A place for a rover and its camera.
+    """A pose of a rover for its camera.
 
     Attributes:
         place: (3,) x, y [m] and yaw [rad] of the robot, ground frame.
         angles: (4,) joint angles of its arm [rad].
-        distance: From the camera to the target [m].
+        distance: Distance from the camera to the target [m].
         slant: Angle of the view with the faces' normal [rad].
     """
 
@@ -54,11 +54,11 @@ class CameraStation:
 
 
 def watch_plan(head: StereoHeadDescription, drawing: InsertionDrawing) -> WatchPlan:
-    """Return how a camera is placed for card and slot.
+    """Return the candidates of a camera's placement for card and slot.
 
     Args:
         head: The stereo head.
-        drawing: Card and slot.
+        drawing: Card and slot as drawn.
     """
     camera = head.camera
     view = 2.0 * math.atan(camera.width / 2.0 / camera.fx)
@@ -78,19 +78,19 @@ def best_camera_station(
     ground: MappedGround | None = None,
     start: ArrayLike = (0.0, 0.0),
 ) -> CameraStation:
-    """Return where a rover sees card and slot best (Thesis section 4.2.3).
+    """Return the station from which a rover sees card and slot best (Thesis section 4.2.3).
 
-    With a map of the ground, only places that the rover can drive to are considered.
+    With a map of the ground, only stations that the rover can drive to are considered.
 
     Args:
-        robot: The rover that looks.
-        drawing: Card and slot.
+        robot: Rover with the camera.
+        drawing: Card and slot as drawn.
         level: Level of the search.
-        ground: Mapped ground; None if nothing else stands there.
-        start: (2,) where the rover is [m], ground frame; used with ``ground``.
+        ground: Mapped ground; None without obstacles.
+        start: (2,) position of the rover [m], ground frame; used with ``ground``.
 
     Raises:
-        PlacementError: If there is no place.
+        PlacementError: If there is no station.
     """
     arm, head = camera_arm(robot)
     parts, plan, camera = drawing.parts(GAP), watch_plan(head, drawing), head.camera
@@ -129,16 +129,16 @@ def best_camera_station(
 def random_camera_station(
     robot: RobotDescription, drawing: InsertionDrawing, rng: np.random.Generator
 ) -> CameraStation:
-    """Draw a place for a rover whose camera then stays there.
+    """Draw a station for a rover whose camera then stays there.
 
     Directions are uniform before the faces, distances uniform from `NEAREST` to `FARTHEST`, and
-    the camera looks at the target within some degrees: so the target could be seen (the thesis'
+    the camera points at the target within some degrees: so the target could be seen (the thesis'
     "heuristics"), whatever hides it.
 
     Args:
-        robot: The rover that looks.
-        drawing: Card and slot.
-        rng: Random generator for the place.
+        robot: Rover with the camera.
+        drawing: Card and slot as drawn.
+        rng: Random generator for the station.
 
     Raises:
         PlacementError: If none of many could be taken.
@@ -167,19 +167,19 @@ def random_camera_station(
 def base_placement(
     camera: FloatArray, target: FloatArray, arm: SerialChain, centre_height: float
 ) -> CameraStation | None:
-    """Return where a level rover stands so that its camera is at a place and looks at another.
+    """Return the pose of a level rover whose camera has a position and points at another.
 
     It faces the target with its arm straight ahead, so that it came by driving straight (Thesis
     section 5.2, assumption 3), and has its joints as far from their limits as can be.
 
     Args:
-        camera: (3,) place of the left camera [m], ground frame.
+        camera: (3,) position of the left camera [m], ground frame.
         target: (3,) point on its axis [m], ground frame.
         arm: The arm with the camera.
         centre_height: Height of the robot frame over level ground [m].
 
     Returns:
-        The place; None if the arm cannot.
+        The station; None if the arm cannot reach it.
     """
     view = np.asarray(target, dtype=float) - camera
     distance = float(np.linalg.norm(view))
@@ -208,7 +208,7 @@ def base_placement(
 
 
 def is_clear(station: CameraStation) -> bool:
-    """Say whether a rover may stand there: on the field, and clear of the card's path."""
+    """Return whether a station is on the field and clear of the card's path."""
     x, y, _ = station.place
     nearest = min(max(y, -1.0), 0.15)  # of the other rover's path and the slot
     return math.hypot(x, y - nearest) > _CLEAR and max(abs(x), abs(y)) < _FIELD

@@ -1,9 +1,9 @@
-"""The slave: it brings the card to the slot by the master's looks, then inserts it by force.
+"""The slave: it brings the card to the slot by the master's views, then inserts it by force.
 
-Vehicle and arm are one redundant chain: the arm keeps the card before the slot where the last looks
-and dead reckoning believe it to be, at every servo tick, and the wheels bring the robot to where
-the arm is at ease, while it is still far. Close to the slot the wheels stand, and the arm alone
-moves (thesis section 5.1: vision guides in classical visual servo control).
+Vehicle and arm are one redundant chain: the arm keeps the card before the slot by the last views
+and dead reckoning, at every servo tick, and the wheels bring the robot to where the arm has its
+easy range, while it is still far. Close to the slot the wheels are at rest, and the arm alone moves
+(thesis section 5.1: vision guides in classical visual servo control).
 """
 
 import dataclasses
@@ -42,7 +42,7 @@ class InsertionStage(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class CardInserterConfig:
-    """How the slave moves.
+    """Speeds, tolerances and timeouts of the slave.
 
     Attributes:
         guide: Configuration of the force-guided insertion.
@@ -50,23 +50,23 @@ class CardInserterConfig:
         reach: Distance of the card's edge ahead of the robot in the arm's easy range [m].
         stand_off: Card's distance before the mouth when vision hands over to force [m].
         speed: Largest speed of the wheels [m/s].
-        slowing: Gain by which the wheels slow near their place, speed over distance [1/s].
-        turn: Turning rate of the robot, at most [rad/s].
+        slowing: Gain by which the wheels slow near their goal, speed over distance [1/s].
+        turn: Largest turning rate of the robot [rad/s].
         card_speed: Speed at which the arm moves the card [m/s].
-        card_turn: Its turning rate [rad/s].
-        near: Distance of the robot to its place at which the wheels stop [m].
-        look_ahead: Over which the robot steers onto the slot's line [m].
-        aligned: Across and ahead [m] and turn [rad] within which the card stands before the slot.
-        looks: How many looks in a row have to say so.
-        patience: Time before the slot after which the card goes in as believed [s].
-        stale: Age of the last look from which on the slave goes on by dead reckoning [s]: as long
-            as it knows the slot's place well enough, else it stands still.
-        known: Deviation of the slot's place with which that is well enough [m].
-        lost: Age of the last look after which it gives up [s].
-        first: Time without a first look after which it gives up [s]; until then nothing moves.
+        card_turn: Turning rate at which the arm pitches the card [rad/s].
+        near: Distance of the robot to its goal at which the wheels stop [m].
+        look_ahead: Distance over which the robot steers onto the slot's line [m].
+        aligned: Errors across and ahead [m] and turn [rad] within which the card is aligned.
+        looks: Number of views in a row that have to show it aligned.
+        patience: Time before the slot after which the card is inserted by the estimate [s].
+        stale: Age of the last view beyond which the slave continues by dead reckoning [s] while
+            the slot's covariance is small enough, else it stops.
+        known: Standard deviation of the slot's position that is small enough for that [m].
+        lost: Age of the last view after which it gives up [s].
+        first: Time without a first view after which it gives up [s]; until then nothing moves.
         settle: Time over which the wrench is tared [s].
         force_limit: Contact force at which everything stops [N].
-        timeout: For the whole task [s].
+        timeout: Time for the whole task [s].
         period: Servo tick [s].
     """
 
@@ -108,12 +108,12 @@ class CardInserter:
 
     Attributes:
         config: Speeds, tolerances and timeouts.
-        stage: What the slave is doing.
+        stage: Stage of the slave.
         reason: Why it stopped; empty if it did not.
         guide: Guide of the insertion by force; None before it begins.
         contact: (6,) force and moment on the card less the tare, card frame [N, N m].
         belief: Estimate of the slot's pose.
-        error: (5,) `to_plane` of the card in the last view, from where it stands off; NaN before.
+        error: (5,) `to_plane` of the card in the last view, from its stand-off; NaN before.
     """
 
     def __init__(
@@ -135,12 +135,12 @@ class CardInserter:
         self._odometry = Odometry(steer)
         self._levelled = False
         self._load = 0.0  # Force that must not grow too large [N].
-        self._time, self._since, self._last_look = 0.0, 0.0, -math.inf
+        self._time, self._since, self._last_view = 0.0, 0.0, -math.inf
         self._good = 0
         self._tare: list[FloatArray] = []
         self._offset = np.zeros(6)
         self._wanted = np.empty(0)  # Joint angles; empty before the first step.
-        # When force began to guide: the slot in the robot, its up, and how the arm weighed on it.
+        # At the hand-over to force: slot and up in the robot frame, and the arm's weight on it.
         self._slot = self.belief.slot_in_start
         self._up, self._weight = np.array([0.0, 0.0, 1.0]), np.zeros(6)
 
@@ -149,12 +149,12 @@ class CardInserter:
         """Whether it has ended, in DONE or FAILED."""
         return self.stage in (InsertionStage.DONE, InsertionStage.FAILED)
 
-    def step(self, seen: Observation, looks: Sequence[Guidance]) -> Command:
-        """Take what was measured and heard, and return the next command.
+    def step(self, seen: Observation, views: Sequence[Guidance]) -> Command:
+        """Take what was measured and received, and return the next command.
 
         Args:
             seen: Observation of the slave.
-            looks: Guidance of the master that came over the radio since the last step.
+            views: Guidance of the master that arrived by radio since the last step.
         """
         config = self.config
         self._time += config.period
@@ -165,14 +165,14 @@ class CardInserter:
         if not len(self._wanted):
             self._wanted = angles.copy()
         self._reckon(seen, angles)
-        self._listen(looks)
+        self._listen(views)
         self._feel(seen, angles)
         if not self.over and self._time > config.timeout:
             return self._fail("out of time", angles)
         if not self.over and self._load > config.force_limit:
             return self._fail("force", angles)
         if self.stage is InsertionStage.WAIT:
-            if self._last_look > -math.inf:
+            if self._last_view > -math.inf:
                 self._enter(InsertionStage.APPROACH)
             elif self._time > config.first:
                 return self._fail("target not seen", angles)
@@ -184,10 +184,10 @@ class CardInserter:
         return self._hold()
 
     def stop(self, reason: str) -> None:
-        """Stand still for good, for a reason from outside.
+        """Stop for good, for a reason from outside.
 
         Args:
-            reason: Why.
+            reason: Reason to report.
         """
         if not self.over:
             self.stage, self.reason = InsertionStage.FAILED, reason
@@ -196,7 +196,7 @@ class CardInserter:
         self.stage, self._since, self._good = stage, self._time, 0
 
     def _fail(self, reason: str, angles: FloatArray, arm: bool = True) -> Command:
-        # The first reason counts, and a card that is in stays in.
+        # The first reason counts, and a card that is seated stays so.
         self.stop(reason)
         if arm:
             self._wanted = angles.copy()
@@ -206,7 +206,7 @@ class CardInserter:
         return Command(wheels, self._wanted, WheelMode.SPEED, ArmMode.POSITION, rates)
 
     def _reckon(self, seen: Observation, angles: FloatArray) -> None:
-        """Bring dead reckoning on; the tilt counts from where it was at the start."""
+        """Advance dead reckoning; the tilt counts from that of the start."""
         before, turned = self._odometry.distance, self._odometry.turned
         self._odometry.update(seen, self.config.period)
         if not self._levelled and seen.inclinometer.usable:
@@ -219,21 +219,21 @@ class CardInserter:
         card = self._odometry.pose() @ self._arm.card_frame(angles)
         self.belief.note(seen.time, card, driven, turn, self.config.period)
 
-    def _listen(self, looks: Sequence[Guidance]) -> None:
-        for look in looks:
-            if look.card_seen or look.slot_seen:
-                self._last_look = self._time
-            if self.stage is InsertionStage.INSERT or self.over or not self.belief.take(look):
+    def _listen(self, views: Sequence[Guidance]) -> None:
+        for view in views:
+            if view.card_seen or view.slot_seen:
+                self._last_view = self._time
+            if self.stage is InsertionStage.INSERT or self.over or not self.belief.take(view):
                 continue
-            assert look.transform_slot_to_card is not None
-            self.error = to_plane(look.transform_slot_to_card.inv().as_matrix())
+            assert view.transform_slot_to_card is not None
+            self.error = to_plane(view.transform_slot_to_card.inv().as_matrix())
             self.error[1] += self.config.stand_off
             across, turn = self.config.aligned
             fits = np.all(np.abs(self.error[:3]) < [across, across, turn])
             self._good = self._good + 1 if fits else 0
 
     def _feel(self, seen: Observation, angles: FloatArray) -> None:
-        """Work out what touches the card, less what it was when nothing did."""
+        """Estimate the contact wrench on the card, less its tare."""
         felt, inserts = np.full(6, np.nan), self.stage is InsertionStage.INSERT
         up = level_of(seen).specific_force / GRAVITY
         if not inserts:
@@ -254,9 +254,9 @@ class CardInserter:
         self._load = float(np.linalg.norm(touched[:3]))
 
     def _go(self, angles: FloatArray) -> Command:
-        """Bring the card before the slot, with wheels and arm."""
+        """Bring the card before the slot, by wheels and arm."""
         config = self.config
-        age = self._time - self._last_look
+        age = self._time - self._last_view
         if age > config.lost:
             return self._fail("target not seen", angles)
         if age > config.stale and self.belief.deviation() > config.known:
@@ -268,7 +268,7 @@ class CardInserter:
             wheels = self._steer_to(slot, gap)
             if abs(gap) < config.near:
                 self._enter(InsertionStage.ALIGN)
-        # While the robot is away, the card stays where the arm is at ease.
+        # While the robot is away, the card stays in the arm's easy range.
         away = max(gap, 0.0) if self.stage is InsertionStage.APPROACH else 0.0
         rates = self._bring(slot @ planar([0.0, -config.stand_off - away, 0.0]))
         if self.stage is InsertionStage.ALIGN:
@@ -309,7 +309,7 @@ class CardInserter:
         return rates
 
     def _hand_over(self, slot: FloatArray) -> None:
-        """Let force guide from here; the slot stays in the world where it is believed now."""
+        """Let force guide from here; the slot's estimate stays fixed in the world."""
         self._slot = slot
         self._weight = self._arm.weight(self._wanted, self._up)
         start = to_plane(inverse(slot) @ self._arm.card_frame(self._wanted))

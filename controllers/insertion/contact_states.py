@@ -65,9 +65,9 @@ class StateEstimate:
     Attributes:
         state: Contact state, 1 to 6.
         side: 1 as in `contact.STATES`, -1 for the mirror image.
-        cost: Cost of the chosen hypothesis: squared distances, whitened.
+        cost: Cost of the chosen hypothesis, of whitened squared distances.
         margin: Cost of the best other state less that of the chosen one.
-        pose: (3,) believed pose, moved so that the features meet.
+        pose: (3,) pose estimate, moved so that the features meet.
     """
 
     state: int
@@ -84,13 +84,13 @@ def classify(
     pose: FloatArray,
     covariance: FloatArray,
 ) -> StateEstimate:
-    """Return the contact state that explains wrench and believed pose best.
+    """Return the contact state that explains wrench and pose estimate best.
 
     Args:
         shape: Shapes of card and slot.
         wrench: (3,) wrench by the slot on the card, card's frame [N, N, N m].
         noise: Standard deviations of the wrench's noise.
-        pose: (3,) believed pose of the card in the slot's frame [m, m, rad].
+        pose: (3,) pose estimate of the card in the slot's frame [m, m, rad].
         covariance: (3, 3) covariance of the pose.
 
     Returns:
@@ -160,7 +160,7 @@ def _rate(
 def _meet(
     shape: CardInSlot, pose: FloatArray, covariance: FloatArray, state: int, side: int
 ) -> _Meeting:
-    """Move a believed pose to where a state's features meet."""
+    """Move a pose estimate to where a state's features meet."""
     met = pose.copy()
     for _ in range(_STEPS):
         gaps, rows, gain = _pull(contacts_of(shape, met, state, side), covariance)

@@ -1,4 +1,4 @@
-"""What the robots have a drawing of: card, slot, their markers, and what stands about them.
+"""Drawing of card and slot, their markers, and the obstacles about them.
 
 Card and slot have the same axes when the card is in: x across, y ahead into the slot, z out of the
 marked faces (Thesis section 5.2). The ground frame lies on level ground below the middle of the
@@ -25,9 +25,9 @@ class InsertionDrawing:
         card_width: Width of the card, across [m].
         card_length: Length of the card, ahead [m].
         friction: Coulomb coefficient between card and slot.
-        tip: From the joint of the wrist that holds the card to the middle of the card's leading
-            edge [m].
-        transform_slot_to_ground: From the slot to the ground frame.
+        tip: Distance from the joint of the wrist that holds the card to the middle of the card's
+            leading edge [m].
+        transform_slot_to_ground: Transform from the slot to the ground frame.
         card_holder: (K, 3) corners of a box about what carries the card [m], card frame.
         slot_holder: (L, 3) corners of a box about what holds the slot [m], slot frame.
     """
@@ -47,7 +47,7 @@ class InsertionDrawing:
         """Return card and slot before each other, ground frame.
 
         Args:
-            gap: From the card's leading edge to the mouth [m].
+            gap: Distance from the card's leading edge to the mouth [m].
         """
         slot = self.transform_slot_to_ground
         card = RigidTransform.from_components(slot.translation - [0.0, gap, 0.0], slot.rotation)

@@ -1,4 +1,4 @@
-"""What the master tells the slave: where the slot is from the card, as its cameras saw it.
+"""Message of the master to the slave: the slot's pose from the card, by the master's cameras.
 
 A message of 60 bytes, so that one frame of the radio carries it: time, what was seen, the pose in
 steps of 20 um and 0.1 mrad, and its covariance's 21 numbers in half precision.
@@ -23,7 +23,7 @@ _UPPER = np.triu_indices(6)
 
 
 class GuidanceError(ValueError):
-    """A message that cannot be sent, or that is none."""
+    """A message that cannot be sent or decoded."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,13 +70,13 @@ class Guidance:
 
 
 def unpack(message: bytes) -> Guidance:
-    """Return what a message says.
+    """Return the guidance of a message.
 
     Args:
-        message: From `Guidance.pack`.
+        message: Bytes of `Guidance.pack`.
 
     Raises:
-        GuidanceError: If it is no such message.
+        GuidanceError: If it is not such a message.
     """
     if len(message) != _FORM.size or message[0] != KIND:
         raise GuidanceError(f"no guidance message: {len(message)} bytes, begins {message[:1]!r}")
@@ -110,7 +110,7 @@ class GuidanceLink:
         What lies out of a message's range is left out: something was mistaken for card or slot.
 
         Args:
-            guidance: What the master sees; None for nothing new.
+            guidance: View of the master; None without a new one.
         """
         if guidance is not None:
             with contextlib.suppress(GuidanceError):

@@ -1,8 +1,8 @@
 """Force-guided insertion: motion in the direction of least resistance (Thesis section A.4).
 
 The guide knows the wrench at the hand, its own commands, and shape, friction and stiffness; never
-where the slot truly is. Poses (x, y, theta) are of the card in the frame of the slot as believed,
-y into the slot. It needs no vision once it has begun.
+the slot's true pose. Poses (x, y, theta) are of the card in the frame of the slot as estimated, y
+into the slot. It needs no vision once it has begun.
 
 - A force against the leading edge before the card is in: hold it at a small push, and slide away
   from the side where the line of action meets the edge (states 1 and 3).
@@ -26,7 +26,7 @@ _MEDIAN = 3  # Samples of which the middle counts: one bad sample is no contact.
 
 
 class Phase(enum.Enum):
-    """What the guide is doing."""
+    """Phase of an insertion."""
 
     APPROACH = "approach"
     SLIDE = "slide"
@@ -61,7 +61,7 @@ class GuideConfig:
         jam_time: Time without progress that makes a jam [s].
         progress: Least advance that is progress [m].
         retreat: Distance drawn back after a jam [m].
-        retries: How often the insertion is begun again.
+        retries: Largest number of further attempts.
         reach: Largest distance across from the start [m].
         turn_reach: Largest turn from the start [rad].
         lost_time: Time without a wrench after which the guide gives up [s].
@@ -113,9 +113,9 @@ class InsertionGuide:
 
     Attributes:
         config: Shape, friction, stiffness, gains and limits.
-        phase: What the guide is doing.
+        phase: Phase of the insertion.
         reason: Why it drew back or gave up last; empty if it did not.
-        tries: How often the insertion was begun again.
+        tries: Number of further attempts so far.
         command: (3,) commanded pose [m, m, rad].
 
     Raises:

@@ -32,7 +32,7 @@ class MarkerGuideConfig:
         card: Markers of the card.
         slot: Markers of the slot.
         diameter: Diameter of a marker [m].
-        plan: How the camera is placed; None leaves it where it is.
+        plan: Candidates of the camera's placement; None leaves it where it is.
         detector: Name in `perception.markers.bodies.DETECTORS`.
         turned: Deviation of the card's attitude from the slot's, before it is seen [rad].
         wander: Deviations of turn [rad] and place [m] by which the slot's covariance grows before
@@ -75,7 +75,7 @@ class MarkerGuide:
         slot_covariance: (6, 6) covariance of its xi.
         transform_card_to_robot: Estimate of the card's pose.
         fits: Fits of card and slot in the last pair; None for what was not seen.
-        moves: How often the camera was placed anew.
+        moves: Number of times that the camera was placed anew.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controllers.insertion.cooperation import REPORT, SET_POINT, Grip, HybridGrip, decode, encode
-from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
+from controllers.insertion.guide import GuideConfig, InsertionGuide
 from controllers.motion.base_motion import level_of
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
@@ -22,7 +22,7 @@ from twin.robot import Command, Observation
 
 
 class Stage(enum.Enum):
-    """What the pair is doing."""
+    """Stage of the pair."""
 
     HOLD = "hold"
     CARRY = "carry"
@@ -39,7 +39,7 @@ class PairConfig:
         master: The master's grip.
         slave: The slave's grip.
         mouth: (2,) s, z of the mouth's middle by the master's estimate [m]; the stage is level.
-        guide: How the segment is inserted; `card_width` is its web's.
+        guide: Configuration of the insertion; `card_width` is that of the segment's web.
         stand_off: Height of the leading edge above the mouth before the insertion [m].
         hold: Time in which the tilt is taken and the forces settle [s].
         carry: Time of the path to the mouth [s].
@@ -124,7 +124,8 @@ class Master(_Partner):
         guide: Insertion guide, by force or straight ahead.
 
     Attributes:
-        stage: What the pair is doing.
+        stage: Stage of the pair.
+        guide: Insertion guide, by force or straight ahead.
         target: (3,) planned pose of the segment, plan frame; NaN while it holds.
         felt: (3,) wrench by the stage on the segment as both grips measure it, in the guide's
             frame; None without it.
@@ -140,25 +141,10 @@ class Master(_Partner):
         self.stage = Stage.HOLD
         self.target = np.full(3, np.nan)
         self.felt: FloatArray | None = None
-        self._guide = guide(config.guide, np.array([0.0, -config.stand_off, 0.0]))
+        self.guide = guide(config.guide, np.array([0.0, -config.stand_off, 0.0]))
         self._time = 0.0
         self._tare: list[FloatArray] = []
         self._weight, self._rate, self._begin = np.zeros((3, 3))
-
-    @property
-    def success(self) -> bool:
-        """Whether the guide believes the segment seated."""
-        return self._guide.phase is Phase.DONE
-
-    @property
-    def reason(self) -> str:
-        """Why the guide drew back or gave up last; empty if it did not."""
-        return self._guide.reason
-
-    @property
-    def tries(self) -> int:
-        """How often the insertion was begun again."""
-        return self._guide.tries
 
     def step(self, seen: Observation, heard: list[bytes]) -> tuple[Command, bytes | None]:
         """Return the arm's command and a message for the slave, None if there is none.
@@ -205,8 +191,8 @@ class Master(_Partner):
                 self._weight = np.mean(self._tare, axis=0)
                 self.stage = Stage.INSERT
         elif self.stage is Stage.INSERT:
-            self.target = self._to_plan(self._guide.step(self.felt))
-            if self._guide.over:
+            self.target = self._to_plan(self.guide.step(self.felt))
+            if self.guide.over:
                 self.stage = Stage.OVER
         self._rate = (self.target - before) / config.period
 

@@ -109,7 +109,7 @@ def pose_of(points: ArrayLike) -> RigidTransform:
     """Return the transform from a body to the camera by its three points (thesis eq. 5-2).
 
     Args:
-        points: (3, 3) as for `euler_angles`.
+        points: (3, 3) three points as for `euler_angles` [m], camera frame.
     """
     return RigidTransform.from_components(_checked(points)[0], turn_of(euler_angles(points)))
 
@@ -127,7 +127,7 @@ def base_in_camera(
 
 
 def required_motion(goal: ArrayLike, card: ArrayLike) -> RequiredMotion:
-    """Return the motion that eq. 5-4 asks for, with the angles of `euler_angles`.
+    """Return the motion of eq. 5-4, with the angles of `euler_angles`.
 
     Args:
         goal: (3, 3) the goal's three points [m], camera frame.

@@ -29,8 +29,8 @@ class BeliefConfig:
         veer: Turn that was not commanded, per distance [rad/m].
         bump: Tilt per distance that the inclinometer misses [rad/m], and rise per distance.
         stretch: Distance [m] and turn [rad] in which these errors stay alike.
-        standing: Deviations of turn [rad] and place [m] that a second at rest adds.
-        card: Deviations of turn [rad] and place [m] of the card by the arm's joints.
+        standing: Deviations of turn [rad] and position [m] that a second at rest adds.
+        card: Deviations of turn [rad] and position [m] of the card by the arm's joints.
         gate: Squared distance, whitened, beyond which a view is refused (six degrees of freedom).
         refusals: Refused views in a row after which the next one is used all the same.
         memory: Time for which poses of the card are stored [s].
@@ -57,7 +57,7 @@ class SlotBelief:
         config: Noise and gate.
 
     Attributes:
-        slot_in_start: (4, 4) from the slot to the frame of dead reckoning.
+        slot_in_start: (4, 4) transform from the slot to the frame of dead reckoning.
         covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * slot_in_start``.
         innovation: Squared distance, whitened, of the last view from the estimate.
         refused: Number of views refused in a row.

@@ -1,4 +1,4 @@
-"""Where the master's camera sees card and slot best, of all places that its standing arm reaches.
+"""Best view of card and slot for the master's camera, of all that its arm reaches at rest.
 
 The target is the region between card and slot with the markers of both (thesis figures 5-2, 5-3):
 all of them must be in both images, and what carries the card must not hide them.
@@ -25,16 +25,16 @@ _AS_GOOD = 0.95  # Ratio of ratings that do not matter.
 
 @dataclasses.dataclass(frozen=True)
 class WatchPlan:
-    """How a place is chosen.
+    """Candidates and rating of the camera's placement.
 
     Attributes:
-        lens: The camera.
+        lens: Lens of the camera.
         carrier: (K, 3) corners of what carries the card [m], card frame.
         stand: (L, 3) corners of what holds the slot [m], slot frame.
-        distances: (R,) of the camera from the target that are tried [m].
-        pitches: (S,) of the view above the horizon that are tried [rad].
+        distances: (R,) candidate distances of the camera from the target [m].
+        pitches: (S,) candidate pitches of the view above the horizon [rad].
         border: Pixels that markers keep from the images' edges.
-        exponents: Of eq. 4-1.
+        exponents: Exponents of eq. 4-1.
     """
 
     lens: Lens
@@ -48,13 +48,13 @@ class WatchPlan:
 
 @dataclasses.dataclass(frozen=True)
 class SeenParts:
-    """Card and slot, as believed in one frame.
+    """Poses of card and slot in one frame, with their markers.
 
     Attributes:
-        card_pose: The transform from the card to the frame.
-        slot_pose: The same of the slot.
-        card: Its markers.
-        slot: Its markers.
+        card_pose: Transform from the card to the frame.
+        slot_pose: Transform from the slot to the frame.
+        card: Markers of the card.
+        slot: Markers of the slot.
     """
 
     card_pose: RigidTransform
@@ -70,12 +70,12 @@ class SeenParts:
 
 @dataclasses.dataclass(frozen=True)
 class ArmChoice:
-    """The best place for the camera.
+    """The best view for the camera.
 
     Attributes:
-        angles: (4,) of the joints [rad].
+        angles: (4,) joint angles [rad].
         rating: Rating of the view there; 0 if none shows everything.
-        rating_now: Rating of the view from the angles that were asked about.
+        rating_now: Rating of the view from the present angles.
     """
 
     angles: FloatArray
@@ -89,10 +89,10 @@ def target_field(
     """Return the target between card and slot with what may hide it.
 
     Args:
-        plan: Shapes.
-        parts: Where they are, in any frame.
-        whole: Both card and slot; if not, the card alone.
-        others: What else may hide it, in the same frame.
+        plan: Shapes of what carries the card and of what holds the slot.
+        parts: Poses of card and slot, in any frame.
+        whole: Whether the target is both card and slot; if not, the card alone.
+        others: Further occluders, in the same frame.
 
     Raises:
         PlacementError: If the target lies in an occluder.
@@ -122,11 +122,11 @@ def best_angles(
     """Return the joint angles with the best view of card and slot, or if none shows both, the card.
 
     Args:
-        plan: What is tried.
-        parts: Where card and slot are, robot frame.
-        arm: Arm of the robot that looks.
+        plan: Candidates of the placement.
+        parts: Poses of card and slot, robot frame.
+        arm: Arm with the camera.
         geometry: Geometry of its stereo pair.
-        now: (4,) angles to compare with [rad].
+        now: (4,) present joint angles to compare with [rad].
     """
     for whole in (True, False):
         choice = _best_of(plan, parts, arm, geometry, now, whole)
@@ -156,14 +156,14 @@ def _best_of(
     places = np.asarray(cameras.translation)
     rated = rate_positions(field, plan.lens, places, None, plan.exponents)
     ratings = np.where(seen, [view.rating for view in rated], 0.0)
-    # Of views that are as good, the one that the arm is nearest to.
+    # Of views that are as good, the one nearest to the arm's present angles.
     good = np.flatnonzero(ratings >= _AS_GOOD * ratings.max())
     best = int(good[np.argmin(np.abs(angles[good] - now).max(axis=1))])
     return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]))
 
 
 def above_its_foot(arm: SerialChain, angles: FloatArray) -> NDArray[np.bool_]:
-    """Say in which postures (N, joints) the arm stays above the plane that it stands on.
+    """Return for which joint angles (N, joints) the arm stays above the plane of its base.
 
     Below are deck and ground: an arm that reaches there lifts its own robot.
     """
@@ -176,13 +176,13 @@ def above_its_foot(arm: SerialChain, angles: FloatArray) -> NDArray[np.bool_]:
 def in_both_images(
     cameras: RigidTransform, points: FloatArray, geometry: StereoGeometry, border: float
 ) -> NDArray[np.bool_]:
-    """Say for each camera (N of them) whether all points (K, 3) are within both images.
+    """Return for each of N cameras whether all points (K, 3) are within both images.
 
     Args:
-        cameras: From the left camera to the points' frame.
-        points: [m].
+        cameras: Transforms from the left camera to the points' frame.
+        points: (K, 3) points [m].
         geometry: Geometry of the stereo pair.
-        border: Kept free [px].
+        border: Width of the images' edges that does not count [px].
     """
     rotations = cameras.rotation.as_matrix()
     local = np.einsum("nji,nkj->nki", rotations, points - cameras.translation[:, None])

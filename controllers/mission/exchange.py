@@ -33,7 +33,7 @@ class StagesDone:
 
 @dataclasses.dataclass(frozen=True)
 class ArmPosture:
-    """Where the sender's arm is now.
+    """Present posture of the sender's arm.
 
     Attributes:
         angles: (n,) joint angles [rad]; None if they are not known.
@@ -54,13 +54,13 @@ class CardMet:
 
 @dataclasses.dataclass(frozen=True)
 class SlotPose:
-    """Where the slot is from the sender.
+    """Pose of the slot from the sender.
 
     Attributes:
-        transform_slot_to_robot: From the slot to the sender's robot frame.
-        covariance: (6, 6) of its twist.
+        transform_slot_to_robot: Transform from the slot to the sender's robot frame.
+        covariance: (6, 6) covariance of its twist.
         tilt: (2,) pitch and roll of the sender then [rad].
-        met: Whether it was measured; if not it is drawn.
+        met: Whether the pose was measured; if not it is drawn.
     """
 
     transform_slot_to_robot: RigidTransform
@@ -71,7 +71,7 @@ class SlotPose:
 
 @dataclasses.dataclass(frozen=True)
 class TurnShare:
-    """What skidding leaves of turns on this ground.
+    """Share of turns that skidding leaves on this ground.
 
     Attributes:
         share: Share of rolling wheels' turn.
@@ -85,21 +85,21 @@ class ArmReady:
     """Whether the sender's arm is where the insertion begins.
 
     Attributes:
-        ready: Whether it is there, at rest.
+        ready: Whether the arm is there, at rest.
     """
 
     ready: bool
 
 
 class Exchange:
-    """The only way between the robots.
+    """The only channel between the robots.
 
     Args:
         links: Each robot's end of the radio, by robot name.
 
     Attributes:
         guidance: Each robot's end of the radio, for guidance, by robot name.
-        mapper: The map that both build; None before they do.
+        mapper: Mapper of the map that both build; None before they do.
     """
 
     def __init__(self, links: Mapping[str, Link]) -> None:
@@ -108,7 +108,7 @@ class Exchange:
         self._posted: dict[tuple[str, type], object] = {}
 
     def post(self, robot: str, message: object) -> None:
-        """Let the other robot read a message, in place of the one before of its kind.
+        """Post a message for the other robot, in place of the one before of its kind.
 
         Args:
             robot: Name of the sender.

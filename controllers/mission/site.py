@@ -1,6 +1,6 @@
-"""The drawing of a mission's site: slot and panel, the card, and where the rovers begin.
+"""The drawing of a mission's site: slot and panel, the card, and the rovers' initial poses.
 
-Places are given in the ground frame: on level ground below the middle of the slot's mouth, z up,
+Poses are given in the ground frame: on level ground below the middle of the slot's mouth, z up,
 y into the slot.
 """
 
@@ -23,13 +23,13 @@ measured."""
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SiteDrawing:
-    """What both robots have a drawing of.
+    """Drawing of the site, which both robots have.
 
     Attributes:
-        insertion: Card and slot.
+        insertion: Drawing of card and slot.
         target: Markers of the panel.
-        transform_slot_to_panel: From the slot to the panel.
-        covariance: (6, 6) of the twist xi in
+        transform_slot_to_panel: Transform from the slot to the panel.
+        covariance: (6, 6) covariance of the twist xi in
             ``true = from_exp_coords(xi) * transform_slot_to_panel``.
         initial_poses: x, y [m] and yaw [rad] at which each robot should begin, by robot name,
             ground frame.
@@ -55,17 +55,17 @@ class SiteDrawing:
             [x, y, height], Rotation.from_euler("z", yaw)
         )
         slot = robot_in_site.inv() * self.insertion.transform_slot_to_ground
-        far, turn = (error / math.sqrt(3.0) for error in self.initial_error)  # evenly spread
+        far, turn = (error / math.sqrt(3.0) for error in self.initial_error)  # uniform errors
         return slot, np.diag(np.square([_TILT, _TILT, turn, far, far, _HEIGHT]))
 
 
 @dataclasses.dataclass(frozen=True)
 class MissionRoles:
-    """Who does what.
+    """Roles of the rovers.
 
     Attributes:
-        master: The rover that looks.
-        slave: The rover that holds the card.
+        master: Rover with the camera.
+        slave: Rover that holds the card.
     """
 
     master: RobotDescription

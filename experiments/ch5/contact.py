@@ -18,6 +18,7 @@ from experiments.ch5.contact_figures import (
 from experiments.ch5.contact_record import record_insertion
 from experiments.ch5.contact_trial import (
     CLASSIFIED_NOISES,
+    IMPOSSIBLE,
     NOISES,
     OTHER_SIGMAS,
     RINGS,
@@ -34,8 +35,6 @@ from experiments.harness.sweep import sweep
 from models.datasheets import CARD_AND_SLOT, INCH
 
 METHODS = ("guided", "unguided")
-IMPOSSIBLE = 4.2 * INCH
-"""Width of a slot that the card cannot enter [m]."""
 SINGLE = (1, 2, 3, 6)
 Cells = dict[tuple[str, float, int], list[InsertionResult]]
 

@@ -1,4 +1,4 @@
-"""The bench of ch5-contact: a card on a compliant hand at a slot, and what truly touches."""
+"""The bench of ch5-contact: a card on a compliant hand at a slot, and its true contacts."""
 
 import math
 
@@ -117,10 +117,10 @@ def press(bench: Bench, pose: FloatArray, wrench: FloatArray, seconds: float = 0
     """Hold the card at a pose so that the hand's springs balance a wrench.
 
     Args:
-        bench: Is set anew.
-        pose: (3,) of the card.
-        wrench: (3,) that the slot shall put on the card, card's frame.
-        seconds: To come to rest [s].
+        bench: Bench to set anew.
+        pose: (3,) pose of the card [m, m, rad].
+        wrench: (3,) wrench by the slot on the card, card's frame [N, N, N m].
+        seconds: Time to come to rest [s].
     """
     force = turn(pose[2]) @ wrench[:2]
     command = pose - [*(force / HAND.stiffness), wrench[2] / HAND.turn_stiffness]

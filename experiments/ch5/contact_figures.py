@@ -124,7 +124,7 @@ def draw_courses(courses: Mapping[str, FloatArray]) -> Figure:
     """Draw pose and forces of one misalignment over time, a column for each method.
 
     Args:
-        courses: (n, 11) by method, as `InsertionResult.course`.
+        courses: (n, 11) courses by method, as in `InsertionResult.course`.
     """
     figure = Figure(figsize=(11, 7))
     panels = figure.subplots(3, len(courses), sharex=True, sharey="row", squeeze=False)

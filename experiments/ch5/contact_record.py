@@ -23,7 +23,7 @@ def record_insertion(width: float, course: FloatArray, path: Path) -> None:
 
     Args:
         width: Width of the slot [m].
-        course: (n, 11) as `InsertionResult.course`.
+        course: (n, 11) course as in `InsertionResult.course`.
         path: File to write.
     """
     shape = shape_of(width)

@@ -16,7 +16,7 @@ from controllers.insertion.contact import (
 from controllers.insertion.contact_states import WrenchNoise, classify
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
 from experiments.ch5.contact_bench import Bench, press, shape_of
-from models.datasheets import CARD_AND_SLOT, DEGREE, FORCE_TORQUE, HAND
+from models.datasheets import CARD_AND_SLOT, DEGREE, FORCE_TORQUE, HAND, INCH
 from perception.geometry.arrays import FloatArray
 
 NOISES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.10)
@@ -34,6 +34,8 @@ LEVELS = (
 """Noise of the force and standard deviation of the pose at which states are classified besides."""
 OFFSET, TILT = 4e-3, 6.0 * DEGREE
 """Widest misalignment."""
+IMPOSSIBLE = 4.2 * INCH
+"""Width of a slot that the card cannot enter [m]."""
 RINGS = (1, 2, 3)
 """Thirds of the widest misalignment."""
 STAND_OFF = 0.015
@@ -110,7 +112,7 @@ class InsertionResult:
         peak: Largest true contact force [N].
         seconds: Duration [s].
         reason: Why it failed; empty if it did not.
-        tries: How often the insertion was begun again.
+        tries: Number of further attempts.
         offset: Misalignment across [m].
         tilt: Misalignment of the angle [rad].
         finite: Whether the final state was finite.

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from experiments.ch5.contact_trial import IMPOSSIBLE
 from experiments.ch5.insertion_faults import ENDS_IN, Fault
 from experiments.ch5.insertion_figures import (
     draw_course,
@@ -36,8 +37,6 @@ THESIS = {
     "random": (0.7, 0.4, 0.2),
 }
 """Table 5-1, by slot width, of ten trials each."""
-IMPOSSIBLE = 4.2 * INCH
-"""Width of a slot that the card cannot enter [m]."""
 NOISY_DB = NOISE_DB - 20.0
 """Ten times the noise [dB]."""
 MOST_FORCE = 10.0

@@ -1,4 +1,4 @@
-"""What may go wrong in an insertion, put between the robots and their controllers."""
+"""Faults of an insertion, injected between the robots and their controllers."""
 
 import enum
 import functools
@@ -14,7 +14,7 @@ from twin.robot import MISSING, Channel, ImageChannel, Observation, Robot, Valid
 
 
 class Fault(enum.Enum):
-    """What goes wrong."""
+    """Faults that can happen."""
 
     BLACK = "black images"
     HIDDEN = "markers hidden for 2 s"
@@ -57,10 +57,10 @@ _SPIKE_EVERY = 0.5
 
 
 class FaultInjector:
-    """Changes what robots observe and hear as a fault has it.
+    """Changes what robots observe and receive under a fault.
 
     Args:
-        fault: What goes wrong.
+        fault: Fault that happens.
         stage: Returns the slave's present stage.
         clock: Returns robot time [s].
     """
@@ -84,7 +84,7 @@ class FaultInjector:
         return {name: _FaultyLink(link, self.outage) for name, link in links.items()}
 
     def outage(self) -> bool:
-        """Say whether the radio is silent now."""
+        """Return whether the radio is silent now."""
         return self._fault is Fault.RADIO and 0.0 <= self._age(self._clock()) < _SHORT
 
     def observed(self, robot: str, seen: Observation) -> Observation:
@@ -92,7 +92,7 @@ class FaultInjector:
 
         Args:
             robot: Name of the robot.
-            seen: What it would observe without.
+            seen: Observation without the fault.
         """
         age = self._age(seen.time)
         if age < 0.0:

@@ -25,7 +25,7 @@ def draw_table(
     Args:
         shares: Fractions with intervals by placement and width.
         widths: Widths of the slots [m].
-        thesis: Its fractions by placement.
+        thesis: Fractions of the thesis by placement.
     """
     figure = Figure(figsize=(6.5, 4.0))
     axes = figure.add_subplot()
@@ -67,7 +67,7 @@ def draw_pairs(pairs: Mapping[str, tuple[ImageArray, Sequence[FloatArray]]]) -> 
     """Draw what the master saw, with the ellipses that were fitted (Thesis figure 5-12).
 
     Args:
-        pairs: By moment: the stereo pair (2, H, W), and for each image (N, 5) ellipses.
+        pairs: Stereo pair (2, H, W) and ellipses (N, 5) of each image, by moment.
     """
     figure = Figure(figsize=(8.0, 3.9 * max(len(pairs), 1)))
     for row, (moment, (pair, ellipses)) in enumerate(pairs.items()):

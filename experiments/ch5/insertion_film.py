@@ -111,7 +111,7 @@ def film_trial(trial: InsertionTrial, recording: Path | None) -> Film:
     """Run a trial again and film it.
 
     Args:
-        trial: What is tried.
+        trial: Settings of the trial.
         recording: File of a recording for the rerun viewer; None for none.
     """
     setting = prepare(dataclasses.replace(trial, trace=True))

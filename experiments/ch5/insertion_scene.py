@@ -121,7 +121,7 @@ def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:
     """Set the master's arm in the key frame ``home``, where its camera was placed before.
 
     Args:
-        model: From `compile_insertion`; its key frame is changed.
+        model: Model of `compile_insertion`; its key frame is changed.
         angles: (4,) joint angles [rad].
     """
     home = model.key("home").id

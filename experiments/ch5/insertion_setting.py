@@ -86,7 +86,7 @@ class Setting:
     """A trial, ready to run.
 
     Attributes:
-        trial: What is tried.
+        trial: Settings of the trial.
         simulation: Simulation of the scene.
         robots: Robots as the controllers meet them, with the trial's fault.
         team: Controllers of both robots.
@@ -101,10 +101,10 @@ class Setting:
 
 
 def prepare(trial: InsertionTrial) -> Setting:
-    """Draw the scene's poses and what the robots believe of them.
+    """Draw the scene's poses and the robots' priors.
 
     Args:
-        trial: What is tried.
+        trial: Settings of the trial.
     """
     # The simulation draws its noise from children of the seed itself.
     streams = np.random.default_rng((trial.seed, 1)).spawn(4)

@@ -58,7 +58,7 @@ class InsertionOutcome:
         gap: Distance of the card before the mouth at the end [m].
         station: Camera station of the master.
         seen: Share of stereo pairs in which card and slot were seen.
-        moves: How often the camera was placed anew.
+        moves: Number of times that the camera was placed anew.
         nees: Mean of `Scorer.nees`; NaN if the master sent no pose.
         finite: Whether all states were finite.
         course: (n, k) rows of `COURSE`; empty without `InsertionTrial.trace`.
@@ -169,7 +169,7 @@ def run_trial(trial: InsertionTrial) -> InsertionOutcome:
     """Insert the card once; a job of the sweep.
 
     Args:
-        trial: What is tried.
+        trial: Settings of the trial.
     """
     setting = prepare(trial)
     with contextlib.closing(setting.simulation):

@@ -17,7 +17,7 @@ from perception.markers.ellipses import MarkerExpectation, project_discs
 from perception.markers.poses import BodyCad
 from twin.camera import StereoConfig, StereoRig, camera_pose
 
-TABLE_HEIGHT = 0.4  # Of card and slot over the ground [m].
+TABLE_HEIGHT = 0.4  # Height of card and slot over the ground [m].
 RANGE_KNOWN = 0.2
 """How well the range is known before, as a part of it: map and dead reckoning are better."""
 
@@ -27,9 +27,9 @@ class MarkerView:
     """A pair with its truth.
 
     Attributes:
-        pair: (2, H, W) uint8.
-        bodies: Card and slot to the left camera.
-        ellipses: (2, 4, 5) of the card's, then the slot's markers, as they truly are.
+        pair: (2, H, W) stereo pair, uint8.
+        bodies: Transforms from card and slot to the left camera.
+        ellipses: (2, 4, 5) true ellipses of the card's, then the slot's markers.
         distance: Distance of the view [m].
         slant: Angle of the view with the faces' normal [deg].
     """
@@ -90,8 +90,8 @@ class MarkerScene:
         """Draw a pair.
 
         Args:
-            distance: From the cameras to the middle of card and slot [m].
-            slant: Of their faces [deg].
+            distance: Distance from the cameras to the middle of card and slot [m].
+            slant: Angle of the view with their faces' normal [deg].
         """
         rng = self._rng
         level = [0.0, 0.0, TABLE_HEIGHT]

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import datetime
-import threading
 import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError, OptionError
 from twin.clock import Clock, WallClock
 from twin.describe import describe_rover
+from twin.hardware.background import repeating
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.calibration.calibration import (
     CalibrationError,
@@ -39,7 +39,7 @@ from twin.robot import ArmMode, Command, RobotError
 from twin.servo import SERVO_PERIOD
 
 MEASURING = 2.0
-"""For which a reading is averaged [s]."""
+"""Time over which a reading is averaged [s]."""
 SUMMARY = "calibrate a real robot's inclinometer by weighing it on wedges (Table D-1)"
 
 
@@ -48,11 +48,11 @@ class Options:
     """Options of the calibration of a real robot.
 
     Attributes:
-        robot: Its boards: serial:PORT,analogue=PORT,wrench=HOST[,robot=NAME][,calibration=FILE]
-            [,home=YAW:SHOULDER:ELBOW:WRIST]. With home [rad] the motors hold the arm there;
+        robot: Boards of the robot: serial:PORT,analogue=PORT,wrench=HOST[,robot=NAME]
+            [,calibration=FILE][,home=YAW:SHOULDER:ELBOW:WRIST]. With home [rad] the motors hold the arm there;
             without, it must hold itself.
         weight: Mass that is hung on the gripper [kg].
-        output: Where to write the new calibration; the file that was read unless given.
+        output: File to write the new calibration to; the one that was read unless given.
     """
 
     robot: str
@@ -116,36 +116,31 @@ def held(robot: BoardRobot, home: Sequence[float], clock: Clock) -> Generator[No
     """Let the motors hold the arm while a person works at the robot.
 
     Args:
-        robot: It stands still.
-        home: Joint angles (4,) in which the arm is [rad]; empty to leave the motors alone.
-        clock: Paces the servo.
+        robot: Robot at rest.
+        home: Joint angles (4,) of the arm [rad]; empty to leave the motors off.
+        clock: Clock of the servo.
 
     Raises:
-        RobotError: If the robot is not well.
+        RobotError: If the robot reports a fault.
     """
     if not home:
         yield
         return
-    robot.home(np.array(home))
+    command = Command(arm=np.array(home), arm_mode=ArmMode.POSITION)
+    robot.home(command.arm)
     robot.activate()
-    over = threading.Event()
 
     def hold() -> None:
-        command = Command(arm=np.array(home), arm_mode=ArmMode.POSITION)
-        # A robot that stopped says why at the next reading.
+        clock.tick()
+        # A robot that stopped reports why at the next reading.
         with contextlib.suppress(RobotError):
-            while not over.is_set():
-                clock.tick()
-                robot.observe()
-                robot.command(command)
+            robot.observe()
+            robot.command(command)
 
-    thread = threading.Thread(target=hold, name=f"holds the arm of {robot.name}", daemon=True)
-    thread.start()
     try:
-        yield
+        with repeating(hold, f"holds the arm of {robot.name}"):
+            yield
     finally:
-        over.set()
-        thread.join()
         robot.deactivate()
 
 
@@ -153,12 +148,12 @@ def measure(robot: BoardRobot, clock: Clock, duration: float) -> Sample:
     """Return the means of the inclinometer's voltages and the arm's force at rest.
 
     Args:
-        robot: It stands still.
-        clock: Paces the readings.
-        duration: Over which is averaged [s].
+        robot: Robot at rest.
+        clock: Clock of the readings.
+        duration: Time over which is averaged [s].
 
     Raises:
-        RobotError: If the robot has stopped, or inclinometer or force/torque sensor say nothing
+        RobotError: If the robot has stopped, or inclinometer or force/torque sensor give nothing
             for half of that time.
     """
     tilts = robot.calibration.inclinometer

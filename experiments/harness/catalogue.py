@@ -104,7 +104,7 @@ _ALL: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="ch5-contact",
-        summary="a card is inserted by what the hand feels, and contact states are told apart",
+        summary="a card is inserted by what the hand feels, and contact states are classified",
         thesis="figures A-5 to A-7, section 5.4 (forces)",
         module="experiments.ch5.contact",
     ),

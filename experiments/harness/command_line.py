@@ -24,7 +24,7 @@ def parse(options_type: type[Parsed], name: str, summary: str, arguments: Sequen
     Args:
         options_type: A dataclass; its docstring's attributes are the help texts.
         name: Name of the command.
-        summary: Its description in the help.
+        summary: Description of the command in the help.
         arguments: Words after the name.
 
     Raises:

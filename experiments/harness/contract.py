@@ -28,7 +28,7 @@ class Options:
         out: Folder of results; this experiment writes to OUT/NAME/.
         record: Also write a recording for the rerun viewer, OUT/NAME/run.rrd.
         resume: Keep the finished jobs of an interrupted sweep; the code must be the same.
-        backend: Where a sweep runs: local processes (loky) or a Dask cluster (dask).
+        backend: Workers of a sweep: local processes (loky) or a Dask cluster (dask).
         scheduler: Address of the Dask scheduler, for instance tcp://10.0.0.1:8786.
     """
 
@@ -65,8 +65,8 @@ class Options:
         More repetitions extend the list and leave its beginning as it was.
 
         Args:
-            full: Number of repetitions unless ``--seeds`` says another.
-            quick: The same, with ``--quick``.
+            full: Number of repetitions unless given by ``--seeds``.
+            quick: Number of repetitions with ``--quick``.
         """
         count = self.seeds if self.seeds is not None else (quick if self.quick else full)
         return [int(word) for word in np.random.SeedSequence(self.seed).generate_state(count)]
@@ -77,7 +77,7 @@ class SimulatedOptions(Options):
     """Options of an experiment that sets or scores by what only a simulation knows.
 
     Attributes:
-        targets: What the experiment runs on.
+        targets: Robots on which the experiment runs.
         robot: Which robot: sim or, where boards serve as well, quantised or emulated.
     """
 

@@ -79,10 +79,10 @@ class Output:
         """Store whether a result is as good as it must be; a failed check is reported, not raised.
 
         Args:
-            name: What is checked, as a reader would say it.
+            name: Description of the check for the reader.
             value: The measured value.
-            bound: What it is held against, for instance "<= 0.8".
-            ok: Whether it holds.
+            bound: Bound of the value, for instance "<= 0.8".
+            ok: Whether the check holds.
         """
         self._checks.append(
             {"name": name, "value": plain(value), "bound": plain(bound), "ok": bool(ok)}
@@ -209,7 +209,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def _files_of(run: Path) -> list[str]:
-    """Return the names of what the run before has left, as far as its run.json tells."""
+    """Return the names of what the run before has left, by its run.json."""
     try:
         names = [str(name) for name in json.loads(run.read_text(encoding="utf-8"))["files"]]
     except (OSError, ValueError, KeyError, TypeError):

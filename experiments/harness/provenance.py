@@ -1,5 +1,6 @@
 """With what a run was made: versions, commit, processor and its linear algebra."""
 
+import contextlib
 import datetime
 import importlib.metadata
 import os
@@ -93,16 +94,10 @@ def linear_algebra() -> list[str]:
 
 
 def _git(checkout: Path, *arguments: str) -> str | None:
-    if not (checkout / ".git").exists():
-        return None
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(checkout), *arguments],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=10,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return done.stdout.strip() if done.returncode == 0 else None
+    """Return what git prints; None if the checkout is none or git fails."""
+    words = ["git", "-C", str(checkout), *arguments]
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        if (checkout / ".git").exists():
+            done = subprocess.run(words, check=True, capture_output=True, text=True, timeout=10)
+            return done.stdout.strip()
+    return None

@@ -48,8 +48,8 @@ def sweep(
             strings, arrays and None, nested as they may be.
         configs: Mappings or dataclasses of plain values, with the job's seed among them.
         options: Number of processes, backend, and whether to resume.
-        output: Where the results are kept.
-        label: What the progress bar counts.
+        output: Output of the experiment, which stores the results.
+        label: Name of what the progress bar counts.
 
     Returns:
         One result for each configuration.

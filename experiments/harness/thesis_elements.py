@@ -24,7 +24,7 @@ class Element:
 
     Attributes:
         name: Name in the thesis, for instance "Figure 3-26".
-        what: What it shows.
+        what: Content of the element.
         shown_by: Experiments whose results show it, or that deal with the matter.
         also: Names of pictures and tables that show it under another name.
         why_not: Why there is nothing to show; empty if there is.
@@ -66,7 +66,7 @@ class Reason:
     """Why results of an experiment miss their bar or differ from the thesis.
 
     Attributes:
-        experiment: Its name.
+        experiment: Name of the experiment.
         about: Patterns (as in a shell) of names of checks, or of metrics that the thesis has.
         why: The reason.
     """

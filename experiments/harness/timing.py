@@ -10,7 +10,7 @@ def repeat(work: Callable[[], object], rounds: int) -> Distribution:
     """Time a function that has no peer, after one untimed call.
 
     Args:
-        work: What is measured.
+        work: Function that is measured.
         rounds: Number of timed calls.
 
     Returns:
@@ -29,9 +29,9 @@ def compare(
     processes of the machine cost little accuracy.
 
     Args:
-        ours: What is measured.
-        peer: What it is measured against.
-        rounds: How often each is timed; the order is swapped every round.
+        ours: Function that is measured.
+        peer: Function that it is measured against.
+        rounds: Number of timed calls of each; the order is swapped every round.
 
     Returns:
         ``ours_s``, ``peer_s`` [s] and ``ratio`` (ours over peer, paired by round).

@@ -33,7 +33,7 @@ def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
 
 
 def draw_knowledge(results: Sequence[MissionResult]) -> Figure:
-    """Draw by how much robots err in the slot's place after each stage, and what they expect.
+    """Draw the errors of the slot's position after each stage, and the deviations expected.
 
     Args:
         results: Results of missions.
@@ -102,8 +102,8 @@ def draw_worth(
 
 def _scatter(axes: Axes, spot: float, values: FloatArray, colour: str, without: str) -> None:
     """Draw values beside each other about a place, and their median; or say why there is none."""
-    spread = spot + np.linspace(-0.2, 0.2, len(values))
-    axes.plot(spread, values, "o", color=colour, alpha=0.7, markersize=4)
+    places = spot + np.linspace(-0.2, 0.2, len(values))
+    axes.plot(places, values, "o", color=colour, alpha=0.7, markersize=4)
     if len(values):
         axes.plot([spot - 0.3, spot + 0.3], [np.median(values)] * 2, "k-", linewidth=2)
     else:

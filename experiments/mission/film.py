@@ -99,7 +99,7 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionRe
     """Run a mission, show its progress, and film it.
 
     Args:
-        trial: What is tried.
+        trial: Settings of the mission.
         recording: File of a recording for the rerun viewer; None for none.
 
     Returns:

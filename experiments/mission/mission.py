@@ -17,7 +17,7 @@ import numpy as np
 from controllers.mission.team import OMITTABLE
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
-from experiments.harness.intervals import distribution, fraction, mcnemar
+from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from experiments.mission.figures import draw_knowledge, draw_steps, draw_worth
@@ -33,8 +33,8 @@ from experiments.mission.trial import MissionResult, MissionTrial, run_mission
 
 ROBOTS = ("sim", "quantised", "emulated")
 WANTED = 0.9
-_TELLS_SLIP = "identification"
-"""What dead reckoning rests on."""
+_SLIP_STAGE = "identification"
+"""Stage on which dead reckoning rests."""
 Results = list[MissionResult]
 
 
@@ -43,8 +43,8 @@ class Options(contract.Options):
     """Options of mission.
 
     Attributes:
-        robot: What is driven: sim, quantised (counts as the boards do), emulated (over the boards'
-            own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
+        robot: Robots that are driven: sim, quantised (counts as the boards do), emulated (over the
+            boards' own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
         without: Knowledge that further missions do without: identification, mapping, placement
             (unless said, each of them in a full run and none in a quick one; "none" for none), one
             at a time and with the same seeds.
@@ -65,10 +65,9 @@ class Options(contract.Options):
             raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}, serial:")
         if wired and len(self.job_seeds(20, 1)) * (1 + len(self.ablations)) > 1:
             raise OptionError("--robot serial: one mission at a time, with --quick")
-        for stage in self.without:
-            if stage not in (*OMITTABLE, "none"):
-                known = ", ".join((*OMITTABLE, "none"))
-                raise OptionError(f"--without {stage}: expected some of {known}")
+        known = (*OMITTABLE, "none")
+        if unknown := set(self.without) - set(known):
+            raise OptionError(f"--without {min(unknown)}: expected some of {', '.join(known)}")
 
     @property
     def ablations(self) -> tuple[str, ...]:
@@ -110,48 +109,55 @@ def run(options: Options, output: Output) -> None:
     }
     _measure(cells, output)
     _tabulate(jobs, results, output)
-    _tell_stages(cells[""], output)
+    _measure_stages(cells[""], output)
     output.figure("mission_knowledge", draw_knowledge(cells[""]))
     if not any(result.success for result in cells[""]):
         output.failure = f"no card was inserted: {cells[''][0].reason or 'not seated'}"
     if len(kinds) > 1:
-        shares = {kind: _share(results) for kind, results in cells.items()}
+        shares = {kind: _success(results) for kind, results in cells.items()}
         output.figure("mission_ablation", draw_worth(shares, first_stops(cells), off_middle(cells)))
 
 
-def _share(results: Results) -> Any:
-    return fraction(sum(bool(result.success) for result in results), len(results))
+def _success(results: Results) -> Distribution:
+    return success_fraction(result.success for result in results)
 
 
 def _measure(cells: dict[str, Results], output: Output) -> None:
     whole = cells[""]
-    share = _share(whole)
+    share = _success(whole)
     output.measure("success_fraction", share)
     output.check(
         "missions that end with an inserted card", share["mean"], f">= {WANTED}",
         share["mean"] >= WANTED,
     )  # fmt: skip
     output.measure("seconds", distribution(r.seconds for r in whole))
-    pace = [r.wall_over_sim for r in whole if np.isfinite(r.wall_over_sim)]
-    if pace:
-        output.measure("wall_over_sim_time", distribution(pace))
+    _measure_some("wall_over_sim_time", [r.wall_over_sim for r in whole], output)
     forces = [r.peak for r in whole if np.isfinite(r.peak)]
     if forces:
         output.measure("largest_force", max(forces))
         output.check("largest force on the card [N]", max(forces), "<= 10", max(forces) <= 10.0)  # noqa: PLR2004
     for kind, off in off_middle(cells).items():
-        if off:
-            suffix = f"/without_{kind}" if kind else ""
-            output.measure(f"card_off_middle_mm{suffix}", distribution(1e3 * far for far in off))
+        _measure_some(f"card_off_middle_mm{_suffix(kind)}", [1e3 * far for far in off], output)
     for kind, results in cells.items():
-        _tell_stops(kind, results, output)
+        _measure_stops(kind, results, output)
         if kind:
             _compare(kind, whole, results, output)
 
 
+def _measure_some(key: str, values: Sequence[float], output: Output) -> None:
+    """Store the distribution of the finite values, if there are any."""
+    finite = [value for value in values if np.isfinite(value)]
+    if finite:
+        output.measure(key, distribution(finite))
+
+
+def _suffix(kind: str) -> str:
+    return f"/without_{kind}" if kind else ""
+
+
 def _compare(kind: str, whole: Results, results: Results, output: Output) -> None:
     """Measure what a stage is worth: the same seeds with and without it."""
-    share, without = _share(whole), _share(results)
+    share, without = _success(whole), _success(results)
     output.measure(f"success_fraction/without_{kind}", without)
     with_it, left_out = ([bool(r.success) for r in each] for each in (whole, results))
     lost = sum(a and not b for a, b in zip(with_it, left_out))
@@ -162,8 +168,7 @@ def _compare(kind: str, whole: Results, results: Results, output: Output) -> Non
     pairs = [(stage_seconds(a), stage_seconds(b)) for a, b in zip(whole, results)]
     for stage in pairs[0][0]:
         longer = [b[stage] - a[stage] for a, b in pairs if stage in a and stage in b]
-        if longer:
-            output.measure(f"stage_longer_by_s/without_{kind}/{stage}", distribution(longer))
+        _measure_some(f"stage_longer_by_s/without_{kind}/{stage}", longer, output)
     _compare_places(kind, whole, results, output)
     fewer = without["mean"] < share["mean"]
     output.check(
@@ -186,10 +191,9 @@ def _compare_places(kind: str, whole: Results, results: Results, output: Output)
         ],
     }
     for name, values in more.items():
-        if values:
-            output.measure(f"{name}/without_{kind}", distribution(values))
+        _measure_some(f"{name}/without_{kind}", values, output)
     farther = more["first_stop_miss_more_by_mm"]
-    if kind == _TELLS_SLIP and farther:
+    if kind == _SLIP_STAGE and farther:
         low = distribution(farther)["low"]
         output.check(
             f"without {kind}: first stop farther from the camera's place [mm]", low,
@@ -197,19 +201,18 @@ def _compare_places(kind: str, whole: Results, results: Results, output: Output)
         )  # fmt: skip
 
 
-def _tell_stops(kind: str, results: Results, output: Output) -> None:
-    """Store how often the master stopped on its way, and how far off it was the first time."""
+def _measure_stops(kind: str, results: Results, output: Output) -> None:
+    """Store how often the master stopped on its path, and its error at the first stop."""
     stops = [result.misses for result in results if len(result.misses)]
-    if not stops:
-        return
-    suffix = f"/without_{kind}" if kind else ""
-    output.measure(f"stops{suffix}", distribution(len(misses) for misses in stops))
-    output.measure(f"first_stop_miss_mm{suffix}", distribution(1e3 * m[0, 0] for m in stops))
-    turns = distribution(float(np.degrees(misses[0, 1])) for misses in stops)
-    output.measure(f"first_stop_miss_deg{suffix}", turns)
+    for name, values in (
+        ("stops", [len(misses) for misses in stops]),
+        ("first_stop_miss_mm", [1e3 * misses[0, 0] for misses in stops]),
+        ("first_stop_miss_deg", [float(np.degrees(misses[0, 1])) for misses in stops]),
+    ):
+        _measure_some(f"{name}{_suffix(kind)}", values, output)
 
 
-def _tell_stages(results: Results, output: Output) -> None:
+def _measure_stages(results: Results, output: Output) -> None:
     """Store what is known after each stage, over the missions that have ended it."""
     rows: list[list[Any]] = []
     for name in stages_of(results):

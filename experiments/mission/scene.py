@@ -1,7 +1,7 @@
 """Scene of ``mission``: two rovers before a slot, on rough ground, beside a known panel.
 
 The panel is the target of chapter 3: whoever sees it knows where it stands. Slot and panel belong
-to one site whose drawing the robots have. They begin some centimetres and degrees beside their
+to one site whose drawing the robots have. They begin some centimetres and degrees off their
 nominal initial poses.
 """
 
@@ -37,7 +37,7 @@ SURVEY_PLACE, SURVEY_TURN = 1e-3, 1e-3
 
 @dataclasses.dataclass(frozen=True)
 class MissionScene:
-    """What is built.
+    """Scene as built.
 
     Attributes:
         field: Ground, rocks, panel and slot.
@@ -74,7 +74,7 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
     """Return the drawing, which differs from what was built.
 
     Args:
-        scene: As built.
+        scene: Scene as built.
         rng: Random generator for the differences.
     """
     model = make_model(dataclasses.replace(scene.field, texture_pixels=16), ())

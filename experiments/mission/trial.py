@@ -1,14 +1,15 @@
-"""One mission, from the initial poses to the seated card, and what the truth says of it."""
+"""One mission, from the initial poses to the seated card, scored by the truth."""
 
 import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import CameraStation
+from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.team import InsertionSlave
 from controllers.mission.stages.insert import InsertCard
 from controllers.mission.stages.place import PlaceCamera
@@ -32,14 +33,14 @@ RATE = 4.0
 
 @dataclasses.dataclass(frozen=True)
 class MissionTrial:
-    """What one mission is.
+    """Settings of one mission.
 
     Attributes:
         seed: Seed of ground, initial poses, drawing, sensors and radio.
         without: Stage that is left out; empty for none.
-        robot: What is driven: sim, quantised or emulated.
+        robot: Robots that are driven: sim, quantised, emulated or serial:PORT,...
         width: Width between the slot's walls [m].
-        scans: Views of the master alone, and of each robot when both have met.
+        scans: Number of views of the master alone, and of each robot when both have met.
     """
 
     seed: int
@@ -54,10 +55,10 @@ class Mission:
     """A mission, ready to run.
 
     Attributes:
-        trial: What is tried.
-        scene: As built.
-        team: Both rovers' controllers.
-        connection: To the robots.
+        trial: Settings of the mission.
+        scene: Scene as built.
+        team: Controllers of both rovers.
+        connection: Connection to the robots.
     """
 
     trial: MissionTrial
@@ -101,9 +102,9 @@ class StageResult:
     Attributes:
         name: Name of the stage.
         ended: Robot time at which both robots had ended it [s].
-        master_error: (3,) error of the slot's place as the master believes it, slot frame [m].
+        master_error: (3,) error of the slot's position as the master estimates it, slot frame [m].
         master_sigma: (3,) standard deviations that the master expects, robot frame [m].
-        slave_error: (3,) error of the slot's place as the slave believes it, slot frame [m].
+        slave_error: (3,) error of the slot's position as the slave estimates it, slot frame [m].
         slave_sigma: (3,) standard deviations that the slave expects, robot frame [m].
         turn_share: Share of rolling wheels' turn that skidding leaves, as identified by then.
     """
@@ -151,18 +152,17 @@ class MissionResult:
 
 
 class MissionScorer(LoopRecorder):
-    """Keeps what a mission is scored by: truth, which no controller sees.
+    """Measures a mission by the truth, which no controller sees.
 
     Attributes:
         peak: Largest true force on the card during the insertion [N]; before, nothing touches it.
             NaN where it is not known.
-        stages: As they ended.
-        misses: How far from its stand [m] and its heading [rad] the master stood at each stop.
+        stages: Results of the stages that have ended.
+        misses: Distance of the master from its station [m] and its heading [rad] at each stop.
     """
 
     def __init__(self, mission: Mission) -> None:
-        """Begin."""
-        self.peak = 0.0 if mission.connection.simulation is not None else float("nan")
+        self.peak = 0.0 if mission.connection.simulation is not None else math.nan
         self.stages: list[StageResult] = []
         self.misses: list[tuple[float, float]] = []
         self._mission = mission
@@ -202,7 +202,7 @@ def prepared(trial: MissionTrial):  # noqa: ANN201
     """Yield a mission, ready to run, and take its robots down afterwards.
 
     Args:
-        trial: What is tried.
+        trial: Settings of the mission.
     """
     # The simulation draws its noise from children of the seed itself.
     scene_rng, site_rng, team_rng = np.random.default_rng((trial.seed, 1)).spawn(3)
@@ -220,26 +220,15 @@ def prepared(trial: MissionTrial):  # noqa: ANN201
         yield Mission(trial, scene, team, connection)
 
 
-def perform(
-    mission: Mission,
-    recorders: Sequence[LoopRecorder] = (),
-    after: Callable[[], None] | None = None,
-) -> MissionResult:
+def perform(mission: Mission, recorders: Sequence[LoopRecorder] = ()) -> MissionResult:
     """Run a mission.
 
     Args:
-        mission: From `prepared`.
-        recorders: Beside the scorer.
-        after: Called after each tick.
+        mission: Mission, from `prepared`.
+        recorders: Recorders beside the scorer.
     """
     scorer = MissionScorer(mission)
-    team, reason, wall = mission.team, "", float("nan")
-
-    def over() -> bool:
-        if after is not None:
-            after()
-        return team.over
-
+    team, reason, wall = mission.team, "", math.nan
     try:
         summary = run(
             mission.connection.robots,
@@ -247,37 +236,24 @@ def perform(
             mission.connection.clock,
             [scorer, *recorders],
             LIMIT,
-            until=over,
+            until=lambda: team.over,
         )
         wall = summary.wall / max(summary.duration, 1e-9)
         reason = "" if team.over else f"out of time in {team.slave.stage.name}"
     except (RobotError, PlacementError) as error:
         reason = str(error)
-    return _result(mission, scorer, reason, wall)
-
-
-def run_mission(trial: MissionTrial) -> MissionResult:
-    """Run one mission; a job of the sweep.
-
-    Args:
-        trial: What is tried.
-    """
-    with prepared(trial) as mission:
-        return perform(mission)
-
-
-def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -> MissionResult:
     poses = mission.poses(SLAVE)
-    # Of real robots nobody measures the card: then the slave's word alone counts.
+    # Nobody measures the card of real robots: then the slave's report alone counts.
     place = (poses["slot"].inv() * poses["card"]).translation if poses else np.full(3, np.nan)
-    insertion = mission.insertion
-    if insertion is not None and not reason:
-        reason = insertion.inserter.reason
-    depth = insertion.inserter.config.guide.depth if insertion is not None else np.inf
-    seated = not poses or place[1] >= depth - 2e-3 and abs(place[2]) < 0.01  # noqa: PLR2004
-    said = insertion is not None and insertion.inserter.stage.value == "done"
+    success, insertion = False, mission.insertion
+    if insertion is not None:
+        inserter = insertion.inserter
+        reason = reason or inserter.reason
+        depth = inserter.config.guide.depth - 2e-3
+        seated = not poses or place[1] >= depth and abs(place[2]) < 0.01  # noqa: PLR2004
+        success = inserter.stage is InsertionStage.DONE and bool(seated)
     return MissionResult(
-        success=bool(said and seated),
+        success=success,
         reason=reason,
         seconds=mission.connection.clock.time,
         wall_over_sim=wall,
@@ -287,6 +263,16 @@ def _result(mission: Mission, scorer: MissionScorer, reason: str, wall: float) -
         stages=tuple(scorer.stages),
         misses=np.array(scorer.misses).reshape(-1, 2),
     )
+
+
+def run_mission(trial: MissionTrial) -> MissionResult:
+    """Run one mission; a job of the sweep.
+
+    Args:
+        trial: Settings of the mission.
+    """
+    with prepared(trial) as mission:
+        return perform(mission)
 
 
 def _miss(poses: Mapping[str, RigidTransform], station: CameraStation) -> tuple[float, float]:

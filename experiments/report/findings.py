@@ -60,7 +60,7 @@ def differences(results: Sequence[Result], reasons: Sequence[Reason]) -> str:
 
 
 def agrees(ours: Any, thesis: Any) -> bool:
-    """Tell whether a metric is the thesis', as far as the runs can tell.
+    """Return whether a metric agrees with the thesis, within its interval.
 
     Args:
         ours: A value, or a distribution.

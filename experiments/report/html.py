@@ -53,8 +53,8 @@ def folded(summary: str, body: str, *, unfolded: bool = False, extra: bool = Fal
     Args:
         summary: Text of the line.
         body: HTML.
-        unfolded: Whether it begins unfolded.
-        extra: Whether it is for the screen only; all else is unfolded on paper.
+        unfolded: Whether the part begins unfolded.
+        extra: Whether the part is for the screen only; all else is unfolded on paper.
     """
     state = (' class="extra"' if extra else "") + (" open" if unfolded else "")
     return f"<details{state}><summary>{escape(summary)}</summary>{body}</details>"
@@ -71,9 +71,9 @@ def anchor(experiment: str, stem: str) -> str:
 
 
 def command(result: Result) -> str:
-    """Return the command that makes a result, without what only says where and on what.
+    """Return the command that makes a result, without options of its folder and workers.
 
-    Results of versions that did not keep their command tell its common options.
+    The command of versions that did not store it is made of its common options.
     """
     config, words = result.config, result.run.get("command")
     if not isinstance(words, list):

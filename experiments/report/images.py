@@ -17,8 +17,8 @@ class Embedded:
 
     Attributes:
         url: The picture itself, as a data URL.
-        width: [px], so that the page does not move while it is laid out.
-        height: [px].
+        width: Width [px], so that the page does not move while it is laid out.
+        height: Height [px].
     """
 
     url: str
@@ -51,7 +51,7 @@ def embed(path: Path) -> Embedded:
 
 
 def _on_white(picture: Image.Image) -> Image.Image:
-    """Return a picture without transparency, on the white that figures stand on."""
+    """Return a picture without transparency, on the white ground of figures."""
     if "A" not in picture.getbands() and "transparency" not in picture.info:
         return picture.convert("RGB")
     page = Image.new("RGBA", picture.size, "white")

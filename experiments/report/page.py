@@ -29,7 +29,7 @@ def page(results: Sequence[Result], known: Collection[str]) -> str:
     """Return the whole page.
 
     Args:
-        results: In the order in which they appear.
+        results: Results in the order in which they appear.
         known: Names of all experiments of this version.
 
     Raises:

@@ -15,8 +15,8 @@ class Result:
 
     Attributes:
         name: Name of the experiment.
-        title: Its summary; its name if it is not in the catalogue.
-        thesis_element: What it reproduces; empty if it is not in the catalogue.
+        title: Summary of the experiment; its name if it is not in the catalogue.
+        thesis_element: Thesis element that it reproduces; empty if it is not in the catalogue.
         metrics: Contents of metrics.json.
         config: Contents of config.json.
         run: Contents of run.json.

@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 import experiments
 import twin.connect
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
+from controllers.mission.stages.meet import GuidedSlave
 from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import MissionTrial, prepared
@@ -264,9 +265,9 @@ def missions():
 def all_stages(team):
     """A team, and its last stages, which it makes when the ones before have ended."""
     exchange = team.slave._exchange
-    card = RigidTransform.identity()
+    slave = GuidedSlave(team.master.belief, SLAVE, exchange, RigidTransform.identity())
     insert = InsertCard(team.slave.belief, MASTER, exchange)
-    return team, insert, GuideInsertion(team.master.belief, SLAVE, exchange, card, True)
+    return team, insert, GuideInsertion(slave, placed=True)
 
 
 def test_robots_as_made_differ_from_the_drawn_ones_in_every_number(missions):

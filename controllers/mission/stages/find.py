@@ -22,12 +22,12 @@ class FindPanel:
     """Drives the master's arm until it has found the panel and taken its views.
 
     Args:
-        belief: Gets the map, and where the slot is from the master.
+        belief: Estimates of the master; gets the map, and the slot's pose.
         scans: Number of views; more only until it has found the panel.
         rng: Random generator for candidate views.
 
     Attributes:
-        mapper: Takes the views.
+        mapper: Mapper that takes the views.
     """
 
     name = "find"

@@ -1,4 +1,4 @@
-"""Stage ``identify``, chapter 2: a rover swings its arm and finds how it pitches on its springs."""
+"""Stage ``identify``, chapter 2: a rover swings its arm and identifies its pitch dynamics."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ class SwingArm:
     """Swings the arm, and fits everything once more at the end.
 
     Args:
-        belief: Gets how the robot pitches.
+        belief: Estimates of the robot; gets its pitch dynamics.
         rng: Random generator for the planner of the excitation.
     """
 
@@ -33,7 +33,7 @@ class SwingArm:
         return self._belief.pitch is not None
 
     def step(self, seen: Observation) -> Command | None:
-        """Swing on."""
+        """Return the command of the swing; fit once more at its end."""
         if not self._identifier.done:
             return self._identifier.step({self._belief.robot.name: seen})[self._belief.robot.name]
         if not self.done:

@@ -1,4 +1,4 @@
-"""Stage ``map``, chapter 3: both rovers map the place, each leaving to the other what it sees."""
+"""Stage ``map``, chapter 3: both rovers map the site, each leaving to the other what it sees."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ class MapTogether:
     """Drives one robot's arm through its views of the common map.
 
     Args:
-        belief: What the robot believes.
+        belief: Estimates of the robot.
         exchange: All that passes between the robots, with the common map.
     """
 
@@ -38,10 +38,10 @@ class MapTogether:
         scans: int,
         rng: np.random.Generator,
     ) -> "MapTogether":
-        """Let both robots go on with the map that one has begun.
+        """Let both robots continue the map that one has begun.
 
         Args:
-            belief: What the robot believes that has begun the map.
+            belief: Estimates of the robot that has begun the map.
             partner: The other robot; it takes part if it has been met.
             exchange: All that passes between the robots; gets the common map.
             scans: Number of views of each.
@@ -78,7 +78,7 @@ class MapTogether:
 def _partner_place(
     belief: MissionBelief, here: RobotLocalization, partner: RobotDescription
 ) -> RobotLocalization:
-    """Return where the partner is on the map, by what was seen of its card."""
+    """Return the partner's localization on the map, by the views of its card."""
     assert partner.arm is not None
     arm, pose = camera_arm(partner)[0], belief.partner
     to_world = here.transform_level_to_world * belief.transform_slot_to_level

@@ -1,7 +1,7 @@
-"""Stage ``meet``: the master finds the card, and the slave learns how it turns.
+"""Stage ``meet``: the master finds the card, and the slave identifies how it turns.
 
-The slave turns to and fro before the master's camera and hears how far it truly turned. So both
-know where the other is, and the slave what skidding leaves of its turns, without a compass.
+The slave turns to and fro before the master's camera and receives how far it truly turned. So both
+know the other's pose, and the slave the share of turns that skidding leaves, without a compass.
 """
 
 import dataclasses
@@ -26,12 +26,12 @@ from twin.robot import Command, Observation
 
 PERIOD = 0.01
 """Servo tick [s]."""
-_VIEWS = 3  # Pairs in a row from which a robot that stands still is believed.
-_TURN = 0.5  # Of the slave to and fro, had its wheels only rolled [rad].
+_VIEWS = 3  # Views of the slave at rest that are averaged.
+_TURN = 0.5  # Turn of the slave to and fro, had its wheels only rolled [rad].
 _AROUND = ((0.0, -0.25), (0.0, 0.25), (0.25, 0.0), (-0.25, 0.0))
-"""Turns of yaw and wrist from where the card should be, to look for it around there [rad]."""
-_SPOT = 3.0  # Time for one of them, with the path there [s].
-_PATIENCE = 15.0  # Time for each look-out, after which it is given up [s].
+"""Turns of yaw and wrist from where the card should be, to search for it around there [rad]."""
+_SPOT = 3.0  # Time for one of them, with the motion there [s].
+_PATIENCE = 15.0  # Time to wait for views, after which it is given up [s].
 _GATE = 30.0  # Squared distance, whitened, beyond which it was not the card.
 _STIRRED = np.diag(np.square([0.05, 0.05, _TURN, 0.05, 0.05, 0.02]))
 """Covariance of what a turn to and fro may change of the slot's pose in the robot's frame."""
@@ -138,7 +138,7 @@ class TurnInView:
         turns: Whether the slave turns; if not it is only searched for.
 
     Attributes:
-        done: Whether it has turned, or was not seen for too long.
+        done: Whether the slave has turned, or was not seen for too long.
     """
 
     name = "meet"

@@ -1,7 +1,7 @@
-"""Stage ``place``, chapter 4: the master drives to where it sees card and slot best.
+"""Stage ``place``, chapter 4: the master drives to the best camera station for card and slot.
 
-The place is chosen by the map; having come there by dead reckoning, the master finds the panel
-again. That says how far dead reckoning has missed; if it is too far, the master drives on.
+The station is chosen by the map; having come there by dead reckoning, the master finds the panel
+again. That shows the error of dead reckoning; if it is too large, the master drives on.
 """
 
 import math
@@ -27,15 +27,15 @@ from perception.geometry.se3 import transport_covariance
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
-_NEAR_STATION = (0.06, 0.12)  # From the station [m] and its heading [rad] where it will do.
-_MOST_DRIVES = 4  # Until it is there, or stays where it is.
+_NEAR_STATION = (0.06, 0.12)  # Distance [m] and heading [rad] from the station that will do.
+_MOST_DRIVES = 4  # Number of drives after which the master stays where it is.
 
 
 def mapped_ground(belief: MissionBelief) -> MappedGround:
-    """Return what the map says of the level ground below the slot.
+    """Return the level ground below the slot as mapped.
 
     Args:
-        belief: Belief with a map; without one nothing is known to stand anywhere.
+        belief: Estimates of the master; without a map no obstacles are known.
     """
     if belief.map is None or belief.localization is None:
         return MappedGround(None, RigidTransform.identity())
@@ -44,13 +44,13 @@ def mapped_ground(belief: MissionBelief) -> MappedGround:
 
 
 def choose_station(belief: MissionBelief) -> CameraStation:
-    """Return where the master sees card and slot best of all places that it can drive to.
+    """Return the best camera station for card and slot that the master can drive to.
 
     Args:
-        belief: What the master believes.
+        belief: Estimates of the master.
 
     Raises:
-        PlacementError: If there is no place.
+        PlacementError: If there is no station.
     """
     start, ground = belief.transform_ground_to_level.inv().translation[:2], mapped_ground(belief)
     return best_camera_station(belief.robot, belief.site.insertion, ground=ground, start=start)
@@ -60,13 +60,13 @@ class PlaceCamera:
     """Drives the master to a camera station, and finds the panel from there.
 
     Args:
-        belief: Gets where the slot is from the new place.
-        station: Where to drive, ground frame.
+        belief: Estimates of the master; gets the slot's pose from the station.
+        station: Camera station to drive to, ground frame.
 
     Attributes:
-        done: Whether it is there, or will get no nearer.
-        station: Where it shall be.
-        stops: How often it has driven and stopped by dead reckoning.
+        done: Whether the master is there, or will get no nearer.
+        station: Camera station to drive to, ground frame.
+        stops: Number of drives that have ended by dead reckoning.
     """
 
     name = "place"
@@ -78,7 +78,7 @@ class PlaceCamera:
         self._set_off()
 
     def _set_off(self) -> None:
-        """Drive to the station from where the slot is seen now."""
+        """Begin a drive to the station, by the present estimate of the slot."""
         self._drive = DriveToPose(self._belief.steer(), self._path(), free=self._free)
         self._fold, self._folded = ArmMove(self._belief.home), False
         self._search: TargetSearch | None = None
@@ -93,19 +93,19 @@ class PlaceCamera:
         return np.array([place[0], place[1], math.atan2(-ahead[0], ahead[1])])
 
     def _free(self, pose: FloatArray) -> bool:
-        """Say whether the map has nothing at a pose (3,) given as `_path` is."""
+        """Return whether the map is free at a pose (3,) given as `_path` is."""
         ground = self._belief.site.insertion.transform_slot_to_ground
         site = ground * self._belief.transform_slot_to_level.inv()
         x, y, _ = site.apply([pose[0], pose[1], 0.0])
         return mapped_ground(self._belief).is_free([x, y])
 
     def _missed(self) -> bool:
-        """Say whether it is too far from where it shall be."""
+        """Return whether the master is too far from the station."""
         x, y, turn = self._path()
         return math.hypot(x, y) > _NEAR_STATION[0] or abs(turn) > _NEAR_STATION[1]
 
     def step(self, seen: Observation) -> Command:
-        """Fold the arm, drive, look for the panel."""
+        """Fold the arm, drive, search for the panel."""
         if not self._folded:
             self._folded = self._fold.is_there(seen)
             return self._fold.command(seen)
@@ -136,7 +136,7 @@ class PlaceCamera:
         belief.slot_covariance = transport_covariance(moved.inv(), belief.slot_covariance) + added
 
     def _begin_search(self) -> None:
-        """Look first where the panel should be."""
+        """Begin the search where the panel should be."""
         belief, config = self._belief, MapperConfig()
         arm, survey = camera_arm(belief.robot)[0], np.array(config.views.survey)
         extent = belief.site.target.extent

@@ -13,7 +13,7 @@ from controllers.insertion.cooperation import (
     HybridConfig,
     HybridGrip,
 )
-from controllers.insertion.guide import GuideConfig, InsertionGuide, StraightInsertion
+from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
 from controllers.insertion.master_slave import Master, PairConfig, Slave, Stage
 from controllers.insertion.planar_grip import GripSensor, PlanarArm, Stance
 from controllers.kinematics.serial_chain import SerialChain
@@ -202,14 +202,14 @@ def run_truss(trial: TrussTrial) -> TrussRun:
     moments = np.abs(wrenches[:, :, 2])
     contact = rows[:, COLUMNS["contact"]]
     return TrussRun(
-        success=bool(master.success and depth > SEATED * TRUSS.depth),
+        success=bool(master.guide.phase is Phase.DONE and depth > SEATED * TRUSS.depth),
         contact_peak=float(np.max(np.hypot(*contact.T))),
         squeeze_peak=float(np.max(np.abs(squeeze))),
         squeeze_error_rms=float(np.sqrt(np.mean((squeeze - SQUEEZE) ** 2))),
         moment_peak=float(np.max(moments)),
         seconds=float(rows[-1, 0]),
-        reason=master.reason,
-        tries=master.tries,
+        reason=master.guide.reason,
+        tries=master.guide.tries,
         depth=depth,
         offset=offset,
         tilt=tilt,

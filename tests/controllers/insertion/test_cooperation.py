@@ -14,7 +14,7 @@ from controllers.insertion.cooperation import (
     decode,
     encode,
 )
-from controllers.insertion.guide import GuideConfig
+from controllers.insertion.guide import GuideConfig, Phase
 from controllers.insertion.master_slave import Master, PairConfig, Slave, Stage
 from controllers.insertion.planar_grip import PlanarArm, Stance
 from controllers.kinematics.serial_chain import SerialChain
@@ -188,8 +188,8 @@ def test_master_stops_and_gives_up_when_the_slaves_reports_cease():
     for _ in range(round(GUIDE.lost_time / PAIR.period) + 2):
         master.step(seen(), [])
         np.testing.assert_array_equal(master.target, held)
-    assert master.stage is Stage.OVER and not master.success
-    assert master.reason == "no wrench"
+    assert master.stage is Stage.OVER and master.guide.phase is Phase.FAILED
+    assert master.guide.reason == "no wrench"
 
 
 def test_slave_goes_on_for_a_moment_without_set_points_and_then_holds():
