@@ -49,8 +49,8 @@ class Options:
 
     Attributes:
         robot: Boards of the robot: serial:PORT,analogue=PORT,wrench=HOST[,robot=NAME]
-            [,calibration=FILE][,home=YAW:SHOULDER:ELBOW:WRIST]. With home [rad] the motors hold the arm there;
-            without, it must hold itself.
+            [,calibration=FILE][,home=YAW:SHOULDER:ELBOW:WRIST]. With home [rad] the motors hold
+            the arm there; without, it must hold itself.
         weight: Mass that is hung on the gripper [kg].
         output: File to write the new calibration to; the one that was read unless given.
     """
