@@ -76,11 +76,10 @@ class RoverTask(control.Task):
         """Return every channel, named robot/channel."""
         result: OrderedDict[str, Any] = OrderedDict()
         for name, robot in self._simulation.robots.items():
-            observation = robot.observe()
             for channel, width in channel_widths(robot.description).items():
-                sample = getattr(observation, channel)
-                value = sample.value if sample.usable else np.full(width, np.nan)
-                result[f"{name}/{channel}"] = value
+                sample = getattr(robot.observe(), channel)
+                missing = np.full(width, np.nan)
+                result[f"{name}/{channel}"] = sample.value if sample.usable else missing
         return result
 
     def get_reward(self, physics: Physics) -> float:

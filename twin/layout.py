@@ -28,7 +28,7 @@ def default_blueprint(
 
 
 def task_blueprint(
-    watcher: str,
+    robot: str,
     position: tuple[float, float, float],
     target: tuple[float, float, float],
     views: Sequence[rrb.View | rrb.Container],
@@ -36,18 +36,14 @@ def task_blueprint(
     """Return the layout of a task that one robot views: the scene, its images, and other views.
 
     Args:
-        watcher: Name of the robot with the cameras.
+        robot: Name of the robot with the cameras.
         position: Position of the viewer's camera [m].
         target: Point that the viewer's camera is directed at [m].
         views: Views in the right column, from top to bottom.
     """
-    eyes = [
-        rrb.Spatial2DView(origin=f"{watcher}/stereo/{side}", name=f"{watcher}'s {side} eye")
-        for side in ("left", "right")
-    ]
     scene = scene_view("world", "Scene", position, target)
     return side_by_side(
-        rrb.Vertical(scene, rrb.Horizontal(*eyes), row_shares=[3, 2]), rrb.Vertical(*views)
+        rrb.Vertical(scene, _images(robot, f"{robot}'s "), row_shares=[3, 2]), rrb.Vertical(*views)
     )
 
 
@@ -65,8 +61,8 @@ def scene_view(
         position: Position of the viewer's camera [m].
         target: Point that the viewer's camera is directed at [m].
     """
-    eye = rrb.EyeControls3D(position=position, look_target=target)
-    return rrb.Spatial3DView(origin=origin, name=name, eye_controls=eye)
+    controls = rrb.EyeControls3D(position=position, look_target=target)
+    return rrb.Spatial3DView(origin=origin, name=name, eye_controls=controls)
 
 
 def side_by_side(main: rrb.View | rrb.Container, beside: rrb.View | rrb.Container) -> rrb.Blueprint:
@@ -95,12 +91,7 @@ def content_alone(content: rrb.View | rrb.Container) -> rrb.Blueprint:
 
 def _robot_tab(name: str) -> rrb.Container:
     views = [
-        rrb.Horizontal(
-            *(
-                rrb.Spatial2DView(origin=f"{name}/stereo/{side}", name=f"{side} eye")
-                for side in ("left", "right")
-            )
-        ),
+        _images(name, ""),
         rrb.TimeSeriesView(origin=f"{name}/sensors/inclinometer", name="Inclinometer [rad]"),
         rrb.TimeSeriesView(origin=f"{name}/sensors/arm_base_wrench", name="Wrench [N, N m]"),
         rrb.TimeSeriesView(origin=f"{name}/sensors/arm_angles", name="Arm angles [rad]"),
@@ -108,3 +99,12 @@ def _robot_tab(name: str) -> rrb.Container:
         rrb.TimeSeriesView(origin=f"{name}/duty", name="Duty"),
     ]
     return rrb.Vertical(*views, name=name)
+
+
+def _images(robot: str, prefix: str) -> rrb.Container:
+    return rrb.Horizontal(
+        *(
+            rrb.Spatial2DView(origin=f"{robot}/stereo/{side}", name=f"{prefix}{side} camera")
+            for side in ("left", "right")
+        )
+    )

@@ -158,11 +158,11 @@ def gather(present: FloatArray, history: FloatArray, wires: IndexArray, raw: Flo
 
 
 class SavedBank(NamedTuple):
-    """Complete state of a `SensorBank`, enough to go on bit for bit.
+    """Complete state of a `SensorBank`, from which it continues bit for bit.
 
     Attributes:
         table: All numbers of the bank, among them the present block of noise.
-        connected: Whether each channel is connected.
+        connected: True for each connected channel.
         random: State of the generator.
         used: Rows of the block that were used.
     """
@@ -194,7 +194,7 @@ class SensorBank:
             wiring: Sources of the true values, and which channels lack them.
         """
         self.size = sum(widths.values())
-        # One tick's readings, and when each was taken: NumPy makes an item's views all in one call.
+        # One tick's readings and their times: NumPy makes an item's views all in one call.
         self._reading = np.dtype(
             [(name, np.float64, (width,)) for name, width in widths.items()]
             + [(f"{name}_stamp", np.float64) for name in CHANNELS]
@@ -332,7 +332,7 @@ def _low_pass(bandwidth: float | None, period: float) -> tuple[float, float, flo
 
     Args:
         bandwidth: Corner [Hz]; None for no filter.
-        period: Between samples [s].
+        period: Time between samples [s].
     """
     if bandwidth is None:
         return 0.0, 0.0, 1.0

@@ -46,7 +46,7 @@ class ChannelSpec:
         dropout: Probability that a sample is lost, in [0, 1].
         stale_after: Age from which a sample is stale [s]; None for three sampling periods
             (at least 0.1 s) and the delay.
-        connected: Whether the robot has the sensor.
+        connected: False for a sensor that the robot lacks.
     """
 
     noise: PerComponent = 0.0

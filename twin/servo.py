@@ -137,7 +137,7 @@ class Servo:
         Raises:
             RobotError: If a needed channel is missing or stale.
             ValueError: If the command has another number of wheels or joints than the robot, or a
-                duty comes to no number, as from a command that was written to after its check; the
+                duty is not a number, as from a command that was changed after its check; the
                 motors get nothing then.
         """
         wheel_mode, arm_mode = command.wheel_mode, command.arm_mode

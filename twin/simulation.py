@@ -152,8 +152,8 @@ class SimRobot:
         Raises:
             RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable;
                 then it is in ERROR.
-            ValueError: If the command has another number of axes than the robot, or a duty comes
-                to no number; all axes are zeroed.
+            ValueError: If the command has another number of axes than the robot, or a duty is
+                not a number; all axes are zeroed.
         """
         if self.lifecycle is not _ACTIVE:
             self._zero()
@@ -231,7 +231,7 @@ class SimRobot:
 
 @dataclasses.dataclass(frozen=True)
 class SavedRun:
-    """Complete state of a `Simulation`, enough to go on bit for bit."""
+    """Complete state of a `Simulation`, from which it continues bit for bit."""
 
     physics: FloatArray
     sensordata: FloatArray

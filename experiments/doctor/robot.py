@@ -83,7 +83,7 @@ def wiring_of(target: str) -> Wiring:
 
 
 def _ask_person() -> None:
-    print("        press the e-stop, wait for this to go on, then release it", flush=True)
+    print("        press the e-stop, wait until this continues, then release it", flush=True)
 
 
 def _examine_emulated(patience: float) -> Iterator[Finding]:
