@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
+from controllers.motion.base_motion import LAG, BaseMotionFilter, level_of
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_choice, check_numbers
 from twin.robot import ArmMode, Command, Observation, RobotError
@@ -70,7 +70,7 @@ class ArmControlConfig:
         mount: (3,) the arm's base from the accelerometer, in the body frame [m].
         gains: Feedback.
         law: ``pd``, ``pd_gravity`` or ``feed_forward``.
-        base_filter: Filter of the base's motion before it is fed forward.
+        lag: Time constant of the lag of the base's motion before it is fed forward [s].
         friction: (4,) dry friction of the joints [N m], fed forward along the reference's rate in
             every law.
         motor_damping: (4,) back-EMF of the joints' motors [N m s/rad]. The servo compensates it as
@@ -84,7 +84,7 @@ class ArmControlConfig:
     mount: FloatArray
     gains: ArmGains = dataclasses.field(default_factory=ArmGains)
     law: Law = "feed_forward"
-    base_filter: BaseFilterConfig = dataclasses.field(default_factory=BaseFilterConfig)
+    lag: float = LAG
     friction: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
     motor_damping: FloatArray = dataclasses.field(default_factory=lambda: np.zeros(4))
     period: float = 0.01
@@ -113,7 +113,7 @@ class ArmController:
     def __init__(self, config: ArmControlConfig, reference: Callable[[float], Reference]) -> None:
         self._config = config
         self._reference = reference
-        self._filter = BaseMotionFilter(config.base_filter)
+        self._filter = BaseMotionFilter(config.lag, config.period)
         self.reset()
 
     def reset(self) -> None:

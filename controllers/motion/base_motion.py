@@ -5,49 +5,34 @@ it is a delayed positive feedback, which grows on a base stiffer than soft. A fi
 that loop; the longer it is, the less of a soft base's swing it still follows.
 """
 
-import dataclasses
 import math
 
 import numpy as np
 
 from controllers.kinematics.rigid_motion import LEVEL, FrameMotion, at_rest
 from perception.geometry.arrays import FloatArray
-from perception.geometry.checks import check_numbers
 from twin.robot import Observation
 
-
-@dataclasses.dataclass(frozen=True)
-class BaseFilterConfig:
-    """Filter from measured base motion to what is fed forward.
-
-    Attributes:
-        lag: Time constant of the first-order lag [s]; 0 for none.
-        period: Servo tick [s].
-    """
-
-    lag: float = 0.015
-    period: float = 0.01
-
-    def __post_init__(self) -> None:
-        """Refuse times that are none.
-
-        Raises:
-            ValueError: Naming the number and what is valid.
-        """
-        check_numbers("base filter", self, "lag", zero=True)
-        check_numbers("base filter", self, "period")
+LAG = 0.015
+"""Time constant of the lag by default [s]."""
 
 
 class BaseMotionFilter:
-    """Turns observations into the base's motion, lagged.
+    """Turns observations into the base's motion, with a first-order lag.
 
     Args:
-        config: Lag and tick.
+        lag: Time constant of the lag [s]; 0 for none.
+        period: Servo tick [s].
+
+    Raises:
+        ValueError: Naming the time and what is valid.
     """
 
-    def __init__(self, config: BaseFilterConfig) -> None:
-        self._config = config
-        self._keep = math.exp(-config.period / config.lag) if config.lag > 0.0 else 0.0
+    def __init__(self, lag: float = LAG, period: float = 0.01) -> None:
+        if not (0.0 <= lag < math.inf and 0.0 < period < math.inf):
+            raise ValueError(f"base filter: lag {lag} s, period {period} s, needs positive times")
+        self._period = period
+        self._keep = math.exp(-period / lag) if lag > 0.0 else 0.0
         self.reset()
 
     def reset(self) -> None:
@@ -77,7 +62,7 @@ class BaseMotionFilter:
             return None
         rest = level_of(observation).specific_force
         force = np.asarray(observation.accelerometer.value, dtype=float)
-        measured = np.concatenate([force - rest, (gyro - before) / self._config.period])
+        measured = np.concatenate([force - rest, (gyro - before) / self._period])
         self._shaped = self._keep * self._shaped + (1.0 - self._keep) * measured
         return FrameMotion(rest + self._shaped[:3], gyro, self._shaped[3:])
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.rigid_motion import FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
+from controllers.motion.base_motion import BaseMotionFilter, level_of
 from controllers.motion.base_tilt import TiltAxis, tilting_moments
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
@@ -219,7 +219,7 @@ class WrenchModel:
 
     def _motion(self, observation: Observation, dt: float) -> tuple[FrameMotion, bool]:
         if self._base is None:
-            self._base = BaseMotionFilter(BaseFilterConfig(self.config.lag, dt))
+            self._base = BaseMotionFilter(self.config.lag, dt)
         measured = self._base.update(observation)
         if measured is None:
             return level_of(observation), False

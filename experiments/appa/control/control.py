@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.motion.arm_control import Law
-from controllers.motion.base_motion import BaseFilterConfig
+from controllers.motion.base_motion import LAG
 from controllers.motion.lagrange import controllability_rank, observability_rank
 from experiments.appa.control.plant import PlanarPlant, model_errors, planar_plant
 from experiments.appa.control.trial import (
@@ -35,7 +35,7 @@ BASES = {"soft": 60.0, "middle": TABLE_2_2_TRUTH["k_pitch"], "stiff": TABLE_2_1_
 LAWS: dict[str, tuple[Law, float]] = {
     "pd": ("pd", 0.0),
     "pd_gravity": ("pd_gravity", 0.0),
-    "feed_forward": ("feed_forward", BaseFilterConfig.lag),
+    "feed_forward": ("feed_forward", LAG),
     "feed_forward_50ms": ("feed_forward", 0.05),
     "feed_forward_raw": ("feed_forward", 0.0),
 }
@@ -43,7 +43,7 @@ LAWS: dict[str, tuple[Law, float]] = {
 NAMES = {
     "pd": "PD",
     "pd_gravity": "PD + gravity",
-    "feed_forward": f"base fed forward, {1e3 * BaseFilterConfig.lag:g} ms lag",
+    "feed_forward": f"base fed forward, {1e3 * LAG:g} ms lag",
     "feed_forward_50ms": "base fed forward, 50 ms lag",
     "feed_forward_raw": "base fed forward as measured",
 }

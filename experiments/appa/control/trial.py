@@ -6,7 +6,6 @@ import numpy as np
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmControlConfig, ArmController, Law, Reference
-from controllers.motion.base_motion import BaseFilterConfig
 from experiments.appa.control.plant import MOUNT, sprung_rover
 from models import datasheets
 from models.compose import ARM_JOINTS, settle
@@ -76,7 +75,7 @@ def arm_config(chain: SerialChain, law: Law, lag: float) -> ArmControlConfig:
         chain,
         MOUNT,
         law=law,
-        base_filter=BaseFilterConfig(lag, PERIOD),
+        lag=lag,
         friction=np.full(4, motor.friction),
         motor_damping=np.full(4, motor.gross_stall_torque / motor.gross_no_load_speed),
         period=PERIOD,

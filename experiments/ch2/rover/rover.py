@@ -113,7 +113,7 @@ def _measure(results: Results, truth: dict[str, float], output: Output) -> None:
         output.measure(f"laboratory/{name}", value, thesis=TABLE_2_2_TRUTH.get(name))
     medians = {}
     for excitation, trials in results.items():
-        errors = np.array([error_percent(t.parameters, truth) for t in trials])
+        errors = np.array([error_percent(t.estimate.parameters, truth) for t in trials])
         column = THESIS_COLUMN.get(excitation)
         thesis = None if column is None else TABLE_2_2_AVERAGE_ERROR[column]
         average = distribution(errors.mean(axis=1))
@@ -121,7 +121,9 @@ def _measure(results: Results, truth: dict[str, float], output: Output) -> None:
         output.measure(f"avg_error_percent/{excitation}", average, thesis)
         nrmse = distribution([t.tilt_nrmse for t in trials])
         output.measure(f"tilt_prediction_nrmse/{excitation}", nrmse)
-        output.measure(f"chi_square/{excitation}", distribution([t.chi_square for t in trials]))
+        output.measure(
+            f"chi_square/{excitation}", distribution([t.estimate.chi_square for t in trials])
+        )
         lost = {name for t in trials for name in t.unidentifiable}
         output.measure(f"unidentifiable/{excitation}", sorted(lost))
         for name, column_errors in zip(NAMES, errors.T):
@@ -129,8 +131,7 @@ def _measure(results: Results, truth: dict[str, float], output: Output) -> None:
         steps = 1e3 * np.concatenate([np.ravel(t.step_seconds) for t in trials])
         output.measure(f"step_ms/{excitation}", distribution(steps))
     if "information" in medians:
-        best = results["information"]
-        nrmse = distribution([t.tilt_nrmse for t in best])
+        nrmse = distribution([t.tilt_nrmse for t in results["information"]])
         output.measure("tilt_prediction_nrmse", nrmse)
         value = medians["information"]
         output.check("average error, information [%]", value, "<= 10", value <= 10)
@@ -157,13 +158,15 @@ def _table(results: Results, truth: Mapping[str, float], output: Output) -> None
     columns = ["parameter", "unit", "thesis true", "thesis constant", "thesis variable"]
     columns += ["laboratory (ours)"] + [f"{name}, median" for name in results]
     rows: list[Sequence[Any]] = []
-    medians = {n: np.median([t.parameters for t in ts], axis=0) for n, ts in results.items()}
+    medians = {
+        n: np.median([t.estimate.parameters for t in ts], axis=0) for n, ts in results.items()
+    }
     for index, (name, unit) in enumerate(zip(NAMES, UNITS)):
         thesis = [t[name] for t in (TABLE_2_2_TRUTH, TABLE_2_2_CONSTANT, TABLE_2_2_VARIABLE)]
         ours = [truth[name]] + [float(m[index]) for m in medians.values()]
         rows.append([name, unit, *thesis, *(f"{value:.4g}" for value in ours)])
     errors = [
-        np.median([error_percent(t.parameters, dict(truth)).mean() for t in trials])
+        np.median([error_percent(t.estimate.parameters, dict(truth)).mean() for t in trials])
         for trials in results.values()
     ]
     averages = [f"{value:.1f}" for value in TABLE_2_2_AVERAGE_ERROR]
@@ -288,7 +291,7 @@ def draw_errors(results: Results, truth: Mapping[str, float]) -> Figure:
     axes = figure.subplots()
     true = np.array([truth[name] for name in NAMES])
     errors = [
-        [100 * np.mean(np.abs(trial.parameters - true) / true) for trial in trials]
+        [100 * np.mean(np.abs(trial.estimate.parameters - true) / true) for trial in trials]
         for trials in results.values()
     ]
     axes.boxplot(errors, tick_labels=list(results))

@@ -11,6 +11,7 @@ from controllers.identification.pitch import (
     CRITERIA,
     NAMES,
     RANGES,
+    PitchEstimate,
     predict_tilt,
 )
 from controllers.identification.rover_identifier import (
@@ -93,9 +94,7 @@ class RoverIdentification:
     """One identification of the complete rover.
 
     Attributes:
-        parameters: (5,) final estimate, order of `pitch.NAMES`, SI units.
-        sigma: (5,) its standard deviations, SI units.
-        chi_square: Mean squared residual over the noise's variance.
+        estimate: Final estimate.
         unidentifiable: Names of the parameters that the data leave unknown.
         tilt_nrmse: Error of the predicted tilt of an unseen motion [%].
         history: (n, 5) estimates after every window, SI units.
@@ -107,9 +106,7 @@ class RoverIdentification:
         step_seconds: (n,) computing time of every window [s].
     """
 
-    parameters: FloatArray
-    sigma: FloatArray
-    chi_square: float
+    estimate: PitchEstimate
     unidentifiable: tuple[str, ...]
     tilt_nrmse: float
     history: FloatArray
@@ -146,9 +143,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     parameters = np.array([e.parameters for e in log.estimates])
     bits = [mutual_information(p, s, RANGES) for p, s in zip(parameters, sigmas)]
     return RoverIdentification(
-        parameters=estimate.parameters,
-        sigma=np.sqrt(np.diag(estimate.covariance)),
-        chi_square=estimate.chi_square,
+        estimate=estimate,
         unidentifiable=tuple(estimate.unidentifiable(config.prior)),
         tilt_nrmse=tilt_nrmse(estimate.parameters, trying, truth),
         history=parameters,

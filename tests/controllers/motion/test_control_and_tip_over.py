@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmGains, Reference
-from controllers.motion.base_motion import BaseFilterConfig, BaseMotionFilter, level_of
+from controllers.motion.base_motion import BaseMotionFilter, level_of
 from controllers.motion.tip_over import (
     Footing,
     GuardConfig,
@@ -167,7 +167,7 @@ def test_sweep_rests_at_both_ends_and_its_rates_are_its_derivatives():
 
 
 def test_base_filter_gives_steady_acceleration_in_full_and_forgets_without_a_gyro():
-    base = BaseMotionFilter(BaseFilterConfig(lag=0.02))
+    base = BaseMotionFilter(lag=0.02)
     push = [0.0, 1.0, GRAVITY]
     for tick in range(40):
         gyro = measured([0.02 * tick, 0.0, 0.0])
@@ -192,7 +192,7 @@ def test_efforts_are_those_of_a_4_for_a_rod_in_closed_form(law):
     chain, first = SerialChain((*rod(load, length).joints, *(nothing,) * 3)), np.eye(4)[0]
     config = ArmControlConfig(
         "rover1", chain, np.array([0.0, 0.1, 0.2]), ArmGains(15.0, 0.7), law,
-        BaseFilterConfig(lag=0.0), friction=0.05 * first, motor_damping=0.2 * first, most=50.0,
+        lag=0.0, friction=0.05 * first, motor_damping=0.2 * first, most=50.0,
     )  # fmt: skip
 
     def reference(time):
@@ -253,6 +253,6 @@ def test_arm_is_not_driven_blind_and_wrong_settings_are_named():
     with pytest.raises(ValueError, match="law 'pid'"):
         controller("pid")
     with pytest.raises(ValueError, match="lag"):
-        BaseFilterConfig(lag=-1.0)
+        BaseMotionFilter(lag=-1.0)
     with pytest.raises(ValueError, match="frequency"):
         ArmGains(frequency=0.0)

@@ -47,7 +47,7 @@ def test_same_seed_gives_the_same_run():
     trial = RoverTrial("sim", "information", seed=3, duration=1.6, unseen=0.4)
     first, second = run_rover_trial(trial), run_rover_trial(trial)
     np.testing.assert_array_equal(first.tilt, second.tilt)
-    np.testing.assert_array_equal(first.parameters, second.parameters)
+    np.testing.assert_array_equal(first.estimate.parameters, second.estimate.parameters)
 
 
 @pytest.mark.slow
@@ -60,10 +60,10 @@ def test_information_tells_more_than_the_constant_excitation_and_both_are_as_far
     sigmas = {}
     for excitation in ("constant", "information"):
         result = run_rover_trial(RoverTrial("sim", excitation, seed))
-        sigmas[excitation] = result.sigma
-        assert np.all(np.abs(result.parameters - truth) < 4.0 * result.sigma)
-        assert 0.5 < result.chi_square < 1.6
-    # Four to nine times in five seeds, but for the stiffness, which any motion tells.
+        sigma = sigmas[excitation] = np.sqrt(np.diag(result.estimate.covariance))
+        assert np.all(np.abs(result.estimate.parameters - truth) < 4.0 * sigma)
+        assert 0.5 < result.estimate.chi_square < 1.6
+    # Four to nine times in five seeds, but for the stiffness, which any motion shows.
     assert np.all(sigmas["information"][:4] < 0.5 * sigmas["constant"][:4])
     assert np.all(sigmas["information"] < 0.5 * np.abs(truth))
     assert result.tilt_nrmse < 10.0
