@@ -1,20 +1,20 @@
 """Insertion of a card or a segment into a slot (Thesis sections 5.2, 5.3 and A.4).
 
-What is drawn and what is believed:
+Drawing and estimate:
 
-- `drawing`: card, slot, their markers, and what stands about them.
+- `drawing`: card, slot, their markers, and obstacles about them.
 - `printed_frames`: the required motion by three points as printed (eqs 5-1 to 5-4), a reference.
-- `slot_belief`: where the slave believes the slot to be.
+- `slot_belief`: the slave's estimate of the slot's pose.
 
 Contact, in the plane:
 
-- `contact`, `contact_states`: forces of a card in a slot, and which of six states they show.
+- `contact`, `contact_states`: forces of a card in a slot, and classification of its six states.
 - `guide`: insertion in the direction of least resistance, and straight ahead for comparison.
 
-One card, two rovers: the master looks, the slave acts:
+One card, two rovers: the master sees, the slave acts:
 
-- `camera_station`, `watching`: where the master stands, and where its camera sees best.
-- `guidance`: message with the slot's pose from the card, as the master saw it.
+- `camera_station`, `watching`: pose of the master, and the best view of its camera.
+- `guidance`: message with the slot's pose from the card, by the master's cameras.
 - `marker_guide`: the master.
 - `card_arm`, `card_inserter`: the slave's arm with the card, and the slave.
 - `team`: master and slave, joined by their messages alone.

@@ -1,1 +1,18 @@
-"""ch5."""
+"""Chapter 5: insertion of a card, by two rovers and on a bench.
+
+Two rovers (``ch5-insertion``, Table 5-1, figures 5-11 to 5-14):
+
+- `insertion`: options, measures and checks.
+- `insertion_scene`, `insertion_setting`, `insertion_faults`: scene, robots and their faults.
+- `insertion_identify`: drive in which a rover identifies its slip.
+- `insertion_trial`: one insertion, scored by the truth.
+- `insertion_figures`, `insertion_film`, `task_film`: figures, and pictures and recordings.
+
+A bench (``ch5-contact``, figures A-5 to A-7):
+
+- `contact`: options, measures and checks.
+- `contact_bench`, `contact_trial`: compliant hand at a slot, and the jobs on it.
+- `contact_figures`, `contact_record`: figures and a recording.
+
+- `marker_scene`: card and slot before a free stereo head, for the marker detectors.
+"""
