@@ -2,6 +2,7 @@
 
 import enum
 import functools
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
@@ -109,21 +110,18 @@ class FaultInjector:
         return time - self._since if self._since is not None else -1.0
 
     def _eyes(self, seen: Observation, age: float) -> Observation:
-        stereo = seen.stereo
+        stereo, lasts = seen.stereo, _SHORT if self._fault is Fault.HIDDEN else math.inf
         if not stereo.usable:
             return seen
-        if self._fault in (Fault.BLACK, Fault.LOST) or (
-            self._fault is Fault.HIDDEN and age < _SHORT
-        ):
-            black = ImageChannel.deferred(
-                lambda: np.zeros_like(stereo.value, np.uint8), stereo.stamp
+        if self._fault in (Fault.BLACK, Fault.LOST, Fault.HIDDEN) and age < lasts:
+            stereo = ImageChannel.deferred(
+                lambda: np.zeros_like(seen.stereo.value, np.uint8), stereo.stamp
             )
-            return seen._replace(stereo=black)
-        if self._fault is Fault.FROZEN:
+        elif self._fault is Fault.FROZEN:
             self._frozen = self._frozen or stereo
-            # New stamps on an old picture: the worst way to freeze.
-            return seen._replace(stereo=self._frozen._replace(stamp=stereo.stamp))
-        return seen
+            # New stamps on an old picture: the hardest freeze to notice.
+            stereo = self._frozen._replace(stamp=stereo.stamp)
+        return seen._replace(stereo=stereo)
 
     def _senses(self, seen: Observation, age: float) -> Observation:
         if self._fault is Fault.TILT:

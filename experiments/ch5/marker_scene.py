@@ -57,15 +57,14 @@ def expectation(distance: float) -> MarkerExpectation:
 
 
 class MarkerScene:
-    """Card and slot over textured ground with rocks, before a free stereo head."""
+    """Card and slot over textured ground with rocks, before a free stereo head.
+
+    Args:
+        rng: Random generator for views and noise.
+        noise_db: Signal-to-noise ratio of the images [dB].
+    """
 
     def __init__(self, rng: np.random.Generator, noise_db: float | None = 46.0) -> None:
-        """Build.
-
-        Args:
-            rng: Random generator for views and noise.
-            noise_db: Signal-to-noise ratio of the images [dB].
-        """
         self.width = CARD_AND_SLOT.slot_widths[1]
         self.geometry = HEAD
         self.cads = marker_cads(self.width)
