@@ -20,25 +20,25 @@ from perception.voxels.views import (
 )
 
 _PATHS = 50
-"""Paths checked at once: enough that calls cost little, few enough that little is in vain."""
+"""Number of paths checked at once: few calls, and few checks in vain."""
 Collides = Callable[[FloatArray], BoolArray]
-"""Of points (N, 3) [m] in the world, which may not be free (P >= 0.05)."""
+"""Test of points (N, 3) [m] in the world: (N,) which may not be free (P >= 0.05)."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ViewConfig:
-    """How views are drawn and rated.
+    """Configuration of the drawing and rating of views.
 
     Attributes:
-        candidates: Drawn for each decision.
+        candidates: Number of candidates of each decision.
         price: K of eq. 3-15, against the best candidate's information.
         exponent: n of eq. 3-15.
         step: Greatest turn of a joint between two checks of a path [rad].
-        survey: (joints,) where the arm stands for a raster but for its yaw and wrist [rad]: the
-            head high, its view half a radian below the horizon.
+        survey: (joints,) posture of the arm for a raster but for its yaw and wrist [rad]: the head
+            high, its view half a radian below the horizon.
         raster_yaw: Turn between the columns of a raster [rad]: views overlap by a third.
-        raster_tilt: Turn between its rows [rad].
-        raster_rows: How many there are.
+        raster_tilt: Turn between the rows of a raster [rad].
+        raster_rows: Number of rows of a raster.
     """
 
     candidates: int = 200
@@ -53,7 +53,7 @@ class ViewConfig:
 
 @dataclasses.dataclass(frozen=True)
 class ViewRays:
-    """What a stereo head sees.
+    """Field of view of a stereo head.
 
     Attributes:
         rays: (R, 3) unit vectors over the field of view, camera frame.
@@ -69,9 +69,9 @@ class RatedViews:
     """Candidates of one decision.
 
     Attributes:
-        angles: (N, joints) [rad].
-        ratings: (N,); the first is the best.
-        information: (N,) [bit].
+        angles: (N, joints) joint angles [rad], the best first.
+        ratings: (N,) rating RF of each.
+        information: (N,) expected information of each [bit].
         cameras: N transforms from camera to world.
     """
 
@@ -90,10 +90,10 @@ class ArmViews:
     """Views that one robot's arm can take.
 
     Attributes:
-        arm: Its kinematics.
-        transform_robot_to_world: Where the robot stands.
-        lens: What the head sees.
-        config: How views are drawn and rated.
+        arm: Chain of the arm, with the left camera as its tool.
+        transform_robot_to_world: Pose of the robot.
+        lens: Field of view of the head.
+        config: Configuration of the drawing and rating of views.
     """
 
     arm: SerialChain
@@ -106,7 +106,7 @@ class ArmViews:
         return self.transform_robot_to_world * self.arm.tool_in_robot(angles)
 
     def body(self, angles: FloatArray) -> FloatArray:
-        """Return points (N, K, 3) [m] that stand for the arm, world, for angles (N, joints)."""
+        """Return points (N, K, 3) [m] that cover the arm, world, for angles (N, joints)."""
         points = self.arm.cover_points(angles)
         world = self.transform_robot_to_world.apply(points.reshape(-1, 3))
         return world.reshape(points.shape)
@@ -115,7 +115,7 @@ class ArmViews:
         """Return (N,), whether the arm touches nothing with angles (N, joints) [rad]."""
         bodies = self.body(angles)
         hit = collides(bodies.reshape(-1, 3)).reshape(bodies.shape[:2])
-        return np.logical_not(np.any(hit, axis=1))
+        return np.all(~hit, axis=1)
 
     def path(self, start: FloatArray, goal: FloatArray) -> FloatArray:
         """Return (M, joints) angles of a straight path in joint space, both ends included [rad]."""
@@ -132,19 +132,19 @@ class ArmViews:
     def draw(
         self, start: FloatArray, collides: Collides, count: int, rng: np.random.Generator
     ) -> FloatArray:
-        """Draw views that can be reached from where the arm is.
+        """Draw views that can be reached from the present posture.
 
         Args:
             start: (joints,) present angles [rad].
-            collides: Tells what is not free.
+            collides: Test of which points may not be free.
             count: Number of views wanted; fewer come back where space is narrow.
-            rng: Source of randomness.
+            rng: Random generator for the views.
 
         Returns:
             (N, joints) angles [rad].
 
         Raises:
-            ViewError: If there is none.
+            ViewError: If no view can be reached.
         """
         low, high = self.arm.limits.T
         found: list[FloatArray] = []
@@ -171,12 +171,12 @@ class ArmViews:
         """Rate views by eq. 3-15, and sort them, the best first.
 
         Args:
-            grid: What is known.
+            grid: Coarse grid of the map's states.
             claims: (nx, ny, nz), which cells another robot is about to see; None for none.
             start: (joints,) present angles [rad].
-            angles: (N, joints) of the views [rad].
+            angles: (N, joints) angles of the views [rad].
         """
-        occupancy = unclaimed(grid, claims)
+        occupancy = _unclaimed(grid, claims)
         cameras = self.cameras(angles)
         information = view_information(grid, occupancy, cameras, self.lens.rays, self.lens.reach)
         span = np.linalg.norm(np.ptp(self.arm.limits, axis=1))
@@ -188,7 +188,7 @@ class ArmViews:
 
     def claims(self, grid: PlanningGrid, claims: BoolArray | None, angles: FloatArray) -> BoolArray:
         """Return (nx, ny, nz) claims with those of one view (joints,) [rad] added."""
-        occupancy = unclaimed(grid, claims)
+        occupancy = _unclaimed(grid, claims)
         camera = self.cameras(angles[None])[0]
         seen = claimed_by_view(grid, occupancy, camera, self.lens.rays, self.lens.reach)
         return seen if claims is None else np.logical_or(seen, claims)
@@ -196,28 +196,20 @@ class ArmViews:
     def raster(self) -> FloatArray:
         """Return the views (N, joints) of a raster: columns from left to right, row after row.
 
-        The arm keeps its survey posture but for yaw and wrist. Whether a view can be reached is
-        asked when its turn comes.
+        The arm keeps its survey posture but for yaw and wrist. Not all of them can be reached.
         """
         c, limits = self.config, self.arm.limits
-        yaws = _steps(limits[0, 0], limits[0, 1], c.raster_yaw)
+        (low, high), step = limits[0], c.raster_yaw
+        count = max(1, int(np.floor((high - low) / step)))
+        yaws = low + (np.arange(count) + 0.5) * (high - low) / count
         tilts = c.raster_tilt * (np.arange(c.raster_rows) - (c.raster_rows - 1) / 2.0)
-        rows = [
-            [yaw, c.survey[1], c.survey[2], np.clip(c.survey[3] + tilt, *limits[3])]
-            for tilt in tilts
-            for yaw in yaws
-        ]
-        return np.array(rows)
+        wrists = np.clip(c.survey[3] + tilts, *limits[3])
+        return np.array([[yaw, *c.survey[1:3], wrist] for wrist in wrists for yaw in yaws])
 
 
-def unclaimed(grid: PlanningGrid, claims: BoolArray | None) -> FloatArray:
+def _unclaimed(grid: PlanningGrid, claims: BoolArray | None) -> FloatArray:
     """Return the expected occupancy, 0 in claimed cells: there is nothing left to learn."""
     occupancy = expected_occupancy(grid.states)
     if claims is not None:
         occupancy[claims] = 0.0
     return occupancy
-
-
-def _steps(low: float, high: float, step: float) -> FloatArray:
-    count = max(1, int(np.floor((high - low) / step)))
-    return low + (np.arange(count) + 0.5) * (high - low) / count

@@ -23,20 +23,20 @@ from perception.stereo.matching import StereoPoints
 
 @dataclasses.dataclass(frozen=True)
 class FiducialLocalizerConfig:
-    """Configuration of how fiducials are chosen and found again.
+    """Configuration of the choice of fiducials and of the search for them.
 
     Attributes:
-        fiducials: What makes a good fiducial, and how many a view adds.
+        fiducials: Configuration of the choice, and of the number that a view adds.
         tracker: Configuration of the search for fiducials in a new view.
         place_sigma: Standard deviation of the column and row of a new fiducial [px]: it is where
             it was chosen to be.
         model_sigma: Standard deviation of image points beside their noise [px]: the model is
             linear, and a product of two errors of 5 mrad or 5 mm is 0.03 px. In scene 3 of
             ``ch3-stereo`` 68 of 71 matches were accepted with it, 63 without.
-        fewest: Number of fiducials without which the prediction stands. Three give nine numbers
-            for the six of a pose, so they can contradict each other.
-        turned: Largest turn of the camera since a fiducial was seen first, at which it is still
-            searched for [rad]: its patch looks different from further around.
+        fewest: Least number of fiducials for a correction. Three give nine numbers for the six of a
+            pose, so they can contradict each other.
+        turned: Largest turn of the camera since the first view of a fiducial, at which it is still
+            searched for [rad]: its patch changes with the view.
         sources: Largest number of earlier views whose fiducials are searched for.
     """
 
@@ -58,7 +58,7 @@ class Correction:
         found: (K, 3) image points of fiducials that were found again and accepted [px].
         added: (L, 3) image points of new fiducials [px].
         corrected: Whether fiducials of this view contributed; if not, the pose is the prediction,
-            improved by what other views have shown of the errors that all views share.
+            improved by other views' estimates of the errors that all views share.
     """
 
     camera: CameraPose
@@ -73,7 +73,7 @@ class _SourceView:
 
     Attributes:
         pair: (2, H, W) uint8 left and right image.
-        transform_camera_to_world: From the left camera to the world.
+        transform_camera_to_world: Transform from the left camera to the world.
         numbers: (K,) indices of its fiducials in the map.
         image_points: (K, 3) columns, rows and disparities of the fiducials [px].
     """
@@ -89,7 +89,7 @@ class FiducialLocalizer:
 
     Args:
         geometry: Geometry of all stereo heads.
-        config: How fiducials are chosen and found again; None for the default.
+        config: Configuration of the choice and the search; None for the default.
 
     Attributes:
         fiducials: Map of the fiducials.
@@ -125,10 +125,9 @@ class FiducialLocalizer:
             new_sigma=added_sigma,
         )
         pose = observed.registration
-        camera = CameraPose(pose.transform_camera_to_world, pose.covariance)
-        self._sources.append(
-            _SourceView(pair, camera.transform_camera_to_world, observed.added, added)
-        )
+        to_world = pose.transform_camera_to_world
+        self._sources.append(_SourceView(pair, to_world, observed.added, added))
+        camera = CameraPose(to_world, pose.covariance)
         return Correction(camera, found[pose.inliers], added, bool(pose.inliers.any()))
 
     def _find_again(
@@ -152,14 +151,10 @@ class FiducialLocalizer:
 
     def _nearest(self, transform_camera_to_world: RigidTransform) -> list[_SourceView]:
         """Return the earlier views nearest in rotation to a pose."""
-        turns = [
-            float(
-                (
-                    source.transform_camera_to_world.inv() * transform_camera_to_world
-                ).rotation.magnitude()
-            )
-            for source in self._sources
+        motions = [
+            s.transform_camera_to_world.inv() * transform_camera_to_world for s in self._sources
         ]
+        turns = [float(motion.rotation.magnitude()) for motion in motions]
         order = np.argsort(turns)[: self._config.sources]
         return [self._sources[n] for n in order if turns[n] <= self._config.turned]
 

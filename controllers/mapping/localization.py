@@ -22,7 +22,7 @@ SHARED = 12
 
 @dataclasses.dataclass(frozen=True)
 class LocalizationConfig:
-    """Standard deviations behind the camera pose that arm and inclinometer give.
+    """Standard deviations of the camera pose by arm and inclinometer.
 
     Attributes:
         tilt: Deviation of the measured tilt about each axis [rad]: the inclinometer's noise.
@@ -52,8 +52,9 @@ class CameraPose:
     """Pose of the left camera with its covariance.
 
     Attributes:
-        transform_camera_to_world: From the left camera to the world.
-        covariance: (6, 6) of xi in ``true = from_exp_coords(xi) * estimate``, in the world.
+        transform_camera_to_world: Transform from the left camera to the world.
+        covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * estimate``, in the
+            world.
     """
 
     transform_camera_to_world: RigidTransform
@@ -66,11 +67,11 @@ class RobotLocalization:
 
     Attributes:
         arm: Chain of the arm, with the left camera as its tool.
-        transform_level_to_world: From the robot frame, brought level, to the world.
+        transform_level_to_world: Transform from the robot frame, brought level, to the world.
         covariance: (6, 6) covariance of xi of that transform, in the world, without the error of
             the head's mounting.
-        transform_sighting_to_world: From the camera to the world when the target was seen. The
-            head's mounting erred the same then, so that its error cancels there.
+        transform_sighting_to_world: Transform from the camera to the world when the target was
+            seen. The head's mounting had the same error then, so that it cancels there.
         config: Standard deviations of arm and inclinometer.
     """
 
@@ -129,8 +130,8 @@ def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
     """Return the transform from a target to the world that it defines.
 
     Args:
-        transform_target_to_level: From the target to the level frame of the first robot that saw
-            it.
+        transform_target_to_level: Transform from the target to the level frame of the first robot
+            that saw it.
 
     Raises:
         ValueError: If the target's x axis is upright, so that it names no direction.

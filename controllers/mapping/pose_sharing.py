@@ -15,12 +15,12 @@ from twin.robot import ArmMode, Command, Observation, WheelMode
 
 @dataclasses.dataclass(frozen=True)
 class SharingConfig:
-    """One rover's motion and what it sends.
+    """Configuration of one rover's motion and messages.
 
     Attributes:
         robot: Name of the robot.
         number: Number of the robot in its messages.
-        steer: Kinematics of its wheels.
+        steer: Kinematics of the rover's wheels.
         position: Initial position x, y [m], world.
         yaw: Initial heading [rad], world.
         wheel_speeds: Speeds of the left and the right wheels [rad/s].
@@ -44,7 +44,7 @@ class SharingConfig:
 
 @dataclasses.dataclass
 class SharingLog:
-    """What one rover sent, and what it received from the other.
+    """Messages that one rover sent, and that it received from the other.
 
     Attributes:
         sent: (time, x, y) of each pose sent [s, m].
@@ -65,11 +65,11 @@ class PoseSharing:
     """Drives one rover in an arc and shares its pose and wrench by radio.
 
     Attributes:
-        log: What was sent and received.
+        log: Messages sent and received.
 
     Args:
         config: Motion and messages.
-        link: The rover's end of the radio.
+        link: Radio link of the rover.
     """
 
     def __init__(self, config: SharingConfig, link: Link) -> None:
@@ -98,23 +98,20 @@ class PoseSharing:
         return {self._config.robot: self._drive(seen)}
 
     def _send(self, seen: Observation) -> None:
-        place, number = self._odometry.place, self._config.number
-        self.log.sent.append((seen.time, float(place[0]), float(place[1])))
-        self._link.send_latest(self._pose(seen).pack())
+        odometry, tilt, number = self._odometry, seen.inclinometer, self._config.number
+        x, y = map(float, odometry.place)
+        pitch, roll = map(float, tilt.value) if tilt.usable else (0.0, 0.0)
+        deviation = self._config.drift * odometry.distance
+        attitude = pitch, roll, odometry.yaw
+        pose = PoseMessage(number, seen.time, (x, y, 0.0), attitude, deviation)
+        self.log.sent.append((seen.time, x, y))
+        self._link.send_latest(pose.pack())
         wrench = seen.arm_base_wrench
         if wrench.usable:  # A stale or missing wrench is not sent as if it were measured.
             fx, fy, fz, mx, my, mz = map(float, wrench.value)
             message = WrenchMessage(number, wrench.stamp, (fx, fy, fz), (mx, my, mz))
             self._link.send_latest(message.pack())
             self.log.measured.append((wrench.stamp, fz))
-
-    def _pose(self, seen: Observation) -> PoseMessage:
-        odometry, tilt = self._odometry, seen.inclinometer
-        pitch, roll = map(float, tilt.value) if tilt.usable else (0.0, 0.0)
-        position = float(odometry.place[0]), float(odometry.place[1]), 0.0
-        deviation = self._config.drift * odometry.distance
-        attitude = pitch, roll, odometry.yaw
-        return PoseMessage(self._config.number, seen.time, position, attitude, deviation)
 
     def _receive(self, now: float) -> None:
         for data in self._link.poll().messages:

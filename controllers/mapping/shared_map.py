@@ -26,7 +26,7 @@ from perception.stereo.matching import StereoPoints
 from perception.voxels.map import VoxelMap
 from perception.voxels.occupancy import State
 
-_KNOWN = 1e-10  # Variance of what a CAD says [m^2].
+_KNOWN = 1e-10  # Variance of a marker's position in the CAD [m^2].
 _MISFIT = 6.0  # Squared normalised residuals per degree of freedom of markers that do not fit.
 
 
@@ -145,7 +145,7 @@ class SharedMap:
         )
 
     def occupied_and_free(self, points: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Return (N,) which points [m] lie in what was measured occupied, and which are free."""
+        """Return (N,) which points (N, 3) [m] lie in occupied voxels, and which are free."""
         occupied = self.voxels.states(points) == State.OCCUPIED
         free = self.voxels.probabilities(points) < 0.05  # noqa: PLR2004
         return np.asarray(occupied), np.asarray(free)

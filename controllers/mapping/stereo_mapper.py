@@ -1,9 +1,9 @@
 """Robots with stereo heads on their arms build one map together, view by view.
 
-Each robot looks around until it sees the target, and so knows where it stands (Thesis section
-3.2.2). From then on what it sees goes into the common map (3.2.3), its camera's pose is corrected
-by the scene itself (3.2.5), and it chooses its next view (3.2.4) while the others do the same:
-cells that a chosen view is about to see are claimed, so that no other robot looks there.
+Each robot searches for the target, which localizes it (Thesis section 3.2.2). From then on its
+views enter the common map (3.2.3), its camera's pose is corrected by the scene itself (3.2.5), and
+it chooses its next view (3.2.4) while the others do the same: the cells that a chosen view should
+show are claimed, so that no other robot counts them.
 """
 
 import dataclasses
@@ -27,21 +27,6 @@ from twin.description import RobotDescription
 from twin.robot import Command, Observation, WheelMode
 
 
-@dataclasses.dataclass(frozen=True)
-class _PendingView:
-    """A view that waits until its robot is localized.
-
-    Attributes:
-        index: Index of the view in the list of all views.
-        tilt: (2,) pitch and roll of the robot at that time [rad].
-        arms: (joints,) angles of all arms at that time, as far as they were known [rad].
-    """
-
-    index: int
-    tilt: FloatArray
-    arms: dict[str, FloatArray]
-
-
 @dataclasses.dataclass
 class _Head:
     """State of one robot's stereo head.
@@ -53,9 +38,9 @@ class _Head:
         localization: Localization of the robot; None until it has seen the target.
         offsets: (12,) indices, in the map of fiducials, of the errors that its views share.
         taken: Number of views taken.
-        pending: Views taken before the robot was localized.
+        pending: Indices, among all views, of those taken before the robot was localized.
         rated: Candidates of the decision for the present goal.
-        claims: Cells that the present goal is about to see.
+        claims: Unknown cells that the view at the present goal should show.
         raster: Index of the next view of the raster.
         done: Whether it has taken all its views, or found none that it can reach.
     """
@@ -66,7 +51,7 @@ class _Head:
     localization: RobotLocalization | None = None
     offsets: IndexArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.intp))
     taken: int = 0
-    pending: list[_PendingView] = dataclasses.field(default_factory=list)
+    pending: list[int] = dataclasses.field(default_factory=list)
     rated: RatedViews | None = None
     claims: BoolArray | None = None
     raster: int = 0
@@ -81,7 +66,7 @@ class StereoMapper:
     Args:
         robots: Robots by name, each with a stereo head on its arm; all heads are alike.
         shared: Map that the robots build, new or begun.
-        config: How the robots move, look and choose.
+        config: Configuration of the motions, views and decisions.
         rng: Random generator for candidate views.
         on_view: Called once after each view, for recording.
         localizations: Localization of the robots that have one already, by name; they need a map
@@ -127,7 +112,7 @@ class StereoMapper:
         return {name: head.localization for name, head in heads if head.localization is not None}
 
     def reset(self) -> None:
-        """Forget where the robots are and what they were about to do; the map stays."""
+        """Forget the robots' localizations and goals; the map stays."""
         self._heads = {}
         survey, extent = self._config.views.survey, self.shared.cad.extent
         for name, robot in self._robots.items():
@@ -173,8 +158,17 @@ class StereoMapper:
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         tilt = np.asarray(seen.inclinometer.value, dtype=float)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
-        points = self._matcher.match(pair)
-        view = StereoView(name, head.taken, seen.time, angles, pair, points, None, None, head.rated)
+        view = StereoView(
+            robot=name,
+            number=head.taken,
+            time=seen.time,
+            angles=angles,
+            tilt=tilt,
+            arms=dict(arms),
+            pair=pair,
+            points=self._matcher.match(pair),
+            rated=head.rated,
+        )
         head.taken += 1
         if head.localization is None:
             c = self._config
@@ -184,28 +178,25 @@ class StereoMapper:
             if head.localization is not None:
                 shared = head.localization.shared_covariance()
                 head.offsets = self.localizer.fiducials.share(shared)
-        head.pending.append(_PendingView(len(self.views), tilt, dict(arms)))
+        head.pending.append(len(self.views))
         self.views.append(view)
         if head.localization is not None:
-            for pending in head.pending:
-                self._fuse(pending, head.localization, head.offsets)
+            for index in head.pending:
+                self.views[index] = self._fused(self.views[index], head.localization, head.offsets)
             head.pending.clear()
         if self._on_view is not None:
             self._on_view(self.views[-1])
-        self._choose(name, head, view, tilt)
+        self._choose(head, view)
 
-    def _fuse(
-        self, pending: _PendingView, localization: RobotLocalization, offsets: IndexArray
-    ) -> None:
-        """Fuse a view into the map."""
-        view = self.views[pending.index]
-        prediction = localization.camera(view.angles, pending.tilt)
-        prior = localization.prior(view.angles, pending.tilt, offsets)
+    def _fused(
+        self, view: StereoView, localization: RobotLocalization, offsets: IndexArray
+    ) -> StereoView:
+        """Fuse a view into the map, and return it with its camera pose."""
+        prediction = localization.camera(view.angles, view.tilt)
+        prior = localization.prior(view.angles, view.tilt, offsets)
         correction = self.localizer.locate(view.pair, view.points, prior)
-        self.shared.fuse(correction.camera, view.points, self._bodies(pending.arms))
-        self.views[pending.index] = dataclasses.replace(
-            view, prediction=prediction, correction=correction
-        )
+        self.shared.fuse(correction.camera, view.points, self._bodies(view.arms))
+        return dataclasses.replace(view, prediction=prediction, correction=correction)
 
     def _bodies(self, arms: Mapping[str, FloatArray]) -> FloatArray:
         """Return (M, 4) spheres, centre and radius [m], about the robots that are localized."""
@@ -220,34 +211,32 @@ class StereoMapper:
             spheres.append(local + [0.0, 0.0, 0.0, self._config.aura])
         return np.concatenate(spheres)
 
-    def _choose(self, name: str, head: _Head, view: StereoView, tilt: FloatArray) -> None:
+    def _choose(self, head: _Head, view: StereoView) -> None:
         """Choose the next view of a robot, and start its arm's motion there."""
         head.claims, head.rated = None, None
         spare = self._config.search_scans if head.localization is None else 0
-        if head.taken >= self._config.scans + spare:
-            head.done = True
-            return
-        try:
-            goal = self._goal(name, head, view, tilt)
-        except ViewError:
-            head.done = True
-            return
-        head.move = self._move_to(goal)
+        head.done = head.taken >= self._config.scans + spare
+        if not head.done:
+            try:
+                head.move = self._move_to(self._goal(head, view))
+            except ViewError:
+                head.done = True
 
-    def _goal(self, name: str, head: _Head, view: StereoView, tilt: FloatArray) -> FloatArray:
+    def _goal(self, head: _Head, view: StereoView) -> FloatArray:
+        """Return the next view (joints,) of a robot [rad].
+
+        Raises:
+            ViewError: If there is none.
+        """
         angles = view.angles
         if head.localization is None:
             hints = possible_markers(view.pair, self.shared.geometry, self.shared.cad)
-            goal = head.search.after(angles, hints, tilt)
+            goal = head.search.after(angles, hints, view.tilt)
             if goal is None:
-                raise ViewError("the target is nowhere around")
+                raise ViewError("the target is in none of the views")
             return goal
-        views = ArmViews(
-            head.arm,
-            head.localization.transform_level_to_world,
-            self._lens,
-            self._config.views,
-        )
+        level = head.localization.transform_level_to_world
+        views = ArmViews(head.arm, level, self._lens, self._config.views)
         collides = self._collides(views)
         if self._config.method == "raster":
             return self._next_of_raster(head, views, angles, collides)
@@ -255,7 +244,7 @@ class StereoMapper:
             return views.draw(angles, collides, 1, self._rng)[0]
         drawn = views.draw(angles, collides, self._config.views.candidates, self._rng)
         grid = planning_grid(self.shared.voxels)
-        head.rated = views.rate(grid, self._claims(name), angles, drawn)
+        head.rated = views.rate(grid, self._claims(view.robot), angles, drawn)
         head.claims = views.claims(grid, None, head.rated.angles[0])
         return head.rated.angles[0]
 
@@ -269,7 +258,7 @@ class StereoMapper:
         raise ViewError("the raster has ended")
 
     def _claims(self, name: str) -> BoolArray | None:
-        """Return the cells that the other robots are about to see; None if there are none."""
+        """Return the cells that the other robots claim; None if there are none."""
         others = [h.claims for n, h in self._heads.items() if n != name and h.claims is not None]
         return np.logical_or.reduce(others) if others else None
 

@@ -1,12 +1,14 @@
 """Configuration of mapping with stereo heads on arms, and the record of each view taken."""
 
 import dataclasses
+from collections.abc import Mapping
 
 from controllers.mapping.arm_views import RatedViews, ViewConfig
 from controllers.mapping.fiducial_localizer import Correction, FiducialLocalizerConfig
 from controllers.mapping.localization import CameraPose, LocalizationConfig
 from controllers.mapping.searching import TargetSearchConfig
 from perception.geometry.arrays import FloatArray, ImageArray
+from perception.geometry.checks import check_choice
 from perception.stereo.matching import StereoMatcherConfig, StereoPoints
 
 METHODS = ("information", "raster", "random")
@@ -17,18 +19,18 @@ class MapperConfig:
     """Configuration of the motions, views and decisions of mapping robots.
 
     Attributes:
-        method: How the next view is chosen; one of `METHODS`.
+        method: Method that chooses the next view; one of `METHODS`.
         scans: Number of views of each robot, those that search for the target included.
-        search_scans: Number of views beyond these for a robot that has not seen the target yet.
+        search_scans: Number of further views of a robot that has not seen the target yet.
         speed: Speed of the fastest joint between views [rad/s].
         rest: Time at the goal before a view is taken [s].
         near: Greatest joint error at which the goal counts as reached [rad].
-        patience: Time after which a goal that is not reached is taken as it is [s].
+        patience: Time after which a view is taken although its goal is not reached [s].
         reach: Nearest and farthest depth that enters the map [m].
-        rays: Columns and rows of rays by which a view is rated.
+        rays: Columns and rows of rays that rate a view.
         clear: Radius about the arm's base [m] and least height above it [m] of the space that is
             free when the robot is set down: there the arm may move before it was seen.
-        aura: Margin about a robot's spheres that is kept out of the map [m]: robots move.
+        aura: Margin about a robot's spheres that does not enter the map [m]: robots move.
         search: Configuration of the search for the target.
         views: Configuration of the drawing and rating of candidate views.
         localization: Standard deviations of the camera pose by arm and inclinometer.
@@ -63,33 +65,36 @@ class MapperConfig:
         Raises:
             ValueError: Listing the known ones.
         """
-        if self.method not in METHODS:
-            raise ValueError(f"method {self.method!r}: expected one of {', '.join(METHODS)}")
+        check_choice("method", self.method, METHODS)
 
 
 @dataclasses.dataclass(frozen=True)
 class StereoView:
-    """One stereo pair, and what was computed from it.
+    """One stereo pair, and its results.
 
     Attributes:
         robot: Name of the robot that took it.
         number: Index among this robot's views, from 0.
         time: Robot time of the pair [s].
         angles: (joints,) joint angles of the arm [rad].
+        tilt: (2,) pitch and roll of the robot [rad].
+        arms: (joints,) angles of all robots' arms by name, as far as they were known [rad].
         pair: (2, H, W) uint8 left and right image.
         points: Matched points, in the left camera's frame.
+        rated: Candidates of the decision that led to this view; None if there was none.
         prediction: Camera pose by arm and inclinometer; None before the robot was localized.
         correction: Camera pose by the fiducials of the scene as well; None before the robot was
             localized.
-        rated: Candidates of the decision that led to this view; None if there was none.
     """
 
     robot: str
     number: int
     time: float
     angles: FloatArray
+    tilt: FloatArray
+    arms: Mapping[str, FloatArray]
     pair: ImageArray
     points: StereoPoints
-    prediction: CameraPose | None
-    correction: Correction | None
     rated: RatedViews | None
+    prediction: CameraPose | None = None
+    correction: Correction | None = None
