@@ -28,7 +28,7 @@ from controllers.mapping.planar_situation import (
     frontier_cells,
 )
 from perception.geometry.arrays import BoolArray, FloatArray, IntArray
-from perception.geometry.checks import check_choice
+from perception.geometry.checks import check_choice, check_numbers
 from perception.planar.information import (
     READINGS,
     KnownGround,
@@ -99,10 +99,8 @@ class PlannerConfig:
                 f"candidates {self.candidates}, headings {self.headings}, rays {self.rays}: "
                 "expected 1 or more, and rays a multiple of the headings"
             )
-        if not (self.price >= 0.0 and self.exponent > 0.0 and self.isolation >= 0.0):
-            raise ValueError("price, exponent, isolation: expected 0 or more, exponent above 0")
-        if not self.scan_path > 0.0:
-            raise ValueError(f"scan_path: expected more than 0, got {self.scan_path}")
+        check_numbers("planner", self, "exponent", "scan_path")
+        check_numbers("planner", self, "price", "isolation", zero=True)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -44,7 +44,8 @@ class SharedMap:
         voxels: The map, in the world that the target defines.
         geometry: Geometry of all stereo heads.
         cad: Markers of the target.
-        transform_target_to_world: From the target to the world; None until a robot has seen it.
+        transform_target_to_world: Transform from the target to the world; None until a robot has
+            seen it.
     """
 
     def __init__(

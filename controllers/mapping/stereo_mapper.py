@@ -129,7 +129,11 @@ class StereoMapper:
 
         A decision takes tenths of a second, in which the robots stand still.
         """
-        arms = _arms(observations)
+        arms = {
+            name: np.asarray(seen.arm_angles.value, dtype=float)
+            for name, seen in observations.items()
+            if seen.arm_angles.usable
+        }
         return {name: self.step_robot(name, observations[name], arms) for name in self._heads}
 
     def step_robot(self, name: str, seen: Observation, arms: Mapping[str, FloatArray]) -> Command:
@@ -275,12 +279,3 @@ class StereoMapper:
             return occupied | ~(free | clear)
 
         return collides
-
-
-def _arms(observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
-    """Return (joints,) angles of the arms whose angles are known [rad]."""
-    return {
-        name: np.asarray(seen.arm_angles.value, dtype=float)
-        for name, seen in observations.items()
-        if seen.arm_angles.usable
-    }

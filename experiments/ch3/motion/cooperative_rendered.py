@@ -21,7 +21,7 @@ from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.registration.cooperative import (
     RelativePose,
     SharedPoints,
@@ -48,7 +48,7 @@ REACH = (0.6, 1.0, 1.0, 1.2)  # Greatest distance of a posture from the home pos
 MARGIN = 25.0  # Distance of the panel's markers from the border [px]
 GROSS = 0.02  # Errors beyond this are wrong matches [m].
 CASES = ("single", "fused", "bundle", "target", "perfect")
-WAYS = ("markers", "target", "bundle", "joint")
+ESTIMATES = ("markers", "target", "bundle", "joint")
 """Estimates of the relative pose: by the markers as mere points, by the markers of a known target,
 by the points alone, and by the points and the target together."""
 
@@ -58,7 +58,8 @@ class RenderedPair(Triangulated):
     """One rendered scene, triangulated in every way that succeeds.
 
     Attributes:
-        pose_errors: (2,) error of the relative pose by `WAYS` [mm, deg]; infinite where it failed.
+        pose_errors: (2,) error of the relative pose by `ESTIMATES` [mm, deg]; infinite where it
+            failed.
         baseline_m: Distance between the two left cameras [m].
         images: (2, H, W) uint8 left images of both robots.
         marker_errors: (k, 3) errors of the markers' columns, rows and disparities [px].
@@ -100,10 +101,10 @@ def measure_rendered(options: contract.Options, output: Output) -> list[Rendered
         output.measure("cooperative_wrong_kept_fraction", fraction(wrong, len(agreed)))
     output.measure("cooperative_range_m", distribution([r.range_m for r in results]))
     output.measure("cooperative_baseline_m", distribution([r.baseline_m for r in results]))
-    for way in WAYS:
+    for estimate in ESTIMATES:
         for part, name in enumerate(("mm", "deg")):
-            values = [r.pose_errors[way][part] for r in results]
-            output.measure(f"cooperative_pose_error_{name}/{way}", distribution(values))
+            values = [r.pose_errors[estimate][part] for r in results]
+            output.measure(f"cooperative_pose_error_{name}/{estimate}", distribution(values))
     markers = np.concatenate([r.marker_errors for r in results])
     if len(markers):
         for axis, values in zip(("column", "row", "disparity"), markers.T, strict=True):
@@ -124,7 +125,7 @@ def triangulate_rendered(seed: int) -> RenderedPair:
     result = RenderedPair(
         errors=dict.fromkeys(CASES, np.inf),
         nees=dict.fromkeys(CASES, np.nan),
-        pose_errors={way: np.full(2, np.inf) for way in WAYS},
+        pose_errors={estimate: np.full(2, np.inf) for estimate in ESTIMATES},
         baseline_m=float(np.linalg.norm(second.translation - first.translation)),
         images=np.stack([view.pair[0] for view in views]),
     )
@@ -214,8 +215,11 @@ def _match(
     cloud = StereoMatcher(geometry).match(views[0].pair)
     second = relative.transform_second_to_first
     there = geometry.project(second.apply(cloud.points, inverse=True))
-    inside = in_both_images(geometry, there, MARGIN)
-    chosen = _spaced(cloud.pixels, np.flatnonzero(inside))
+    inside = np.flatnonzero(in_both_images(geometry, there, MARGIN))
+    # One point for each cell of a grid, so that no two are near one another.
+    cells = np.floor(cloud.pixels[inside] / APART).astype(int)
+    spaced = np.sort(np.unique(cells, axis=0, return_index=True)[1])
+    chosen = inside[spaced[:: max(1, -(-len(spaced) // POINTS))]]
     seen = np.column_stack([cloud.pixels[chosen], cloud.disparities[chosen]])
     normals = surface_normals(cloud.points[chosen], cloud.points)
     across = match_across(views[0].pair, views[1].pair, seen, normals, geometry, second)
@@ -223,14 +227,6 @@ def _match(
     first = Sighting(seen, sigma, geometry).chosen(across.found)
     other = Sighting(across.image_points, across.sigma, geometry).chosen(across.found)
     return first, other, len(chosen)
-
-
-def _spaced(pixels: FloatArray, candidates: IndexArray) -> IndexArray:
-    """Return some candidates, no two of them near one another: one for each cell of a grid."""
-    cells = np.floor(pixels[candidates] / APART).astype(int)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    step = max(1, -(-len(first) // POINTS))
-    return candidates[np.sort(first)[::step]]
 
 
 def _triangulate(
@@ -250,9 +246,9 @@ def _triangulate(
         if shared is not None:
             found[case] = shared
             result.score_shared(case, shared, true, DEPTH)
-    for way, case in (("bundle", "bundle"), ("joint", "target")):
+    for estimate, case in (("bundle", "bundle"), ("joint", "target")):
         if case in found:
-            result.pose_errors[way] = _pose_error(found[case].relative, truth)
+            result.pose_errors[estimate] = _pose_error(found[case].relative, truth)
     if "target" not in found:
         return
     result.agreed = kept = found["target"].inliers

@@ -64,9 +64,10 @@ def tracking_figure(
 
     Args:
         images: Left images (H, W) in the order of the views.
-        with_previous: For each image (N, 2 or more) columns and rows of the fiducials that were
+        with_previous: (N, 2 or more) columns and rows of the fiducials of each image that were
             tracked from the image before it: squares.
-        with_next: For each image those tracked to the image after it: circles.
+        with_next: (N, 2 or more) columns and rows of the fiducials of each image that were tracked
+            to the image after it: circles.
     """
     figure = Figure(figsize=(4.2 * len(images), 4.2), layout="constrained")
     grid = figure.subplots(1, len(images), squeeze=False)[0]

@@ -1,6 +1,6 @@
 """Camera motion on rendered pairs: fiducials chosen, tracked and registered, as on the robots.
 
-A stereo head looks at a cluttered scene from a mean distance and moves as an arm would move it.
+A stereo head views a cluttered scene from a mean distance and moves as an arm would move it.
 The motion by the arm's joints is wrong by some millimetres and tenths of a degree; it only starts
 the search. The true poses serve to score.
 """
@@ -32,7 +32,7 @@ from perception.stereo.matching import StereoMatcher
 STEPS = 15
 REPORTED = (1, 5, 15)
 USED = 6  # Fiducials of a motion, as in the thesis' figure 3-23.
-CHOSEN = 10  # A few more are chosen, since some are lost on the way.
+CHOSEN = 10  # A few more are chosen, since some are lost in tracking.
 MAPPED = 14  # Fiducials of the map that are wanted in view.
 SHOWN = 3  # Views of figure 3-23.
 SIGMA = (0.03, 0.03, 0.05)

@@ -130,18 +130,13 @@ def surface_errors(
 def _nearest(scene: StereoScene, point: FloatArray) -> tuple[float, FloatArray]:
     """Return the distance to the nearest surface [m], infinite if far, and its normal (3,)."""
     best, normal = np.inf, np.array([0.0, 0.0, 1.0])
+    geom = np.array([-1], np.int32)
     for direction in _AROUND:
-        depth, across = _hit(scene, point - BACK * direction, direction)
-        error = (depth - BACK) * float(direction @ across) if np.isfinite(depth) else np.inf
-        if abs(error) < abs(best):
+        start, across = point - BACK * direction, np.zeros(3)
+        depth = mujoco.mj_ray(
+            scene.model, scene.data, start, direction, SHOWN_GROUPS, 1, -1, geom, across
+        )
+        error = (depth - BACK) * float(direction @ across)
+        if depth >= 0.0 and abs(error) < abs(best):
             best, normal = error, across
     return best, normal
-
-
-def _hit(scene: StereoScene, start: FloatArray, direction: FloatArray) -> tuple[float, FloatArray]:
-    """Return depth [m] and normal (3,) of the true surface along a ray; infinity if none."""
-    geom, normal = np.array([-1], np.int32), np.zeros(3)
-    depth = mujoco.mj_ray(
-        scene.model, scene.data, start, direction, SHOWN_GROUPS, 1, -1, geom, normal
-    )
-    return (depth, normal) if depth >= 0.0 else (np.inf, direction)

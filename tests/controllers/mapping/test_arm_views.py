@@ -1,4 +1,4 @@
-"""Views of a stereo head on an arm: reachable, free, and rated by what they tell."""
+"""Views of a stereo head on an arm: reachable, free, and rated by their information."""
 
 import numpy as np
 import pytest
@@ -76,7 +76,7 @@ def test_views_are_the_first_of_those_drawn_whose_own_path_is_free(views):
     np.testing.assert_array_equal(drawn, expected[:70])
 
 
-def test_no_room_is_told(views):
+def test_no_reachable_view_is_an_error(views):
     with pytest.raises(ViewError, match="no view"):
         views.draw(HOME, above(9.0), 5, np.random.default_rng(0))
 
@@ -97,7 +97,7 @@ def test_best_view_looks_at_the_only_unknown_place(views):
     assert sight[2] > 0 and np.abs(sight[:2] / sight[2]).max() < 0.4
 
 
-def test_view_that_is_claimed_tells_nothing_more(views):
+def test_claimed_view_has_no_information(views):
     drawn = views.draw(HOME, above(0.12), 5, np.random.default_rng(2))
     first = views.rate(GRID, None, HOME, drawn)
     claims = views.claims(GRID, None, first.angles[0])

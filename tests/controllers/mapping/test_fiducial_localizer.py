@@ -38,7 +38,7 @@ def assert_at(camera, prior):
     np.testing.assert_allclose(camera.covariance, prior.covariance)
 
 
-def test_second_look_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
+def test_second_view_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
     rng = np.random.default_rng(0)
     localizer = FiducialLocalizer(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
@@ -46,41 +46,41 @@ def test_second_look_from_nearby_is_corrected_to_a_millimetre(scene, matcher):
     assert not first.corrected and len(first.added) >= 10
     pair, true = look(scene, [0.06, -0.68, 0.38])
     off = RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), GUESS))
-    told = localizer.locate(pair, matcher.match(pair), PosePrior(off * true, GUESS))
-    assert told.corrected
-    error = (true * told.camera.transform_camera_to_world.inv()).as_exp_coords()
+    result = localizer.locate(pair, matcher.match(pair), PosePrior(off * true, GUESS))
+    assert result.corrected
+    error = (true * result.camera.transform_camera_to_world.inv()).as_exp_coords()
     guessed = np.linalg.norm(off.apply(true.translation) - true.translation)
-    found = np.linalg.norm(told.camera.transform_camera_to_world.translation - true.translation)
+    found = np.linalg.norm(result.camera.transform_camera_to_world.translation - true.translation)
     assert found < 1e-3 < guessed
     # Seven times the expectation of six: one in a million, were all Gaussian.
-    assert error @ np.linalg.solve(told.camera.covariance, error) < 42
+    assert error @ np.linalg.solve(result.camera.covariance, error) < 42
 
 
-def test_look_elsewhere_leaves_the_guess_as_it_was(scene, matcher):
+def test_view_elsewhere_leaves_the_prior_unchanged(scene, matcher):
     localizer = FiducialLocalizer(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
     localizer.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
     scene.set_rig(look_at([0.0, -0.7, 0.35], [0.9, -0.6, 0.0]))
     view = scene.capture(RIG)
     prior = PosePrior(view.transform_camera_to_world, GUESS)
-    told = localizer.locate(view.pair, matcher.match(view.pair), prior)
-    assert not told.corrected
-    assert_at(told.camera, prior)
+    result = localizer.locate(view.pair, matcher.match(view.pair), prior)
+    assert not result.corrected
+    assert_at(result.camera, prior)
 
 
 def test_black_pair_adds_nothing_and_leaves_the_guess(scene, matcher):
     localizer = FiducialLocalizer(scene.geometry)
     black = np.zeros((2, scene.geometry.height, scene.geometry.width), np.uint8)
     prior = PosePrior(RigidTransform.identity(), GUESS)
-    told = localizer.locate(black, matcher.match(black), prior)
-    assert_at(told.camera, prior)
-    assert not len(told.added) and not len(localizer.fiducials)
+    result = localizer.locate(black, matcher.match(black), prior)
+    assert_at(result.camera, prior)
+    assert not len(result.added) and not len(localizer.fiducials)
 
 
-def test_what_one_look_tells_of_a_shared_error_helps_the_next_that_sees_nothing_known(
+def test_shared_error_found_in_one_view_corrects_the_next_that_has_no_known_fiducial(
     scene, matcher
 ):
-    """The robot stands 6 mm off; its third look has no fiducial, but knows that."""
+    """The robot is 6 mm off its estimate; its third view has no fiducial, but is corrected."""
     localizer = FiducialLocalizer(scene.geometry)
     pair, true = look(scene, [0.0, -0.7, 0.35])
     localizer.locate(pair, matcher.match(pair), PosePrior(true, 1e-12 * np.eye(6)))
@@ -94,10 +94,10 @@ def test_what_one_look_tells_of_a_shared_error_helps_the_next_that_sees_nothing_
     view = scene.capture(RIG)
     true = view.transform_camera_to_world
     prior = PosePrior(off.inv() * true, own, numbers, np.eye(6))
-    told = localizer.locate(view.pair, matcher.match(view.pair), prior)
-    assert not told.corrected
+    result = localizer.locate(view.pair, matcher.match(view.pair), prior)
+    assert not result.corrected
     before, after = (
         np.linalg.norm(p.apply([0.0, 0.0, 0.8]) - true.apply([0.0, 0.0, 0.8]))
-        for p in (prior.transform_camera_to_world, told.camera.transform_camera_to_world)
+        for p in (prior.transform_camera_to_world, result.camera.transform_camera_to_world)
     )
     assert after < 1.5e-3 < 4e-3 < before

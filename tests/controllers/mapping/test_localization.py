@@ -1,4 +1,4 @@
-"""A robot that has seen the target knows where its camera is, however it leans."""
+"""A robot that has seen the target knows its camera's pose, whatever its tilt."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def arm():
     return SerialChain.of_robot(describe_rover())
 
 
-def test_lean_is_what_the_inclinometer_means():
+def test_tilt_is_that_of_the_inclinometer():
     pitch, roll, yaw = 0.04, -0.07, 0.9
     turned = Rotation.from_euler("z", yaw) * tilt_to_level(np.array([pitch, roll])).rotation
     np.testing.assert_allclose(tilt(*turned.as_quat(scalar_first=True)), [pitch, roll, yaw])
@@ -43,17 +43,17 @@ def test_camera_is_found_where_it_truly_is_after_arm_and_base_have_moved(arm):
     place = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
     before, after = np.array([0.01, -0.02]), np.array([-0.015, 0.005])
     seen = CameraPose(place * tilt_to_level(before) * arm.tool_in_robot(HOME), np.zeros((6, 6)))
-    standing = localize(arm, HOME, before, seen)
+    localization = localize(arm, HOME, before, seen)
     angles = HOME + [0.8, 0.2, -0.3, 0.4]
-    found = standing.camera(angles, after)
+    found = localization.camera(angles, after)
     true = place * tilt_to_level(after) * arm.tool_in_robot(angles)
     np.testing.assert_allclose(
         found.transform_camera_to_world.as_matrix(), true.as_matrix(), atol=1e-12
     )
 
 
-def test_covariance_is_that_of_drawn_leans(arm):
-    """At the target and now the base errs on its own, and the head sits alike."""
+def test_covariance_is_that_of_drawn_errors(arm):
+    """The base has errors of its own at the target and now; the head's mounting has one error."""
     rng = np.random.default_rng(0)
     angles = HOME + [0.8, 0.2, -0.3, 0.4]
     level = np.zeros(2)
@@ -61,8 +61,8 @@ def test_covariance_is_that_of_drawn_leans(arm):
     nominal = localize(arm, HOME, level, seen)
     base, mount = nominal.config.base_covariance(), nominal.config.mount_covariance()
     first, second, head = (
-        RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), spread, 4000))
-        for spread in (base, base, mount)
+        RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), covariance, 4000))
+        for covariance in (base, base, mount)
     )
     shift = RigidTransform.from_exp_coords(1e-4 * rng.standard_normal((4000, 6)))
     at_target = shift * seen.transform_camera_to_world
@@ -70,21 +70,21 @@ def test_covariance_is_that_of_drawn_leans(arm):
     true = place * second * camera_in_level(arm, angles, level) * head
     estimate = nominal.camera(angles, level).transform_camera_to_world
     drawn = np.cov((true * estimate.inv()).as_exp_coords().T)
-    told = nominal.camera(angles, level).covariance
-    np.testing.assert_allclose(np.sqrt(np.diag(told)), np.sqrt(np.diag(drawn)), rtol=0.05)
+    claimed = nominal.camera(angles, level).covariance
+    np.testing.assert_allclose(np.sqrt(np.diag(claimed)), np.sqrt(np.diag(drawn)), rtol=0.05)
 
 
 def test_prior_moves_with_what_is_shared_as_the_camera_truly_does(arm):
-    """The place was told a little wrong, and the head sits a little differently."""
+    """The localization has a small error, and so has the head's mounting."""
     rng = np.random.default_rng(1)
     place, seat = 1e-4 * rng.standard_normal((2, 6))
     angles, level = HOME + [0.8, 0.2, -0.3, 0.4], np.zeros(2)
     robot = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
     head = RigidTransform.from_exp_coords(seat)
     sighting = robot * camera_in_level(arm, HOME, level) * head
-    told = RigidTransform.from_exp_coords(-place) * sighting
-    standing = localize(arm, HOME, level, CameraPose(told, np.zeros((6, 6))))
-    prior = standing.prior(angles, level, np.arange(12))
+    estimate = RigidTransform.from_exp_coords(-place) * sighting
+    localization = localize(arm, HOME, level, CameraPose(estimate, np.zeros((6, 6))))
+    prior = localization.prior(angles, level, np.arange(12))
     moved = prior.at(np.append(place, seat))
     true = robot * camera_in_level(arm, angles, level) * head
     np.testing.assert_allclose(moved.as_matrix(), true.as_matrix(), atol=2e-7)

@@ -64,18 +64,18 @@ def test_path_lengths_are_those_of_scipy():
     np.testing.assert_allclose(found.lengths.ravel(), 0.5 * expected, rtol=1e-12)
 
 
-def test_a_path_is_free_connected_and_as_long_as_told():
+def test_a_path_is_free_connected_and_of_the_reported_length():
     enterable = np.random.default_rng(3).random((30, 37)) > 0.3
     start = tuple(int(i) for i in np.argwhere(enterable)[0])
     paths = shortest_paths(enterable, start, 0.5)
     far = np.unravel_index(np.argmax(np.where(np.isfinite(paths.lengths), paths.lengths, -1)),
                            enterable.shape)  # fmt: skip
-    way = paths.to((int(far[0]), int(far[1])))
-    assert way[0].tolist() == list(start) and tuple(way[-1]) == far
-    steps = np.diff(way, axis=0)
+    path = paths.to((int(far[0]), int(far[1])))
+    assert path[0].tolist() == list(start) and tuple(path[-1]) == far
+    steps = np.diff(path, axis=0)
     assert np.abs(steps).max() == 1
-    assert enterable[way[:, 0], way[:, 1]].all()
-    for (r, c), (dr, dc) in zip(way, steps):
+    assert enterable[path[:, 0], path[:, 1]].all()
+    for (r, c), (dr, dc) in zip(path, steps):
         assert enterable[r, c + dc] and enterable[r + dr, c]
     assert 0.5 * np.hypot(*steps.T).sum() == pytest.approx(paths.lengths[far])
 
@@ -183,7 +183,7 @@ def test_new_and_old_area_fill_the_open_sector():
     np.testing.assert_allclose(new + old, 1.0, rtol=1e-12)
 
 
-def test_frontier_looks_from_the_nearest_cell_beside_the_unknown_that_shows_enough():
+def test_frontier_chooses_the_nearest_cell_beside_the_unknown_that_shows_enough():
     _, model = partly_mapped()
     situation = believe(model, START, SENSOR, 240)
     config = PlannerConfig(SENSOR, "frontier")
@@ -273,7 +273,7 @@ def test_team_wants_one_cell_for_each_robot():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"method": "greedy"}, "random, raster"),
         ({"reading": "grey"}, "histogram"),
@@ -284,6 +284,6 @@ def test_team_wants_one_cell_for_each_robot():
         ({"price": -1.0}, "price"),
     ],
 )
-def test_impossible_settings_are_refused(change, told):
-    with pytest.raises(ValueError, match=told):
+def test_impossible_settings_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
         dataclasses.replace(PlannerConfig(), **change)

@@ -1,4 +1,4 @@
-"""A robot that seeks the target looks everywhere, and turns to what may be a marker."""
+"""The search for the target covers all sides, and turns to possible markers."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_search_without_hints_looks_all_around_once_and_then_ends(arm):
     assert np.diff(np.sort(views[:9, 0])).max() < np.deg2rad(41.0)
 
 
-def test_next_view_has_what_may_be_a_marker_in_its_middle(arm):
+def test_next_view_has_a_possible_marker_in_its_middle(arm):
     rng = np.random.default_rng(0)
     for _ in range(8):
         azimuth, distance = rng.uniform(-2.0, 2.0), rng.uniform(0.6, 1.4)
@@ -78,32 +78,32 @@ def test_hint_in_both_images_outweighs_one_in_a_single_image(arm):
     assert off_axis(arm, view, np.array([-0.6, 0.8, 0.1])) < 1e-3
 
 
-def test_false_hint_costs_one_look_from_each_posture_and_the_search_goes_on(arm):
+def test_false_hint_costs_one_view_from_each_posture_and_the_search_continues(arm):
     place = np.array([0.3, 0.9, 0.1])
     search, view = searching(arm)
-    stared = []
+    centred = []
     for _ in range(6):
         view = search.after(view, hints_at(arm, view, place), LEVEL)
-        stared.append(off_axis(arm, view, place) < 1e-3)
-    assert stared == [True, True, False, False, False, False]
+        centred.append(off_axis(arm, view, place) < 1e-3)
+    assert centred == [True, True, False, False, False, False]
 
 
 @pytest.mark.parametrize("tilt", [(-0.17, 0.04), (0.15, -0.1)])
-def test_leaning_robot_looks_as_high_as_a_level_one(arm, tilt):
-    lean = Rotation.from_euler("XY", tilt)
+def test_views_of_a_tilted_robot_are_as_high_as_those_of_a_level_one(arm, tilt):
+    tilted = Rotation.from_euler("XY", tilt)
     heights = []
-    for stands, turn in ((LEVEL, Rotation.identity()), (np.array(tilt), lean)):
+    for measured, turn in ((LEVEL, Rotation.identity()), (np.array(tilt), tilted)):
         search, view = searching(arm)
         axes = []
         while view is not None:
             axes.append(turn.apply(arm.tool_in_robot(view).rotation.as_matrix()[:, 2])[2])
-            view = search.after(view, NOTHING, stands)
+            view = search.after(view, NOTHING, measured)
         heights.append(np.arcsin(axes))
-    level, leaning = heights
-    # The first look ahead leans with the robot, so it is taken once more.
-    assert len(leaning) == len(level) + 1
-    assert abs(leaning[0] - level[0]) > 0.1
-    assert np.abs(leaning[1:] - level).max() < 0.02
+    level, compensated = heights
+    # The first view ahead is tilted with the robot, so it is repeated.
+    assert len(compensated) == len(level) + 1
+    assert abs(compensated[0] - level[0]) > 0.1
+    assert np.abs(compensated[1:] - level).max() < 0.02
 
 
 def test_arm_keeps_to_the_space_that_is_free_when_the_robot_is_set_down(arm):

@@ -126,15 +126,15 @@ def test_thin_walls_survive_shrinking(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("pixels", "told"),
+    ("pixels", "message"),
     [
         (np.zeros((50, 50)), "no free start"),
         (np.indices((50, 50)).sum(axis=0) % 2 * 255, "no free start: the largest .* 1 cells"),
         (np.full((5, 50), 255), "50 x 5 pixels"),
     ],
 )
-def test_pictures_that_cannot_be_mapped_are_refused(tmp_path, pixels, told):
-    with pytest.raises(OptionError, match=told):
+def test_pictures_that_cannot_be_mapped_are_refused(tmp_path, pixels, message):
+    with pytest.raises(OptionError, match=message):
         image_world(picture(tmp_path, pixels), 1)
 
 
@@ -147,7 +147,7 @@ def test_files_that_are_no_picture_are_refused(tmp_path):
 
 
 def test_bad_options_are_refused():
-    for change, told in (
+    for change, message in (
         ({"methods": ("greedy",)}, "--methods greedy"),
         ({"reading": "grey"}, "--reading 'grey'"),
         ({"utility": "free"}, "--utility 'free'"),
@@ -155,18 +155,18 @@ def test_bad_options_are_refused():
         ({"depth": -1.0}, "--depth"),
         ({"noise": -1.0}, "--noise"),
     ):
-        with pytest.raises(OptionError, match=told):
+        with pytest.raises(OptionError, match=message):
             dataclasses.replace(ch3_planar.Options(), **change)
 
 
 def test_merging_is_the_product_of_gaussians():
     generator = np.random.default_rng(9)
-    spreads = [a @ a.T + np.eye(2) for a in generator.normal(size=(2, 2, 2))]
+    covariances = [a @ a.T + np.eye(2) for a in generator.normal(size=(2, 2, 2))]
     means = generator.normal(size=(2, 2))
-    mean, spread = merge(means[0], spreads[0], means[1], spreads[1])
-    weights = [np.linalg.inv(s) for s in spreads]
+    mean, covariance = merge(means[0], covariances[0], means[1], covariances[1])
+    weights = [np.linalg.inv(s) for s in covariances]
     expected = np.linalg.inv(weights[0] + weights[1])
-    np.testing.assert_allclose(spread, expected, rtol=1e-10)
+    np.testing.assert_allclose(covariance, expected, rtol=1e-10)
     np.testing.assert_allclose(
         mean, expected @ (weights[0] @ means[0] + weights[1] @ means[1]), rtol=1e-10
     )

@@ -27,12 +27,12 @@ def test_five_cooperating_robots_map_more_than_five_independent_ones():
     assert mapped[True] > mapped[False]
 
 
-def test_every_robot_has_a_way_of_its_own():
+def test_every_robot_moves_cell_by_cell():
     trial = PlanarTrial("indoor", 3, "information", 75.0, 10.0, 4, 10)
     result = run_trial(trial, build_world(trial))
     for robot in range(10):
-        way = result.paths[result.paths[:, 0] == robot, 1:]
-        steps = np.abs(np.diff(way, axis=0))
+        path = result.paths[result.paths[:, 0] == robot, 1:]
+        steps = np.abs(np.diff(path, axis=0))
         assert steps.max(initial=0) <= 1
 
 

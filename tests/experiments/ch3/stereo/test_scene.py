@@ -93,7 +93,7 @@ def test_markers_appear_where_the_cad_and_the_true_poses_put_them(scene):
             assert count > 1 and nearest < 0.7
 
 
-def test_free_rig_stands_and_looks_where_it_is_told(scene):
+def test_free_rig_takes_the_pose_that_it_is_set_to(scene):
     eye, target = np.array([0.2, -0.4, 0.5]), np.array([0.0, 0.3, 0.0])
     scene.set_rig(look_at(eye, target))
     pose = scene.transform_camera_to_world(RIG)
@@ -112,7 +112,7 @@ def test_both_rovers_start_free_and_see_the_panel_or_the_ground_before_it(scene)
         assert 0.25 < np.nanmin(depths) and np.nanmedian(depths) < 2.0
 
 
-def test_arm_goes_where_it_is_set_and_the_camera_with_it(scene):
+def test_arm_takes_the_angles_that_it_is_set_to_and_moves_the_camera(scene):
     name = scene.robot_names[0]
     before = scene.transform_camera_to_world(name)
     start = scene.joints(name)
