@@ -16,7 +16,7 @@ from perception.geometry.arrays import FloatArray
 
 CAMERA_NAME = "view"
 THICKNESS = 0.02
-"""Of the work-piece; the ground is that much below its face [m]."""
+"""Thickness of the work-piece; the ground is that much below its face [m]."""
 _PAINT = 1e-4  # A hole's disc stands out of the face by this [m].
 
 
@@ -25,7 +25,7 @@ class Block:
     """A box that stands upright.
 
     Attributes:
-        name: Its geom.
+        name: Name of the block's geom.
         centre: (x, y, z) [m], world.
         half: Half of its edges in its own frame [m].
         yaw: Angle of that frame about the vertical [rad].
@@ -66,9 +66,9 @@ class Arrangement:
     """A work-piece and what stands about it.
 
     Attributes:
-        blocks: With different names.
+        blocks: Blocks with different names.
         holes: (x, y) of the holes' middles [m]; the first is at the origin.
-        hole_radius: [m].
+        hole_radius: Radius of the holes [m].
         half: Half length and width of the work-piece [m].
     """
 
@@ -130,7 +130,7 @@ def draw_arrangement(rng: np.random.Generator, count: int) -> Arrangement:
 
     Args:
         rng: Source of randomness.
-        count: How many; from 30 mm to 150 mm off, edges of 15 mm to 60 mm, up to 120 mm high.
+        count: Number of blocks, 30 mm to 150 mm off; edges of 15 mm to 60 mm, up to 120 mm high.
 
     Raises:
         ValueError: If so many do not fit.
@@ -162,7 +162,7 @@ def build_blocks(arrangement: Arrangement, mask: bool = False) -> mujoco.MjSpec:
     Geoms are ``ground``, ``workpiece``, ``hole0`` and so on, and the blocks by their names.
 
     Args:
-        arrangement: What there is.
+        arrangement: Work-piece and blocks.
         mask: Paint the first hole red and all else black, without shade: the red of an image is
             what one sees of the hole.
     """
@@ -236,7 +236,7 @@ def place_camera(
 
     Args:
         model: Compiled model from `build_blocks`.
-        data: Its state; positions are computed.
+        data: State of the model; positions are computed.
         position: (3,) [m], world.
         aim: (3,) [m], world.
     """

@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterator
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.geometry.arrays import FloatArray
 
 STRUT_RADIUS = 0.006
-"""Of the two rods that hold the panel up [m]."""
+"""Radius of the two rods that hold the panel up [m]."""
 _DISC = 2e-4  # Each disc of a marker stands out of what it lies on by this [m].
 _SUNK = 0.005  # A block goes this deep into the ground, so that no gap shows on a slope [m].
 
@@ -75,7 +74,7 @@ class PanelConfig:
     Attributes:
         position: Middle of the lower front edge, x and y [m], world.
         yaw: About the vertical [rad]; at 0 its face looks along -y.
-        tilt: How far it leans back [rad]; 0 is upright.
+        tilt: Angle by which the panel is tilted back [rad]; 0 is upright.
         size: Width and height of the face [m].
         thickness: [m].
         markers: Discs on the face.
@@ -173,8 +172,7 @@ def make_blocks(
     ground_at: Callable[[FloatArray], FloatArray],
     count: int,
     edge: tuple[float, float],
-    clear: ArrayLike,
-    clear_radius: ArrayLike,
+    clear: FloatArray,
 ) -> Solids:
     """Put blocks on a field, none in another.
 
@@ -185,8 +183,7 @@ def make_blocks(
         count: Number of blocks drawn; those that would stand in a cleared disc, in an earlier
             block or over the border are left out.
         edge: Smallest and largest edge [m]; small ones are more frequent.
-        clear: (N, 2) centres of discs without blocks [m].
-        clear_radius: Radius of the discs, one or (N,) [m].
+        clear: (N, 3) discs without blocks: x and y of the centre, and radius [m].
 
     Returns:
         The blocks.
@@ -196,11 +193,9 @@ def make_blocks(
     half_sizes = edge[0] * (edge[1] / edge[0]) ** rng.uniform(0.0, 1.0, (count, 3)) / 2.0
     yaws = rng.uniform(-np.pi, np.pi, count)
     reach = np.hypot(half_sizes[:, 0], half_sizes[:, 1])
-    discs = np.asarray(clear, dtype=float).reshape(-1, 2)
-    radii = np.broadcast_to(np.asarray(clear_radius, dtype=float), len(discs))
     kept: list[int] = []
     for index, place in enumerate(places):
-        apart = np.linalg.norm(discs - place, axis=1) > radii + reach[index]
+        apart = np.linalg.norm(clear[:, :2] - place, axis=1) > clear[:, 2] + reach[index]
         others = np.linalg.norm(places[kept] - place, axis=1) > reach[kept] + reach[index]
         if np.all(apart) and np.all(others) and np.all(np.abs(place) + reach[index] <= half):
             kept.append(index)
@@ -243,7 +238,7 @@ def add_panel(scene: mujoco.MjSpec, panel: PanelConfig, ground: float) -> None:
 
     Args:
         scene: Has a material ``panel``.
-        panel: What to add.
+        panel: Panel to add.
         ground: Height of the ground at its position [m].
     """
     pose = panel.transform_panel_to_world(ground)

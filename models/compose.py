@@ -87,7 +87,7 @@ class OwnRobot:
     """A robot that a user brings.
 
     Attributes:
-        spec: Its MJCF without key frames, ready to be attached.
+        spec: MJCF of the robot without key frames, ready to be attached.
         angles: Position of each hinge and slide at rest, by joint name [rad or m].
         controls: Control of each actuator that holds it there, by name.
         half_size: Half of its extent along x and y [m].
@@ -161,8 +161,7 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
         bare.ground_at,
         field.blocks,
         field.block_edge,
-        clear[:, :2],
-        clear[:, 2],
+        clear,
     )
     clear = np.concatenate([clear, np.column_stack([blocks.centres[:, :2], blocks.radii])])
     rocks = terrain.make_rocks(
@@ -170,8 +169,7 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
         bare,
         field.rocks,
         field.rock_radius,
-        clear=clear[:, :2],
-        clear_radius=clear[:, 2],
+        clear,
     )
     return dataclasses.replace(bare, rocks=rocks, blocks=blocks)
 
@@ -249,7 +247,7 @@ def settle(model: mujoco.MjModel, seconds: float = 2.0) -> mujoco.MjData:
 
     Args:
         model: Compiled model of a scene.
-        seconds: How long to wait [s].
+        seconds: Time to wait [s].
 
     Returns:
         Data at rest, time set back to zero, with the arms' holding voltages as controls.

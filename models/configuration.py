@@ -11,7 +11,7 @@ from models import datasheets
 from models.clutter import PanelConfig, finite, require
 
 START_RADIUS = 0.4
-"""Kept clear of rocks and blocks about a robot's start [m]."""
+"""Radius about a robot's start that is clear of rocks and blocks [m]."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -33,7 +33,7 @@ class FieldConfig:
             panel or in another block are left out.
         block_edge: Smallest and largest edge of a block [m].
         panel: The panel that is the robots' target, if any.
-        slot_width: Between the walls of the slot that stands at the origin [m]; None for no slot.
+        slot_width: Distance between the walls of the slot at the origin [m]; None for no slot.
         shadows: Whether lights cast them: they take two thirds of the time of an image.
     """
 
@@ -99,8 +99,8 @@ class PayloadConfig:
     """A homogeneous box held in the gripper.
 
     Attributes:
-        mass: [kg].
-        centre: Its centre from the grip point, in the wrist's frame [m].
+        mass: Mass of the box [kg].
+        centre: Centre of the box from the grip point, in the wrist's frame [m].
         half_size: Half of its edges [m].
     """
 

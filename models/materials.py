@@ -12,7 +12,7 @@ def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
     """Add the materials ``ground`` and ``rock`` and, where needed, ``block`` and ``panel``.
 
     Args:
-        scene: To add to.
+        scene: Scene to add to.
         field: Gives the seed and the size of the textures.
     """
     seed = np.random.SeedSequence(field.seed).spawn(3)[2]

@@ -51,8 +51,8 @@ def take(
 
     Args:
         model: Compiled model of a scene.
-        data: Its state.
-        shot: Where to look from.
+        data: State of the model.
+        shot: Viewpoint of the picture.
         size: Width and height [px].
 
     Returns:
@@ -71,7 +71,7 @@ def write(image: NDArray[np.uint8], path: Path) -> None:
 
     Args:
         image: (height, width, 3) uint8 RGB.
-        path: Where to.
+        path: File to write.
 
     Raises:
         ValueError: If it cannot be made small enough.

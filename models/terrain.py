@@ -154,7 +154,6 @@ def make_rocks(
     count: int,
     radius: tuple[float, float],
     clear: FloatArray,
-    clear_radius: ArrayLike,
 ) -> Solids:
     """Strew rocks over a terrain.
 
@@ -163,8 +162,7 @@ def make_rocks(
         terrain: Ground to set them in.
         count: Number of rocks drawn; those in a cleared disc are left out.
         radius: Smallest and largest horizontal semi-axis [m]; small ones are more frequent.
-        clear: (N, 2) centres of discs without rocks [m].
-        clear_radius: Radius of those discs, one or (N,) [m].
+        clear: (N, 3) discs without rocks: x and y of the centre, and radius [m].
 
     Returns:
         The rocks, each standing out of the ground by 0.3 to 0.7 of its mean horizontal semi-axis.
@@ -181,7 +179,6 @@ def make_rocks(
     heights = terrain.ground_at(places) + np.minimum(out, upright) - upright
     centres = np.column_stack([places, heights])
     keep = np.ones(count, dtype=bool)
-    discs = np.asarray(clear, dtype=float).reshape(-1, 2)
-    for disc, gap in zip(discs, np.broadcast_to(np.asarray(clear_radius), len(discs))):
-        keep &= np.hypot(*(places - disc).T) > gap + axes[:, :2].max(axis=1)
+    for x, y, gap in clear:
+        keep &= np.hypot(*(places - (x, y)).T) > gap + axes[:, :2].max(axis=1)
     return Solids(centres[keep], axes[keep], yaws[keep])

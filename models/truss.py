@@ -120,7 +120,7 @@ def settle_truss(model: mujoco.MjModel, seconds: float = 1.0) -> mujoco.MjData:
 
     Args:
         model: Compiled model from `make_truss`.
-        seconds: How long to wait [s].
+        seconds: Time to wait [s].
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)

@@ -26,12 +26,12 @@ from models.datasheets import BRAID, CAMERA, MUSCLE_WIRE
 
 LEGS = 3
 BEARINGS = (-90.0, 30.0, 150.0)
-"""Of the legs about a disc's axis [deg]."""
+"""Bearings of the legs about a disc's axis [deg]."""
 TIMESTEP = 5e-4
 """Step of all scenes with BRAID [s]."""
 MAX_STAGES = 20
 BENCH = "braid/"
-"""In front of all names on the bench."""
+"""Prefix of all names on the bench."""
 _VISUAL = {"contype": 0, "conaffinity": 0, "group": 2}
 _DISC, _DISC_LAST = [0.86, 0.87, 0.84, 1.0], [0.80, 0.62, 0.25, 1.0]
 _SLEEVE, _ROD = [0.30, 0.44, 0.72, 1.0], [0.75, 0.76, 0.78, 1.0]
@@ -43,7 +43,7 @@ class BraidConfig:
     """A BRAID.
 
     Attributes:
-        stages: How many.
+        stages: Number of stages.
         head: Whether the last platform carries the stereo head.
         flexures: Whether the legs' hinges are as stiff as their flexures.
     """
@@ -66,7 +66,7 @@ def make_braid(config: BraidConfig) -> mujoco.MjSpec:
     """Return the mechanism, all its legs in the middle, ready to be attached.
 
     Args:
-        config: What to build.
+        config: Configuration of BRAID.
     """
     spec = mujoco.MjSpec()
     spec.modelname, spec.default.name = "braid", "braid_main"
@@ -89,8 +89,8 @@ def build_bench(config: BraidConfig, gravity: bool = True) -> mujoco.MjSpec:
     All its names have ``braid/`` in front.
 
     Args:
-        config: What to build.
-        gravity: Whether there is any.
+        config: Configuration of BRAID.
+        gravity: Whether there is gravity.
     """
     scene = load_part("field")
     scene.modelname = "braid_bench"
@@ -114,7 +114,7 @@ def build_rover(
     """Return a scene where a rover carries BRAID in place of its arm.
 
     Args:
-        config: What to build.
+        config: Configuration of BRAID.
         field: The field.
         placement: The rover; its name is in front of all names of BRAID.
 

@@ -23,7 +23,7 @@ def add_card(scene: mujoco.MjSpec, parent: mujoco.MjsBody, prefix: str = "") -> 
     Args:
         scene: Scene that it is attached to.
         parent: Body to add to; the card's frame is the parent's until it is moved.
-        prefix: In front of the names ``card``, ``card_plate``, ``card_marker0`` and ``1`` and the
+        prefix: Prefix of the names ``card``, ``card_plate``, ``card_marker0`` and ``1`` and the
             site ``card_wrench``.
 
     Returns:
@@ -56,8 +56,8 @@ def add_slot(
         scene: Scene that it is attached to.
         parent: Body to add to, for instance the world's; move the slot by its ``pos`` and
             ``quat``.
-        width: Between the walls [m].
-        prefix: In front of ``slot``, ``slot_left``, ``slot_right``, ``slot_marker0`` and ``1``.
+        width: Distance between the walls [m].
+        prefix: Prefix of ``slot``, ``slot_left``, ``slot_right``, ``slot_marker0`` and ``1``.
 
     Returns:
         The slot's body.
@@ -101,8 +101,8 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
     negative of what the slot puts on it.
 
     Args:
-        width: Between the slot's walls [m].
-        friction: Between card and slot.
+        width: Distance between the slot's walls [m].
+        friction: Coefficient of friction between card and slot.
 
     Returns:
         A compiled model at 1 ms.

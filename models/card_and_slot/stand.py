@@ -13,11 +13,11 @@ from models.card_and_slot.build import add_card, add_slot
 from models.datasheets import CARD_AND_SLOT
 
 SLOT_HEIGHT = 0.30
-"""Of the mouth's middle above the ground at its post [m]."""
+"""Height of the mouth's middle above the ground at its post [m]."""
 GRIP = 0.10
-"""From the wrist's joint to the card's trailing edge [m]: within the fingers."""
+"""Distance from the wrist's joint to the card's trailing edge [m]: within the fingers."""
 TIP = GRIP + CARD_AND_SLOT.card_length
-"""From the wrist's joint to the middle of the card's leading edge [m]."""
+"""Distance from the wrist's joint to the middle of the card's leading edge [m]."""
 CARD_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Columns are the card's axes in the wrist's frame, and the slot's in the world: across is down,
 ahead is forward, the normal is to the right."""
@@ -32,8 +32,8 @@ def hold_card(scene: mujoco.MjSpec, robot: str) -> None:
     """Put the card into a robot's gripper.
 
     Args:
-        scene: With the robot and its arm.
-        robot: Its name.
+        scene: Scene with the robot and its arm.
+        robot: Name of the robot.
     """
     card = add_card(scene, scene.body(f"{robot}/wrist"), f"{robot}/")
     card.pos = [0.0, TIP, 0.0]
@@ -50,8 +50,8 @@ def stand_slot(scene: mujoco.MjSpec, width: float, ground: float) -> None:
     """Add the slot and what holds it.
 
     Args:
-        scene: To add to.
-        width: Between the slot's walls [m].
+        scene: Scene to add to.
+        width: Distance between the slot's walls [m].
         ground: Height of the ground at the origin [m].
 
     Raises:

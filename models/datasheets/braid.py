@@ -29,13 +29,13 @@ class MuscleWireSheet:
 
     @property
     def time_constant(self) -> float:
-        """Of the lag [s]: cooling from all austenite to all martensite takes `cooling_time`."""
+        """Time constant of the lag [s]: cooling to all martensite takes `cooling_time`."""
         hot, cold = self.austenite[1] - self.ambient, self.martensite_finish - self.ambient
         return self.cooling_time / math.log(hot / cold)
 
     @property
     def heating(self) -> float:
-        """What the current would warm it by in the end [K]: `heating_time` to all austenite."""
+        """Final rise of temperature under the current [K]: `heating_time` to all austenite."""
         rise = self.austenite[1] - self.ambient
         return rise / (1.0 - math.exp(-self.heating_time / self.time_constant))
 
@@ -91,7 +91,7 @@ class BraidSheet:
 
     @property
     def flexure_stiffness(self) -> float:
-        """Of a leg's hinge, E w t^3 / (12 length) [N m/rad]."""
+        """Stiffness of a leg's hinge, E w t^3 / (12 length) [N m/rad]."""
         length, width, thickness = self.flexure
         return self.modulus * width * thickness**3 / (12.0 * length)
 

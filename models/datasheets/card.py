@@ -46,22 +46,22 @@ class HandSheet:
 
     @property
     def stiffness(self) -> float:
-        """Along each axis [N/m]."""
+        """Stiffness along each axis [N/m]."""
         return self.turn_stiffness / self.reach**2
 
     @property
     def damping(self) -> float:
-        """Along each axis [N s/m]."""
+        """Damping along each axis [N s/m]."""
         return self.turn_damping / self.reach**2
 
     @property
     def turn_stiffness(self) -> float:
-        """About each axis [N m/rad] (Thesis Table 2-2)."""
+        """Stiffness about each axis [N m/rad] (Thesis Table 2-2)."""
         return TABLE_2_2_TRUTH["k_pitch"]
 
     @property
     def turn_damping(self) -> float:
-        """About each axis [N m s/rad] (Thesis Table 2-2)."""
+        """Damping about each axis [N m s/rad] (Thesis Table 2-2)."""
         return TABLE_2_2_TRUTH["b_pitch"]
 
 

@@ -20,7 +20,7 @@ _CHANGED = 3
 
 
 class TipGoal(NamedTuple):
-    """What a search for a word minimises, for compiled code.
+    """Cost that a search for a word minimises, for compiled code.
 
     Attributes:
         stages: (8, 12) pose of a stage in each state.

@@ -43,7 +43,7 @@ class InverseConfig:
             The last `TAIL` stages are always free, so (3, 80) looks through 80 x 8^9 words.
         looks: Searches of the last stages by the walk.
         steps: Steps of the walk at most; far from all that is in reach it has few looks.
-        polish: As `neighbourhoods`, of what the walk has found.
+        polish: Neighbourhoods, as `neighbourhoods`, of the word that the walk has found.
     """
 
     weight: float = 1.0
@@ -131,7 +131,7 @@ class BinaryArm:
         """Return all words of the first (or any other) few stages.
 
         Args:
-            count: How many stages.
+            count: Number of stages.
             bodies: Keep also the words that reach the pose of another by another body.
         """
         key = (count, bodies)

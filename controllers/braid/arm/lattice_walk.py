@@ -30,7 +30,7 @@ _SMALL = 1e-9
 
 
 class TailShape(NamedTuple):
-    """What poses the last stages reach, as exponential coordinates (rotation 3, translation 3).
+    """Poses that the last stages reach, as exponential coordinates (rotation 3, translation 3).
 
     Chains that bend evenly are lines there, so that a normal distribution describes them.
 

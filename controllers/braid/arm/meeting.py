@@ -121,7 +121,7 @@ def pairs_below(tree, heads, target, bound, capacity):
         heads: (m, 12) poses of the first halves.
         target: (12,) pose that is wanted.
         bound: Squared cost to stay below.
-        capacity: How many are kept at most.
+        capacity: Greatest number of pairs that are stored.
 
     Returns:
         (k, 2) indices of first and last halves, (k,) squared costs, and how many there are in all.

@@ -24,7 +24,7 @@ from perception.geometry.arrays import BoolArray
 
 @dataclasses.dataclass(frozen=True)
 class AddressCode:
-    """What each number of pulses means.
+    """Meaning of each number of pulses.
 
     In mode "toggle", command i + 1 toggles actuator i. In mode "set", command 2 i + 1 switches
     actuator i on and 2 i + 2 off, so that a train may be repeated. With ``broadcast`` two commands
@@ -33,7 +33,7 @@ class AddressCode:
 
     Attributes:
         actuators: Number of actuators n; three for each stage.
-        mode: What a train does to its actuator.
+        mode: Effect of a train on its actuator.
         spacing: Pulses s between neighbouring addresses.
         tolerance: Counts t to either side of an address that still mean it.
         broadcast: Whether there are commands for all actuators.
@@ -142,12 +142,12 @@ class PulseTiming:
     """How the master times its pulses; the thesis prints none of it.
 
     Attributes:
-        period: From pulse to pulse [s].
+        period: Time from pulse to pulse [s].
         high: Length of a pulse [s].
         flag: Length of the end-of-train flag [s].
         gap: Rest after the flag, for the counters to be cleared [s].
-        quiet: With the RC buffer, which needs no flag: from the start of a train until the next
-            may start [s]. None where flags end the trains.
+        quiet: Time from the start of a train until the next may start [s], with the RC buffer,
+            which needs no flag. None where flags end the trains.
     """
 
     period: float = 100e-6

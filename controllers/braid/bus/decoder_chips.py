@@ -17,7 +17,7 @@ class LineValues(NamedTuple):
     Attributes:
         edge: Share of a step that the line takes in one sample.
         coupling: Share of a step that the coupling capacitor takes in one sample.
-        clamp: The same while the clamp diode conducts.
+        clamp: Share of a step that it takes in one sample while the clamp diode conducts.
         clamp_drop: Voltage drop of the clamp diode [V].
         divider: Ratio of the line's voltage to the signal's.
         actuator_drop: Voltage drop of the line by one actuator that is on [V].
@@ -114,7 +114,7 @@ class BusState(NamedTuple):
 
 
 class LinePieces(NamedTuple):
-    """What the master does to the line, in pieces of constant level.
+    """Levels that the master puts on the line, in pieces of constant level.
 
     Attributes:
         rises: (k,) level of each piece [V].
@@ -128,7 +128,7 @@ class LinePieces(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """What an oscilloscope sees at the first chip, by sample; empty arrays record nothing.
+    """Signals at the first chip, as an oscilloscope shows them; empty arrays record nothing.
 
     Attributes:
         time: (s,) time [s].

@@ -3,8 +3,8 @@
 The thesis sends each train once and hears nothing back. One missed pulse then toggles the wrong
 actuator and skips the right one, and no one knows. Three protocols do better:
 
-- "parity": odd addresses, and after each train the master looks at the supply current, which
-  tells how many actuators are on. Nothing changed: the train was refused, and is sent again. The
+- "parity": odd addresses, and after each train the master measures the supply current, which
+  shows how many actuators are on. Nothing changed: the train was refused, and is sent again. The
   current is wrong in another way: all are switched off (or on) and the word is written anew. If
   that fails too often, the fault is reported.
   Two faults in one train can still make another address and the expected current.
@@ -37,9 +37,10 @@ class Protocol:
 
     Attributes:
         code: Meaning of the trains; all decoders are wired for it.
-        rounds: How often the whole sequence is sent.
-        verify: Whether the supply current is looked at after each train.
-        attempts: With ``verify``: how often a train is sent, and a word written anew, at most.
+        rounds: Number of times that the whole sequence is sent.
+        verify: Whether the supply current is measured after each train.
+        attempts: Greatest number of times that a train is sent, or a word written anew, with
+            ``verify``.
     """
 
     code: AddressCode
@@ -74,13 +75,13 @@ def protocols(actuators: int) -> dict[str, Protocol]:
 
 @dataclasses.dataclass(frozen=True)
 class ChangeOutcome:
-    """What the master knows after a change of word.
+    """Knowledge of the master after a change of word.
 
     Attributes:
         believed: (n,) the word that it takes the actuators to hold.
-        failed: Whether it gave up; then the word is unknown.
+        failed: Whether the master gave up; then the word is unknown.
         resent: Trains sent again.
-        rewritten: How often the word was written anew.
+        rewritten: Number of times that the word was written anew.
         seconds: Time on the line [s].
     """
 
@@ -111,9 +112,9 @@ class BusMaster:
         """Take a bus whose actuators are all off.
 
         Args:
-            protocol: What to send and what to check.
+            protocol: Protocol that says what is sent and checked.
             bus: The line with its decoders.
-            disturb: What befalls each train on the line, unknown to the master.
+            disturb: Fault on each train on the line, unknown to the master.
 
         Raises:
             ValueError: If the bus is wired for another code.
@@ -124,11 +125,9 @@ class BusMaster:
         self._disturb: Callable[[Train], Train] = disturb or (lambda train: train)
         self._believed = check_word(protocol.code, [0] * protocol.code.actuators)
         self._lost = False
-        self._resent = self._rewritten = 0
-        self._seconds = 0.0
 
     def believe(self, word: ArrayLike) -> None:
-        """Tell the master which word the actuators hold."""
+        """Set the word that the actuators are known to hold."""
         self._believed = check_word(self._protocol.code, word)
         self._lost = False
 
@@ -139,10 +138,9 @@ class BusMaster:
             ValueError: If the word has not one state for each actuator.
         """
         goal = check_word(self._protocol.code, goal)
-        self._resent = self._rewritten = 0
-        self._seconds = 0.0
+        self._resent, self._rewritten, self._seconds = 0, 0, 0.0
         if self._protocol.verify:
-            self._lost = not self._write_and_look(goal)
+            self._lost = not self._write_and_verify(goal)
         else:
             self._send(planned_commands(self._protocol, self._bus, self._believed, goal))
             self._believed = goal
@@ -156,7 +154,7 @@ class BusMaster:
         if trains:
             self._bus.send([self._disturb(train) for train in trains])
 
-    def _write_and_look(self, goal: BoolArray) -> bool:
+    def _write_and_verify(self, goal: BoolArray) -> bool:
         """Send the shortest sequence and, if it goes wrong, write the word anew."""
         code, timing = self._protocol.code, self._bus.timing
         commands = (

@@ -22,8 +22,8 @@ class Train:
     """Address pulses and the flag that ends them.
 
     Attributes:
-        pulses: For each pulse sent: how often it appears on the line, 0 (missed), 1 or 2 (an extra
-            pulse follows in its rest).
+        pulses: Number of times that each pulse sent appears on the line: 0 (missed), 1 or 2 (an
+            extra pulse follows in its rest).
         flag: Whether the flag appears.
     """
 

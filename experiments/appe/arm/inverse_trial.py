@@ -50,7 +50,7 @@ class ClearTrial:
     Attributes:
         seed: Seed of the scenes.
         count: Scenes.
-        voxels: Whether the obstacles are told as a map's occupied voxels.
+        voxels: Whether the obstacles are given as a map's occupied voxels.
     """
 
     seed: int
@@ -79,7 +79,7 @@ def draw_targets(
 
 @dataclasses.dataclass(frozen=True)
 class Solved:
-    """What one method found for many targets.
+    """Words that one method found for many targets.
 
     Attributes:
         cost: (count,) cost [r].

@@ -32,7 +32,7 @@ LENGTHS, QUICK_LENGTHS = 100_000, 10_000
 MIRRORED = (0, 1, 6, 7)
 """States whose legs 2 and 3 are alike."""
 STRIP_LENGTH, STRIP_WIDTH, DISC = 5e-3, 10e-3, 50e-3
-"""Of the flexures in the table, and the disc's radius [m]: assumptions, the thesis gives none."""
+"""Sizes of the flexures in the table, and the disc's radius [m]: assumptions."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Options(contract.Options):
 
     Attributes:
         stages: Number of the arm's stages.
-        extension: How much longer a leg is when its actuator is on, in radii.
+        extension: Extension of a leg when its actuator is on, in radii.
     """
 
     stages: int = 5

@@ -62,7 +62,7 @@ def build_bus(config: BusTrialConfig, rng: np.random.Generator) -> PowerBus:
 
 @dataclasses.dataclass(frozen=True)
 class BusTrial:
-    """What became of the words of one trial.
+    """Fates of the words of one trial.
 
     Attributes:
         config: Settings of the trial.
