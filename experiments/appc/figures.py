@@ -62,15 +62,15 @@ def draw_predictors(pictures: Mapping[str, ByteArray]) -> Figure:
     columns = 1 + len(SHOWN)
     figure = Figure(figsize=(3.2 * columns, 3.5 * len(pictures)))
     for row, (name, picture) in enumerate(pictures.items()):
-        axes = figure.add_subplot(len(pictures), columns, row * columns + 1)
-        axes.imshow(picture, cmap="gray", vmin=0, vmax=255)
-        axes.set_title(f"{name}, {entropy(picture):.2f} bit/px", fontsize=9)
-        axes.set_axis_off()
-        for column, method in enumerate(SHOWN):
-            axes = figure.add_subplot(len(pictures), columns, row * columns + column + 2)
-            axes.imshow(residuals(picture, method) + np.uint8(128), cmap="gray", vmin=88, vmax=168)
+        panels = [(picture, f"{name}, {entropy(picture):.2f} bit/px", (0, 255))]
+        for method in SHOWN:
             bits, ratio = coded_bits(picture, method), compression_ratio(picture, method)
-            axes.set_title(f"method {method}: {bits:.2f} bit/px, {ratio:.2f}", fontsize=9)
+            title = f"method {method}: {bits:.2f} bit/px, {ratio:.2f}"
+            panels.append((residuals(picture, method) + np.uint8(128), title, (88, 168)))
+        for column, (image, title, (low, high)) in enumerate(panels, start=1):
+            axes = figure.add_subplot(len(pictures), columns, row * columns + column)
+            axes.imshow(image, cmap="gray", vmin=low, vmax=high)
+            axes.set_title(title, fontsize=9)
             axes.set_axis_off()
     figure.tight_layout()
     return figure

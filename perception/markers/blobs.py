@@ -196,22 +196,14 @@ class RimWindow(NamedTuple):
         top: First row [px].
         right: Last column [px].
         bottom: Last row [px].
-        u: Column of the first ellipse's centre [px].
-        v: Row of the first ellipse's centre [px].
-        iuu: Element of the inverse of the first ellipse's S [1/px^2].
-        iuv: Element of the inverse of the first ellipse's S [1/px^2].
-        ivv: Element of the inverse of the first ellipse's S [1/px^2].
+        first: (5,) first ellipse.
     """
 
     left: int
     top: int
     right: int
     bottom: int
-    u: float
-    v: float
-    iuu: float
-    iuv: float
-    ivv: float
+    first: FloatArray
 
 
 class NormalEquations(NamedTuple):
@@ -246,11 +238,13 @@ def _sums(
     normal[:] = 0.0
     gradient[:] = 0.0
     sums[:] = 0.0
-    jac, slopes = np.empty(7), np.empty(5)
+    jac, slopes, first = np.empty(7), np.empty(5), window.first
+    determinant = first[2] * first[4] - first[3] * first[3]
+    iuu, iuv, ivv = first[4] / determinant, -first[3] / determinant, first[2] / determinant
     for y in range(window.top, window.bottom + 1):
         for x in range(window.left, window.right + 1):
-            dx, dy = x - window.u, y - window.v
-            gx, gy = window.iuu * dx + window.iuv * dy, window.iuv * dx + window.ivv * dy
+            dx, dy = x - first[0], y - first[1]
+            gx, gy = iuu * dx + iuv * dy, iuv * dx + ivv * dy
             rho = math.sqrt(dx * gx + dy * gy)
             if (rho - 1.0) * rho > _BAND * math.sqrt(gx * gx + gy * gy):
                 continue
@@ -318,18 +312,14 @@ def _fit(image: Any, start: Any, pixels: PixelNoise, found: MeasuredEllipses, nu
     height, width = image.shape
     p = np.empty(7)
     p[:5] = start
-    determinant = p[2] * p[4] - p[3] * p[3]
     reach_x, reach_y = math.sqrt(p[2]) + _BAND, math.sqrt(p[4]) + _BAND
     left, right = math.floor(p[0] - reach_x), math.ceil(p[0] + reach_x)
     top, bottom = math.floor(p[1] - reach_y), math.ceil(p[1] + reach_y)
     if left < 0 or top < 0 or right >= width or bottom >= height:
         return False
-    iuu, iuv, ivv = p[4] / determinant, -p[3] / determinant, p[2] / determinant
-    window = RimWindow(left, top, right, bottom, p[0], p[1], iuu, iuv, ivv)
-    high, low = 0.0, 255.0
-    for y in range(top, bottom + 1):
-        for x in range(left, right + 1):
-            high, low = max(high, float(image[y, x])), min(low, float(image[y, x]))
+    window = RimWindow(left, top, right, bottom, start)
+    inside = image[top : bottom + 1, left : right + 1]
+    low, high = float(np.min(inside)), float(np.max(inside))
     p[5], p[6] = low, max(high - low, 1.0)
     normal, gradient, sums = np.empty((7, 7)), np.empty(7), np.empty(3)
     equations = NormalEquations(normal, gradient, sums)

@@ -32,23 +32,16 @@ DETECTORS: Final[Mapping[str, Detector]] = MappingProxyType(
 _MOST_TRIED = 12  # Sets of markers that are fitted, those with the best distances first.
 
 
-@dataclasses.dataclass(frozen=True)
-class MatchLimits:
-    """When markers belong together.
-
-    Attributes:
-        row: Largest difference of the rows of a marker in a pair [px].
-        size: Factor within which an ellipse's size must agree with its distance.
-        distance: Error of a distance between two markers [m], beside thrice its deviation.
-        contrast: Largest factor between the contrasts of a body's markers: one paint, one light.
-        misfit: Largest squared error of a pose's fit over its degrees of freedom.
-    """
-
-    row: float = 1.0
-    size: float = 1.35
-    distance: float = 5e-4
-    contrast: float = 1.6
-    misfit: float = 6.0
+ROW = 1.0
+"""Largest difference of the rows of a marker in a pair [px]."""
+SIZE = 1.35
+"""Factor within which an ellipse's size must agree with its distance."""
+DISTANCE = 5e-4
+"""Error of a distance between two markers [m], beside thrice its deviation."""
+CONTRAST = 1.6
+"""Largest factor between the contrasts of a body's markers: one paint, one light."""
+MISFIT = 6.0
+"""Largest squared error of a pose's fit over its degrees of freedom."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +68,6 @@ def triangulate(
     right: Markers,
     geometry: StereoGeometry,
     expected: MarkerExpectation,
-    limits: MatchLimits | None = None,
 ) -> MarkerPairs:
     """Pair the markers of two images by row, range and size, and triangulate them.
 
@@ -84,9 +76,7 @@ def triangulate(
         right: Markers of the right image.
         geometry: Geometry of the stereo pair.
         expected: Ranges and size.
-        limits: Limits within which two markers are one.
     """
-    how = limits or MatchLimits()
     one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
     seen = np.column_stack(
         [left.centres[one], left.centres[one, 0] - right.centres[two, 0]]
@@ -97,7 +87,7 @@ def triangulate(
     seen[:, 1] = (rows[0] * spread[1] + rows[1] * spread[0]) / (spread[0] + spread[1])
     points = geometry.points(seen)
     depths = np.nan_to_num(points[:, 2])
-    fits = np.abs(rows[0] - rows[1]) < how.row + 3.0 * np.sqrt(spread[0] + spread[1])
+    fits = np.abs(rows[0] - rows[1]) < ROW + 3.0 * np.sqrt(spread[0] + spread[1])
     fits &= (depths > 0.9 * expected.nearest) & (depths < 1.1 * expected.farthest)
     with np.errstate(divide="ignore"):
         across = 0.5 * expected.diameter * geometry.fy / depths
@@ -106,7 +96,7 @@ def triangulate(
         # The longer axis of a slanted disc is as long as that of one seen head on.
         size = np.maximum(narrow * np.sqrt(markers.ellipses[chosen, 2]), markers.axes[chosen, 0])
         slack = 1.0 + 0.5 / np.maximum(across, 1e-9)
-        fits &= (size < how.size * slack * narrow * across) & (across < how.size * slack * size)
+        fits &= (size < SIZE * slack * narrow * across) & (across < SIZE * slack * size)
     one, two, points = one[fits], two[fits], points[fits]
     noise = np.zeros((len(one), 3, 3))
     noise[:, :2, :2] = left.centre_covariances[one]
@@ -129,7 +119,6 @@ def find_bodies(
     expected: MarkerExpectation,
     detector: str = "blob",
     priors: Sequence[BodyPrior | None] | None = None,
-    limits: MatchLimits | None = None,
 ) -> tuple[BodyFit | None, ...]:
     """Return the poses of bodies whose markers a rectified pair shows.
 
@@ -141,7 +130,6 @@ def find_bodies(
         detector: Name in `DETECTORS`.
         priors: What is known of each body's pose; two markers alone leave the turn about their
             line to the shapes of the ellipses, which is rough.
-        limits: Limits within which markers belong together.
 
     Returns:
         A fit for each body, None where it is not seen.
@@ -155,8 +143,8 @@ def find_bodies(
     if len(pair) != 2:
         raise ValueError(f"marker images: got {len(pair)}, needs a left and a right one")
     left, right = (DETECTORS[detector](image, geometry, expected, None) for image in pair)
-    pairs = triangulate(left, right, geometry, expected, limits)
-    return match_bodies(pairs, geometry, cads, expected, priors, limits)
+    pairs = triangulate(left, right, geometry, expected)
+    return match_bodies(pairs, geometry, cads, expected, priors)
 
 
 def match_bodies(
@@ -165,22 +153,20 @@ def match_bodies(
     cads: Sequence[BodyCad],
     expected: MarkerExpectation,
     priors: Sequence[BodyPrior | None] | None = None,
-    limits: MatchLimits | None = None,
 ) -> tuple[BodyFit | None, ...]:
     """Return the poses of bodies among triangulated markers; arguments as of `find_bodies`.
 
     Raises:
         ValueError: If there are not as many priors as bodies.
     """
-    how = limits or MatchLimits()
     known = [None] * len(cads) if priors is None else list(priors)
     if len(known) != len(cads):
         raise ValueError(f"priors: got {len(known)} for {len(cads)} bodies")
     fits: list[tuple[float, int, BodyFit, frozenset[tuple[int, int]]]] = []
     for body, (cad, prior) in enumerate(zip(cads, known, strict=True)):
-        for chosen in _candidates(pairs, cad, how)[:_MOST_TRIED]:
+        for chosen in _candidates(pairs, cad)[:_MOST_TRIED]:
             shades = pairs.left.contrasts[chosen], pairs.right.contrasts[chosen]
-            if np.max(shades) > how.contrast * np.min(shades):
+            if np.max(shades) > CONTRAST * np.min(shades):
                 continue
             discs = SeenDiscs(
                 np.stack([pairs.left.ellipses[chosen], pairs.right.ellipses[chosen]]),
@@ -188,7 +174,7 @@ def match_bodies(
                 pairs.points[chosen],
             )
             fit = fit_body(discs, geometry, cad, expected.diameter / 2.0, prior)
-            if fit is not None and fit.misfit <= how.misfit:
+            if fit is not None and fit.misfit <= MISFIT:
                 used = frozenset(
                     (side, int(index)) for side in (0, 1) for index in pairs.indices[chosen, side]
                 )
@@ -224,13 +210,13 @@ def _chosen(markers: Markers, which: NDArray[np.intp]) -> Markers:
     return Markers(markers.ellipses[which], markers.covariances[which], markers.contrasts[which])
 
 
-def _candidates(pairs: MarkerPairs, cad: BodyCad, limits: MatchLimits) -> list[list[int]]:
+def _candidates(pairs: MarkerPairs, cad: BodyCad) -> list[list[int]]:
     """Return sets of pairs whose distances are those of the CAD, in its order, the best first."""
     between = np.linalg.norm(cad.points[:, None] - cad.points, axis=2)
     apart = np.linalg.norm(pairs.points[:, None] - pairs.points, axis=2)
     along = (pairs.points[:, None] - pairs.points) / np.maximum(apart, 1e-9)[..., None]
     variance = np.einsum("abi,aij,abj->ab", along, pairs.covariances, along)
-    allowed = limits.distance + 3.0 * np.sqrt(variance + variance.T)
+    allowed = DISTANCE + 3.0 * np.sqrt(variance + variance.T)
     found: list[tuple[float, list[int]]] = []
     for chosen in _assignments(between, apart, allowed, []):
         grid = np.ix_(chosen, chosen)

@@ -102,21 +102,16 @@ def new_information(
     distant = table.radii / depth
     distant = distant if premultiplied else stretch(distant)
     width, first = sector_rays(fov, headings, table.rays)
-    levels = GreyLevels(shade, measured, distant, _level_weights(LEVELS, premultiplied), total)
+    weights = _level_weights(premultiplied)
+    levels = GreyLevels(shade, measured, distant, weights, total)
     entropies = _fan_entropies(levels, opaque, cells, table, width, first)
-    return entropies / _full_entropy(LEVELS, premultiplied)
+    # Over the entropy of evenly filled levels.
+    return entropies / float(np.log2(LEVELS) * np.mean(weights))
 
 
-def _level_weights(levels: int, premultiplied: bool) -> FloatArray:
-    if not premultiplied:
-        return np.ones(levels)
-    middle = (np.arange(levels) + 0.5) / levels
-    return -middle * np.log2(middle)
-
-
-def _full_entropy(levels: int, premultiplied: bool) -> float:
-    """Return the entropy of evenly filled levels."""
-    return float(np.log2(levels) * np.mean(_level_weights(levels, premultiplied)))
+def _level_weights(premultiplied: bool) -> FloatArray:
+    middle = (np.arange(LEVELS) + 0.5) / LEVELS
+    return -middle * np.log2(middle) if premultiplied else np.ones(LEVELS)
 
 
 class GreyLevels(NamedTuple):

@@ -107,44 +107,30 @@ def checked_pose_covariance(covariance: ArrayLike) -> FloatArray:
     return matrix
 
 
-def weakness(image_points: ArrayLike, sigma: ArrayLike) -> str | None:
-    """Say why a set of fiducials cannot fix a motion; None if it can.
+def check_strength(image_points: FloatArray, sigma: FloatArray) -> None:
+    """Refuse fiducials that cannot fix a motion.
 
     A projection keeps lines straight, so points in line in space are so in column, row and
     disparity, where the noise is known.
 
     Args:
         image_points: (N, 3) columns, rows, disparities [px].
-        sigma: Standard deviations [px], as `checked_sigma` takes them.
-    """
-    points = checked_image_points("image points", image_points)
-    count = len(points)
-    if count < FEWEST:
-        return f"{count} fiducials: at least {FEWEST} are needed"
-    white = (points - points.mean(axis=0)) / checked_sigma(sigma, count).mean(axis=0)
-    spread = np.linalg.svd(white, compute_uv=False) / np.sqrt(count)
-    if spread[0] < LEAST_SPREAD:
-        return (
-            f"the fiducials coincide: they spread over {spread[0]:.1f} standard deviations, "
-            f"at least {LEAST_SPREAD:g} are needed"
-        )
-    if spread[1] < LEAST_SPREAD:
-        return (
-            f"the fiducials are in line to within {spread[1]:.1f} standard deviations, "
-            f"at least {LEAST_SPREAD:g} are needed"
-        )
-    return None
-
-
-def check_strength(image_points: ArrayLike, sigma: ArrayLike) -> None:
-    """Refuse fiducials that cannot fix a motion.
+        sigma: (N, 3) standard deviations [px].
 
     Raises:
-        RegistrationError: Saying why, as `weakness`.
+        RegistrationError: If they are too few, coincide or are in line.
     """
-    trouble = weakness(image_points, sigma)
-    if trouble is not None:
-        raise RegistrationError(trouble)
+    count = len(image_points)
+    if count < FEWEST:
+        raise RegistrationError(f"{count} fiducials: at least {FEWEST} are needed")
+    white = (image_points - image_points.mean(axis=0)) / sigma.mean(axis=0)
+    scatter = np.linalg.svd(white, compute_uv=False) / np.sqrt(count)
+    for trouble, deviations in zip(("coincide", "are in line"), scatter):
+        if deviations < LEAST_SPREAD:
+            raise RegistrationError(
+                f"the fiducials {trouble} to within {deviations:.1f} standard deviations, "
+                f"at least {LEAST_SPREAD:g} are needed"
+            )
 
 
 def _check_finite(name: str, values: FloatArray) -> None:

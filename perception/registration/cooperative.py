@@ -45,29 +45,21 @@ class FusedPoints:
 
 
 @dataclasses.dataclass(frozen=True)
-class SharedPoints:
+class SharedPoints(RelativeFit):
     """M points and the relative pose, as the image points of both robots make them most likely.
 
     Attributes:
-        points: (M, 3) [m], first left camera.
-        covariance: (3M, 3M) joint covariance [m^2], with the relative pose's error.
-        relative: The pose with its covariance.
         inliers: (N,) whether each given point is among these.
-        chi_square: Squared normalised residuals per degree of freedom, 1 if the noise is as said.
+        chi_square: Squared normalised residuals per degree of freedom, 1 if the noise is as given.
     """
 
-    points: FloatArray
-    covariance: FloatArray
-    relative: RelativePose
     inliers: BoolArray
     chi_square: float
 
     @property
     def covariances(self) -> FloatArray:
         """(M, 3, 3) of each point alone [m^2]."""
-        count = len(self.points)
-        split = self.covariance.reshape(count, 3, count, 3)
-        return np.stack([split[i, :, i, :] for i in range(count)])
+        return KnownPoints(self.points, self.covariance).blocks()
 
 
 def relative_pose(
@@ -213,7 +205,7 @@ def triangulate_together(
         inliers[wrong] = False
         fit = solve_relative(start, known.chosen(inliers), other.chosen(inliers), prior)
     freedom = 3 * len(fit.points) - (6 if prior is None else 0)
-    return SharedPoints(fit.points, fit.covariance, fit.relative, inliers, fit.cost / freedom)
+    return SharedPoints(**vars(fit), inliers=inliers, chi_square=fit.cost / freedom)
 
 
 def _fits(prior: RelativePose, known: KnownPoints, sight: Sighting) -> BoolArray:

@@ -24,7 +24,6 @@ from perception.geometry.se3 import point_jacobian
 from perception.registration.checks import (
     RegistrationError,
     check_strength,
-    checked_image_points,
     checked_pose_covariance,
     checked_sigma,
 )
@@ -155,9 +154,8 @@ class FiducialMap:
             RegistrationError: If a number is unknown or given twice, or a value not finite.
         """
         start, pose = self.expected(prior)
-        index, seen, spread, fresh, new_spread = self._checked(
-            numbers, image_points, sigma, new, new_sigma
-        )
+        index, sight = self._checked(numbers, image_points, sigma)
+        fresh = self._sighting("new image points", new, new_sigma)
         count = len(self.offsets)
         moved = prior.by_offsets @ self._joint[prior.offsets]
         state = np.block([[pose, moved], [moved.T, self._joint]])
@@ -167,17 +165,13 @@ class FiducialMap:
             6 + count + _rows(index),
             self.positions[index],
             self._placed[index],
-            Sighting(seen, spread, self._geometry),
+            sight,
         )
         self.offsets = self.offsets + told.shift[6 : 6 + count]
         self.positions = self.positions + told.shift[6 + count :].reshape(-1, 3)
         self._joint = told.covariance[6:, 6:]
-        transform, pose, crossed = (
-            told.transform_camera_to_world,
-            told.covariance[:6, :6],
-            told.covariance[:6, 6:],
-        )
-        added = self._append(fresh, new_spread, transform, pose, crossed)
+        transform, pose = told.transform_camera_to_world, told.covariance[:6, :6]
+        added = self._append(fresh, transform, pose, told.covariance[:6, 6:])
         return MapObservation(Registration(transform, pose, told.believed, told.chi_square), added)
 
     def add(
@@ -205,9 +199,8 @@ class FiducialMap:
         """
         pose = checked_pose_covariance(np.zeros((6, 6)) if covariance is None else covariance)
         crossed = np.zeros((6, len(self._joint)))
-        seen = checked_image_points("image points", image_points)
-        spread = self._checked_sigma(sigma, len(seen))
-        return self._append(seen, spread, transform_camera_to_world, pose, crossed)
+        seen = self._sighting("image points", image_points, sigma)
+        return self._append(seen, transform_camera_to_world, pose, crossed)
 
     def observe(
         self,
@@ -237,19 +230,18 @@ class FiducialMap:
         Raises:
             RegistrationError: If a number is unknown or given twice, or as `register`.
         """
-        index, seen, spread, fresh, new_spread = self._checked(
-            numbers, image_points, sigma, new, new_sigma
-        )
-        check_strength(seen, spread)
+        index, sight = self._checked(numbers, image_points, sigma)
+        fresh = self._sighting("new image points", new, new_sigma)
+        check_strength(sight.image_points, sight.sigma)
         rows = len(self.offsets) + _rows(index)
         known = KnownPoints(self.positions[index], self._joint[np.ix_(rows, rows)])
-        sight = Sighting(seen, spread, self._geometry)
         start = Pose.of(guess) if guess is not None else None
         solution, agreed = agreeing(known, sight, start, rng or np.random.default_rng(0))
-        check_strength(seen[agreed], spread[agreed])
-        crossed = self._update(index[agreed], solution, known.chosen(agreed), sight.chosen(agreed))
+        sight = sight.chosen(agreed)
+        check_strength(sight.image_points, sight.sigma)
+        crossed = self._update(index[agreed], solution, known.chosen(agreed), sight)
         transform = solution.pose.transform()
-        added = self._append(fresh, new_spread, transform, solution.covariance, crossed)
+        added = self._append(fresh, transform, solution.covariance, crossed)
         chi_square = solution.cost / (3 * int(agreed.sum()) - 6)
         registration = Registration(transform, solution.covariance, agreed, chi_square)
         return MapObservation(registration, added)
@@ -277,14 +269,13 @@ class FiducialMap:
 
     def _append(
         self,
-        image_points: FloatArray,
-        sigma: FloatArray,
+        sight: Sighting,
         transform: RigidTransform,
         pose: FloatArray,
         crossed: FloatArray,
     ) -> IndexArray:
-        first, count = len(self), len(image_points)
-        local = self._geometry.points(image_points)
+        first, count = len(self), len(sight.image_points)
+        local = sight.points()
         places = transform.apply(local) if count else local
         by_pose = point_jacobian(places).reshape(-1, 6)
         old = len(self._joint)
@@ -294,7 +285,7 @@ class FiducialMap:
         grown[:old, old:] = grown[old:, :old].T
         grown[old:, old:] = by_pose @ pose @ by_pose.T
         rotation = transform.rotation.as_matrix()
-        own = rotation @ self._geometry.covariance(local, sigma) @ rotation.T
+        own = rotation @ sight.point_covariances() @ rotation.T
         for k in range(count):
             here = slice(old + 3 * k, old + 3 * k + 3)
             grown[here, here] += own[k]
@@ -303,27 +294,27 @@ class FiducialMap:
         self._joint = 0.5 * (grown + grown.T)
         return np.arange(first, first + count)
 
-    def _checked_sigma(self, sigma: ArrayLike | None, count: int) -> FloatArray:
-        return checked_sigma(self._sigma if sigma is None else sigma, count)
+    def _sighting(
+        self, name: str, image_points: ArrayLike | None, sigma: ArrayLike | None
+    ) -> Sighting:
+        """Return checked image points with their deviations, or the map's; none for None."""
+        points = np.zeros((0, 3)) if image_points is None else np.asarray(image_points, dtype=float)
+        deviations = self._sigma if sigma is None else np.asarray(sigma, dtype=float)
+        return Sighting(points, deviations, self._geometry).checked(name)
 
     def _checked(
-        self,
-        numbers: Sequence[int] | IndexArray,
-        image_points: ArrayLike,
-        sigma: ArrayLike | None,
-        new: ArrayLike | None,
-        new_sigma: ArrayLike | None,
-    ) -> tuple[IndexArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Return numbers, image points and deviations, and those of new fiducials."""
-        index = self._checked_numbers(numbers)
-        seen = checked_image_points("image points", image_points)
-        fresh = checked_image_points("new image points", np.zeros((0, 3)) if new is None else new)
-        if len(index) != len(seen):
-            raise RegistrationError(f"{len(index)} numbers for {len(seen)} image points")
-        spread, new_spread = (
-            self._checked_sigma(s, len(p)) for s, p in ((sigma, seen), (new_sigma, fresh))
+        self, numbers: Sequence[int] | IndexArray, image_points: ArrayLike, sigma: ArrayLike | None
+    ) -> tuple[IndexArray, Sighting]:
+        """Return numbers of fiducials and their image points, as many of both."""
+        index, sight = (
+            self._checked_numbers(numbers),
+            self._sighting("image points", image_points, sigma),
         )
-        return index, seen, spread, fresh, new_spread
+        if len(index) != len(sight.image_points):
+            raise RegistrationError(
+                f"{len(index)} numbers for {len(sight.image_points)} image points"
+            )
+        return index, sight
 
     def _check_offsets(self, prior: "PosePrior") -> None:
         if prior.by_offsets.shape != (6, len(prior.offsets)):

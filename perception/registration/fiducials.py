@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.arrays import FloatArray, IndexArray
-from perception.registration.checks import RegistrationError, weakness
+from perception.registration.checks import RegistrationError
 from perception.stereo.geometry import StereoGeometry
 
 
@@ -28,14 +28,10 @@ class Selection:
     Attributes:
         indices: (K,) indices of the chosen points.
         image_points: (K, 3) columns, rows, disparities [px].
-        ratings: (K,) F.E.F. without the penalty.
-        trouble: Why the set cannot fix a motion; None if it can.
     """
 
     indices: IndexArray
     image_points: FloatArray
-    ratings: FloatArray
-    trouble: str | None
 
 
 def select_fiducials(
@@ -91,8 +87,7 @@ def select_fiducials(
     ratings = c.certainty_weight * certainty + c.visual_weight * visual + c.depth_weight * depth
     others = np.zeros((0, 2)) if taken is None else np.asarray(taken, dtype=float)[:, :2]
     best = _spaced(seen[chosen, :2], ratings, others, c)
-    picked = seen[chosen[best]]
-    return Selection(chosen[best], picked, ratings[best], weakness(picked, c.sigma))
+    return Selection(chosen[best], seen[chosen[best]])
 
 
 def _certainties(
@@ -173,7 +168,7 @@ class FiducialConfig:
             patch, for stereo leaves gaps about edges.
         relief: Largest r.m.s. of the disparities there about their plane [px]; more is an edge.
         coverage: Least density of measured points there, over the usual one.
-        sigma: Standard deviations of column, row and disparity [px], to judge the set by.
+        sigma: Standard deviations of column, row and disparity [px].
         least_spacing: No two are nearer in the image [px].
         spacing: The penalty falls linearly to zero at this distance [px].
         penalty: At no distance; the sum of the weights is the highest rating.

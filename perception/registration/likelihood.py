@@ -137,13 +137,18 @@ def _solve_innovation(
 
 
 def _solve_information(information: FloatArray, right: FloatArray) -> FloatArray:
-    # Rotation and translation differ in unit: scale before judging the condition.
+    scale, scaled = _scaled(information)
+    solved = np.asarray(np.linalg.solve(scaled, scale[:, None] * right), dtype=float)
+    return scale[:, None] * solved
+
+
+def _scaled(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return scales (6,) of rotation and translation, which differ in unit, and what they leave."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * np.outer(scale, scale)
     if not np.all(np.isfinite(scaled)) or np.linalg.cond(scaled) > 1e12:
         raise RegistrationError("the fiducials leave the motion undetermined")
-    solved = np.asarray(np.linalg.solve(scaled, scale[:, None] * right), dtype=float)
-    return scale[:, None] * solved
+    return scale, scaled
 
 
 RELATIVE_ITERATIONS = 30
@@ -209,7 +214,7 @@ class _RelativeStep:
 def solve_relative(
     start: Pose, known: KnownPoints, sight: Sighting, prior: RelativePose | None = None
 ) -> RelativeFit:
-    """RelativeFit the pose and the points.
+    """Fit the relative pose and the points.
 
     Args:
         start: Pose of the second camera in the first, near the best.
@@ -275,11 +280,7 @@ def _pose_step(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the step (6,) of the pose and its covariance (6, 6)."""
     if prior is None:
-        # Rotation and translation differ in unit: scale before judging the condition.
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-        scaled = information * np.outer(scale, scale)
-        if not np.all(np.isfinite(scaled)) or np.linalg.cond(scaled) > 1e12:
-            raise RegistrationError("the points leave the relative pose undetermined")
+        scale, scaled = _scaled(information)
         covariance = np.linalg.inv(scaled) * np.outer(scale, scale)
         return covariance @ pull, np.asarray(covariance, dtype=float)
     # (I + P0 L)^-1 P0 is (P0^-1 + L)^-1, and holds for an exact pose and for a single point too.

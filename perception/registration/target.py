@@ -17,6 +17,22 @@ from perception.stereo.geometry import StereoGeometry
 
 _opencv: Any = cv2  # Its stub leaves contours untyped.
 _FEWEST = 3  # Markers that fix a pose.
+LEVELS = (70, 100, 130, 160)
+"""Grey levels at which dark spots are searched."""
+DIAMETER = (4.0, 80.0)
+"""Smallest and largest diameter of a spot [px]."""
+ROUNDNESS = 0.85
+"""Least area of a spot over that of its ellipse, and its inverse."""
+FLATNESS = 0.4
+"""Least minor over major axis of a spot."""
+CONTRAST = 50.0
+"""Least grey levels from a spot to the darkest place of the disc about it."""
+ROW = 1.5
+"""Greatest difference of the rows of a marker in a pair [px]."""
+SIZE = 1.5
+"""Factor within which a spot's size must agree with its distance."""
+DISTANCE = 0.004
+"""Greatest error of a distance between two markers [m], beside thrice its deviation."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,31 +53,6 @@ class TargetCad:
     def extent(self) -> float:
         """Greatest distance between two markers [m]."""
         return float(np.linalg.norm(self.points[:, None] - self.points, axis=2).max())
-
-
-@dataclasses.dataclass(frozen=True)
-class MarkerSearch:
-    """When a dark spot counts as the centre of a marker.
-
-    Attributes:
-        levels: Grey levels at which dark spots are looked for.
-        diameter: Smallest and largest diameter of a spot [px].
-        roundness: Least area of a spot over that of its ellipse, and its inverse.
-        flatness: Least minor over major axis.
-        contrast: Least grey levels from a spot to the darkest place of the disc about it.
-        row: Greatest difference of the rows of a marker in a pair [px].
-        size: Factor within which a spot's size must agree with its distance.
-        distance: Greatest error of a distance between two markers [m], beside thrice its deviation.
-    """
-
-    levels: tuple[int, ...] = (70, 100, 130, 160)
-    diameter: tuple[float, float] = (4.0, 80.0)
-    roundness: float = 0.85
-    flatness: float = 0.4
-    contrast: float = 50.0
-    row: float = 1.5
-    size: float = 1.5
-    distance: float = 0.004
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,13 +81,12 @@ class PossibleMarkers:
     alone: FloatArray
 
 
-def find_spots(image: ImageArray, cad: TargetCad, search: MarkerSearch) -> FloatArray:
+def find_spots(image: ImageArray, cad: TargetCad) -> FloatArray:
     """Return (N, 3) column, row and diameter of the dark centres of markers [px].
 
     Args:
         image: (height, width) uint8.
         cad: Proportions of a marker.
-        search: Criteria for the dark centre of a marker.
 
     Raises:
         ValueError: If the image is empty or not grey of 8 bits.
@@ -104,9 +94,9 @@ def find_spots(image: ImageArray, cad: TargetCad, search: MarkerSearch) -> Float
     if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
         raise ValueError(f"image of shape {image.shape}, {image.dtype}: expected grey of 8 bits")
     found: list[tuple[float, float, float]] = []
-    for level in search.levels:
-        for contour in _round_contours(image <= level, search):
-            spot = _spot(image, contour, cad, search)
+    for level in LEVELS:
+        for contour in _round_contours(image <= level):
+            spot = _spot(image, contour, cad)
             if spot is not None and all(np.hypot(*np.subtract(spot, o)[:2]) > 2.0 for o in found):
                 found.append(spot)
     return np.array(found).reshape(-1, 3)
@@ -117,7 +107,6 @@ def find_target(
     geometry: StereoGeometry,
     cad: TargetCad,
     sigma: ArrayLike,
-    search: MarkerSearch | None = None,
 ) -> SeenTarget | None:
     """Return the markers of a target in a rectified pair; None if fewer than three are seen.
 
@@ -126,22 +115,19 @@ def find_target(
         geometry: Geometry of the stereo pair.
         cad: Markers of the target.
         sigma: (3,) standard deviations of column, row and disparity [px].
-        search: Criteria for the dark centre of a marker.
 
     Raises:
         ValueError: If an image is empty or not grey of 8 bits.
     """
-    how = search or MarkerSearch()
-    _, _, seen = _spots_of_pair(pair, geometry, cad, how)
+    _, _, seen = _spots_of_pair(pair, geometry, cad)
     points = geometry.points(seen)
-    return _matched(seen, points, geometry, cad, np.asarray(sigma, dtype=float), how)
+    return _matched(seen, points, geometry, cad, np.asarray(sigma, dtype=float))
 
 
 def possible_markers(
     pair: ImageArray,
     geometry: StereoGeometry,
     cad: TargetCad,
-    search: MarkerSearch | None = None,
 ) -> PossibleMarkers:
     """Return where markers may be: hints of a target of which too little is in view.
 
@@ -149,13 +135,11 @@ def possible_markers(
         pair: (2, height, width) uint8, left and right.
         geometry: Geometry of the stereo pair.
         cad: Markers of the target.
-        search: Criteria for the dark centre of a marker.
 
     Raises:
         ValueError: If an image is empty or not grey of 8 bits.
     """
-    how = search or MarkerSearch()
-    (left, right), (one, two), seen = _spots_of_pair(pair, geometry, cad, how)
+    (left, right), (one, two), seen = _spots_of_pair(pair, geometry, cad)
     alone: list[FloatArray] = []
     for spots, taken, eye in ((left, one, 0.0), (right, two, geometry.baseline)):
         single = np.delete(spots, taken, axis=0)
@@ -167,39 +151,26 @@ def possible_markers(
 
 
 def _spots_of_pair(
-    pair: ImageArray, geometry: StereoGeometry, cad: TargetCad, search: MarkerSearch
+    pair: ImageArray, geometry: StereoGeometry, cad: TargetCad
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[IndexArray, IndexArray], FloatArray]:
     """Return the spots of both images, which may be paired, and the image points of these."""
-    left, right = (find_spots(image, cad, search) for image in pair)
-    one, two = _paired(left, right, geometry, cad, search)
-    seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
-    return (left, right), (one, two), seen
-
-
-def _paired(
-    left: FloatArray,
-    right: FloatArray,
-    geometry: StereoGeometry,
-    cad: TargetCad,
-    search: MarkerSearch,
-) -> tuple[IndexArray, IndexArray]:
-    """Return (P,) which spots of the left and of the right image may be one marker."""
+    left, right = (find_spots(image, cad) for image in pair)
     one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
     seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
-    # A spot's size tells its distance as well, which settles most wrong pairings.
+    # A spot's size is a measure of its distance as well, which settles most wrong pairings.
     expected = 2.0 * cad.radius * cad.dark * geometry.fx / geometry.points(seen)[:, 2]
-    fits = np.abs(left[one, 1] - right[two, 1]) < search.row
+    fits = np.abs(left[one, 1] - right[two, 1]) < ROW
     for sizes in (left[one, 2], right[two, 2]):
-        fits &= (sizes < search.size * expected) & (expected < search.size * sizes)
-    return one[fits], two[fits]
+        fits &= (sizes < SIZE * expected) & (expected < SIZE * sizes)
+    return (left, right), (one[fits], two[fits]), seen[fits]
 
 
-def _round_contours(dark: NDArray[np.bool_], search: MarkerSearch) -> Iterator[NDArray[Any]]:
+def _round_contours(dark: NDArray[np.bool_]) -> Iterator[NDArray[Any]]:
     """Yield the contours (n, 2) of dark areas that may be ellipses; textures have thousands."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8))
     # The first one is all that is not dark.
     left, top, width, height, area = np.asarray(stats[1:count]).T
-    smallest, largest = search.diameter
+    smallest, largest = DIAMETER
     longest = np.maximum(width, height)
     filled = area / (width * height)
     # An ellipse fills pi / 4 of its box when upright, and less when it leans.
@@ -213,27 +184,27 @@ def _round_contours(dark: NDArray[np.bool_], search: MarkerSearch) -> Iterator[N
 
 
 def _spot(
-    image: ImageArray, contour: NDArray[Any], cad: TargetCad, search: MarkerSearch
+    image: ImageArray, contour: NDArray[Any], cad: TargetCad
 ) -> tuple[float, float, float] | None:
     """Return centre and diameter of a dark ellipse within a bright one, None for anything else."""
-    smallest, largest = search.diameter
+    smallest, largest = DIAMETER
     if len(contour) < 2.0 * smallest:
         return None
     (column, row), axes, angle = cv2.fitEllipse(contour.reshape(-1, 1, 2))
     minor, major = sorted(axes)
     # A contour runs through the middle of the border pixels.
     minor, major = minor + 1.0, major + 1.0
-    if not (smallest <= major <= largest and minor >= search.flatness * major):
+    if not (smallest <= major <= largest and minor >= FLATNESS * major):
         return None
     area = cv2.contourArea(contour.reshape(-1, 1, 2)) + len(contour) / 2.0 + 1.0
     filled = area / (np.pi / 4.0 * minor * major)
-    if not search.roundness <= filled <= 1.0 / search.roundness:
+    if not ROUNDNESS <= filled <= 1.0 / ROUNDNESS:
         return None
     wide = (axes[0] + 1.0) / 2.0, (axes[1] + 1.0) / 2.0
     scales = np.linspace(1.35, 0.8 / cad.dark, 3)
     disc = _on_ellipses(image, (column, row), wide, angle, scales)
     inside = _on_ellipses(image, (column, row), wide, angle, np.array([0.0, 0.4]))
-    if disc is None or inside is None or disc.min() - inside.max() < search.contrast:
+    if disc is None or inside is None or disc.min() - inside.max() < CONTRAST:
         return None
     window = 1.4 * wide[0], 1.4 * wide[1]
     centre = _centroid(image, (column, row), window, angle, float(disc.mean()))
@@ -290,20 +261,18 @@ def _matched(
     geometry: StereoGeometry,
     cad: TargetCad,
     sigma: FloatArray,
-    search: MarkerSearch,
 ) -> SeenTarget | None:
     """Return the largest set of points whose mutual distances are those of the CAD."""
     between = np.linalg.norm(cad.points[:, None] - cad.points, axis=2)
     apart = np.linalg.norm(points[:, None] - points, axis=2)
     spread = np.sqrt(np.trace(geometry.covariance(points, sigma), axis1=1, axis2=2))
-    allowed = search.distance + 3.0 * np.hypot(spread[:, None], spread)
-    best: list[tuple[int, int]] = []
-    for matches in _assignments(between, apart, allowed, []):
-        if len(matches) > len(best) or (
-            len(matches) == len(best)
-            and _misfit(between, apart, matches) < _misfit(between, apart, best)
-        ):
-            best = matches
+    allowed = DISTANCE + 3.0 * np.hypot(spread[:, None], spread)
+    nothing: list[tuple[int, int]] = []
+    best = max(
+        _assignments(between, apart, allowed, nothing),
+        key=lambda matches: (len(matches), -_misfit(between, apart, matches)),
+        default=nothing,
+    )
     if len(best) < _FEWEST:
         return None
     markers, chosen = np.array(best).T

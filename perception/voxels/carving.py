@@ -26,32 +26,12 @@ from perception.voxels.bricks import (
     whole,
 )
 from perception.voxels.fusion import BARELY_MEASURED
-from perception.voxels.scan import TILE, Camera, Scan
+from perception.voxels.scan import TILE, Camera, Scan, ScanSettings
 
 NOTHING, MIXED, FREE = range(3)
 HALF = SIDE // 2
 BRICKS_PER_BLOCK = 4
 """Bricks along a block that is looked at first."""
-
-
-class CarvingSettings(NamedTuple):
-    """How free space enters a map.
-
-    Attributes:
-        resolution: Side of a voxel [m].
-        miss: Log-odds that a miss adds, in the map's steps.
-        lowest: Least log-odds of a voxel, in the map's steps.
-        scan: Number of this scan.
-        drop_when_full: Whether changes without memory are dropped, instead of asking for more.
-        coarse: Whether cubes of 2 x 2 x 2 voxels are looked at together: see `VoxelMapConfig`.
-    """
-
-    resolution: float
-    miss: int
-    lowest: int
-    scan: int
-    drop_when_full: bool
-    coarse: bool
 
 
 class Samples(NamedTuple):
@@ -119,7 +99,7 @@ def carve_scan(
     camera: Camera,
     samples: Samples,
     window: NDArray[np.int64],
-    settings: CarvingSettings,
+    settings: ScanSettings,
     first: int,
 ) -> int:
     """Lower the voxels that lie before what the scan saw.
@@ -130,7 +110,7 @@ def carve_scan(
         camera: Camera that took the scan.
         samples: What `samples_of` returns.
         window: (6,) first and last brick on each axis that may be in view, inside of the map.
-        settings: How free space enters the map.
+        settings: How the scan enters the map.
         first: Brick to begin with; they are numbered cube by cube.
 
     Returns:
@@ -292,7 +272,7 @@ def _carve_brick(
     scan: Scan,
     camera: Camera,
     samples: Samples,
-    settings: CarvingSettings,
+    settings: ScanSettings,
     brick: tuple[int, int, int],
 ) -> None:
     """Go through a brick in eight parts, each judged by itself first."""
@@ -361,7 +341,7 @@ def _ask(scan: Scan, samples: Samples) -> bool:
 def _settle(
     store: Bricks,
     samples: Samples,
-    settings: CarvingSettings,
+    settings: ScanSettings,
     brick: tuple[int, int, int],
     first: int,
 ) -> None:

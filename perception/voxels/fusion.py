@@ -33,7 +33,7 @@ from perception.voxels.bricks import (
     slot_block,
     whole,
 )
-from perception.voxels.scan import FLAT, NO_POINT, TILE, Camera, Scan
+from perception.voxels.scan import FLAT, NO_POINT, TILE, Camera, Scan, ScanSettings
 
 BARELY_MEASURED = -1
 """Log-odds of a voxel just before a surface: measured, hardly decided."""
@@ -45,30 +45,6 @@ MAX_HIT_SIGMA_VOXELS = 0.25
 """Deviation, in voxels, up to which a voxel is taken as occupied for the points that it holds."""
 MIN_SIGMA_VOXELS = 0.02
 """Deviation that a voxel's surface keeps, in voxels: it is no point."""
-
-
-class FusionSettings(NamedTuple):
-    """How points of a scan enter a map.
-
-    Attributes:
-        resolution: Side of a voxel [m].
-        hit: Log-odds that a hit adds, in the map's steps.
-        lowest: Least log-odds of a voxel, in the map's steps.
-        highest: Largest log-odds of a voxel, in the map's steps.
-        correlated_points: How many neighbouring points count as one.
-        scan: Number of this scan.
-        drop_when_full: Whether changes without memory are dropped, instead of asking for more.
-        shape: Voxels on each axis.
-    """
-
-    resolution: float
-    hit: int
-    lowest: int
-    highest: int
-    correlated_points: float
-    scan: int
-    drop_when_full: bool
-    shape: tuple[int, int, int]
 
 
 class Estimates(NamedTuple):
@@ -109,7 +85,7 @@ def fuse_scan(
     store: Bricks,
     scan: Scan,
     camera: Camera,
-    settings: FusionSettings,
+    settings: ScanSettings,
     work: Estimates,
     first: int,
 ) -> int:
@@ -119,7 +95,7 @@ def fuse_scan(
         store: Storage of the map, changed.
         scan: The images of the scan; points taken are crossed out.
         camera: Camera that took the scan.
-        settings: How points enter the map.
+        settings: How the scan enters the map.
         work: Buffers.
         first: Tile to begin with.
 
@@ -210,7 +186,7 @@ def _fuse_group(
     store: Bricks,
     origin: FloatArray,
     count: int,
-    settings: FusionSettings,
+    settings: ScanSettings,
     work: Estimates,
 ) -> None:
     """Merge a group with the estimates along its ray, and put the result where it lies."""
@@ -290,7 +266,7 @@ def _fuse_group(
 
 
 @numba.njit(**KERNEL)
-def touch_scan(store: Bricks, scan: Scan, settings: FusionSettings, first: int) -> int:
+def touch_scan(store: Bricks, scan: Scan, settings: ScanSettings, first: int) -> int:
     """Take voxels as occupied where points are in them, unless they are known to be free.
 
     Estimates stand where a patch has its middle. Voxels of which a slanted surface cuts a corner
@@ -340,7 +316,7 @@ def _put_down(
     carried: int,
     before: int,
     count: int,
-    settings: FusionSettings,
+    settings: ScanSettings,
 ) -> None:
     """Store an estimate in the voxel where it lies, and let the voxel be hit once a scan."""
     now, (nx, ny, nz) = settings.scan, settings.shape

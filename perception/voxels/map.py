@@ -4,6 +4,7 @@
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,10 +31,9 @@ from perception.voxels.bricks import (
     read_cells,
     with_capacity,
 )
-from perception.voxels.carving import CarvingSettings, bricks_in, carve_scan, samples_of
+from perception.voxels.carving import bricks_in, carve_scan, samples_of
 from perception.voxels.fusion import (
     MIN_SIGMA_VOXELS,
-    FusionSettings,
     allocate_estimates,
     fuse_scan,
     touch_scan,
@@ -44,6 +44,7 @@ from perception.voxels.scan import (
     TILE,
     Camera,
     Scan,
+    ScanSettings,
     allocate_scan,
     binned,
     camera_of,
@@ -194,7 +195,7 @@ class VoxelMap:
             raise MapError(f"map: holds {LAST_SCAN} scans, it cannot number more")
         self.scans += 1
         self.bricks.used[DROPPED] = 0
-        self._carve(scan, camera, self._fuse(scan, camera))
+        self._add(scan, camera)
         if self.bricks.used[DROPPED]:
             raise MapFull(
                 f"map: {self.bricks.used[DROPPED]} changes of this scan do not fit in "
@@ -203,43 +204,75 @@ class VoxelMap:
             )
         return count
 
-    def _fuse(self, scan: Scan, camera: Camera) -> bool:
-        """Make voxels with points more occupied; return whether memory ran out."""
-        hit, _, low, high = self._steps()
-        correlated, shape = float(self.config.correlated_points), self.grid.shape
-        resolution, scans = self.grid.resolution, self.scans
-        full, work = False, allocate_estimates()
-        begin, end = 0, scan.high.size
-        while begin < end:
-            settings = FusionSettings(resolution, hit, low, high, correlated, scans, full, shape)
-            begin = fuse_scan(self.bricks, scan, camera, settings, work, begin)
-            full = full or (begin < end and not self._grow(TILE * TILE))
-        begin, end = 0, camera.height
-        while begin < end:
-            settings = FusionSettings(resolution, hit, low, high, correlated, scans, full, shape)
-            begin = touch_scan(self.bricks, scan, settings, begin)
-            full = full or (begin < end and not self._grow(camera.width))
-        return full
+    def _add(self, scan: Scan, camera: Camera) -> None:
+        """Make voxels with points more occupied and those before them freer, as memory allows."""
+        settings, work = self._settings(), allocate_estimates()
+        settings = self._in_parts(
+            lambda settings, begin: fuse_scan(self.bricks, scan, camera, settings, work, begin),
+            scan.high.size,
+            TILE * TILE,
+            settings,
+        )
+        settings = self._in_parts(
+            lambda settings, begin: touch_scan(self.bricks, scan, settings, begin),
+            camera.height,
+            camera.width,
+            settings,
+        )
+        side, deepest = self.grid.resolution * SIDE, float(scan.high.max())
+        window = window_of(camera, deepest, side, self.bricks.index.shape)
+        samples = samples_of(camera, self.grid.resolution, self.config.coarse)
+        self._in_parts(
+            lambda settings, begin: carve_scan(
+                self.bricks, scan, camera, samples, window, settings, begin
+            ),
+            bricks_in(window) if np.all(window[3:] >= window[:3]) else 0,
+            1,
+            settings,
+        )
 
-    def _carve(self, scan: Scan, camera: Camera, full: bool) -> None:
-        """Make voxels before the points freer, as far as there is memory."""
-        _, miss, low, _ = self._steps()
-        resolution, coarse = self.grid.resolution, self.config.coarse
-        deepest = float(scan.high.max())
-        window = window_of(camera, deepest, resolution * SIDE, self.bricks.index.shape)
-        samples = samples_of(camera, resolution, coarse)
-        begin, end = 0, bricks_in(window) if np.all(window[3:] >= window[:3]) else 0
-        while begin < end:
-            settings = CarvingSettings(resolution, miss, low, self.scans, full, coarse)
-            begin = carve_scan(self.bricks, scan, camera, samples, window, settings, begin)
-            full = full or (begin < end and not self._grow(1))
+    def _in_parts(
+        self,
+        add: Callable[[ScanSettings, int], int],
+        end: int,
+        need: int,
+        settings: ScanSettings,
+    ) -> ScanSettings:
+        """Add a scan part by part, growing where the next part has no room.
 
-    def _steps(self) -> tuple[int, int, int, int]:
-        """Return hit, miss, lowest and highest log-odds in the map's own steps."""
-        model = self.config.model
-        values = np.rint(np.array([*model.steps, *model.clamps]) * self._scale).astype(int)
-        hit, miss, low, high = values.tolist()
-        return max(hit, 1), min(miss, -2), low, high
+        Args:
+            add: Kernel that goes on from a part, and returns the part before which it stopped.
+            end: Number of parts.
+            need: Capacity that a part may need.
+            settings: How the scan enters the map.
+
+        Returns:
+            The settings, which drop changes from where memory ran out.
+        """
+        begin = 0
+        while begin < end:
+            begin = add(settings, begin)
+            if begin < end and not settings.drop_when_full and not self._grow(need):
+                settings = settings._replace(drop_when_full=True)
+        return settings
+
+    def _settings(self) -> ScanSettings:
+        """Return how the scan at hand enters the map; log-odds in the map's own steps."""
+        config, grid = self.config, self.grid
+        values = np.array([*config.model.steps, *config.model.clamps]) * self._scale
+        hit, miss, low, high = np.rint(values).astype(int).tolist()
+        return ScanSettings(
+            grid.resolution,
+            grid.shape,
+            max(hit, 1),
+            min(miss, -2),
+            low,
+            high,
+            float(config.correlated_points),
+            config.coarse,
+            self.scans,
+            drop_when_full=False,
+        )
 
     def _grow(self, need: int) -> bool:
         """Add capacity for so many more; return whether there was memory."""

@@ -54,6 +54,34 @@ class Camera(NamedTuple):
     far: float
 
 
+class ScanSettings(NamedTuple):
+    """How a scan enters a map.
+
+    Attributes:
+        resolution: Side of a voxel [m].
+        shape: Voxels on each axis.
+        hit: Log-odds that a hit adds, in the map's steps.
+        miss: Log-odds that a miss adds, in the map's steps.
+        lowest: Least log-odds of a voxel, in the map's steps.
+        highest: Largest log-odds of a voxel, in the map's steps.
+        correlated_points: How many neighbouring points count as one.
+        coarse: Whether cubes of 2 x 2 x 2 voxels are looked at together: see `VoxelMapConfig`.
+        scan: Number of this scan.
+        drop_when_full: Whether changes without memory are dropped, instead of asking for more.
+    """
+
+    resolution: float
+    shape: tuple[int, int, int]
+    hit: int
+    miss: int
+    lowest: int
+    highest: int
+    correlated_points: float
+    coarse: bool
+    scan: int
+    drop_when_full: bool
+
+
 class Scan(NamedTuple):
     """The images of a scan.
 

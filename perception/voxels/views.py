@@ -87,24 +87,12 @@ def view_counts(
     camera = camera_of(transform_camera_to_world, coarse, voxels.grid.corner)
     depths = np.full((coarse.height, coarse.width), np.inf)
     sums = np.zeros(3)
-    scale = RayScale(voxels.grid.resolution, 1.0 / mean_free_path)
     kinds, states = voxels.outline()
-    _count_rays(kinds, states.ravel(), camera, scale, depths, sums)
+    lengths = (voxels.grid.resolution, mean_free_path)
+    _count_rays(kinds, states.ravel(), camera, lengths, depths, sums)
     # A ray stands for a pixel, which is z^2 / (fx fy) large at depth z.
     unmeasured, free, seen = (sums / (3.0 * coarse.fx * coarse.fy)).tolist()
     return ViewCounts(unmeasured, free, seen / voxels.grid.resolution**3, depths)
-
-
-class RayScale(NamedTuple):
-    """Lengths that rays are counted with.
-
-    Attributes:
-        resolution: Side of a voxel [m].
-        attenuation: Inverse of the mean free path in unmeasured space [1/m].
-    """
-
-    resolution: float
-    attenuation: float
 
 
 class Ray(NamedTuple):
@@ -132,7 +120,7 @@ def _count_rays(
     kinds: NDArray[np.int32],
     states: NDArray[np.uint16],
     camera: Camera,
-    scale: RayScale,
+    lengths: tuple[float, float],
     depths: FloatArray,
     sums: FloatArray,
 ) -> None:
@@ -142,11 +130,12 @@ def _count_rays(
         kinds: (bx, by, bz) kinds of the bricks, from `VoxelMap.outline`.
         states: Packed states of the mixed bricks, from `VoxelMap.outline`, flat.
         camera: Where the rays start, and one pixel for each.
-        scale: Side of a voxel and attenuation.
+        lengths: Side of a voxel, and mean free path in unmeasured space [m].
         depths: (rows, columns) written where a ray is stopped.
         sums: (3,) added to: z1^3 - z0^3 of unmeasured, of free, and of what is seen of unmeasured.
     """
-    side = scale.resolution * SIDE
+    resolution, free_path = lengths
+    side = resolution * SIDE
     bx, by, bz = kinds.shape
     ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
     turn = camera.turn
@@ -157,7 +146,7 @@ def _count_rays(
             dx = turn[0, 0] * u + turn[1, 0] * v + turn[2, 0]
             dy = turn[0, 1] * u + turn[1, 1] * v + turn[2, 1]
             dz = turn[0, 2] * u + turn[1, 2] * v + turn[2, 2]
-            per_depth = scale.attenuation * math.sqrt(dx * dx + dy * dy + dz * dz)
+            per_depth = 1.0 / free_path * math.sqrt(dx * dx + dy * dy + dz * dz)
             # No component: as good as never across such faces, and no 0 times inf.
             dx, dy, dz = _not_zero(dx), _not_zero(dy), _not_zero(dz)
             ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
@@ -174,7 +163,7 @@ def _count_rays(
             x = min(max(whole((ox + enter * dx) / side), 0), bx - 1)
             y = min(max(whole((oy + enter * dy) / side), 0), by - 1)
             z = min(max(whole((oz + enter * dz) / side), 0), bz - 1)
-            ticks = scale.resolution * TICKS
+            ticks = resolution * TICKS
             faces = (
                 int(((x + hx) * side - ox) * ix * TICKS),
                 int(((y + hy) * side - oy) * iy * TICKS),

@@ -44,12 +44,10 @@ def flat_but_right():
 
 def test_fiducials_are_spread_and_fix_a_motion():
     chosen = select_fiducials(texture(), grid(), HEAD, config=FiducialConfig(count=12))
-    assert chosen.trouble is None
     pixels = chosen.image_points[:, :2]
     apart = np.linalg.norm(pixels[:, None] - pixels, axis=-1) + 1e9 * np.eye(12)
     assert apart.min() >= 60
     np.testing.assert_array_equal(grid()[chosen.indices], chosen.image_points)
-    assert ((chosen.ratings > 0.0) & (chosen.ratings <= 2.5)).all()
 
 
 def test_none_is_chosen_on_flat_image_regions():
@@ -59,10 +57,9 @@ def test_none_is_chosen_on_flat_image_regions():
 
 
 @pytest.mark.parametrize("image", [np.zeros(SHAPE, np.uint8), np.full(SHAPE, 200, np.uint8)])
-def test_an_empty_image_gives_none_and_says_so(image):
+def test_an_empty_image_gives_none(image):
     chosen = select_fiducials(image, grid(), HEAD)
     assert len(chosen.indices) == 0
-    assert chosen.trouble is not None and "0 fiducials" in chosen.trouble
 
 
 def test_none_is_chosen_on_a_straight_edge():
@@ -176,13 +173,6 @@ def test_what_will_leave_the_view_is_passed_over():
     after = HEAD.project(turn.apply(HEAD.points(chosen.image_points), inverse=True))
     assert ((after[:, 0] > 0) & (after[:, 0] < HEAD.width)).all()
     assert chosen.image_points[:, 0].min() > 190
-
-
-def test_points_in_line_are_told():
-    row = grid()[np.abs(grid()[:, 1] - 246) < 1]
-    chosen = select_fiducials(texture(), row, HEAD)
-    assert len(chosen.indices) >= 4
-    assert chosen.trouble is not None and "in line" in chosen.trouble
 
 
 def test_nan_is_passed_over_and_bad_shapes_are_refused():

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.registration.target import (
-    MarkerSearch,
     TargetCad,
     find_spots,
     find_target,
@@ -64,7 +63,7 @@ def test_all_markers_are_found_to_a_fifth_of_a_pixel_and_named(place):
 
 def test_three_markers_are_enough_and_two_are_not():
     images = pair(at(0.9, 0.2, 0.0))
-    spots = find_spots(images[0], CAD, MarkerSearch())
+    spots = find_spots(images[0], CAD)
     for count, spot in enumerate(spots[:2], start=1):
         column, row, diameter = spot.astype(int)
         images[0, row - diameter : row + diameter, column - diameter : column + diameter] = 110
