@@ -3,8 +3,8 @@
 - `geometry`: rigid motions, pinhole cameras, gravity; every room may import it.
 - `stereo`: a rectified pair to points with covariance (thesis section 3.2.3).
 - `registration`: camera motion and localization from fiducials (sections 3.2.2, 3.2.5, 6.2 (a)).
-- `voxels`: maps of space, and what a view of one would tell (section 3.2.4 in 3-D).
-- `planar`: the planar maps of chapter 3, and what a view of one would tell (section 3.2.4).
+- `voxels`: maps of space, and the expected information of views (section 3.2.4 in 3-D).
+- `planar`: planar maps of chapter 3, and the expected information of views (section 3.2.4).
 - `markers`: disc markers of card and slot, and their bodies' poses (sections 5.1 to 5.3).
 - `compression`: lossless compression, and the information that an image holds (appendix C).
 """

@@ -80,7 +80,7 @@ class Options(contract.Options):
     """Options of appc-compression.
 
     Attributes:
-        views: Taken in each scene (unless said, 16; with --quick, 6).
+        views: Number of views taken in each scene (default 16; with --quick, 6).
     """
 
     views: int | None = None

@@ -24,9 +24,9 @@ def draw_methods(
     """Draw mean and deviation of the ratios by method, one panel for each size (figure C-2).
 
     Args:
-        sets: Of pictures, by name.
-        thesis: (10, sizes) its means.
-        sigma: (10, sizes) its deviations.
+        sets: Sets of pictures, by name.
+        thesis: (10, sizes) mean ratios of the thesis.
+        sigma: (10, sizes) deviations of the thesis' ratios.
     """
     figure = Figure(figsize=(15, 8))
     where = np.arange(len(METHODS))

@@ -26,7 +26,7 @@ from perception.compression.image_predictors import PREDICTORS, residuals
 from perception.geometry.arrays import ByteArray, FloatArray
 
 SIZES = (16, 32, 64, 128, 256)
-"""Of the pictures, squares [px]."""
+"""Edges of the square pictures [px]."""
 DRAWINGS = frozenset({"color.png", "horse.png", "logo.png", "phantom.png"})
 """Bundled pictures that no camera took."""
 TWINS = frozenset({"motorcycle_right.png"})
@@ -44,8 +44,8 @@ class Measured:
         ratios: (S, N, 10) compression ratios by method, of Shannon entropies.
         coded: (S, N, 10, coders) bytes of a picture over those of its file, by method and coder;
             NaN where the method has another coder.
-        round_trips: How many were made.
-        failures: How many of them did not give the picture back.
+        round_trips: Number of round trips made.
+        failures: Number of round trips that did not give the picture back.
         outside: Huffman codes of residuals whose mean word is not within [H, H + 1] bit.
     """
 
@@ -78,7 +78,7 @@ class NoiseTrial:
 
     Attributes:
         seed: Seed of the noise.
-        count: Of pictures of each size.
+        count: Number of pictures of each size.
     """
 
     seed: int

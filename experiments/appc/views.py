@@ -1,6 +1,6 @@
 """Is the coded entropy of a picture a measure by which to choose the next view of chapter 3?
 
-A free stereo head looks at the field of ``ch3-stereo`` from many places. When the first few views
+A free stereo head views the field of ``ch3-stereo`` from many places. When the first few views
 are in the map, all others are candidates: each is rated by what the map expects there, by the
 coded entropy of a picture of what the map expects, and by that of the picture that the camera
 really takes there. The last is not known before the head has gone there: it is the most that an
@@ -52,11 +52,11 @@ PICTURE = 256
 KNOWN, QUICK_KNOWN = (1, 2, 4, 6), (1, 3)
 """Views in the map when the others are rated."""
 EYES, SEEN, HEIGHTS = (-1.1, 1.1), (-0.9, 0.9), (0.25, 0.6)
-"""Where the head is and what it looks at, along x and y, and how high it is [m]."""
+"""Ranges of the head's position and of its target along x and y, and of its height [m]."""
 NOT_DOWN = 0.3
-"""The head does not look at what is nearer on the ground [m]."""
+"""Least distance of the head's target along the ground [m]."""
 RAYS = 40
-"""Of a rating, each way, as ``ch3-stereo`` takes them."""
+"""Rays of a rating along each edge of the view, as in ``ch3-stereo``."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,9 +64,9 @@ class ViewTrial:
     """One scene's comparison; a job of the sweep.
 
     Attributes:
-        seed: Of scene and views.
-        views: How many are taken.
-        known: After how many of them the others are rated.
+        seed: Seed of scene and views.
+        views: Number of views taken.
+        known: Numbers of views in the map at which the others are rated.
     """
 
     seed: int
@@ -79,9 +79,9 @@ class TakenView:
     """A view that was taken.
 
     Attributes:
-        camera: From camera to world, true.
+        camera: True transform from camera to world.
         picture: (PICTURE, PICTURE) uint8 of the left camera, averaged.
-        seen: What stereo made of the pair.
+        seen: Points that stereo found in the pair.
     """
 
     camera: RigidTransform
@@ -167,7 +167,7 @@ def _take(
 
 
 def draw_view(rng: np.random.Generator) -> RigidTransform:
-    """Return a pose of the head somewhere over the field, which looks at some of the ground."""
+    """Return a random pose of the head over the field, with some of the ground in view."""
     eye = np.append(rng.uniform(*EYES, 2), rng.uniform(*HEIGHTS))
     while np.linalg.norm(seen_at := rng.uniform(*SEEN, 2) - eye[:2]) < NOT_DOWN:
         pass
@@ -210,7 +210,7 @@ def _gains(
 def _ratings(
     voxels: VoxelMap, views: Sequence[TakenView], geometry: StereoGeometry, how: MapperConfig
 ) -> FloatArray:
-    """Return (M, N) what each measure says of each view."""
+    """Return (M, N) ratings of each view by each measure."""
     grid = planning_grid(voxels)
     occupancy = expected_occupancy(grid.states)
     cameras = RigidTransform.concatenate([view.camera for view in views])
@@ -238,9 +238,9 @@ def expected_pictures(
     """Return what the map expects a camera to see.
 
     Args:
-        grid: What is known.
+        grid: Coarse picture of the map.
         occupancy: (nx, ny, nz) from `expected_occupancy`.
-        camera: From camera to world.
+        camera: Transform from camera to world.
         rays: (n * n, 3) unit vectors over the picture, camera frame.
         reach: Nearest and farthest distance along a ray [m].
 

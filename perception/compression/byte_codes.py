@@ -95,7 +95,7 @@ def huffman_encode(symbols: ByteArray) -> bytes:
     """Return bytes in Huffman's code: their number, 256 word lengths, and the words.
 
     Words of one length are consecutive numbers in the order of their symbols (a canonical code),
-    so that the lengths alone tell them.
+    so that the lengths alone determine them.
 
     Args:
         symbols: uint8 of any shape.
@@ -112,7 +112,7 @@ def huffman_decode(coded: bytes) -> ByteArray:
     """Return (n,) bytes from what `huffman_encode` made of them.
 
     Raises:
-        CodingError: If they cannot be told.
+        CodingError: If they cannot be decoded.
     """
     if len(coded) < _HEAD.size:
         raise CodingError(f"Huffman code of {len(coded)} bytes: its head alone takes {_HEAD.size}")
@@ -163,7 +163,7 @@ def _unpack(packed: Any, lengths: Any, order: Any, symbols: Any) -> bool:
         of_length[length] += 1
     at, end = 0, 8 * packed.size
     for index in range(symbols.size):
-        # word - first tells which of the words of this length it is, if it is one.
+        # word - first is the index among the words of this length, if it is one.
         word, first, before, length = np.int64(0), np.int64(0), of_length[0], 0
         while True:
             if at == end or length == 64:
@@ -214,7 +214,7 @@ def run_length_decode(coded: bytes) -> ByteArray:
 def lzw_codes(symbols: ByteArray, first: int = _BYTES) -> CodeArray:
     """Return the codes that LZW writes for bytes.
 
-    Codes below 256 are single bytes; each code written adds the sequence it stands for and the
+    Codes below 256 are single bytes; each code written adds its sequence and the
     byte behind it to the table, until the table has 4096 entries: then it stays as it is.
 
     Args:
@@ -234,14 +234,14 @@ def lzw_codes(symbols: ByteArray, first: int = _BYTES) -> CodeArray:
 
 
 def lzw_symbols(codes: CodeArray, first: int = _BYTES) -> ByteArray:
-    """Return the bytes that LZW's codes stand for.
+    """Return the bytes that LZW's codes encode.
 
     Args:
         codes: (n,) uint16.
-        first: As for `lzw_codes`.
+        first: Code of the first sequence, as in `lzw_codes`.
 
     Raises:
-        CodingError: If a code stands for nothing yet.
+        CodingError: If a code has no sequence yet.
         ValueError: As `lzw_codes`.
     """
     _check_first(first)
@@ -273,7 +273,7 @@ def lzw_decode(coded: bytes) -> ByteArray:
     """Return (n,) bytes from what `lzw_encode` made of them.
 
     Raises:
-        CodingError: If they cannot be told.
+        CodingError: If they cannot be decoded.
     """
     count = len(coded) * 8 // LZW_BITS
     if -(-count * LZW_BITS // 8) != len(coded):
@@ -319,7 +319,7 @@ def _write_codes(symbols: Any, first: int, codes: Any) -> int:
 
 @numba.njit(cache=True)
 def _length_of_codes(codes: Any, first: int, lengths: Any) -> int:
-    """Return how many bytes codes stand for, and fill in each entry's; -1 - index of a bad one."""
+    """Return the number of decoded bytes, and fill in each entry's; -1 - index of a bad code."""
     entries, size = first, 0
     for index in range(codes.size):
         code = np.int64(codes[index])
@@ -335,7 +335,7 @@ def _length_of_codes(codes: Any, first: int, lengths: Any) -> int:
 
 @numba.njit(cache=True)
 def _read_codes(codes: Any, first: int, lengths: Any, symbols: Any) -> None:
-    """Write each sequence; an entry is known by where it stands in what was written."""
+    """Write each sequence; an entry is a position in what was written."""
     starts = np.zeros(LZW_CODES, np.int64)
     entries, at = first, 0
     for index in range(codes.size):

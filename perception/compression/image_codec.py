@@ -79,9 +79,9 @@ def compression_ratio(image: ByteArray, method: int) -> float:
 
 
 def image_information(image: ByteArray, method: int = BEST_PREDICTOR) -> float:
-    """Return how much an image tells [bit]: `coded_bits` of all its pixels.
+    """Return the information of an image [bit]: `coded_bits` of all its pixels.
 
-    It tells of the image, not of what is new in it: by itself it chooses the next view of a map no
+    It measures the image, not what is new in it: by itself it chooses the next view of a map no
     better than chance (``appc-compression``), where `perception.voxels.views` does.
 
     Args:
@@ -100,8 +100,7 @@ def compress(image: ByteArray, method: int = BEST_PREDICTOR, coder: Coder | None
     Args:
         image: (H, W) uint8.
         method: One of `METHODS`.
-        coder: How the residuals are written (unless said, as they are; by method 10 in Huffman's
-            code, and in no other).
+        coder: Code of the residuals (by default none, for method 10 always Huffman's).
 
     Raises:
         ValueError: As `coded_bits`, or if there is no such coder.
@@ -120,7 +119,7 @@ def decompress(coded: bytes) -> ByteArray:
     """Return the image (H, W) uint8 of which `compress` made this.
 
     Raises:
-        CodingError: If it cannot be told.
+        CodingError: If it cannot be decoded.
     """
     if len(coded) < _HEAD.size:
         raise CodingError(f"image of {len(coded)} bytes: its head alone takes {_HEAD.size}")

@@ -1,6 +1,6 @@
 """Pinhole cameras: intrinsics, lens distortion, and field of view.
 
-A camera frame has x to the right, y down and z forward along the view; pixel centres stand at whole
+A camera frame has x to the right, y down and z forward along the view; pixel centres are at whole
 numbers, and pixels need not be square.
 """
 

@@ -1,7 +1,7 @@
 """A marker detector of today: bright blobs, a first ellipse, and its rim fitted to the grey levels.
 
 The fit models what each pixel should hold if an ellipse of one grey level lies on another, so its
-covariance follows from the pixels' noise, and its residuals tell what is no ellipse.
+covariance follows from the pixels' noise, and its residuals reveal what is no ellipse.
 """
 
 import math
@@ -34,8 +34,8 @@ def find_blobs(
 ) -> FloatArray:
     """Return bright spots that may be markers, by their second moments.
 
-    A top hat takes away all that is wider than a marker at its nearest; what stays and stands out
-    by six tenths of the least contrast is grouped.
+    A top hat takes away all that is wider than a marker at its nearest; what stays and exceeds
+    six tenths of the least contrast is grouped.
 
     Args:
         image: (H, W) uint8.
@@ -57,7 +57,7 @@ def find_blobs(
     longest = np.maximum(across, down)
     may_be = (longest > 0.6 * smallest) & (longest < 1.2 * largest + 1.5)
     filled = area / (width * height)
-    # An ellipse fills pi/4 of its box when upright, less when it leans.
+    # An ellipse fills pi/4 of its box when upright, less when it is tilted.
     may_be &= (area >= 4) & ((filled > 0.4) | (area < 12))
     chosen = np.flatnonzero(may_be) + 1
     # Again at half the height: the low threshold joins a marker with faint neighbours.

@@ -81,7 +81,7 @@ def triangulate(
     seen = np.column_stack(
         [left.centres[one], left.centres[one, 0] - right.centres[two, 0]]
     ).reshape(-1, 3)
-    # Both rows tell one height; each is as good as its variance.
+    # Both rows measure one height, weighted by their variances.
     rows = left.centres[one, 1], right.centres[two, 1]
     spread = left.covariances[one, 1, 1], right.covariances[two, 1, 1]
     seen[:, 1] = (rows[0] * spread[1] + rows[1] * spread[0]) / (spread[0] + spread[1])
@@ -125,10 +125,10 @@ def find_bodies(
     Args:
         pair: (2, H, W) uint8, left and right.
         geometry: Geometry of the stereo pair.
-        cads: Markers of each body; distances between them tell the bodies apart.
+        cads: Markers of each body; distances between them distinguish the bodies.
         expected: Size, ranges and number of markers, and the images' noise.
         detector: Name in `DETECTORS`.
-        priors: What is known of each body's pose; two markers alone leave the turn about their
+        priors: Priors of the bodies' poses; two markers alone leave the turn about their
             line to the shapes of the ellipses, which is rough.
 
     Returns:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from perception.geometry.arrays import FloatArray, ImageArray
+from perception.geometry.checks import check_numbers
 from perception.stereo.geometry import StereoGeometry
 
 QUARTER_INCH = 0.25 * 0.0254
@@ -52,9 +53,7 @@ class MarkerExpectation:
         if not 0.0 < self.nearest <= self.farthest < math.inf:
             reach = (self.nearest, self.farthest)
             raise ValueError(f"marker range: got {reach}, needs 0 < nearest <= farthest")
-        for name in ("diameter", "count", "contrast", "noise", "misfit"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"marker {name}: got {getattr(self, name)}, needs above 0")
+        check_numbers("marker", self, "diameter", "count", "contrast", "noise", "misfit")
         if not 0.0 <= self.slant < math.pi / 2.0:
             raise ValueError(f"marker slant: got {self.slant}, needs 0 to below pi/2 rad")
         if not 0.0 <= self.sampling < 1.0:
@@ -153,7 +152,7 @@ def check_image(image: NDArray[Any], geometry: StereoGeometry) -> ImageArray:
     """Return an image, contiguous.
 
     Raises:
-        ValueError: If it is not grey of 8 bits or not as large as the geometry says.
+        ValueError: If it is not grey of 8 bits or not of the geometry's size.
     """
     expected = (geometry.height, geometry.width)
     if image.dtype != np.uint8 or image.shape != expected:
@@ -255,7 +254,7 @@ def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: 
     """Grow a bright region on the grey image from a seed (the last step of section 5.3).
 
     Neighbours join if they are brighter than midway between the seed and what is around. The
-    pixels that a rim may cross follow as two layers, and as a third those that tell the background.
+    pixels that a rim may cross follow as two layers, those of the background as a third.
 
     Args:
         image: (H, W) uint8.
@@ -282,7 +281,7 @@ def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: 
     background = np.median(border.astype(np.float64))
     stack = np.empty((size * size, 2), np.int32)
     around = np.empty(size * size)
-    # Twice: the region's own surroundings tell the background better than the window's border.
+    # Twice: the region's own surroundings show the background better than the window's border.
     for _ in range(2):
         level = 0.5 * (peak + background)
         if peak - background < 4.0:
@@ -358,7 +357,7 @@ def measure_region(
     for k in range(len(rows)):
         x, y = columns[k], rows[k]
         levels[k] = window[y, x] - background
-        # Whole neighbourhoods inside: no rim crosses these, they tell the contrast.
+        # Whole neighbourhoods inside: no rim crosses these, they measure the contrast.
         if stamp[y, x] == 1 and (
             stamp[y - 1, x] + stamp[y + 1, x] + stamp[y, x - 1] + stamp[y, x + 1] == 4
         ):

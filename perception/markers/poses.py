@@ -2,7 +2,8 @@
 
 Centres of two markers leave the turn about the line through them open. The ellipses' shapes close
 it: a disc foreshortens, and a slanted one is not as wide in the left image as in the right, which
-tells to which side it leans. Both are weak for a small marker seen head on; the covariance says so.
+fixes the side to which it is tilted. Both are weak for a small marker seen head on; the covariance
+grows accordingly.
 """
 
 import dataclasses
@@ -32,7 +33,7 @@ class BodyCad:
     Attributes:
         points: (N, 3) centres, two or more [m], body frame.
         normal: (3,) unit, out of their faces.
-        up: (3,) direction that points upward in the image, as long as no prior says otherwise;
+        up: (3,) direction that points upward in the image, as long as there is no prior;
             two equal markers look the same upside down.
     """
 
@@ -111,8 +112,8 @@ def fit_body(
 ) -> BodyFit | None:
     """Fit a body's pose by maximum likelihood.
 
-    Where the likelihood over the turn about the markers' line is wider than its curvature says, or
-    has two peaks, the covariance grows by what it lacks.
+    Where the likelihood over the turn about the markers' line is wider than by its curvature, or has
+    two peaks, the covariance grows by what it lacks.
 
     Args:
         discs: Discs as both cameras saw them.
@@ -153,7 +154,7 @@ def fit_body(
     weights = np.exp(-0.5 * (costs - min(float(costs.min()), cost)))
     spread = float(np.sum(weights * _SCAN**2) / weights.sum())
     covariance = covariance + max(spread - curvature, 0.0) * np.outer(twist, twist)
-    # A disc that leans one way looks almost as one that leans the other: both count by likelihood.
+    # A disc tilted to one side appears almost as if to the other: both count by likelihood.
     weights = [float(np.exp(-0.5 * max(entry[1] - cost, 0.0))) for entry in solved]
     for weight, (other, _, _) in zip(weights, solved, strict=True):
         if bool(problem.allowed(other[None])[0]):

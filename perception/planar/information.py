@@ -78,8 +78,8 @@ def new_information(
 
     Args:
         reading: Reading of eq. 3-12b to 3-14.
-        ground: What is known of the cells.
-        cells: (n, 2) rows and columns to look from.
+        ground: Present knowledge of the cells.
+        cells: (n, 2) rows and columns of the viewpoints.
         table: A fan of the sensor's depth of field.
         sensor: Field of view and depth of field.
         headings: Number of headings.

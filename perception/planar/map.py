@@ -1,4 +1,4 @@
-"""A planar occupancy map on a dense grid, and what it says of each cell.
+"""A planar occupancy map on a dense grid, and the state of each cell.
 
 Row r, column c is the square from ``cell * (c, r)`` to ``cell * (c + 1, r + 1)``; x grows with the
 column, y with the row.
@@ -85,7 +85,7 @@ class PlanarMap:
 
         Args:
             grid: Cells of the map.
-            model: What one measurement says.
+            model: Update of a cell by one measurement.
         """
         self.grid = grid
         self.model = model

@@ -1,9 +1,9 @@
 """Lines of sight on a planar grid: what a range scan sees, and how much a view would cover.
 
-Sensors stand at centres of cells, so the cells along every beam are the same wherever it starts:
+Sensors are at centres of cells, so the cells along every beam are the same wherever it starts:
 they are tabulated once. A scan has one beam towards every cell (whole numbers, exact also through
-corners). A fan has even directions; each crossed cell stands for the area (r2^2 - r1^2) dtheta / 2
-of its piece of the ray's wedge.
+corners). A fan has even directions; each crossed cell has the area (r2^2 - r1^2) dtheta / 2 of
+its piece of the ray's wedge.
 """
 
 import dataclasses
@@ -53,14 +53,14 @@ class Beams(NamedTuple):
 
 
 class Fan(NamedTuple):
-    """Cells along evenly spread rays, relative to the sensor's cell.
+    """Cells along evenly spaced rays, relative to the sensor's cell.
 
     Ray k covers the directions from k to k + 1 times 2 pi / n, and runs along their middle.
 
     Attributes:
         starts: (n + 1,) where each ray's cells begin in the arrays below.
         offsets: (m, 2) cells (row, column), near to far.
-        areas: (m,) area that the cell stands for [m^2].
+        areas: (m,) area of the cell's piece of the wedge [m^2].
         radii: (m,) middle of the ray's piece [m].
     """
 
@@ -141,7 +141,7 @@ def _tabulated(lists: Sequence[Sequence[tuple[float, ...]]]) -> tuple[IntArray, 
 
 @functools.lru_cache(maxsize=16)
 def fan(depth: float, cell: float, rays: int) -> Fan:
-    """Tabulate evenly spread rays.
+    """Tabulate evenly spaced rays.
 
     Args:
         depth: Depth of field [m].
@@ -278,7 +278,7 @@ def ray_sums(values: FloatArray, opaque: BoolArray, cells: IntArray, table: Fan)
     Args:
         values: (layers, rows, columns) worth of each cell by area [1/m^2].
         opaque: (rows, columns) cells that stop a ray; they are not counted.
-        cells: (n, 2) rows and columns to look from.
+        cells: (n, 2) rows and columns of the viewpoints.
         table: The fan.
 
     Returns:
@@ -300,7 +300,7 @@ def expected_view(
 
     Args:
         opaque: (rows, columns) cells that stop a ray.
-        cell: Row and column to look from.
+        cell: Row and column of the viewpoint.
         heading: Direction of the sector's middle, from the x axis [rad].
         fov: Field of view [rad].
         table: A fan of the sensor's depth of field.

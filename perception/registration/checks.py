@@ -6,22 +6,22 @@ from numpy.typing import ArrayLike
 from perception.geometry.arrays import FloatArray
 
 FEWEST = 4
-"""Fiducials: three fix six degrees of freedom, the fourth says whether they agree."""
+"""Fiducials: three fix six degrees of freedom, the fourth shows whether they agree."""
 
 LEAST_SPREAD = 5.0
 """R.m.s. distance from their best line, in standard deviations, below which points are in line."""
 
 
 class RegistrationError(ValueError):
-    """A motion cannot be told from these fiducials."""
+    """These fiducials cannot fix a motion."""
 
 
 def checked_image_points(name: str, image_points: ArrayLike) -> FloatArray:
     """Return (N, 3) columns, rows and disparities [px] as floats.
 
     Args:
-        name: What an error calls them.
-        image_points: What is offered.
+        name: Name of the points in errors.
+        image_points: (N, 3) image points to check.
 
     Raises:
         RegistrationError: If the shape is another, a number is not finite, or a disparity is not

@@ -36,7 +36,7 @@ def linear(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
 
     Args:
         before: N fiducials before the motion, which give the points r.
-        after: The same fiducials after the motion, which give the points u.
+        after: Sighting of these fiducials after the motion, which give the points u.
 
     Returns:
         The pose and its (6, 6) covariance, to first order.
@@ -76,7 +76,7 @@ def recursive(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
 
     Args:
         before: N fiducials before the motion.
-        after: The same fiducials after the motion.
+        after: Sighting of these fiducials after the motion.
 
     Returns:
         The pose and the (6, 6) scatter.
@@ -128,7 +128,7 @@ def kabsch(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
 
     Args:
         before: N fiducials before the motion.
-        after: The same fiducials after the motion.
+        after: Sighting of these fiducials after the motion.
 
     Returns:
         The pose and its (6, 6) covariance, to first order.
@@ -146,7 +146,7 @@ def pnp(before: Sighting, after: Sighting) -> tuple[Pose, FloatArray]:
 
     Args:
         before: N fiducials before the motion.
-        after: The same fiducials after the motion.
+        after: Sighting of these fiducials after the motion.
 
     Returns:
         The pose and its (6, 6) covariance, to first order.
@@ -185,6 +185,6 @@ def _inverted(
     rotation: FloatArray, shift: FloatArray, covariance: FloatArray
 ) -> tuple[Pose, FloatArray]:
     """Invert (R, X), whose covariance is of dR R^T and dX, to a pose and that of its xi."""
-    # xi of (R, X) has the translation dX - w x X; the inverse's is -Ad of it, in which X drops out.
+    # xi of (R, X) has the translation dX - w x X; the inverse's is -Ad of it, in which X cancels.
     turn = np.kron(np.eye(2), rotation.T)
     return Pose(rotation.T, -rotation.T @ shift), turn @ covariance @ turn.T

@@ -37,7 +37,7 @@ class FusedPoints:
     Attributes:
         points: (N, 3) [m], first left camera.
         covariances: (N, 3, 3) of each alone [m^2]. The pose's error is common to all, so that they
-            are correlated: `triangulate_together` says how.
+            are correlated: see `triangulate_together`.
     """
 
     points: FloatArray
@@ -90,13 +90,13 @@ def relative_pose_by_target(
 ) -> RelativePose:
     """Return the relative pose of two robots that see a target whose CAD is known.
 
-    Unlike points of which nothing is known, its markers also tell the scale.
+    Unlike points of which nothing is known, its markers also fix the scale.
 
     Args:
-        first: N markers as the first robot sees them.
+        first: N markers in the first robot's view.
         first_markers: (N, 3) their places in the target [m], from its CAD.
-        second: M markers as the second does; they may be others.
-        second_markers: (M, 3).
+        second: M markers in the second robot's view; they may be others.
+        second_markers: (M, 3) their places in the target [m], from its CAD.
 
     Raises:
         RegistrationError: If either robot's markers cannot fix its pose.
@@ -130,7 +130,7 @@ def fuse_views(
 
     Raises:
         RegistrationError: If shapes differ, a number is not finite, a covariance is none, or two
-            measurements are both said to be exact.
+            measurements are both exact.
     """
     one, spread = _checked_points("first", first_points, first_covariances)
     other, other_spread = _checked_points("second", second_points, second_covariances)
@@ -161,14 +161,14 @@ def triangulate_together(
 ) -> SharedPoints:
     """Find the most likely points and relative pose from what both robots see of shared points.
 
-    All points, fiducials or other, tell of the pose as well as of themselves. Without a prior four
+    All points, fiducials or other, constrain the pose as well as themselves. Without a prior four
     or more are needed, wrong matches are those that do not agree with the most, and the scale comes
     from the two short baselines alone. With a prior one is enough, and wrong are those that do not
     fit it or, in the end, the others.
 
     Args:
-        first: N points as the first robot sees them.
-        second: The same points as the second does; its cameras may be others.
+        first: N points in the first robot's view.
+        second: N points in the second robot's view; its cameras may be others.
         prior: The relative pose as known from elsewhere, not from these points: a target's CAD,
             other fiducials, or the robots' own motion.
         rng: Draws minimal sets when matches are wrong; the same ones each time by default.
@@ -209,7 +209,7 @@ def triangulate_together(
 
 
 def _fits(prior: RelativePose, known: KnownPoints, sight: Sighting) -> BoolArray:
-    """Say which points, each alone, may be the same for both robots."""
+    """Return (N,) which points, each alone, may be the same for both robots."""
     pose = Pose.of(prior.transform_second_to_first)
     look = linearise(pose, known.coordinates, known, sight.geometry)
     spread = innovation(look, known, sight)
@@ -227,7 +227,7 @@ def _fits(prior: RelativePose, known: KnownPoints, sight: Sighting) -> BoolArray
 
 
 def _worst(fit: RelativeFit, known: KnownPoints, sight: Sighting, inliers: BoolArray) -> int | None:
-    """Return the point that least agrees with the pose that all have told; None if all do."""
+    """Return the point that least agrees with the common pose; None if all do."""
     pose = Pose.of(fit.relative.transform_second_to_first)
     far = np.where(inliers, squared_distances(pose, known, sight), 0.0)
     worst = int(np.argmax(far))

@@ -88,7 +88,7 @@ class FiducialMap:
         return KnownPoints(self.positions, self.covariance).blocks()
 
     def share(self, covariance: ArrayLike) -> IndexArray:
-        """Add offsets that looks will share, of which zero is expected.
+        """Add offsets that views will share, whose mean is zero.
 
         Args:
             covariance: (K, K) covariance of the offsets.
@@ -113,7 +113,7 @@ class FiducialMap:
         return np.arange(first, first + count)
 
     def expected(self, prior: "PosePrior") -> tuple[RigidTransform, FloatArray]:
-        """Return where a camera is, by what earlier looks say of the offsets, and (6, 6) of it.
+        """Return the expected pose of a camera, given the offsets, and its (6, 6) covariance.
 
         Args:
             prior: Prior of the camera's pose.
@@ -182,7 +182,7 @@ class FiducialMap:
         *,
         sigma: ArrayLike | None = None,
     ) -> IndexArray:
-        """Add fiducials from a view whose pose was not told by this map, such as the first.
+        """Add fiducials from a view that was not localized by this map, such as the first.
 
         Args:
             image_points: (N, 3) columns, rows, disparities [px].
@@ -224,7 +224,7 @@ class FiducialMap:
             sigma: (3,) or (N, 3) deviations of the image points [px].
             new: (K, 3) image points of new fiducials in the same view.
             new_sigma: (3,) or (K, 3) of them.
-            guess: Camera to world, as the arm's joints say, if they do.
+            guess: Rough transform from camera to world, for instance from the arm's joints.
             rng: Draws minimal sets when matches are wrong; the same ones each time by default.
 
         Raises:
@@ -348,10 +348,10 @@ BEHIND = 1e6
 
 @dataclasses.dataclass(frozen=True)
 class PosePrior:
-    """Where a camera is, before its image says anything.
+    """Prior of a camera's pose, before its image is used.
 
     ``true = from_exp_coords(by_offsets @ o + e) * transform_camera_to_world`` with the shared
-    offsets o, and e new in each look.
+    offsets o, and e new in each view.
 
     Attributes:
         transform_camera_to_world: Pose of the left camera, if all offsets were zero.
@@ -380,7 +380,7 @@ class PriorFit:
         shift: (D,) change of the state, pose first, from its mean.
         covariance: (D, D) covariance of the state, the pose's about the new transform.
         believed: (N,) whether each fiducial was accepted.
-        chi_square: Squared normalised innovation per degree of freedom, 1 if all is as said; NaN
+        chi_square: Squared normalised innovation per degree of freedom, 1 if all is as given; NaN
             if none was accepted.
     """
 
@@ -402,10 +402,10 @@ def fit(
     """Fit a pose, fiducials and all that is correlated with them to a view, in one Kalman update.
 
     A match is wrong if the prior excludes it, or if the others do, given all that is correlated.
-    Unless more than half agree, and these are as the prior says together, nothing is believed.
+    Unless more than half agree, and these together agree with the prior, nothing is believed.
 
     It is linear about the means, and turns move fiducials as they did when these were placed: then
-    a turn of everything together changes no image, as is true, and no look can tell of it. With
+    a turn of everything together changes no image, as is true, and no view can observe it. With
     derivatives taken anew at each estimate it would seem to be seen.
 
     Args:

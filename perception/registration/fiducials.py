@@ -2,7 +2,7 @@
 
 ``F.E.F. = f(P(x)) + g(C(u, v)) + h(H(x))``, less a penalty near other fiducials. Each term is
 brought to [0, 1], so that the weights say what matters. The thesis' contrast is large on a
-straight edge as well, along which a match slides: so a fiducial must also be told apart along both
+straight edge as well, along which a match slides: so a fiducial must also be distinct along both
 axes, to a given accuracy for the image noise. And its depth contrast draws to where one surface
 hides another, whose images move apart: so the patch that is tracked must lie on one surface.
 """
@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.arrays import FloatArray, IndexArray
+from perception.geometry.checks import check_numbers
 from perception.registration.checks import RegistrationError
 from perception.stereo.geometry import StereoGeometry
 
 
 @dataclasses.dataclass(frozen=True)
 class Selection:
-    """The chosen fiducials, best first; there may be fewer than asked for, or none.
+    """The chosen fiducials, best first; there may be fewer than requested, or none.
 
     Attributes:
         indices: (K,) indices of the chosen points.
@@ -55,7 +56,7 @@ def select_fiducials(
             covariance by default.
         taken: (K, 2 or more) columns and rows of fiducials that there are already [px].
         next_view: The next camera to this one, roughly; what will leave the view is passed over.
-        config: What makes a good one.
+        config: Criteria for a good fiducial.
 
     Raises:
         RegistrationError: If an array has the wrong shape.
@@ -108,7 +109,7 @@ def _certainties(
 def _inside(
     seen: FloatArray, geometry: StereoGeometry, config: "FiducialConfig"
 ) -> NDArray[np.bool_]:
-    """Say which lie so that the whole patch is in both images."""
+    """Return (N,) which points have their whole patch in both images."""
     margin = config.patch // 2 + 1
     column, row, disparity = seen[:, 0], seen[:, 1], seen[:, 2]
     inside = (column - disparity >= margin) & (column < geometry.width - margin)
@@ -171,7 +172,7 @@ class FiducialConfig:
         sigma: Standard deviations of column, row and disparity [px].
         least_spacing: No two are nearer in the image [px].
         spacing: The penalty falls linearly to zero at this distance [px].
-        penalty: At no distance; the sum of the weights is the highest rating.
+        penalty: Penalty at no distance; the sum of the weights is the highest rating.
         cell: Edge of the squares of the image of which only the best by contrast is rated [px].
     """
 
@@ -204,15 +205,11 @@ class FiducialConfig:
 
     def __post_init__(self) -> None:
         """Check the values; an error names the wrong one."""
-        for name in ("count", "shells", "cell"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"fiducials: {name} must be at least 1: {getattr(self, name)}")
+        positive = ("count", "shells", "cell", "full_visual", "full_depth", "shell", "spread")
+        check_numbers("fiducials", self, *positive, "localisation", "noise")
         for name in ("largest_window", "patch", "surface_window"):
             if getattr(self, name) < 3 or getattr(self, name) % 2 == 0:
                 raise ValueError(f"fiducials: {name} must be odd, 3 or more: {getattr(self, name)}")
-        for name in ("full_visual", "full_depth", "shell", "spread", "localisation", "noise"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"fiducials: {name} must be positive: {getattr(self, name)}")
 
 
 def window_contrast(
@@ -327,7 +324,7 @@ def match_sigma(
 def on_one_surface(
     seen: FloatArray, shape: tuple[int, ...], chosen: IndexArray, config: FiducialConfig
 ) -> NDArray[np.bool_]:
-    """Say about which of the chosen points the image shows one smooth surface.
+    """Return (N,) around which of the chosen points the image shows one smooth surface.
 
     A plane is fitted to the disparities measured in a window, by sums over boxes.
     """

@@ -1,4 +1,4 @@
-"""Maximum likelihood of a camera's pose and of the points that it sees, together.
+"""Maximum likelihood of a camera's pose and of the points in its view, together.
 
 Gauss-Newton in the form of the Kalman filter, which needs no inverse of the covariance with which
 the points are known. `solve` fits a pose to points that may be known exactly, and may be
@@ -218,9 +218,9 @@ def solve_relative(
 
     Args:
         start: Pose of the second camera in the first, near the best.
-        known: N points as the first camera sees them, each independently.
+        known: N independent points in the first camera's view.
         sight: Image points of the same points in the second camera.
-        prior: What is known of the pose from elsewhere.
+        prior: Prior of the relative pose, from other sources.
 
     Raises:
         RegistrationError: If the points leave the pose undetermined, or no fit is found.

@@ -41,7 +41,7 @@ class Motion:
         transform_after_to_before: Takes points of the left camera after the motion to that before.
         covariance: (6, 6) covariance of the transform [rad, m], in the frame before.
         inliers: (N,) whether each fiducial agrees with the pose and was used.
-        chi_square: Squared normalised residuals per degree of freedom, 1 if the noise is as said;
+        chi_square: Squared normalised residuals per degree of freedom, 1 if the noise is as given;
             NaN for solvers that minimise something else.
     """
 
@@ -92,9 +92,9 @@ def estimate_motion(
     Args:
         solver: One of `SOLVERS`.
         before: N fiducials before the motion.
-        after: The same fiducials after the motion.
+        after: Sighting of these fiducials after the motion.
         guess: Rough transform from after to before, for instance from the arm's joints.
-        reject: Whether wrong matches are found and left out, for every solver.
+        reject: True to find and leave out wrong matches, for every solver.
         rng: Random generator of the minimal sets for that; a fixed one by default.
 
     Raises:

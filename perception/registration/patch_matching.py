@@ -1,6 +1,6 @@
 """Points of a stereo view found again by their surroundings, to a fraction of a pixel.
 
-The motion, known roughly, says where a point will appear and how its surroundings will be
+The motion, known roughly, predicts where a point will appear and how its surroundings will be
 distorted; normalised correlation finds it nearby, and a least-squares fit of an affine patch
 refines it. `track` follows fiducials from one view to the next; `match_across` finds points in
 another robot's view, from far aside, where the slant of the surface matters as well.
@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.arrays import BoolArray, FloatArray
+from perception.geometry.checks import check_numbers
 from perception.registration.checks import RegistrationError
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.patch_fit import COLUMN_ONLY, EVERYTHING, PatchFit, fit_patch, sample_patch
@@ -55,9 +56,7 @@ class TrackerConfig:
         """Check the values; an error names the wrong one."""
         if self.patch < 5 or self.patch % 2 == 0:
             raise ValueError(f"tracker: patch must be odd, 5 or more: {self.patch}")
-        for name in ("search", "disparity_search"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"tracker: {name} must be at least 1: {getattr(self, name)}")
+        check_numbers("tracker", self, "search", "disparity_search")
 
     def deviations(self, explained: FloatArray) -> FloatArray | None:
         """Return the deviations of a match [px]; None if one is too large.
@@ -110,7 +109,7 @@ def track(
         after: (2, H, W) the next pair.
         image_points: (N, 3) columns, rows, disparities before [px].
         geometry: Geometry of the stereo pair.
-        guess: After to before, as the arm's joints say.
+        guess: Rough transform from after to before, for instance from the arm's joints.
         config: Limits of the search.
 
     Raises:
@@ -156,7 +155,7 @@ def predict(
     Args:
         image_points: (N, 3) columns, rows, disparities before [px].
         geometry: Geometry of the stereo pair.
-        guess: After to before.
+        guess: Rough transform from after to before.
 
     Returns:
         (N, 3) columns, rows, disparities [px], and (N, 2, 2) from offsets before to offsets after,

@@ -85,7 +85,7 @@ class Sighting:
         """Return it as arrays of floats, with a deviation for each number.
 
         Args:
-            name: What an error calls the points.
+            name: Name of the points in errors.
 
         Raises:
             RegistrationError: If a shape is wrong, a number is not finite, or a disparity or a
@@ -164,7 +164,7 @@ def linearise(
         pose: One, or (...) many.
         coordinates: (..., N, 3) coordinates of the fiducials, as in `known`.
         known: Says what the coordinates are.
-        geometry: Geometry of the stereo pair that sees the points.
+        geometry: Geometry of the stereo pair of the view.
     """
     places = known.places(coordinates)
     turned = np.swapaxes(pose.rotation, -1, -2)[..., None, :, :]

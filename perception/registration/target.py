@@ -1,4 +1,4 @@
-"""Find a target by the markers on it: discs with a dark centre, placed as its CAD says.
+"""Find a target by the markers on it: discs with a dark centre, placed as in its CAD.
 
 Thesis section 3.2.2: the target gives the robots a common frame. Rings are found in both images,
 triangulated, and matched with the CAD by the distances between them.
@@ -74,7 +74,7 @@ class PossibleMarkers:
 
     Attributes:
         paired: (P, 3) that both images show [m], left camera frame.
-        alone: (A, 3) that one image shows, as far away as their size says [m], left camera frame.
+        alone: (A, 3) that one image shows, at distances by their size [m], left camera frame.
     """
 
     paired: FloatArray
@@ -173,7 +173,7 @@ def _round_contours(dark: NDArray[np.bool_]) -> Iterator[NDArray[Any]]:
     smallest, largest = DIAMETER
     longest = np.maximum(width, height)
     filled = area / (width * height)
-    # An ellipse fills pi / 4 of its box when upright, and less when it leans.
+    # An ellipse fills pi / 4 of its box when upright, and less when it is tilted.
     may_be = (longest >= smallest - 1.0) & (longest <= largest) & (filled > 0.4) & (filled < 0.95)
     for label in np.flatnonzero(may_be):
         rows = slice(top[label], top[label] + height[label])

@@ -1,8 +1,8 @@
 """A rectified stereo pair to points with covariance (Thesis section 3.2.3).
 
 OpenCV's block matching finds disparities to a few hundredths of a pixel, with a bias towards whole
-pixels on slanted ground; a least-squares fit of the two images removes it and says how certain each
-disparity is. What stands next to a jump of disparity is rejected or told to be uncertain.
+pixels on slanted ground; a least-squares fit of the two images removes it and estimates how certain
+each disparity is. Points next to a jump of disparity are rejected or given a large deviation.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1,
 
 
 class StereoError(ValueError):
-    """The images or the configuration cannot be matched; says what is wrong and what is valid."""
+    """The images or the configuration cannot be matched; names the fault and what is valid."""
 
 
 @dataclasses.dataclass(frozen=True)

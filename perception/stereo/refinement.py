@@ -2,7 +2,7 @@
 
 Block matching takes the disparity as constant in its window. On ground seen from the side it
 changes by a tenth of a pixel a row, which spoils the minimum of its cost. Here a plane of disparity
-and an offset of brightness are fitted to each window by Gauss-Newton; the fit also tells how
+and an offset of brightness are fitted to each window by Gauss-Newton; the fit also yields how
 certain the disparity is, and its residual betrays windows that hold no one surface.
 """
 

@@ -7,7 +7,7 @@
 - `scan`: a scan arranged in the camera's pixels.
 - `fusion`: surface estimates from the points of a scan.
 - `carving`: free space before them.
-- `views`: what a view would show of a map, and what it would tell (thesis section 3.2.4 in 3-D).
+- `views`: visible volume and expected information of views (thesis section 3.2.4 in 3-D).
 - `files`: maps on disk, exported points and meshes.
 - `dense`: a dense map with the rays of OctoMap, to compare with.
 """

@@ -1,7 +1,7 @@
 """Storage of a sparse map: bricks of 8 x 8 x 8 voxels behind a dense index.
 
 A brick whose voxels are all alike is one number in the index. Others hold 512 log-odds of 8 bits;
-those that surfaces pass through also hold which surface estimate stands in which voxel.
+those that surfaces pass through also hold the number of each voxel's surface estimate.
 """
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false

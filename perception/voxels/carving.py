@@ -1,4 +1,4 @@
-"""Free space of a sparse map: each voxel looks up the depth image; no rays are followed."""
+"""Free space of a sparse map: each voxel is compared with the depth image; no rays are followed."""
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
 # pyright: reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -31,11 +31,11 @@ from perception.voxels.scan import TILE, Camera, Scan, ScanSettings
 NOTHING, MIXED, FREE = range(3)
 HALF = SIDE // 2
 BRICKS_PER_BLOCK = 4
-"""Bricks along a block that is looked at first."""
+"""Bricks along a block that is judged first."""
 
 
 class Samples(NamedTuple):
-    """Where the image is asked for a part of 4 x 4 x 4 voxels of a brick.
+    """Samples of the image for a part of 4 x 4 x 4 voxels of a brick.
 
     Attributes:
         x: (n,) position from the part's corner along the camera's x axis [m].
@@ -108,9 +108,9 @@ def carve_scan(
         store: Storage of the map, changed.
         scan: The images of the scan.
         camera: Camera that took the scan.
-        samples: What `samples_of` returns.
+        samples: Samples of a part, from `samples_of`.
         window: (6,) first and last brick on each axis that may be in view, inside of the map.
-        settings: How the scan enters the map.
+        settings: Settings of the scan's update.
         first: Brick to begin with; they are numbered cube by cube.
 
     Returns:
@@ -186,7 +186,7 @@ def carve_scan(
 
 @numba.njit(**KERNEL, inline="always")
 def _judge(scan: Scan, camera: Camera, resolution: float, x: int, y: int, z: int, side: int):
-    """Return what a look at the tiles tells of a cube of voxels.
+    """Judge a cube of voxels by the tiles of the image.
 
     Args:
         scan: The images.
@@ -325,12 +325,12 @@ def _project(
 
 @numba.njit(**KERNEL, inline="always")
 def _ask(scan: Scan, samples: Samples) -> bool:
-    """Hold projected samples against the image; return whether it tells of any."""
+    """Compare projected samples with the image; return whether any is judged."""
     limits, depths = scan.limit.reshape(-1), scan.depth.reshape(-1)
     some = np.int32(0)
     for n in range(samples.cell.size):
         pixel, depth = np.uint32(samples.pixel[n]), samples.depth[n]
-        # A limit is no deeper than what it stands before: NOTHING, MIXED or FREE.
+        # A limit is no deeper than its surface: NOTHING, MIXED or FREE.
         verdict = np.int32(depth < depths[pixel]) + np.int32(depth < limits[pixel])
         samples.verdict[n] = verdict
         some |= verdict

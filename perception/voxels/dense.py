@@ -30,7 +30,7 @@ class DenseVoxelMap:
 
     Attributes:
         grid: The box.
-        model: What hits and misses say.
+        model: Update of a voxel by hits and misses.
         log_odds: (nx, ny, nz) float32; NaN where nothing was measured.
     """
 
@@ -218,10 +218,10 @@ def apply_marks(
         log_odds: (nx, ny, nz), changed.
         marks: (mx, my, mz) marks of the scan.
         offset: (3,) cell of the grid at marks[0, 0, 0]; may lie outside.
-        miss: What a passed cell receives.
-        hit: What a hit cell receives.
-        lowest: Clamp.
-        highest: Clamp.
+        miss: Log-odds added to a passed cell.
+        hit: Log-odds added to a hit cell.
+        lowest: Lower clamp of the log-odds.
+        highest: Upper clamp of the log-odds.
     """
     low = np.maximum(offset, 0)
     high = np.minimum(offset + np.array(marks.shape), np.array(log_odds.shape))

@@ -34,7 +34,7 @@ from perception.voxels.occupancy import UpdateModel
 FORMAT, VERSION = "fieldtwin voxel map", 1
 MESHES = ("ply", "stl", "obj", "glb")
 """Endings of the files that a mesh can be written to."""
-# An archive whose flags are damaged asks for a password, or for what no reader can do.
+# An archive whose flags are damaged needs a password, or what no reader can do.
 _UNREADABLE = (
     OSError, ValueError, KeyError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile,
     SyntaxError, tokenize.TokenError,  # NumPy reads an array's header as Python.
@@ -47,7 +47,7 @@ _STORES = {
     "free_bricks": FREE_BRICKS,
     "free_records": FREE_RECORDS,
 }
-"""Which entry of `Bricks.used` tells how much of an array is taken."""
+"""Entry of `Bricks.used` that counts the used rows of each array."""
 
 
 def replace_file(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
@@ -224,7 +224,7 @@ def surface_mesh(voxels: VoxelMap) -> trimesh.Trimesh:
 
 
 def export_mesh(voxels: VoxelMap, path: Path | str) -> int:
-    """Write `surface_mesh` to a file whose ending tells the format, one of `MESHES`.
+    """Write `surface_mesh` to a file whose ending is the format, one of `MESHES`.
 
     Returns:
         How many triangles it has.

@@ -1,9 +1,10 @@
 """Surface estimates of a sparse map: measured points are fused along the ray, not voxel by voxel.
 
 A voxel may be far smaller than the noise. Merging only what falls into one takes the truncated
-part of the noise for all of it, and is over-confident. Here a group of points looks along its ray,
-as far as its own uncertainty reaches, for estimates of the same surface; what agrees is merged into
-one, which stands in the voxel where it then lies. Covariances are packed as xx, xy, xz, yy, yz, zz.
+part of the noise for all of it, and is over-confident. Here a group of points searches along its
+ray, as far as its own uncertainty reaches, for estimates of the same surface; what agrees is merged
+into one, which is stored in the voxel where it then lies. Covariances are packed as xx, xy, xz, yy,
+yz, zz.
 """
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
@@ -40,7 +41,7 @@ BARELY_MEASURED = -1
 GATE = 9.0
 """Squared deviations within which two estimates are of one surface."""
 REACH_SIGMAS, MAX_STEPS = 3.0, 24
-"""Deviations that a group looks along its ray, and voxels at most to each side."""
+"""Deviations that a group searches along its ray, and voxels at most to each side."""
 MAX_HIT_SIGMA_VOXELS = 0.25
 """Deviation, in voxels, up to which a voxel is taken as occupied for the points that it holds."""
 MIN_SIGMA_VOXELS = 0.02
@@ -95,7 +96,7 @@ def fuse_scan(
         store: Storage of the map, changed.
         scan: The images of the scan; points taken are crossed out.
         camera: Camera that took the scan.
-        settings: How the scan enters the map.
+        settings: Settings of the scan's update.
         work: Buffers.
         first: Tile to begin with.
 
@@ -148,8 +149,8 @@ def _gather(
     Args:
         scan: The images; points taken are crossed out.
         corner: First and end row, first and end column.
-        flat: Whether to take those on the tile's plane, or the nearest of the others.
-        thickness: What depth counts as nearest [m].
+        flat: True to take those on the tile's plane, else the nearest of the others.
+        thickness: Range of depths that counts as nearest [m].
         mean: (3,) written.
         covariance: (6,) written.
     """
@@ -269,8 +270,8 @@ def _fuse_group(
 def touch_scan(store: Bricks, scan: Scan, settings: ScanSettings, first: int) -> int:
     """Take voxels as occupied where points are in them, unless they are known to be free.
 
-    Estimates stand where a patch has its middle. Voxels of which a slanted surface cuts a corner
-    only would stay open, and views would leak through. Points that are less certain than a voxel
+    Estimates are stored where a patch has its middle. Voxels of which a slanted surface cuts only a
+    corner would stay open, and views would leak through. Points that are less certain than a voxel
     is large are left out. To be called after `fuse_scan`, with the same arguments.
 
     Returns:

@@ -53,7 +53,7 @@ from perception.voxels.scan import (
 )
 
 VOXEL_MODEL = UpdateModel(hit=0.85, miss=0.18, lowest=0.01, highest=0.99)
-"""Free space ends well before a surface, so that one look says much: two make a voxel P < 0.05."""
+"""Free space ends well before a surface, so that a view is strong evidence: two make P < 0.05."""
 LARGEST_STEP = 126
 """Log-odds are kept in 8 bits; the larger clamp is this."""
 
@@ -67,14 +67,15 @@ class VoxelMapConfig:
     """How scans enter a map.
 
     Attributes:
-        model: What hits and misses say.
-        margin_deviations: Free space ends so many deviations of a point's depth before it,
-        margin_voxels: and so many voxels, across the surface: half a voxel's diagonal is 0.87.
-        correlated_points: How many neighbouring points of a scan share one error, as those of
+        model: Update of a voxel by hits and misses.
+        margin_deviations: Deviations of a point's depth by which free space ends before it.
+        margin_voxels: Voxels across the surface by which free space ends before that; half a
+            voxel's diagonal is 0.87.
+        correlated_points: Number of neighbouring points of a scan that share one error, as those of
             block matching do; together they count as one.
         coarse: Ask about free space for 2 x 2 x 2 voxels at once, and where a view ends free whole
             bricks only. For voxels smaller than what a pixel sees; saves most time and memory.
-        memory_limit: For all arrays [byte].
+        memory_limit: Memory of all arrays [byte].
     """
 
     model: UpdateModel = VOXEL_MODEL
@@ -153,7 +154,7 @@ class VoxelMap:
         """Add a scan.
 
         Voxels in view before the measured depth become freer, those where points are become more
-        occupied, those behind stay as they are. The camera may stand outside of the box.
+        occupied, those behind stay as they are. The camera may be outside of the box.
 
         Args:
             transform_camera_to_world: Pose of the camera that took the scan.
@@ -244,7 +245,7 @@ class VoxelMap:
             add: Kernel that goes on from a part, and returns the part before which it stopped.
             end: Number of parts.
             need: Capacity that a part may need.
-            settings: How the scan enters the map.
+            settings: Settings of the scan's update.
 
         Returns:
             The settings, which drop changes from where memory ran out.

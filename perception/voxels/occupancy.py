@@ -1,7 +1,7 @@
-"""Probability of occupancy: log-odds with clamping, and what a cell may be said to be.
+"""Probability of occupancy: log-odds with clamping, and the states of a cell.
 
 A cell that was never measured is kept apart from one that was measured and is undecided: both may
-have a probability of 0.5, but only the first is worth a look.
+have a probability of 0.5, but only the first is worth a view.
 """
 
 import dataclasses
@@ -23,15 +23,15 @@ class State(enum.IntEnum):
 
 @dataclasses.dataclass(frozen=True)
 class UpdateModel:
-    """What one measurement says of a cell.
+    """Update of a cell by one measurement.
 
     The defaults are those of OctoMap, so that maps can be compared.
 
     Attributes:
-        hit: Probability of occupancy that a return from the cell tells, above 0.5.
-        miss: Probability of occupancy that a ray through the cell tells, below 0.5.
-        lowest: Clamping: a cell's probability never falls below.
-        highest: Clamping: nor rises above.
+        hit: Probability of occupancy after a return from the cell, above 0.5.
+        miss: Probability of occupancy after a ray through the cell, below 0.5.
+        lowest: Lower clamp of a cell's probability.
+        highest: Upper clamp of a cell's probability.
         occupied_above: A measured cell is occupied from this probability on, else free.
     """
 

@@ -64,10 +64,10 @@ class ScanSettings(NamedTuple):
         miss: Log-odds that a miss adds, in the map's steps.
         lowest: Least log-odds of a voxel, in the map's steps.
         highest: Largest log-odds of a voxel, in the map's steps.
-        correlated_points: How many neighbouring points count as one.
-        coarse: Whether cubes of 2 x 2 x 2 voxels are looked at together: see `VoxelMapConfig`.
+        correlated_points: Number of neighbouring points that count as one.
+        coarse: True to judge cubes of 2 x 2 x 2 voxels together: see `VoxelMapConfig`.
         scan: Number of this scan.
-        drop_when_full: Whether changes without memory are dropped, instead of asking for more.
+        drop_when_full: True to drop changes without memory, instead of requesting more.
     """
 
     resolution: float
@@ -183,7 +183,7 @@ def fill_scan(
         points: (N, 3) [m], world. Those outside of the view are left out.
         covariances: (N, 3, 3) [m^2], world.
         resolution: Side of a voxel [m].
-        margins: How far before a surface free space ends: in deviations, and in voxels.
+        margins: Distance from free space to a surface: in deviations, and in voxels.
 
     Returns:
         -1, or the first point that is not finite or whose covariance is not positive definite.
@@ -302,7 +302,7 @@ def _slope(before: float, here: float, after: float, tolerance: float) -> float:
 
 @numba.njit(**KERNEL)
 def _clear_tile(scan: Scan, down: int, across: int) -> None:
-    """Say of a tile without a point that nothing in it is free."""
+    """Mark a tile without a point: nothing in it is free."""
     for v in range(down * TILE, min(down * TILE + TILE, scan.limit.shape[0])):
         for u in range(across * TILE, min(across * TILE + TILE, scan.limit.shape[1])):
             scan.limit[v, u] = 0.0

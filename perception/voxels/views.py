@@ -1,4 +1,4 @@
-"""What a view would show of a map, and what it would tell (Thesis section 3.2.4, in 3-D).
+"""Visible volume and expected information of views of a map (Thesis section 3.2.4, in 3-D).
 
 `view_counts` follows rays through the voxels of a sparse map: how much of what they meet was never
 measured, and where they end. `view_information` rates many views on a coarse grid by the
@@ -34,7 +34,7 @@ UNKNOWN, OCCUPIED = int(State.UNKNOWN), int(State.OCCUPIED)
 TICKS = 2.0**40
 """Of depth, in a metre."""
 RAYS = (64, 48)
-"""Columns and rows of rays that stand for a view."""
+"""Columns and rows of rays that sample a view."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ class ViewCounts:
         unmeasured: Volume never measured that no occupied voxel hides [m^3].
         free: Volume known to be free that none hides [m^3].
         information: Expected number of unmeasured voxels that the view would settle, a bit each:
-            those farther along a ray count less, as something may stand before them. Known voxels
+            those farther along a ray count less, as something may hide them. Known voxels
             count nothing, as their clamped probability is no ignorance.
         depths: (rows, columns) depth at which each ray meets an occupied voxel [m], else infinite.
     """
@@ -74,7 +74,7 @@ def view_counts(
         voxels: The map.
         transform_camera_to_world: The pose.
         frustum: The camera; only its field of view counts.
-        mean_free_path: How far one sees into unknown space on average [m]. It is a length, so that
+        mean_free_path: Mean range of sight in unknown space [m]. It is a length, so that
             what a view is worth does not depend on the size of voxels.
         rays: Columns and rows of rays that are cast.
 
@@ -90,7 +90,7 @@ def view_counts(
     kinds, states = voxels.outline()
     lengths = (voxels.grid.resolution, mean_free_path)
     _count_rays(kinds, states.ravel(), camera, lengths, depths, sums)
-    # A ray stands for a pixel, which is z^2 / (fx fy) large at depth z.
+    # A ray samples a pixel, which is z^2 / (fx fy) large at depth z.
     unmeasured, free, seen = (sums / (3.0 * coarse.fx * coarse.fy)).tolist()
     return ViewCounts(unmeasured, free, seen / voxels.grid.resolution**3, depths)
 
@@ -102,7 +102,7 @@ class Ray(NamedTuple):
         brick: Brick in which it starts.
         faces: Depth of the next brick on each axis [ticks].
         widths: Depth from voxel to voxel on each axis [ticks].
-        ahead: Whether it goes up on each axis.
+        ahead: True for each axis along which the ray rises.
         ends: Depth where it starts and ends [m].
         attenuation: Attenuation by unmeasured space, along the depth [1/m].
     """
@@ -129,7 +129,7 @@ def _count_rays(
     Args:
         kinds: (bx, by, bz) kinds of the bricks, from `VoxelMap.outline`.
         states: Packed states of the mixed bricks, from `VoxelMap.outline`, flat.
-        camera: Where the rays start, and one pixel for each.
+        camera: Origin of the rays, and one pixel for each.
         lengths: Side of a voxel, and mean free path in unmeasured space [m].
         depths: (rows, columns) written where a ray is stopped.
         sums: (3,) added to: z1^3 - z0^3 of unmeasured, of free, and of what is seen of unmeasured.
@@ -359,7 +359,7 @@ def expected_occupancy(states: StateArray, config: ExpectedOccupancy | None = No
 
     Args:
         states: (nx, ny, nz) of `occupancy.State`.
-        config: How unknown cells are guessed.
+        config: Model of the occupancy of unknown cells.
     """
     how = config or ExpectedOccupancy()
     occupied = (states == OCCUPIED).sum(axis=(0, 1))
