@@ -153,24 +153,20 @@ def _best(found: FloatArray) -> int:
 
 def _measure_set(name: str, measured: Measured, output: Output) -> None:
     """Store one set's ratios; those of the bundled pictures beside the thesis'."""
-    ending = "" if name == REAL[0] else f"_{name}"
+    held = name == REAL[0]
+    ending = "" if held else f"_{name}"
+    thesis, deviation = np.array(TABLE_C_1), np.array(TABLE_C_1_SIGMA)
     for column, size in enumerate(SIZES):
         for row, method in enumerate(METHODS):
-            found = measured.ratios[column, :, row]
-            mean, sigma = (t[row][column] for t in (TABLE_C_1, TABLE_C_1_SIGMA))
-            known = name == REAL[0]
-            key = f"{method}/{size}"
-            output.measure(f"ratio{ending}/{key}", distribution(found), mean if known else None)
+            found, key = measured.ratios[column, :, row], f"{method}/{size}"
+            mean, sigma = float(thesis[row, column]), float(deviation[row, column])
+            output.measure(f"ratio{ending}/{key}", distribution(found), mean if held else None)
             output.measure(
-                f"ratio_sigma{ending}/{key}", float(found.std(ddof=1)), sigma if known else None
+                f"ratio_sigma{ending}/{key}", float(found.std(ddof=1)), sigma if held else None
             )
         if name in REAL:
-            best = 1 + int(np.argmax([row[column] for row in TABLE_C_1[: len(PREDICTORS)]]))
-            output.measure(
-                f"best_method{ending}/{size}",
-                _best(measured.ratios[column]),
-                best if name == REAL[0] else None,
-            )
+            best = _best(thesis[None, :, column]) if held else None
+            output.measure(f"best_method{ending}/{size}", _best(measured.ratios[column]), best)
 
 
 def _check(sets: Mapping[str, Measured], output: Output) -> None:
@@ -208,12 +204,11 @@ def _tables(sets: Mapping[str, Measured], names: Sequence[str], output: Output) 
     fine = sets["bundled"].ratios[-1]
     columns = ("picture", *(f"method {method}" for method in METHODS))
     output.table("bundled_256", columns, [[n, *r.round(3)] for n, r in zip(names, fine)])
-    coded: list[list[Any]] = []
-    for name, measured in sets.items():
-        mean = measured.coded[-1].mean(axis=0).round(3)
-        for method in METHODS:
-            files = mean[METHODS.index(method)]
-            coded.append([name, method, *("" if np.isnan(f) else f for f in files)])
+    coded = [
+        [name, method, *("" if np.isnan(ratio) else ratio for ratio in files.round(3))]
+        for name, measured in sets.items()
+        for method, files in zip(METHODS, measured.coded[-1].mean(axis=0))
+    ]
     output.table("bytes_over_coded_bytes_256", ("pictures", "method", *CODERS), coded)
 
 
@@ -223,8 +218,7 @@ def _compare(results: Sequence[ViewComparison], output: Output) -> None:
     Decisions in one scene are not independent: they are averaged, and scenes are compared.
     """
     used = [result for result in results if len(result.known)]
-    decisions = sum(len(result.known) for result in used)
-    output.measure("view_decisions", decisions)
+    output.measure("view_decisions", sum(len(result.known) for result in used))
     if not used:
         return
     correlation = np.array([np.mean(result.correlation, axis=0) for result in used])

@@ -78,7 +78,7 @@ def hough_pair(view: MarkerView) -> list[FloatArray]:
 def detect_pair(detector: str, view: MarkerView, scene: MarkerScene) -> list[Markers]:
     """Return the markers that one of our detectors finds in the left and in the right image."""
     expected = expectation(view.distance)
-    return [DETECTORS[detector](image, scene.geometry, expected, None) for image in view.pair]
+    return [DETECTORS[detector](image, scene.geometry, expected) for image in view.pair]
 
 
 def centre_errors(centres: FloatArray, truth: FloatArray) -> FloatArray:
@@ -117,7 +117,7 @@ def _draw(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
     """Draw the steps on the left image at half a metre, head on."""
     view = next(view for view in views if (view.distance, view.slant) == HEAD_ON)
     expected = expectation(view.distance)
-    found = DETECTORS["tht"](view.pair[0], scene.geometry, expected, None)
+    found = DETECTORS["tht"](view.pair[0], scene.geometry, expected)
     if not len(found):
         return
     for name, figure in draw_steps(view.pair[0], scene.geometry, expected, found).items():
@@ -133,7 +133,7 @@ def _centres(views: list[MarkerView], scene: MarkerScene, output: Output) -> Non
         expected = expectation(view.distance)
         for image, truth in zip(view.pair, view.ellipses, strict=True):
             for name, detect in DETECTORS.items():
-                markers = detect(image, scene.geometry, expected, None)
+                markers = detect(image, scene.geometry, expected)
                 away = centre_errors(markers.centres, truth)
                 errors[name].append(away)
                 extra[name] += len(markers) - int(np.isfinite(away).sum())

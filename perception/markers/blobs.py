@@ -75,10 +75,7 @@ def find_blobs(
 
 
 def detect_blobs(
-    image: NDArray[Any],
-    geometry: StereoGeometry,
-    expected: MarkerExpectation,
-    rng: np.random.Generator | None = None,
+    image: NDArray[Any], geometry: StereoGeometry, expected: MarkerExpectation
 ) -> Markers:
     """Find bright markers as blobs that an ellipse fits.
 
@@ -86,12 +83,10 @@ def detect_blobs(
         image: (H, W) uint8, rectified.
         geometry: Geometry of the camera.
         expected: Size and range of markers, and the image's noise.
-        rng: Not used; detectors share a signature.
 
     Raises:
         ValueError: If the image is not grey of 8 bits or not of the geometry's size.
     """
-    del rng
     grey = check_image(image, geometry)
     starts = find_blobs(grey, geometry, expected)
     found, count = allocate_ellipses(len(starts)), 0
@@ -125,12 +120,9 @@ def _blob_sums(hat: Any, labels: Any, chosen: Any, boxes: Any) -> Any:
 def _stands_alone(image: Any, p: Any, contrast: float) -> bool:
     """Return whether all is darker two pixels outside an ellipse; textures have neighbours."""
     height, width = image.shape
-    peak, around, low = 0.0, 0.0, 255.0
-    for y in range(-1, 2):
-        for x in range(-1, 2):
-            u, v = int(round(p[0])) + x, int(round(p[1])) + y
-            if 0 <= u < width and 0 <= v < height:
-                peak = max(peak, float(image[v, u]))
+    around, low = 0.0, 255.0
+    u, v = int(round(p[0])), int(round(p[1]))
+    peak = float(np.max(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]))
     bound = math.sqrt(p[2] * p[4] - p[3] * p[3])
     for k in range(16):
         cos, sin = math.cos(k * math.pi / 8.0), math.sin(k * math.pi / 8.0)

@@ -21,9 +21,7 @@ from perception.markers.hough import detect_hough
 from perception.markers.poses import BodyCad, BodyFit, BodyPrior, SeenDiscs, fit_body
 from perception.stereo.geometry import StereoGeometry
 
-Detector = Callable[
-    [NDArray[Any], StereoGeometry, MarkerExpectation, np.random.Generator | None], Markers
-]
+Detector = Callable[[NDArray[Any], StereoGeometry, MarkerExpectation], Markers]
 
 DETECTORS: Final[Mapping[str, Detector]] = MappingProxyType(
     {"tht": detect_hough, "blob": detect_blobs}
@@ -142,7 +140,7 @@ def find_bodies(
         raise ValueError(f"marker detector {detector!r}: unknown; there are {', '.join(DETECTORS)}")
     if len(pair) != 2:
         raise ValueError(f"marker images: got {len(pair)}, needs a left and a right one")
-    left, right = (DETECTORS[detector](image, geometry, expected, None) for image in pair)
+    left, right = (DETECTORS[detector](image, geometry, expected) for image in pair)
     pairs = triangulate(left, right, geometry, expected)
     return match_bodies(pairs, geometry, cads, expected, priors)
 

@@ -272,11 +272,9 @@ def grow_region(image: Any, column: int, row: int, limits: RegionLimits, stamp: 
     if column < half or row < half or column + half >= width or row + half >= height:
         return np.nan
     window = image[row - half : row + half + 1, column - half : column + half + 1]
-    peak, seed_x, seed_y = -1, half, half
-    for y in range(half - 1, half + 2):
-        for x in range(half - 1, half + 2):
-            if window[y, x] > peak:
-                peak, seed_x, seed_y = int(window[y, x]), x, y
+    brightest = np.argmax(window[half - 1 : half + 2, half - 1 : half + 2])
+    seed_x, seed_y = half - 1 + brightest % 3, half - 1 + brightest // 3
+    peak = int(window[seed_y, seed_x])
     border = np.concatenate((window[0], window[-1], window[:, 0], window[:, -1]))
     background = np.median(border.astype(np.float64))
     stack = np.empty((size * size, 2), np.int32)

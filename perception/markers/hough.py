@@ -109,10 +109,7 @@ def rim_points(image: ImageArray) -> NDArray[np.bool_]:
 
 
 def detect_hough(
-    image: NDArray[Any],
-    geometry: StereoGeometry,
-    expected: MarkerExpectation,
-    rng: np.random.Generator | None = None,
+    image: NDArray[Any], geometry: StereoGeometry, expected: MarkerExpectation
 ) -> Markers:
     """Find bright markers by the thesis' method.
 
@@ -120,7 +117,6 @@ def detect_hough(
         image: (H, W) uint8, rectified.
         geometry: Geometry of the camera.
         expected: Size, range and number of markers, and the image's noise.
-        rng: Draws points; if None the same ones each time.
 
     Raises:
         ValueError: If the image is not grey of 8 bits or not of the geometry's size.
@@ -128,7 +124,7 @@ def detect_hough(
     grey = check_image(image, geometry)
     level = threshold_level(grey, geometry, expected)
     fewest = fewest_pixels(geometry, expected)
-    circles = hough_circles(find_rims(grey, level, fewest), geometry, expected, rng)
+    circles = hough_circles(find_rims(grey, level, fewest), geometry, expected)
     largest = expected.radii(geometry)[1]
     half = math.ceil(1.15 * largest) + 6
     square = math.pi * geometry.fx / geometry.fy
@@ -370,9 +366,8 @@ def _track(columns: Any, rows: Any, shape: tuple[int, int], limits: CircleLimits
                 match = found
                 found += 1
             weight = circles[match, 3]
-            circles[match, 0] = (weight * circles[match, 0] + x) / (weight + 1.0)
-            circles[match, 1] = (weight * circles[match, 1] + y) / (weight + 1.0)
-            circles[match, 2] = (weight * circles[match, 2] + radius) / (weight + 1.0)
+            for i, value in enumerate((x, y, radius)):
+                circles[match, i] = (weight * circles[match, i] + value) / (weight + 1.0)
             circles[match, 3] = weight + 1.0
             free[first], free[second], free[third] = False, False, False
             break

@@ -112,8 +112,8 @@ def fit_body(
 ) -> BodyFit | None:
     """Fit a body's pose by maximum likelihood.
 
-    Where the likelihood over the turn about the markers' line is wider than by its curvature, or has
-    two peaks, the covariance grows by what it lacks.
+    Where the likelihood over the turn about the markers' line is wider than by its curvature, or
+    has two peaks, the covariance grows by what it lacks.
 
     Args:
         discs: Discs as both cameras saw them.

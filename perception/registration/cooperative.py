@@ -10,7 +10,6 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.arrays import BoolArray, FloatArray
 from perception.geometry.se3 import transform_points_with_covariance, transport_covariance
@@ -62,29 +61,6 @@ class SharedPoints(RelativeFit):
         return KnownPoints(self.points, self.covariance).blocks()
 
 
-def relative_pose(
-    transform_first_to_common: RigidTransform,
-    first_covariance: ArrayLike,
-    transform_second_to_common: RigidTransform,
-    second_covariance: ArrayLike,
-) -> RelativePose:
-    """Return the relative pose of two cameras that are registered to a common frame.
-
-    Args:
-        transform_first_to_common: Pose of the first left camera, for instance in the target.
-        first_covariance: (6, 6) covariance of the first pose [rad, m], common frame.
-        transform_second_to_common: Pose of the second, measured independently of the first.
-        second_covariance: (6, 6) covariance of the second pose [rad, m], common frame.
-
-    Raises:
-        RegistrationError: If a covariance is none.
-    """
-    both = checked_pose_covariance(first_covariance)
-    both = both + checked_pose_covariance(second_covariance)
-    back = transform_first_to_common.inv()
-    return RelativePose(back * transform_second_to_common, transport_covariance(back, both))
-
-
 def relative_pose_by_target(
     first: Sighting, first_markers: ArrayLike, second: Sighting, second_markers: ArrayLike
 ) -> RelativePose:
@@ -105,9 +81,9 @@ def relative_pose_by_target(
         register(markers, np.zeros((len(sight.image_points), 3, 3)), sight)
         for sight, markers in ((first, first_markers), (second, second_markers))
     )
-    return relative_pose(
-        one.transform_camera_to_world, one.covariance, two.transform_camera_to_world, two.covariance
-    )
+    back = one.transform_camera_to_world.inv()
+    covariance = transport_covariance(back, one.covariance + two.covariance)
+    return RelativePose(back * two.transform_camera_to_world, covariance)
 
 
 def fuse_views(

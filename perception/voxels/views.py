@@ -519,11 +519,7 @@ def _views(
                 state = states[i, j, k]
                 if state == OCCUPIED:
                     break
-                axis = 0
-                if next_at[1] < next_at[axis]:
-                    axis = 1
-                if next_at[2] < next_at[axis]:
-                    axis = 2
+                axis = np.argmin(next_at)
                 leave = min(next_at[axis], end)
                 if state == UNKNOWN:
                     p = occupancy[i, j, k]

@@ -23,7 +23,7 @@ def test_rendered_markers_are_at_their_true_places():
     scene = MarkerScene(np.random.default_rng(0), noise_db=None)
     view = scene.view(0.5, 40.0)
     for image, truth in zip(view.pair, view.ellipses):
-        found = DETECTORS["blob"](image, scene.geometry, expectation(0.5), None)
+        found = DETECTORS["blob"](image, scene.geometry, expectation(0.5))
         assert np.nanmedian(centre_errors(found.centres, truth)) < 0.1
 
 

@@ -56,7 +56,7 @@ def test_centres_are_right_to_a_twentieth_of_a_pixel_and_no_surer_than_they_say(
     errors, nees, missed = [], [], 0
     for distance, bodies in views(rng):
         truth = np.concatenate([seen(b, c.points)[0] for b, c in zip(bodies, (CARD, SLOT))])
-        found = DETECTORS[name](picture(truth, rng), HEAD, expected(distance), None)
+        found = DETECTORS[name](picture(truth, rng), HEAD, expected(distance))
         for ellipse in truth:
             off = found.centres - ellipse[:2]
             nearest = np.argmin(np.linalg.norm(off, axis=1))
