@@ -76,7 +76,7 @@ class _Truth(LoopRecorder):
     def record(self, tick: Tick) -> None:
         """Record one tick."""
         self.rows.append([tick.time, *(float(x) for body in self._bodies for x in body.xpos[:2])])
-        self.bytes_sent.append([self._links[name].statistics.bytes_sent for name in ROBOTS])
+        self.bytes_sent.append([self._links[name].bytes_sent for name in ROBOTS])
 
 
 def converse(
@@ -119,11 +119,11 @@ def converse(
     rovers: dict[str, Conversed] = {}
     for name, controller, column in zip(ROBOTS, controllers, counts.T, strict=True):
         log = {key: np.array(value) for key, value in vars(controller.log).items()}
-        missed = links[name].statistics.latest_missed
+        missed = links[name].latest_missed
         rovers[name] = Conversed(**log, bytes_sent=column, missed=missed)
     return Conversation(np.array(truth.rows), rovers)
 
 
 def _framed(connection: Connection) -> dict[str, FramedLink]:
-    """Return the robots' ends of the radio, whose statistics are counted."""
+    """Return the robots' ends of the radio."""
     return {n: link for n, link in connection.links.items() if isinstance(link, FramedLink)}

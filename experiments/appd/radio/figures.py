@@ -12,9 +12,9 @@ COLOURS = {"handshake": "tab:red", "framed": "tab:blue"}
 _FATE_COLOURS = {"intact": "0.8", "wrong": "tab:red", "vanished": "tab:orange", "given_up": "0.3"}
 _FATE_LABELS = {
     "intact": "intact",
-    "wrong": "wrong, nobody was told",
-    "vanished": "vanished, called delivered",
-    "given_up": "given up, sender was told",
+    "wrong": "wrong, not reported",
+    "vanished": "vanished, reported as delivered",
+    "given_up": "given up, reported to the sender",
 }
 _ROVER_COLOURS = dict(zip(ROBOTS, ("tab:green", "tab:purple")))
 _SHOWN = 20.0  # [s] of the first trial
@@ -24,8 +24,7 @@ _BLOCK = 100  # ticks over which the line's occupation is averaged
 def draw_fates(rows: Sequence[PooledTrials]) -> Figure:
     """Draw what became of the messages, for each link and error rate."""
     figure = Figure(figsize=(9, 4))
-    for index, link in enumerate(LINKS):
-        axes = figure.add_subplot(1, 2, index + 1)
+    for link, axes in zip(LINKS, figure.subplots(1, 2)):
         chosen = [row for row in rows if row.link == link]
         places, bottom = np.arange(len(chosen)), np.zeros(len(chosen))
         for fate in FATES:
@@ -43,16 +42,15 @@ def draw_fates(rows: Sequence[PooledTrials]) -> Figure:
 def draw_goodput(rates: Sequence[PooledTrials], delays: Sequence[PooledTrials]) -> Figure:
     """Draw goodput over the byte error rate, and over the modems' delay at one of them."""
     figure = Figure(figsize=(10, 4))
-    left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
+    left, right = figure.subplots(1, 2)
     for link in LINKS:
         rows = [row for row in rates if row.link == link]
-        middle = np.array([row.goodput["median"] for row in rows])
-        spread = [
-            middle - [row.goodput["low"] for row in rows],
-            np.array([row.goodput["high"] for row in rows]) - middle,
-        ]
-        places = np.arange(len(rows))
-        left.errorbar(places, middle, spread, fmt="o-", capsize=3, color=COLOURS[link], label=link)
+        keys = ("low", "median", "high")
+        low, middle, high = np.array([[row.goodput[key] for row in rows] for key in keys])
+        interval, places = (middle - low, high - middle), np.arange(len(rows))
+        left.errorbar(
+            places, middle, interval, fmt="o-", capsize=3, color=COLOURS[link], label=link
+        )
         left.set_xticks(places, [f"{row.error_rate:g}" for row in rows])
         rows = [row for row in delays if row.link == link]
         right.plot(
@@ -76,10 +74,8 @@ def draw_goodput(rates: Sequence[PooledTrials], delays: Sequence[PooledTrials]) 
 def draw_progress(trials: Sequence[RadioTrial]) -> Figure:
     """Draw the first seconds of one trial of each link: what arrived, wrong messages and stalls."""
     figure = Figure(figsize=(10, 6))
-    for index, trial in enumerate(trials):
-        axes = figure.add_subplot(len(trials), 1, index + 1)
-        arrival = np.sort(trial.arrival)
-        arrival = arrival[arrival <= _SHOWN]
+    for trial, axes in zip(trials, figure.subplots(len(trials), 1)):
+        arrival = np.sort(trial.arrival[trial.arrival <= _SHOWN])
         axes.step(arrival, np.arange(1, arrival.size + 1), where="post", color="0.4")
         for key, style, label in (
             ("wrong_at", "rX", "wrong message handed over"),
@@ -99,8 +95,7 @@ def draw_progress(trials: Sequence[RadioTrial]) -> Figure:
 def draw_latency(trials: Mapping[str, Sequence[RadioTrial]]) -> Figure:
     """Draw the share of all messages that arrived intact within a time, a message a second."""
     figure = Figure(figsize=(10, 4))
-    for index, link in enumerate(LINKS):
-        axes = figure.add_subplot(1, 2, index + 1)
+    for link, axes in zip(LINKS, figure.subplots(1, 2)):
         for trial in trials[link]:
             times = np.sort(trial.latency)
             shares = np.arange(1, times.size + 1) / trial.sent
@@ -117,26 +112,24 @@ def draw_conversation(result: Conversation, period: float) -> Figure:
     """Draw what each rover knows of the other against time.
 
     Args:
-        result: What `radio_demo.converse` returned.
+        result: Result of `experiments.appd.radio.demo.converse`.
         period: Period of the loop [s].
     """
     figure = Figure(figsize=(10, 11))
-    grid = figure.add_gridspec(4, 1, height_ratios=(2.0, 1.0, 1.0, 0.8))
-    paths, age, force, line = (figure.add_subplot(grid[row]) for row in range(4))
+    paths, age, force, line = figure.subplots(4, gridspec_kw={"height_ratios": (2, 1, 1, 0.8)})
     truth = result.truth
     most = max(float(np.nanmax(result.rovers[name].age)) for name in ROBOTS)
     for index, (name, other) in enumerate(zip(ROBOTS, reversed(ROBOTS))):
         colour, own, heard = _ROVER_COLOURS[name], result.rovers[name], result.rovers[other]
         paths.plot(*truth[:, 1 + 2 * index : 3 + 2 * index].T, "k:", linewidth=1.0)
-        paths.plot(*own.sent[:, 1:].T, color=colour, linewidth=0.8, label=f"{name}, own belief")
-        received = heard.received
-        paths.plot(*received[:, 2:].T, ".", color=colour, label=f"{name}, as {other} heard it")
+        paths.plot(*own.sent[:, 1:].T, color=colour, linewidth=0.8, label=f"{name}, own estimate")
+        positions = heard.received
+        paths.plot(*positions[:, 2:].T, ".", color=colour, label=f"{name}, received by {other}")
         age.plot(truth[:, 0], 1e3 * heard.age, color=colour, linewidth=0.8)
-        lost = _lost(own.sent[:, 0], received[:, 1])
+        lost = _lost(own.sent[:, 0], positions[:, 1])
         age.plot(lost, np.zeros(lost.size), "x", color=colour, label=f"{name}: {lost.size} lost")
         force.plot(*own.measured.T, color=colour, linewidth=0.8, label=f"{name}, as sent")
-        heights = heard.forces
-        force.plot(heights[:, 0], heights[:, 2], ".", color=colour, label=f"as {other} heard it")
+        force.plot(*heard.forces[:, ::2].T, ".", color=colour, label=f"received by {other}")
         starts = own.bytes_sent[::_BLOCK]
         share = 100.0 * np.diff(starts) / (960.0 * _BLOCK * period)
         ends = truth[::_BLOCK, 0][1:]
@@ -145,10 +138,10 @@ def draw_conversation(result: Conversation, period: float) -> Figure:
     paths.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     age.set(ylabel="age of the known pose [ms]", ylim=(-50.0, 1300.0 * most))
     force.set(ylabel="vertical force on the arm [N]")
-    for axes in (age, force, line):
-        axes.set_xlim(0.0, truth[-1, 0])
     line.set(xlabel="time [s]", ylabel="line in use [%]", ylim=(0.0, 50.0))
     for axes in (paths, age, force, line):
+        if axes is not paths:
+            axes.set_xlim(0.0, truth[-1, 0])
         place = "upper center" if axes is paths else "upper right"
         axes.legend(fontsize="small", loc=place, ncols=1 if axes is paths else 2)
         axes.grid(alpha=0.3)

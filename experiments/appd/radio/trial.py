@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections import Counter
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.channel import BITS_PER_BYTE
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
-from twin.link import Outcome, Polled
 
 LINKS = ("handshake", "framed")
 FATES = ("intact", "wrong", "vanished", "given_up")
@@ -44,66 +44,6 @@ class TrialConfig:
     poll: float = 0.0
 
 
-class _Score:
-    """What was delivered, and what was reported to the sender, of messages that all differ."""
-
-    def __init__(self) -> None:
-        self.sent: dict[bytes, int] = {}
-        self.begun: list[float] = []
-        self.arrived: dict[int, float] = {}
-        self.outcomes: dict[int, bool] = {}
-        self.spoilt: set[int] = set()
-        self.wrong_at: list[float] = []
-        self.stall_at: list[float] = []
-        self.duplicates = 0
-        self.disordered = 0
-        self._last = -1
-        self._concluded = -1
-
-    def receive(self, message: bytes, now: float) -> None:
-        """Count a message that the receiver was handed."""
-        index = self.sent.get(message)
-        if index is None:
-            self.wrong_at.append(now)
-            self.spoilt.add(self._suspect())
-        elif index in self.arrived:
-            self.duplicates += 1
-        else:
-            self.arrived[index] = now
-            self.disordered += index < self._last
-            self._last = max(index, self._last)
-
-    def conclude(self, index: int, outcome: Outcome, now: float) -> None:
-        """Count what was reported to the sender."""
-        self.outcomes[index] = outcome.confirmed
-        self._concluded = index
-        if not outcome.confirmed:
-            self.stall_at.append(now)
-
-    def _suspect(self) -> int:
-        """Return which message must be the wrong one: the one just sent, if it is still out."""
-        done = self._concluded
-        if self.outcomes.get(done) and done not in self.arrived and done not in self.spoilt:
-            return done
-        return len(self.sent) - 1
-
-    def fates(self) -> dict[str, int]:
-        """Return how many messages ended how; each counts once.
-
-        Intact; wrong, without an error; vanished, though its arrival was confirmed; given up, and
-        reported as such.
-        """
-        counts: dict[str, int] = dict.fromkeys(FATES, 0)
-        for index in range(len(self.sent)):
-            if index in self.arrived:
-                counts["intact"] += 1
-            elif index in self.spoilt:
-                counts["wrong"] += 1
-            else:
-                counts["vanished" if self.outcomes.get(index) else "given_up"] += 1
-        return counts
-
-
 def clean_duration(size: int, delay: float, poll: float, baud: int) -> float:
     """Return how long a handshake for a message takes without errors, at most [s].
 
@@ -133,11 +73,19 @@ def make_links(
 
 
 class _LinkTrial:
-    """Both hosts, their link and the virtual time."""
+    """Both hosts, their link, virtual time, and what became of messages that all differ."""
 
     def __init__(self, config: TrialConfig) -> None:
-        self.score = _Score()
+        self.sent: dict[bytes, int] = {}
+        self.begun: list[float] = []
+        self.arrived: dict[int, float] = {}
+        self.wrong_at: list[float] = []
+        self.stall_at: list[float] = []
+        self.duplicates = self.disordered = 0
         self.finished = 0.0
+        self._confirmed: dict[int, bool] = {}
+        self._spoilt: set[int] = set()
+        self._newest = self._concluded = -1
         self._config = config
         self._rng = np.random.default_rng(config.seed)
         modems = ModemConfig(delay=config.delay, error_rate=config.error_rate)
@@ -162,34 +110,67 @@ class _LinkTrial:
 
     def _ready_at(self) -> float:
         """When the next message is there and the link has room for it [s]."""
-        count = len(self.score.sent)
+        count = len(self.sent)
         busy = self._sender.pending >= _PENDING[self._config.link]
         if count >= self._config.messages or busy:
             return math.inf
         return count * self._config.period
 
     def _send(self) -> None:
-        score, config = self.score, self._config
+        config = self._config
         message = self._rng.bytes(config.size)
-        while message in score.sent:
+        while message in self.sent:
             message = self._rng.bytes(config.size)
-        index = len(score.sent)
-        score.sent[message] = index
-        score.begun.append(index * config.period if config.period > 0.0 else self._modems.time)
+        index = self.sent[message] = len(self.sent)
+        self.begun.append(index * config.period if config.period > 0.0 else self._modems.time)
         self._indices[self._sender.send(message)] = index
 
     def _poll(self) -> None:
         now = self._modems.time
-        sent = self._sender.poll()
-        received = Polled([], [])
+        outcomes, messages = self._sender.poll().outcomes, list[bytes]()
         if min(self._modems.lines[0].next_arrival(), self._receiver.next_event()) <= now:
-            received = self._receiver.poll()
-        for outcome in sent.outcomes:
-            self.score.conclude(self._indices[outcome.ticket], outcome, now)
-        for message in received.messages:
-            self.score.receive(message, now)
-        if sent.outcomes or received.messages:
+            messages = self._receiver.poll().messages
+        for outcome in outcomes:
+            self._concluded = self._indices[outcome.ticket]
+            self._confirmed[self._concluded] = outcome.confirmed
+            if not outcome.confirmed:
+                self.stall_at.append(now)
+        for message in messages:
+            self._receive(message, now)
+        if outcomes or messages:
             self.finished = now
+
+    def _receive(self, message: bytes, now: float) -> None:
+        """Count a message that the receiver was handed."""
+        index = self.sent.get(message)
+        if index is None:
+            self.wrong_at.append(now)
+            self._spoilt.add(self._suspect())
+        elif index in self.arrived:
+            self.duplicates += 1
+        else:
+            self.arrived[index] = now
+            self.disordered += index < self._newest
+            self._newest = max(index, self._newest)
+
+    def _suspect(self) -> int:
+        """Return which message must be the wrong one: the one just sent, if it is still out."""
+        done = self._concluded
+        if self._confirmed.get(done) and done not in self.arrived and done not in self._spoilt:
+            return done
+        return len(self.sent) - 1
+
+    def fate(self, index: int) -> str:
+        """Return how a message ended, one of `FATES`.
+
+        Intact; wrong, without an error; vanished, though its arrival was confirmed; given up, and
+        reported as such.
+        """
+        if index in self.arrived:
+            return "intact"
+        if index in self._spoilt:
+            return "wrong"
+        return "vanished" if self._confirmed.get(index) else "given_up"
 
     def _advance(self, event: float) -> None:
         """Go to an event, or to the hosts' next poll after it."""
@@ -268,24 +249,23 @@ def run_trial(config: TrialConfig) -> RadioTrial:
     """Send all messages, and score what arrived; a job of the sweep."""
     trial = _LinkTrial(config)
     trial.run()
-    score = trial.score
-    fates = score.fates()
-    arrival = np.array(list(score.arrived.values()))
-    begun = np.array([score.begun[index] for index in score.arrived])
+    fates = Counter(map(trial.fate, trial.sent.values()))
+    arrival = np.array(list(trial.arrived.values()))
+    begun = np.array([trial.begun[index] for index in trial.arrived])
     return RadioTrial(
         link=config.link,
         error_rate=config.error_rate,
         delay=config.delay,
-        sent=len(score.sent),
-        **fates,
-        duplicates=score.duplicates,
-        disordered=score.disordered,
-        wrong_received=len(score.wrong_at),
-        stalls=len(score.stall_at),
+        sent=len(trial.sent),
+        **{fate: fates[fate] for fate in FATES},
+        duplicates=trial.duplicates,
+        disordered=trial.disordered,
+        wrong_received=len(trial.wrong_at),
+        stalls=len(trial.stall_at),
         duration=trial.finished,
         goodput=fates["intact"] * config.size / trial.finished,
         latency=arrival - begun,
         arrival=arrival,
-        wrong_at=np.array(score.wrong_at),
-        stall_at=np.array(score.stall_at),
+        wrong_at=np.array(trial.wrong_at),
+        stall_at=np.array(trial.stall_at),
     )

@@ -107,4 +107,4 @@ def test_radio_with_byte_errors_loses_looks_but_never_changes_one():
     assert 0.6 * len(sent) < len(heard) < len(sent)
     order = [sent.index(message) for message in heard]
     assert order == sorted(order)
-    assert slave.statistics.rejected > 0
+    assert slave._parser.rejected > 0

@@ -16,7 +16,6 @@ latency timer at 1 ms.
 """
 
 import contextlib
-import dataclasses
 import time
 from collections.abc import Sequence
 
@@ -47,33 +46,6 @@ _TOKENS = range(72, 128)  # Numbers beyond the pins of the Arduinos, whose echo 
 _QUERY_PERIOD = 0.25  # [s]
 
 
-@dataclasses.dataclass
-class FirmataStatistics:
-    """What happened on the link so far.
-
-    Attributes:
-        readings: Number of values returned.
-        unread: Number of values requested and not returned.
-        retries: Number of requests beyond the first of a call.
-        silences: Number of requests given up because no more bytes came.
-        disagreements: Number of values that differed from the poll before by more than the window.
-        out_of_range: Number of values above full scale.
-        foreign: Number of values of pins that were not requested.
-        drained: Number of bytes found before a request and discarded.
-        resets: Number of times that the board announced itself, as it does after its own reset.
-    """
-
-    readings: int = 0
-    unread: int = 0
-    retries: int = 0
-    silences: int = 0
-    disagreements: int = 0
-    out_of_range: int = 0
-    foreign: int = 0
-    drained: int = 0
-    resets: int = 0
-
-
 class AnalogueBoard:
     """Polls analogue inputs; `open` before the first poll."""
 
@@ -100,7 +72,6 @@ class AnalogueBoard:
         self._asked: set[int] = set()  # Numbers of the present call.
         self._polled: set[int] = set()
         self._interval_lost = False
-        self.statistics = FirmataStatistics()
 
     def open(self, boot: float = 5.0) -> str:
         """Wait for the board, which may reset when its port is opened, and quieten it.
@@ -149,16 +120,12 @@ class AnalogueBoard:
             self._interval_lost = False
         values: dict[int, int | None] = dict.fromkeys(wanted)
         previous: dict[int, int] = {}
-        for attempt in range(_ATTEMPTS):
+        for _ in range(_ATTEMPTS):
             missing = [pin for pin in wanted if values[pin] is None]
             if not missing or time.monotonic() >= deadline:
                 break
-            self.statistics.retries += attempt > 0
             self._request(missing)
             self._collect(missing, values, previous, deadline)
-        read = sum(value is not None for value in values.values())
-        self.statistics.readings += read
-        self.statistics.unread += len(wanted) - read
         return values
 
     def close(self) -> None:
@@ -171,7 +138,6 @@ class AnalogueBoard:
         """Forget what came and what was asked before."""
         end = time.monotonic() + self._silence
         while time.monotonic() < end and (data := self._link.read(4096, 0.0)):
-            self.statistics.drained += len(data)
             for message in self._parser.feed(data):
                 self._note_reset(message)
         self._parser.reset()
@@ -179,7 +145,6 @@ class AnalogueBoard:
 
     def _note_reset(self, message: Message) -> None:
         if message.command == REPORT_VERSION:
-            self.statistics.resets += 1
             self._interval_lost = True
 
     def _request(self, pins: list[int]) -> None:
@@ -206,7 +171,6 @@ class AnalogueBoard:
                 return
             messages = self._receive(min(deadline, time.monotonic() + self._silence))
             if messages is None:
-                self.statistics.silences += 1
                 return
             for message in messages:
                 if _is_pin_state(message):
@@ -238,16 +202,10 @@ class AnalogueBoard:
     ) -> None:
         """Accept a value that agrees with the one before."""
         pin, value = message.channel, message.data[0] | message.data[1] << 7
-        if pin not in values:
-            self.statistics.foreign += 1
-        elif value > FULL_SCALE:
-            self.statistics.out_of_range += 1
-        elif values[pin] is None:
+        if values.get(pin, value) is None and value <= FULL_SCALE:
             before, previous[pin] = previous.get(pin), value
             if before is not None and abs(value - before) <= self._window:
                 values[pin] = value
-            elif before is not None:
-                self.statistics.disagreements += 1
 
     def _identify(self, end: float) -> tuple[tuple[int, int], str]:
         """Return protocol version and firmware, asked for until they come."""

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from models.datasheets import ARM, DEGREE, INCLINOMETER, INCLINOMETER_CALIBRATION
+from perception.geometry.checks import check_numbers
 from perception.geometry.gravity import GRAVITY
 from twin.hardware.calibration.calibration import AngleSensor, Calibration
 from twin.hardware.calibration.tilt_fit import (
@@ -84,10 +85,8 @@ class ProcedureConfig:
             raise ValueError(f"procedure tilts: got {len(self.tilts)}, needs at least 3")
         if not np.all(np.abs(np.array(self.tilts)) < self.largest_tilt):
             raise ValueError(f"procedure tilts: {self.tilts} leave the linear range")
-        for field in dataclasses.fields(self):
-            if field.name != "tilts" and not getattr(self, field.name) > 0.0:
-                value = getattr(self, field.name)
-                raise ValueError(f"procedure {field.name}: got {value}, needs more than 0")
+        fields = (field.name for field in dataclasses.fields(self) if field.name != "tilts")
+        check_numbers("procedure", self, *fields)
 
 
 @dataclasses.dataclass(frozen=True)

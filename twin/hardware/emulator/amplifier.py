@@ -10,13 +10,14 @@ All functions are pure and take the eight motors, or any other shape, at once.
 
 import dataclasses
 import math
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from models.datasheets import ARM_MOTOR, POWER_STAGE, PULSE_CLOCK, WHEEL_MOTOR, MotorSheet
 from perception.geometry.arrays import FloatArray, IntArray
+from perception.geometry.checks import check_choice, check_numbers
 
 PulseLaw = Literal["linear", "rc"]
 
@@ -82,21 +83,23 @@ class AmplifierConfig:
         Raises:
             ValueError: Naming the field and its value.
         """
-        if self.law not in ("linear", "rc"):
-            raise ValueError(f"amplifier law: got {self.law!r}, needs 'linear' or 'rc'")
-        if not 1 <= self.converter_bits <= 16:
-            raise ValueError(f"amplifier converter_bits: got {self.converter_bits}, needs 1 to 16")
-        if not 0.0 < self.full_fraction < 1.0:
-            raise ValueError(f"amplifier full_fraction: got {self.full_fraction}, needs 0 to 1")
-        if len(self.motor_resistance) != len(self.motor_constant):
-            raise ValueError("amplifier motors: as many resistances as constants are needed")
-        named = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        for name in named.keys() - {"law", "switch_resistance", "least_pulse"}:
-            if not np.all(np.asarray(named[name]) > 0.0):
-                raise ValueError(f"amplifier {name}: got {named[name]}, needs more than 0")
-        for name in ("switch_resistance", "least_pulse"):
-            if not named[name] >= 0.0:
-                raise ValueError(f"amplifier {name}: got {named[name]}, needs 0 or more")
+        check_choice("amplifier law", self.law, get_args(PulseLaw))
+        motors = self.motor_resistance, self.motor_constant
+        if len(set(map(len, motors))) > 1 or not np.all(np.array(motors) > 0.0):
+            raise ValueError(
+                f"amplifier motors: got motor_resistance and motor_constant {motors}, needs as many "
+                "positive numbers of both"
+            )
+        zero = "switch_resistance", "least_pulse"
+        other = {"law", "motor_resistance", "motor_constant", *zero}
+        names = [field.name for field in dataclasses.fields(self) if field.name not in other]
+        check_numbers("amplifier", self, *names)
+        check_numbers("amplifier", self, *zero, zero=True)
+        if self.converter_bits > 16 or self.full_fraction >= 1.0:
+            raise ValueError(
+                f"amplifier converter_bits = {self.converter_bits}, full_fraction = "
+                f"{self.full_fraction}: expected at most 16, and less than 1"
+            )
 
     @property
     def full_code(self) -> int:

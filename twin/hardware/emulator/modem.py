@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 
+from perception.geometry.checks import check_numbers
 from twin.hardware.background import repeating
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.radio.channel import BITS_PER_BYTE
@@ -50,14 +51,10 @@ class ModemConfig:
         Raises:
             ValueError: Naming the field and its value.
         """
-        for name in ("baud", "buffer"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"modem {name} must be positive, got {getattr(self, name)}")
-        if not 0.0 <= self.error_rate <= 1.0:
+        check_numbers("modem", self, "baud", "buffer")
+        check_numbers("modem", self, "delay", "error_rate", "flip", "loss", "insertion", zero=True)
+        if self.error_rate > 1.0:
             raise ValueError(f"modem error_rate must be a probability, got {self.error_rate}")
-        for name in ("delay", "flip", "loss", "insertion"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"modem {name} must not be negative, got {getattr(self, name)}")
         if self.error_rate > 0.0 and self.flip + self.loss + self.insertion == 0.0:
             raise ValueError("modem error_rate is positive, but flip, loss and insertion are zero")
 

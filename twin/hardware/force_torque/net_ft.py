@@ -11,7 +11,7 @@ of silence it was away for 0.2 s more, after 1 s for another; its `latest_sample
 and by default it goes on after a restart of the sensor, which has lost its bias.
 """
 
-import dataclasses
+import contextlib
 import select
 import socket
 import struct
@@ -81,32 +81,6 @@ def decode_record(datagram: bytes) -> Record | None:
     return Record(rdt_sequence, ft_sequence, status, tuple(counts))
 
 
-@dataclasses.dataclass
-class ForceTorqueStatistics:
-    """What happened on the link so far.
-
-    Attributes:
-        readings: Number of records accepted.
-        unanswered: Number of calls in which no new record came.
-        repeated: Number of records of a sample that had been accepted before.
-        late: Number of records of samples older than one accepted before.
-        restarts: Number of older samples that only an answer to the present request can be: the
-            sensor has restarted.
-        serious: Number of records refused for their status.
-        drained: Number of datagrams found before a request and discarded.
-        socket_errors: Number of errors of the network interface, such as an unreachable sensor.
-    """
-
-    readings: int = 0
-    unanswered: int = 0
-    repeated: int = 0
-    late: int = 0
-    restarts: int = 0
-    serious: int = 0
-    drained: int = 0
-    socket_errors: int = 0
-
-
 class NetForceTorque:
     """Reads a Net F/T, one sample a call."""
 
@@ -128,9 +102,7 @@ class NetForceTorque:
             raise LinkError(f"force sensor {host}: {error}") from None
         self._address = found[0][4]
         self._socket = self._connected()
-        self._unspoilt = True  # Nothing but the answers to this call can come to the socket.
         self._last: int | None = None
-        self.statistics = ForceTorqueStatistics()
 
     def read(self) -> Record | None:
         """Return a sample newer than the last one; None if none came or none can be trusted.
@@ -150,17 +122,10 @@ class NetForceTorque:
             record = self._await(time.monotonic() + max(0.0, waiting))
         if record is None or sent > 1:
             self._renew()
-        else:
-            self._unspoilt = False
         if record is None:
-            self.statistics.unanswered += 1
             return None
         self._last = record.ft_sequence
-        if record.status not in (0, MONITOR_LATCHED):
-            self.statistics.serious += 1
-            return None
-        self.statistics.readings += 1
-        return record
+        return record if record.status in (0, MONITOR_LATCHED) else None
 
     def close(self) -> None:
         """Close the socket."""
@@ -182,13 +147,11 @@ class NetForceTorque:
     def _renew(self) -> None:
         self._socket.close()
         self._socket = self._connected()
-        self._unspoilt = True
 
     def _request(self) -> None:
-        try:
+        # An error of the network is a sample that does not come.
+        with contextlib.suppress(OSError):
             self._socket.send(encode_request(START_REALTIME, 1))
-        except OSError:
-            self.statistics.socket_errors += 1
 
     def _drain(self) -> None:
         """Discard what came since the last call, of which a flood must not hold this one."""
@@ -198,9 +161,7 @@ class NetForceTorque:
             except BlockingIOError:
                 return
             except OSError:
-                self.statistics.socket_errors += 1
-            else:
-                self.statistics.drained += 1
+                continue
         self._renew()
 
     def _await(self, deadline: float) -> Record | None:
@@ -210,28 +171,13 @@ class NetForceTorque:
             if not ready:
                 return None
             try:
-                datagram = self._socket.recv(2048)
-            except BlockingIOError:
-                continue
+                record = decode_record(self._socket.recv(2048))
             except OSError:
-                # The port is closed there; the next attempt may find the sensor up again.
-                self.statistics.socket_errors += 1
+                # If the port is closed there, the next attempt may find the sensor up again.
                 continue
-            record = decode_record(datagram)
             if record is not None and self._is_new(record):
                 return record
         return None
 
     def _is_new(self, record: Record) -> bool:
-        if self._last is None:
-            return True
-        ahead = signed_difference(record.ft_sequence, self._last)
-        if ahead > 0:
-            return True
-        if ahead == 0:
-            self.statistics.repeated += 1
-        elif self._unspoilt:
-            self.statistics.restarts += 1
-        else:
-            self.statistics.late += 1
-        return False
+        return self._last is None or signed_difference(record.ft_sequence, self._last) > 0

@@ -13,11 +13,13 @@ from collections import deque
 
 import numpy as np
 
+from perception.geometry.checks import check_numbers
 from twin.hardware.radio.channel import BITS_PER_BYTE, ByteChannel
 from twin.hardware.radio.frames import Frame, FrameParser, encode_frame
 from twin.link import MESSAGE_LIMIT, Outcome, Polled, RadioError
 
-_MAX_WINDOW = 8  # held-back frames that an acknowledgement's byte of flags can tell
+_MAX_WINDOW = 8  # Frames that an acknowledgement's byte of flags can report.
+_LONGEST_MESSAGE = 1024  # [bytes]
 _DATA, _LATEST, _ACKNOWLEDGE = 1, 2, 3
 
 
@@ -65,38 +67,14 @@ class FramedConfig:
         Raises:
             ValueError: Naming the field and its value.
         """
-        if not 1 <= self.window <= _MAX_WINDOW:
-            raise ValueError(f"radio window must be 1 to {_MAX_WINDOW}, got {self.window}")
-        for name in ("baud", "queue_limit", "acknowledge_within", "deliver_within"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"radio {name} must be positive, got {getattr(self, name)}")
-        if not 1 <= self.message_limit <= 1024:
-            raise ValueError(f"radio message_limit must be 1 to 1024, got {self.message_limit}")
-        if not 0.0 <= self.write_ahead < math.inf:
-            raise ValueError(f"radio write_ahead must not be negative, got {self.write_ahead}")
-
-
-@dataclasses.dataclass
-class LinkStatistics:
-    """Counts since a framed link was made.
-
-    Attributes:
-        bytes_sent: All bytes put on the line.
-        retransmissions: Frames sent again.
-        rejected: Received frames that COBS, the CRC or their header refused.
-        duplicates: Received messages that had come before.
-        superseded: Latest values replaced by newer ones before they were sent.
-        latest_missed: Gaps in the numbers of received latest values.
-        resets: New sessions, because a message was given up.
-    """
-
-    bytes_sent: int = 0
-    retransmissions: int = 0
-    rejected: int = 0
-    duplicates: int = 0
-    superseded: int = 0
-    latest_missed: int = 0
-    resets: int = 0
+        counts = "baud", "message_limit", "window", "queue_limit"
+        check_numbers("radio", self, *counts, "acknowledge_within", "deliver_within")
+        check_numbers("radio", self, "write_ahead", zero=True)
+        if self.window > _MAX_WINDOW or self.message_limit > _LONGEST_MESSAGE:
+            raise ValueError(
+                f"radio window = {self.window}, message_limit = {self.message_limit}: expected at "
+                f"most {_MAX_WINDOW} and {_LONGEST_MESSAGE}"
+            )
 
 
 @dataclasses.dataclass
@@ -120,7 +98,8 @@ class FramedLink:
     up, keeps numbers of before from being mistaken for those of now.
 
     Attributes:
-        statistics: Counts since it was made.
+        bytes_sent: Number of bytes put on the line.
+        latest_missed: Number of latest values lost, by the gaps in the numbers of those received.
     """
 
     def __init__(
@@ -133,7 +112,7 @@ class FramedLink:
             rng: Random generator for the session number; seeded anew at each start of a robot.
             config: Numbers of the link.
         """
-        self.statistics = LinkStatistics()
+        self.bytes_sent = self.latest_missed = 0
         self._channel = channel
         self._config = config or FramedConfig()
         self._parser = FrameParser(self._config.message_limit)
@@ -182,7 +161,6 @@ class FramedLink:
             RadioError: If the message is empty or too long.
         """
         message = check_message(message, self._config.message_limit)
-        self.statistics.superseded += message[0] in self._latest
         self._latest[message[0]] = message
 
     def poll(self) -> Polled:
@@ -195,7 +173,6 @@ class FramedLink:
         result = Polled([], [])
         for frame in self._parser.feed(self._channel.read()):
             self._take(frame, now, result)
-        self.statistics.rejected = self._parser.rejected
         self._expire(now, result.outcomes)
         self._transmit(now)
         return result
@@ -232,8 +209,7 @@ class FramedLink:
         ahead = (frame.sequence - self._expected) & 0xFF
         self._acknowledge = True
         if ahead >= self._config.window or frame.sequence in self._held:
-            self.statistics.duplicates += 1
-            return
+            return  # It has come before.
         self._held[frame.sequence] = frame.body
         while self._expected in self._held:
             messages.append(self._held.pop(self._expected))
@@ -243,9 +219,8 @@ class FramedLink:
         if self._latest_seen is not None and self._latest_seen[0] == frame.session:
             step = (frame.sequence - self._latest_seen[1]) & 0xFF
             if step == 0:
-                self.statistics.duplicates += 1
-                return
-            self.statistics.latest_missed += step - 1
+                return  # It has come before.
+            self.latest_missed += step - 1
         self._latest_seen = frame.session, frame.sequence
         messages.append(frame.body)
 
@@ -278,7 +253,6 @@ class FramedLink:
             self._flight.clear()
             self._session = (self._session + 1) & 0xFFFF
             self._next_sequence = 0
-            self.statistics.resets += 1
         while self._queue and now >= self._queue[0].expires:
             outcomes.append(Outcome(self._queue.popleft().ticket, False))
 
@@ -289,7 +263,7 @@ class FramedLink:
             if line is None:
                 return
             self._channel.write(line)
-            self.statistics.bytes_sent += len(line)
+            self.bytes_sent += len(line)
 
     def _next_line(self, now: float) -> bytes | None:
         """Acknowledgements first; then latest values and messages in turn, so that none starves."""
@@ -319,9 +293,7 @@ class FramedLink:
 
     def _message_line(self, pending: _Pending, now: float) -> bytes:
         self._transmissions += 1
-        if pending.first:
-            self.statistics.retransmissions += 1
-        else:
+        if not pending.first:
             self._flight.append(self._queue.popleft())
             pending.first = self._transmissions
             pending.sequence = self._next_sequence

@@ -10,6 +10,7 @@ an unexpected byte (it is passed over). Only deadlines are added, so that every 
 import dataclasses
 import math
 
+from perception.geometry.checks import check_numbers
 from twin.hardware.radio.channel import ByteChannel
 from twin.hardware.radio.framed_radio import check_message
 from twin.link import Outcome, Polled, RadioError
@@ -42,9 +43,7 @@ class HandshakeConfig:
         Raises:
             ValueError: Naming the field and its value.
         """
-        for name in ("message_limit", "send_within", "receive_within"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"radio {name} must be positive, got {getattr(self, name)}")
+        check_numbers("radio", self)
 
 
 class HandshakeLink:

@@ -91,7 +91,7 @@ class RoboClawBus:
         self._status_length: dict[int, int] = {}
 
     def read(self, address: int, command: BoardCommand) -> tuple[int, ...]:
-        """Ask a board, and return the values of its answer.
+        """Read from a board, and return the values of its answer.
 
         Args:
             address: Address of the board.
@@ -109,12 +109,12 @@ class RoboClawBus:
         return self._call(f"{command.name} of board {address:#x}", address, command, exchange)
 
     def write(self, address: int, command: BoardCommand, *values: int) -> None:
-        """Tell a board, and wait for its acknowledgement.
+        """Write to a board, and wait for its acknowledgement.
 
         Args:
             address: Address of the board.
             command: A key of `codec.WRITES`.
-            values: Its payload.
+            values: Payload of the command.
 
         Raises:
             ValueError: If a value does not fit its field; nothing was sent.
@@ -219,7 +219,7 @@ class RoboClawBus:
             self.statistics.worst_call = max(self.statistics.worst_call, time.monotonic() - begin)
 
     def _stands_alone(self) -> bool:
-        """Tell whether nothing follows an answer.
+        """Return whether nothing follows an answer.
 
         What is followed may be an old answer come again, or the first byte of the answer to a
         question that a damaged write became; that may well be the one of an acknowledgement.

@@ -119,8 +119,6 @@ def test_polled_values_are_the_boards(board):
             assert client.poll([0, 3, 5]) == {0: 1023, 3: 0, 5: 511}
             board.counts.update({0: 0, 3: 1023, 5: 512})
             assert client.poll([5, 0, 3, 5]) == {0: 0, 3: 1023, 5: 512}
-        assert client.statistics.readings == 600
-        assert client.statistics.unread == client.statistics.retries == 0
         client.close()
 
 
@@ -129,9 +127,7 @@ def test_open_board_sends_nothing_unasked(board):
         client = opened(wire)
         client.poll([0, 1, 2])
         time.sleep(0.1)
-        assert client.statistics.drained == 0
-        client.poll([0])
-        assert client.statistics.drained == 0
+        assert client._link.read(1, 0.0) == b""
         client.close()
 
 
@@ -142,7 +138,6 @@ def test_two_polls_must_agree_within_the_window(board):
         client = opened(wire)
         assert client.poll([1]) == {1: None}
         assert client.poll([0]) == {0: 500}
-        assert client.statistics.disagreements >= 3
         wide = AnalogueBoard(client._link, window=10, **PATIENT)
         assert wide.poll([1])[1] in (500, 510)
         client.close()
@@ -155,7 +150,6 @@ def test_silent_board_is_missing_within_the_deadline(board):
         start = time.monotonic()
         assert client.poll([0, 1]) == {0: None, 1: None}
         assert time.monotonic() - start < STALL
-        assert client.statistics.silences >= 2
         client.close()
 
 
@@ -174,11 +168,10 @@ def test_babbling_board_cannot_hold_a_call(board):
 def test_reset_of_the_board_is_noticed_and_quietened(board):
     with Wire(board) as wire:
         client = opened(wire)
-        assert board._interval == pytest.approx(16.383) and client.statistics.resets == 0
+        assert board._interval == pytest.approx(16.383)
         board.power_cycle()
         time.sleep(0.01)
         assert client.poll([0])[0] == 7
-        assert client.statistics.resets == 1
         assert board._interval == pytest.approx(16.383)
         client.close()
 
@@ -196,7 +189,6 @@ def test_values_above_full_scale_and_of_other_pins_are_refused(board):
 
         board.feed = feed
         assert client.poll([0, 1]) == {0: 7, 1: 107}
-        assert client.statistics.out_of_range == client.statistics.foreign == 2
         client.close()
 
 
@@ -226,7 +218,7 @@ def test_impossible_pin_is_refused(board):
 def faulted_calls(board, calls, rate, seed, waiting_time):
     """Polls of a damaged link; the truth jumps before each, so a stale value is a wrong one."""
     rng = np.random.default_rng(seed)
-    wrong, durations = [], []
+    wrong, durations, readings = [], [], 0
     with Wire(board, np.random.default_rng(seed + 1)) as wire:
         client = opened(wire, **PROMPT)
         wire.rate = rate
@@ -236,6 +228,7 @@ def faulted_calls(board, calls, rate, seed, waiting_time):
             start = waiting_time()
             values = client.poll([0, 1, 2])
             durations.append(waiting_time() - start)
+            readings += sum(value is not None for value in values.values())
             wrong += [v for p, v in values.items() if v is not None and abs(v - truth[p]) > 2]
         wire.rate = 0.0
         time.sleep(0.04)
@@ -243,17 +236,17 @@ def faulted_calls(board, calls, rate, seed, waiting_time):
         client._deadline = 0.5
         assert None not in client.poll([0, 1, 2]).values()
         client.close()
-    return client.statistics, wrong, max(durations), wire.faults
+    return readings, wrong, max(durations), wire.faults
 
 
 @pytest.mark.parametrize("rate", [0.05, 0.3])
 def test_damaged_link_gives_no_wrong_and_no_stale_value(board, rate, waiting_time):
-    statistics, wrong, longest, faults = faulted_calls(board, 400, rate, 5, waiting_time)
+    readings, wrong, longest, faults = faulted_calls(board, 400, rate, 5, waiting_time)
     assert not wrong
     assert all(faults.values())
     assert longest < WORST_CALL
     # Of 1200 polls; a busy machine answers too late, so how many more is its own affair.
-    assert statistics.readings > 120
+    assert readings > 120
 
 
 def test_pyfirmata2_reads_the_emulated_board(board, monkeypatch):

@@ -136,7 +136,6 @@ def test_sample_of_the_last_reading_is_refused_as_repeated(load):
         client = client_of(server)
         assert client.read().ft_sequence == 35_000
         assert client.read() is None
-        assert client.statistics.repeated >= 1 and client.statistics.unanswered == 1
         client.close()
 
 
@@ -147,7 +146,6 @@ def test_restart_of_the_sensor_is_refused_until_it_is_opened_anew(load):
         assert client.read() is not None
         sensor.power_cycle(time.monotonic())
         assert [client.read() for _ in range(3)] == [None] * 3
-        assert client.statistics.restarts >= 1
         client.close()
         client = client_of(server)
         assert client.read().counts == load.counts
@@ -174,7 +172,6 @@ def test_serious_status_is_refused_and_a_latched_threshold_is_not(load):
         for status in (0x80020000, 1 << 31, 1):
             sensor.status = status
             assert client.read() is None
-        assert client.statistics.serious == 3
         sensor.status = ft.MONITOR_LATCHED
         assert client.read().status == ft.MONITOR_LATCHED
         client.close()
@@ -191,7 +188,6 @@ def test_absent_sensor_is_missing_within_the_deadline():
         start = time.monotonic()
         assert [client.read() for _ in range(5)] == [None] * 5
         assert time.monotonic() - start < STALL
-        assert (client.statistics.socket_errors > 0) is closed
         client.close()
 
 
@@ -205,7 +201,6 @@ def test_flood_of_datagrams_cannot_hold_a_call(load):
             start = time.monotonic()
             client.read()
             assert time.monotonic() - start < STALL
-        assert client.statistics.drained > 0
         assert client.read() is not None
         client.close()
 
@@ -231,7 +226,7 @@ def test_late_answer_reaches_nobody(load):
 def faulted_reads(load, calls, rate, seed, waiting_time):
     """Reads on a damaged network; the load jumps before each, so a stale reading is a wrong one."""
     rng = np.random.default_rng(seed)
-    wrong, durations = 0, []
+    wrong, readings, durations = 0, 0, []
     with Server(NetFT(load), np.random.default_rng(seed + 1)) as server:
         client = client_of(server, deadline=0.005)
         server.rate = rate
@@ -242,21 +237,22 @@ def faulted_reads(load, calls, rate, seed, waiting_time):
             reading = client.read()
             durations.append(waiting_time() - start)
             if reading is not None:
+                readings += 1
                 wrong += reading.counts != load.counts
                 wrong += reading.ft_sequence <= last
                 last = reading.ft_sequence
         client.close()
-    return client.statistics, wrong, max(durations), server.faults
+    return readings, wrong, max(durations), server.faults
 
 
 @pytest.mark.parametrize("rate", [0.03, 0.3])
 def test_damaged_network_gives_no_wrong_and_no_stale_reading(load, rate, waiting_time):
-    statistics, wrong, longest, faults = faulted_reads(load, 600, rate, 7, waiting_time)
+    readings, wrong, longest, faults = faulted_reads(load, 600, rate, 7, waiting_time)
     assert wrong == 0
     assert sum(faults.values()) > 0.3 * rate * 600
     assert longest < WORST_CALL
     # A busy machine answers too late, so how many are answered is its own affair.
-    assert statistics.readings + statistics.unanswered == 600 and statistics.readings > 60
+    assert readings > 60
 
 
 CALIBRATION = pynetft.Calibration(

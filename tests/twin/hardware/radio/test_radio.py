@@ -56,10 +56,8 @@ def test_lost_acknowledgement_does_not_deliver_twice():
     assert first.poll().outcomes == []
     carry(there, back)
     assert second.poll().messages == []
-    assert second.statistics.duplicates == 1
     carry(back, there)
     assert first.poll().outcomes == [Outcome(ticket, True)]
-    assert first.statistics.retransmissions == 1
 
 
 def test_repeated_bytes_of_the_line_deliver_nothing_twice():
@@ -70,7 +68,7 @@ def test_repeated_bytes_of_the_line_deliver_nothing_twice():
     line = b"".join(there.out)
     back.into = line + line
     assert sorted(second.poll().messages) == [b"message", b"value"]
-    assert second.statistics.duplicates == 2
+    assert second.poll().messages == []
 
 
 def test_restarted_sender_is_heard_though_its_numbers_begin_anew():
@@ -134,7 +132,7 @@ def test_what_cannot_be_delivered_is_said_and_the_link_recovers():
         there.time = 0.1 * step
         told += first.poll().outcomes
     assert told == [Outcome(ticket, False) for ticket in tickets]
-    assert (first.pending, first.statistics.resets) == (0, 1)
+    assert first.pending == 0
     there.out.clear()
     first.send(b"again")
     first.poll()
@@ -175,7 +173,7 @@ def test_newer_value_replaces_the_one_that_waits_and_no_message_starves():
     assert [m for _, m in got if m[0] == 0x13] == sent
     assert {kind for _, kind, _ in values} == {0x11, 0x12}
     assert max(tick - number for tick, _, number in values) <= 15  # old ones are not queued
-    assert first.statistics.superseded > 400 and first.statistics.latest_missed == 0
+    assert len(values) < 200 and first.latest_missed == 0  # Of 600 values.
 
 
 def test_link_polled_at_100_hz_keeps_the_line_busy():
