@@ -32,7 +32,6 @@ from experiments.appd.boards.live import (
 from experiments.appd.boards.trial import (
     KINDS,
     PERIOD,
-    STOPPING,
     TIMEOUT,
     WRAP,
     FaultTrial,
@@ -119,11 +118,11 @@ def run(options: Options, output: Output) -> None:
 
 def stop_times(trials: Sequence[FaultTrial]) -> dict[str, list[float]]:
     """Return the times from fault to standstill by fault [s]; infinite for no standstill."""
-    found: dict[str, list[float]] = {kind: [] for kind in STOPPING}
-    for trial in trials:
+    found: dict[str, list[float]] = {}
+    for trial in sorted(trials, key=lambda each: KINDS.index(each.kind)):
         if trial.kind != WRAP:
-            found[trial.kind].append(trial.stop_time)
-    return {kind: times for kind, times in found.items() if times}
+            found.setdefault(trial.kind, []).append(trial.stop_time)
+    return found
 
 
 def _measure_stops(trials: Sequence[FaultTrial], output: Output) -> None:
@@ -137,8 +136,12 @@ def _measure_stops(trials: Sequence[FaultTrial], output: Output) -> None:
         output.measure(f"stop_time/{kind}", distribution(values))
         output.measure(f"stop_time_worst/{kind}", max(values))
     share = stopped / len(every)
-    name = f"motors let go within {1e3 * STOP_BOUND:.0f} ms of a fault, of {len(every)} trials"
-    output.check(name, share, "== 1", share == 1.0)
+    output.check(
+        f"motors let go within {1e3 * STOP_BOUND:.0f} ms of a fault, of {len(every)} trials",
+        share,
+        "== 1",
+        share == 1.0,
+    )
     least = min(trial.moving for trial in trials if trial.kind != WRAP)
     output.check("motors driven when a fault began, fewest", least, ">= 4", least >= 4)
     wraps = [trial for trial in trials if trial.kind == WRAP]
@@ -166,8 +169,12 @@ def _measure_calls(
     output.measure("wrong_values", wrong)
     output.measure("damaged_exchanges", sum(result.damaged for result in calls))
     output.measure("failed_calls", sum(result.failures for result in calls))
-    name = f"longest of {every.size} calls on a damaged line, in ms"
-    output.check(name, worst, f"<= {CALL_BOUND:g}", worst <= CALL_BOUND)
+    output.check(
+        f"longest of {every.size} calls on a damaged line, in ms",
+        worst,
+        f"<= {CALL_BOUND:g}",
+        worst <= CALL_BOUND,
+    )
     output.check("wrong values, damaged line and wrapped counters", wrong, "== 0", wrong == 0)
     output.figure("calls", draw_calls(calls, CALL_BOUND))
 
@@ -204,11 +211,15 @@ def _measure_bare_pace(bare: EchoPace, pace: LoopPace, output: Output) -> None:
 
 def _measure_identity(name: str, result: BoardComparison, least: int, output: Output) -> None:
     """Store for how many cycles a controller saw and did the same with and without wires."""
-    identical, damaged = result.identical, result.damaged
+    identical = result.identical
     output.measure(f"identical_cycles/{name}", identical)
-    output.measure(f"identical_cycles/{name}/damaged_exchanges", damaged)
-    text = f"cycles alike to the bit with and without wires, {name} line"
-    output.check(text, identical, f">= {least}", identical >= least)
+    output.measure(f"identical_cycles/{name}/damaged_exchanges", result.damaged)
+    output.check(
+        f"cycles alike to the bit with and without wires, {name} line",
+        identical,
+        f">= {least}",
+        identical >= least,
+    )
 
 
 def _measure_amplifier(output: Output) -> None:

@@ -110,7 +110,7 @@ class FittedAxis:
 
 
 def misaligned(weighing: Weighing, rotation: np.ndarray) -> Weighing:
-    """Return what a force/torque sensor turned by ``rotation`` (3,) [rad] would have said."""
+    """Return a weighing as measured by a force/torque sensor turned by ``rotation`` (3,) [rad]."""
 
     def turned(sample: Sample) -> Sample:
         force = sample.force + np.cross(rotation, sample.force)
@@ -173,17 +173,12 @@ def _measure_constants(rows: Sequence[FittedAxis], output: Output) -> None:
     """Store Table D-1 beside the thesis'."""
     for key, table in INCLINOMETER_CALIBRATION.items():
         for axis, truth in table.items():
-            chosen = {"robot": key, "axis": axis, "fit": OURS}
-            output.measure(
-                f"zero_volts/{key}/{axis}",
-                distribution(_column(rows, "zero_volts", **chosen)),
-                thesis=truth.zero_voltage,
-            )
-            output.measure(
-                f"mv_per_degree/{key}/{axis}",
-                distribution(_column(rows, "mv_per_degree", **chosen)),
-                thesis=1000.0 * truth.sensitivity,
-            )
+            for column, thesis in (
+                ("zero_volts", truth.zero_voltage),
+                ("mv_per_degree", 1000.0 * truth.sensitivity),
+            ):
+                found = distribution(_column(rows, column, robot=key, axis=axis, fit=OURS))
+                output.measure(f"{column}/{key}/{axis}", found, thesis=thesis)
             step = converter(key, BITS[0]).step
             output.measure(f"degree_per_count/{key}/{axis}", step / truth.sensitivity)
 
@@ -245,17 +240,16 @@ def _check(rows: Sequence[FittedAxis], output: Output) -> None:
 def _table_d_1(rows: Sequence[FittedAxis]) -> tuple[list[str], list[list[Any]]]:
     """Return the medians of every way to fit beside Table D-1."""
     columns = ["robot", "axis", "zero_thesis_V", "mV_per_degree_thesis"]
-    for name in FITS:
-        columns += [f"zero_V {name}", f"mV_per_degree {name}"]
+    columns += [f"{what} {name}" for name in FITS for what in ("zero_V", "mV_per_degree")]
     body: list[list[Any]] = []
     for key, table in INCLINOMETER_CALIBRATION.items():
         for axis, truth in table.items():
-            row: list[Any] = [key, axis, truth.zero_voltage, 1000.0 * truth.sensitivity]
-            for name in FITS:
-                chosen = {"robot": key, "axis": axis, "fit": name}
-                row.append(float(np.median(_column(rows, "zero_volts", **chosen))))
-                row.append(float(np.median(_column(rows, "mv_per_degree", **chosen))))
-            body.append(row)
+            medians = [
+                float(np.median(_column(rows, column, robot=key, axis=axis, fit=name)))
+                for name in FITS
+                for column in ("zero_volts", "mv_per_degree")
+            ]
+            body.append([key, axis, truth.zero_voltage, 1000.0 * truth.sensitivity, *medians])
     return columns, body
 
 
@@ -263,8 +257,7 @@ def _figure(runs: Sequence[WeighedRobot]) -> Figure:
     """Draw voltage over tilt, and how far the weighed tilts are from the true ones."""
     figure = Figure(figsize=(11, 8))
     grid = figure.subplots(2, 2, sharex="col")
-    for column, axis in enumerate(AXES):
-        upper, lower = grid[0, column], grid[1, column]
+    for column, (axis, upper, lower) in enumerate(zip(AXES, *grid)):
         for run, marker in zip(runs, "os"):
             _draw_axis(upper, lower, run, column, marker)
         upper.set(title=f"{axis} axis", ylabel="output of the inclinometer [V]")
@@ -279,16 +272,16 @@ def _figure(runs: Sequence[WeighedRobot]) -> Figure:
 def _draw_axis(upper: Any, lower: Any, run: WeighedRobot, column: int, marker: str) -> None:
     """Draw one robot's axis: its line from weighings, and the residuals with and without sag."""
     data = run.weighings[0]
-    line = fit_tilt(data, ARM_WEIGHT)[column]
-    slopes = [each.volts_per_radian for each in fit_tilt(data, ARM_WEIGHT)]
+    lines = fit_tilt(data, ARM_WEIGHT)
+    line, slopes = lines[column], [each.volts_per_radian for each in lines]
     volts = np.array([weighing.after.volts[column] for weighing in data])
     truth = run.truth[:, column] / DEGREE
     ends = np.array([-20.0, 20.0])
     found = upper.plot(ends, line.zero_volts + line.volts_per_radian * ends * DEGREE, linewidth=0.9)
     colour = found[0].get_color()
     tilts = weighed_tilts(data, slopes, ARM_WEIGHT)[:, column] / DEGREE
-    label = f"{run.key}: {line.zero_volts:.3f} V, "
-    label += f"{1000.0 * line.volts_per_radian * DEGREE:.2f} mV/deg"
+    sensitivity = 1000.0 * line.volts_per_radian * DEGREE
+    label = f"{run.key}: {line.zero_volts:.3f} V, {sensitivity:.2f} mV/deg"
     upper.plot(tilts, volts, marker, color=colour, markersize=5, label=label)
     raw = weighed_tilts(data, None, ARM_WEIGHT)[:, column] / DEGREE
     lower.plot(truth, raw - truth, marker, color=colour, fillstyle="none", label="as the thesis")

@@ -209,20 +209,18 @@ class AnalogueBoard:
 
     def _identify(self, end: float) -> tuple[tuple[int, int], str]:
         """Return protocol version and firmware, asked for until they come."""
-        version: tuple[int, int] | None = None
-        firmware: str | None = None
+        found: dict[int, bytes] = {}
         asked = -_QUERY_PERIOD
         while time.monotonic() < end:
             if time.monotonic() - asked >= _QUERY_PERIOD:
                 self._link.write(bytes((REPORT_VERSION,)) + sysex(REPORT_FIRMWARE))
                 asked = time.monotonic()
             for message in self._receive(min(end, asked + _QUERY_PERIOD)) or ():
-                if message.command == REPORT_VERSION:
-                    version = (message.data[0], message.data[1])
-                elif message.command == START_SYSEX and message.data[0] == REPORT_FIRMWARE:
-                    firmware = _firmware_text(message.data)
-            if version is not None and firmware is not None:
-                return version, firmware
+                exclusive = message.command == START_SYSEX
+                found[message.data[0] if exclusive else message.command] = message.data
+            if REPORT_VERSION in found and REPORT_FIRMWARE in found:
+                major, minor = found[REPORT_VERSION]
+                return (major, minor), _firmware_text(found[REPORT_FIRMWARE])
         raise LinkError(f"{self._link.port}: no Firmata board answers")
 
     def _probe(self) -> bool:

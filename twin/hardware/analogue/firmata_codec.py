@@ -99,7 +99,7 @@ def checked_pin(pin: int) -> int:
 
 
 class Parser:
-    """Messages of a board from its bytes; garbage is counted and never raises."""
+    """Messages of a board from its bytes; garbage is dropped and never raises."""
 
     def __init__(self, limit: int = 64) -> None:
         """Start between messages.
@@ -111,12 +111,6 @@ class Parser:
         self._data = bytearray()
         self._command = 0
         self._channel = 0
-        self.discarded = 0  # Bytes that made no message.
-
-    @property
-    def pending(self) -> int:
-        """Bytes kept of an unfinished message."""
-        return len(self._data)
 
     def feed(self, data: bytes) -> list[Message]:
         """Return the messages that these bytes complete."""
@@ -124,16 +118,13 @@ class Parser:
         for byte in data:
             if byte >= _COMMAND:
                 self._begin(byte, messages)
-            elif not self._command:
-                self.discarded += 1
-            else:
+            elif self._command:
                 self._data.append(byte)
                 self._go_on(messages)
         return messages
 
     def reset(self) -> None:
         """Forget an unfinished message."""
-        self.discarded += len(self._data) + (self._command != 0)
         self._data.clear()
         self._command = self._channel = 0
 
@@ -146,8 +137,6 @@ class Parser:
         if command == START_SYSEX or command in _DATA_BYTES:
             self._command = command
             self._channel = byte & 0x0F if byte < START_SYSEX else 0
-        else:
-            self.discarded += 1
 
     def _go_on(self, messages: list[Message]) -> None:
         if self._command == START_SYSEX:

@@ -87,7 +87,7 @@ class AmplifierConfig:
         motors = self.motor_resistance, self.motor_constant
         if len(set(map(len, motors))) > 1 or not np.all(np.array(motors) > 0.0):
             raise ValueError(
-                f"amplifier motors: got motor_resistance and motor_constant {motors}, needs as many "
+                f"amplifier motors: motor_resistance and motor_constant {motors}, needs as many "
                 "positive numbers of both"
             )
         zero = "switch_resistance", "least_pulse"

@@ -62,17 +62,12 @@ class ModemConfig:
 class Line:
     """One direction of the radio.
 
-    Attributes:
-        carried: Bytes taken.
-        hits: Bytes hit by an error.
-        overflow: Bytes lost because the modem's buffer was full.
+    Args:
+        config: Properties of the modems.
+        rng: Random generator for the byte errors.
     """
 
     def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:
-        """Begin idle; `rng` draws the errors."""
-        self.carried = 0
-        self.hits = 0
-        self.overflow = 0
         self._config = config
         self._rng = rng
         self._duration = BITS_PER_BYTE / config.baud
@@ -84,17 +79,16 @@ class Line:
 
     def put(self, data: bytes, now: float) -> None:
         """Take bytes from a computer at `now` [s]."""
-        for index in range(len(data)):
+        for byte in data:
             if (self._free - now) / self._duration > self._config.buffer - 0.5:
-                self.overflow += len(data) - index
                 return
             self._free = max(now, self._free) + self._duration
-            arrived = self._corrupt(data[index : index + 1])
+            arrived = self._corrupt(byte)
             if arrived:
                 self._coming.append((self._free + self._config.delay, arrived))
 
     def take(self, now: float) -> bytes:
-        """Return what has arrived by `now` [s]."""
+        """Return the bytes that have arrived by `now` [s]."""
         arrived: list[bytes] = []
         while self._coming and self._coming[0][0] <= now:
             arrived.append(self._coming.popleft()[1])
@@ -104,17 +98,15 @@ class Line:
         """When the next byte arrives [s]; infinity if none is on the way."""
         return self._coming[0][0] if self._coming else math.inf
 
-    def _corrupt(self, byte: bytes) -> bytes:
-        self.carried += 1
+    def _corrupt(self, byte: int) -> bytes:
         self._until_hit -= 1
         if self._until_hit > 0:
-            return byte
+            return bytes([byte])
         self._until_hit = self._draw_gap()
-        self.hits += 1
         kind = int(self._rng.choice(3, p=self._shares))
         if kind == 0:
-            return bytes([byte[0] ^ int(self._rng.integers(1, 256))])
-        return b"" if kind == 1 else bytes([int(self._rng.integers(256))]) + byte
+            return bytes([byte ^ int(self._rng.integers(1, 256))])
+        return b"" if kind == 1 else bytes([int(self._rng.integers(256)), byte])
 
     def _draw_gap(self) -> float:
         """Draw how many bytes on the next hit is."""
