@@ -202,7 +202,8 @@ class BoardSamples:
         if len(known) < len(sensors):
             return MISSING
         board = self._calibration.analogue
-        angles = [float(board.angle(code, s)) for s, (code, _) in zip(sensors, known, strict=True)]
+        pairs = zip(sensors, known, strict=True)
+        angles = [float(sensor.angle(board.volts(code))) for sensor, (code, _) in pairs]
         return self._aged(np.array(angles), min(stamp for _, stamp in known), self._config.tilt_age)
 
     def _aged(self, values: NDArray[np.generic], stamp: float, age: float) -> Channel:

@@ -14,29 +14,10 @@ from twin.hardware.calibration.motors import ADDRESSES
 from twin.hardware.connect_boards import BUS_BAUD
 from twin.hardware.emulator.faults import FaultyLine, LineFaultConfig
 from twin.hardware.emulator.ports import PseudoTerminal
-from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
+from twin.hardware.emulator.roboclaw_board import Motors, RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import FULL_DUTY, BoardCommand
 from twin.hardware.serial_link import LinkError, SerialLink
-
-
-class _Shafts:
-    """Motors of one board whose counters are set from outside."""
-
-    def __init__(self) -> None:
-        self.now: tuple[int, int] = (0, 0)
-
-    def counts(self) -> tuple[int, int]:
-        """Return both encoders."""
-        return self.now
-
-    def currents(self) -> tuple[float, float]:
-        """Return no currents [A]."""
-        return 0.0, 0.0
-
-    def voltage(self) -> float:
-        """Return the battery's voltage [V]."""
-        return 12.0
 
 
 class DamagedLine:
@@ -48,15 +29,13 @@ class DamagedLine:
         rng: Random generator for the damage.
 
     Attributes:
-        shafts: Counters by address of the board.
         boards: Boards by address.
         line: Line with the number of damaged exchanges.
         port: Serial port of the host.
     """
 
     def __init__(self, rate: float, rng: np.random.Generator) -> None:
-        self.shafts = {address: _Shafts() for address in ADDRESSES}
-        self.boards = {a: RoboClawBoard(a, shafts) for a, shafts in self.shafts.items()}
+        self.boards = {address: RoboClawBoard(address, Motors()) for address in ADDRESSES}
         device = RoboClawLine(list(self.boards.values()))
         self.line = FaultyLine(device, LineFaultConfig(rate), rng)
         self._terminal = PseudoTerminal()
@@ -132,7 +111,7 @@ def call_damaged(rate: float, calls: int, seed: int) -> DamagedCalls:
 def _read(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Generator) -> bool:
     """Turn the shafts anywhere, read them, and tell whether the reading is wrong."""
     one, two = (int(count) for count in rng.integers(-(2**31), 2**31, 2))
-    wire.shafts[address].now = one, two
+    wire.boards[address].motors.counts = one, two
     return bus.read(address, BoardCommand.GET_ENCODERS) != (one, two)
 
 

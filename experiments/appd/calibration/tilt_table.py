@@ -180,10 +180,7 @@ def weigh_one(job: WeighingJob) -> WeighedRobot:
 
 def draw_tilts(rng: np.random.Generator) -> FloatArray:
     """Return the tilts (n, 2) of the table [rad]: first pitch, then roll, neither exact."""
-    steps = np.array(STEPS)
-    wanted = np.concatenate(
-        [np.stack([steps, 0.0 * steps], axis=1), np.stack([0.0 * steps, steps], axis=1)]
-    )
+    wanted = np.array([(step, 0.0) for step in STEPS] + [(0.0, step) for step in STEPS])
     return (wanted + rng.uniform(-SCATTER, SCATTER, wanted.shape)) * DEGREE
 
 
@@ -246,7 +243,7 @@ def _outputs(seen: list[Observation], key: str, bits: int) -> FloatArray:
     angles = np.array(list(fresh.values()), dtype=float)
     board = converter(key, bits)
     columns = [
-        board.volts(board.angle_codes(angles[:, axis], sensor))
+        board.volts(board.codes(sensor.volts(angles[:, axis])))
         for axis, sensor in enumerate(true_sensors(key))
     ]
     return np.stack(columns, axis=1)
@@ -270,11 +267,9 @@ def _number(key: str) -> int:
 
 def _quaternion(tilt: FloatArray) -> FloatArray:
     """Return the orientation (4,) of a body at pitch and roll (2,): Rx(pitch) Ry(roll)."""
-    pitch, roll, both = np.empty(4), np.empty(4), np.empty(4)
-    mujoco.mju_axisAngle2Quat(pitch, np.array([1.0, 0.0, 0.0]), float(tilt[0]))
-    mujoco.mju_axisAngle2Quat(roll, np.array([0.0, 1.0, 0.0]), float(tilt[1]))
-    mujoco.mju_mulQuat(both, pitch, roll)
-    return both
+    orientation = np.empty(4)
+    mujoco.mju_euler2Quat(orientation, np.array([*tilt, 0.0]), "xyz")
+    return orientation
 
 
 def _rotated(vector: FloatArray, quaternion: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from controllers.motion.driving import SkidSteer
 from models.compose import FieldConfig, RobotPlacement
 from models.datasheets import ROVER
 from perception.geometry.arrays import FloatArray
-from twin.connect import Connection, LineConfig, connect
+from twin.connect import LineConfig, connect
 from twin.hardware.emulator.modem import ModemConfig
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import LoopRecorder, Tick
@@ -99,7 +99,7 @@ def converse(
             connect(robot, robots=PLACEMENTS, field=FIELD, seed=noise, lines=lines)
         )
         assert connection.simulation is not None
-        links = _framed(connection)
+        links = {n: link for n, link in connection.links.items() if isinstance(link, FramedLink)}
         steer = SkidSteer(ROVER.wheel_radius, ROVER.half_track, TURN_SHARE)
         controllers = [
             PoseSharing(
@@ -122,8 +122,3 @@ def converse(
         missed = links[name].latest_missed
         rovers[name] = Conversed(**log, bytes_sent=column, missed=missed)
     return Conversation(np.array(truth.rows), rovers)
-
-
-def _framed(connection: Connection) -> dict[str, FramedLink]:
-    """Return the robots' ends of the radio."""
-    return {n: link for n, link in connection.links.items() if isinstance(link, FramedLink)}

@@ -170,8 +170,12 @@ def _measure_bars(rows: Sequence[PooledTrials], output: Output, quick: bool) -> 
         output.check("framed messages at that rate", sent, f">= {LEAST_MESSAGES}", enough)
     ratio = framed.goodput["median"] / handshake.goodput["median"]
     output.measure("goodput_ratio/framed_over_handshake", ratio)
-    name = f"goodput, framed over handshake, modem delay {1e3 * framed.delay:g} ms"
-    output.check(name, ratio, f">= {GOODPUT_BOUND:g}", ratio >= GOODPUT_BOUND)
+    output.check(
+        f"goodput, framed over handshake, modem delay {1e3 * framed.delay:g} ms",
+        ratio,
+        f">= {GOODPUT_BOUND:g}",
+        ratio >= GOODPUT_BOUND,
+    )
     failures = handshake.wrong + handshake.vanished
     output.check("the handshake's own silent failures are seen", failures, "> 0", failures > 0)
 

@@ -145,7 +145,7 @@ class Bench:
             board.obeyed.clear()
         if self.rng.random() < 0.02:
             for board in self.boards:
-                board.motors.count = self.rng.integers(-1000, 1000, 2).tolist()
+                board.motors.counts = self.rng.integers(-1000, 1000, 2).tolist()
             self.line.tick(self.now, 0.01)
 
 

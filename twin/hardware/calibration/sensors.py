@@ -96,14 +96,6 @@ class AnalogueCalibration(Section):
         scaled = np.rint(np.clip(values, 0.0, self.reference) / self.step)
         return np.minimum(scaled, 2**self.bits - 1).astype(np.int64)
 
-    def angle(self, codes: ArrayLike, sensor: AngleSensor) -> FloatArray:
-        """Return angles (...) [rad] of converter codes (...) of a sensor."""
-        return sensor.angle(self.volts(codes))
-
-    def angle_codes(self, angle: ArrayLike, sensor: AngleSensor) -> IntArray:
-        """Return the converter codes (...) that a sensor gives at angles (...) [rad]."""
-        return self.codes(sensor.volts(angle))
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TiltCalibration(Section):

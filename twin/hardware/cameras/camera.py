@@ -9,7 +9,7 @@ import functools
 import threading
 import time
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,16 +22,6 @@ from twin.robot import Channel, ImageChannel, Validity
 
 Source: TypeAlias = int | str | Path
 _STOP_TIME = 2.0  # [s] A capture that hangs is left behind after this.
-
-
-class _Feed(Protocol):
-    """Source of stereo pairs."""
-
-    def newest(self, now: float) -> Channel | None:
-        """Return the newest pair not returned before, stamped on the caller's clock [s]."""
-
-    def close(self) -> None:
-        """Release the captures."""
 
 
 class StereoCapture:
@@ -71,7 +61,9 @@ class StereoCapture:
             raise ValueError(f"a device and a file make no pair: {sources}")
         self._max_age = max_age
         if Path(str(source)).suffix == frames.SUFFIX:
-            self._feed: _Feed = _SceneFeed(Path(str(source)), scene_time, slow_down)
+            self._feed: _SceneFeed | _DeviceFeed | _FileFeed = _SceneFeed(
+                Path(str(source)), scene_time, slow_down
+            )
             return
         eyes = _Eyes(sources)
         try:

@@ -126,7 +126,7 @@ class Emulator:
             rig.before_tick(self.scene.time, self.scene.period)
         self.scene.tick()
         for rig in self.rigs.values():
-            rig.show()
+            rig.after_tick()
 
     def serve(self, wait: float) -> bool:
         """Serve what comes within `wait` [s]; return False when the control line was closed."""

@@ -131,11 +131,6 @@ class AmplifierConfig:
         """RC of the second timer under law "rc" [s]."""
         return -self.clock_high / math.log1p(-self.full_fraction)
 
-    @property
-    def bridge_resistance(self) -> float:
-        """Of the two switches that conduct [ohm]."""
-        return 2.0 * self.switch_resistance
-
 
 def converter_codes(duties: ArrayLike, config: AmplifierConfig) -> IntArray:
     """Return the converter codes (...) for duties (...) in [-1, 1]; the sign is the direction pin.
@@ -245,7 +240,9 @@ def motor_current(
     constant, resistance = np.array(config.motor_constant), np.array(config.motor_resistance)
     emf = constant * np.asarray(speeds, dtype=float)
     most = config.peak_current if limit is None else np.asarray(limit, dtype=float)
-    return np.clip((drive - emf) / (resistance + config.bridge_resistance), -most, most)
+    # Two switches of the bridge conduct.
+    total = resistance + 2.0 * config.switch_resistance
+    return np.clip((drive - emf) / total, -most, most)
 
 
 def motor_volts(

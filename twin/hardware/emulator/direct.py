@@ -65,7 +65,7 @@ class DirectBoards:
 
     def state(self, address: int) -> BoardState:
         """Return the state that a board would report."""
-        one, two = self._drive.at_board(address, self._rover.currents()).tolist()
+        one, two = self._drive.at_board(address, self._rover.currents).tolist()
         battery = self._rover.battery
         return BoardState(address, Status.NORMAL, battery, (one, two), self._timeout)
 

@@ -6,7 +6,7 @@ import enum
 
 import numpy as np
 
-from twin.hardware.emulator.ports import SerialDevice
+from twin.hardware.emulator.roboclaw_board import RoboClawLine
 
 
 class LineFault(enum.Enum):
@@ -56,7 +56,7 @@ class FaultyLine:
     """
 
     def __init__(
-        self, device: SerialDevice, config: LineFaultConfig, rng: np.random.Generator
+        self, device: RoboClawLine, config: LineFaultConfig, rng: np.random.Generator
     ) -> None:
         """Put a device behind a line.
 

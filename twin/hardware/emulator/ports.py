@@ -4,15 +4,6 @@ import contextlib
 import os
 import pty
 import tty
-from typing import Protocol
-
-
-class SerialDevice(Protocol):
-    """A board on a serial line."""
-
-    def feed(self, data: bytes, now: float) -> bytes:
-        """Take what came on the wire at `now` [s], and return what the board answers."""
-        ...
 
 
 class PseudoTerminal:

@@ -22,7 +22,7 @@ from twin.hardware.emulator.firmata_board import FirmataBoard
 from twin.hardware.emulator.messages import Ports
 from twin.hardware.emulator.net_ft import NetFT
 from twin.hardware.emulator.ports import PseudoTerminal
-from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
+from twin.hardware.emulator.roboclaw_board import Motors, RoboClawBoard, RoboClawLine
 from twin.hardware.emulator.rover import EmulatedRover
 from twin.hardware.roboclaw.codec import Status
 
@@ -36,34 +36,6 @@ _LATCHED: Mapping[RobotFault | CameraFault, Status] = {
     RobotFault.OVER_CURRENT: Status.CURRENT_ERROR_1,
     RobotFault.DRIVER_FAULT: Status.DRIVER_FAULT_1,
 }
-
-
-class BoardMotors:
-    """The two motors of one board of an emulated rover.
-
-    Args:
-        rover: Rover that the motors move.
-        address: Address of the board.
-    """
-
-    def __init__(self, rover: EmulatedRover, address: int) -> None:
-        self._rover, self._address = rover, address
-
-    def counts(self) -> tuple[int, int]:
-        """Return both encoders since power-on."""
-        drive = self._rover.calibration.drive
-        one, two = drive.at_board(self._address, self._rover.counts()).tolist()
-        return one, two
-
-    def currents(self) -> tuple[float, float]:
-        """Return both motor currents [A]."""
-        drive = self._rover.calibration.drive
-        one, two = drive.at_board(self._address, self._rover.currents()).tolist()
-        return one, two
-
-    def voltage(self) -> float:
-        """Return the main battery voltage [V]."""
-        return self._rover.battery
 
 
 class EmulatedRig:
@@ -103,7 +75,10 @@ class EmulatedRig:
         places = rover.calibration.drive.boards
         for fault in schedule:
             _check_address(fault, places)
-        self.boards = RoboClawLine([RoboClawBoard(a, BoardMotors(rover, a)) for a in places])
+        self._rover = rover
+        self._motors = {address: Motors() for address in places}
+        self._read_motors()
+        self.boards = RoboClawLine([RoboClawBoard(a, m) for a, m in self._motors.items()])
         self.bus_line = FaultyLine(self.boards, line_faults, rng)
         self._firmata = FirmataBoard(rover.analogue)
         self._net_ft = NetFT(lambda: tuple(rover.wrench().tolist()))
@@ -111,15 +86,17 @@ class EmulatedRig:
         self.wrench = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wrench.bind((LOOPBACK, 0))
         self.wrench.setblocking(False)
-        self._rover = rover
         self._schedule = list(schedule)
         self._active: list[ScheduledFault] = []
         self._full_battery = rover.battery
         self._shown = -np.inf
         self.newest: Callable[[], Callable[[], ImageArray | Future[ImageArray]]] = self._newest_here
-        self.frames = self._open_frames(folder)
+        self.frames = None
+        if folder is not None and rover.stereo().usable:
+            camera, path = rover.camera(), folder / f"{rover.name}{SUFFIX}"
+            self.frames = FrameWriter(path, camera.height, camera.width)
         self._pass(0.0)
-        self.show()
+        self.after_tick()
 
     @property
     def ports(self) -> Ports:
@@ -143,8 +120,9 @@ class EmulatedRig:
                 if axis >= 0:
                     self._rover.codes[axis] = code
 
-    def show(self) -> None:
-        """Announce a new stereo pair in its file, if there is one."""
+    def after_tick(self) -> None:
+        """Read the motors, and announce a new stereo pair in its file, if there is one."""
+        self._read_motors()
         pair = self._rover.stereo()
         if self.frames is None or not pair.usable or pair.stamp <= self._shown:
             return
@@ -152,15 +130,17 @@ class EmulatedRig:
         if not self._present & set(CameraFault):
             self.frames.announce(pair.stamp, self.newest())
 
+    def _read_motors(self) -> None:
+        drive = self._rover.calibration.drive
+        counts = self._rover.counts()
+        for address, motors in self._motors.items():
+            motors.counts = drive.at_board(address, counts).tolist()
+            motors.currents = drive.at_board(address, self._rover.currents).tolist()
+            motors.voltage = self._rover.battery
+
     def _newest_here(self) -> Callable[[], ImageArray]:
         pair = self._rover.stereo()
         return lambda: np.asarray(pair.value, dtype=np.uint8)
-
-    def _open_frames(self, folder: Path | None) -> FrameWriter | None:
-        if folder is None or not self._rover.stereo().usable:
-            return None
-        camera = self._rover.camera()
-        return FrameWriter(folder / f"{self._rover.name}{SUFFIX}", camera.height, camera.width)
 
     def serve(self, now: float) -> None:
         """Answer what has come by `now` [s], and send what damage or sampling held back."""
@@ -200,6 +180,7 @@ class EmulatedRig:
         self.bus_line.silent = RobotFault.BUS_SILENT in self._present
         browned_out = RobotFault.BROWN_OUT in self._present
         self._rover.battery = _LOW_BATTERY if browned_out else self._full_battery
+        self._read_motors()
         if self.frames is not None:
             self.frames.unplug(CameraFault.UNPLUGGED in self._present)
 

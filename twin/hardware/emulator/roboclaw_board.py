@@ -4,7 +4,6 @@ import dataclasses
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
 
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import BoardCommand, Status
@@ -13,20 +12,19 @@ VERSION = "USB Roboclaw 2x15a v4.3.6\n\0"
 _FIXED_POINT = 65536
 
 
-class Motors(Protocol):
-    """The two motors of one board."""
+@dataclasses.dataclass
+class Motors:
+    """State of the two motors of one board.
 
-    def counts(self) -> tuple[int, int]:
-        """Return both encoders since power-on."""
-        ...
+    Attributes:
+        counts: Encoder counts (2,) since power-on.
+        currents: Motor currents (2,) [A].
+        voltage: Main battery voltage [V].
+    """
 
-    def currents(self) -> tuple[float, float]:
-        """Return both motor currents [A]."""
-        ...
-
-    def voltage(self) -> float:
-        """Return the main battery voltage [V]."""
-        ...
+    counts: Sequence[int] = (0, 0)
+    currents: Sequence[float] = (0.0, 0.0)
+    voltage: float = 12.0
 
 
 @dataclasses.dataclass
@@ -119,7 +117,7 @@ class RoboClawBoard:
 
     def reset(self) -> None:
         """Power on anew: all settings are forgotten, the encoders count from zero."""
-        one, two = (MotorChannel(offset=-count, last_count=count) for count in self.motors.counts())
+        one, two = (MotorChannel(offset=-count, last_count=count) for count in self.motors.counts)
         self.channels = one, two
         self.timeout = 0
         self.pwm_mode = 0
@@ -139,11 +137,11 @@ class RoboClawBoard:
         if self.timeout and time - self._idle_since >= 0.1 * self.timeout:
             for channel in self.channels:
                 channel.stop()
-        for channel, count in zip(self.channels, self.motors.counts(), strict=True):
+        for channel, count in zip(self.channels, self.motors.counts, strict=True):
             channel.rate = codec.signed_difference(count, channel.last_count) / period
             channel.last_count = count
             channel.regulate(count + channel.offset, period)
-        for number, current in enumerate(self.motors.currents()):
+        for number, current in enumerate(self.motors.currents):
             if abs(current) > 0.01 * self.channels[number].current_limit:
                 self.status |= (Status.CURRENT_ERROR_1, Status.CURRENT_ERROR_2)[number]
 
@@ -158,7 +156,7 @@ class RoboClawBoard:
 
     def encoders(self) -> tuple[int, int]:
         """Return both encoders as signed 32-bit numbers."""
-        pairs = zip(self.motors.counts(), self.channels, strict=True)
+        pairs = zip(self.motors.counts, self.channels, strict=True)
         one, two = (codec.signed_difference(count + each.offset, 0) for count, each in pairs)
         return one, two
 
@@ -167,7 +165,7 @@ class RoboClawBoard:
         if command is BoardCommand.GET_VERSION:
             return VERSION.encode()
         if command is BoardCommand.GET_STATUS:
-            low = self.motors.voltage() < 10.0
+            low = self.motors.voltage < 10.0
             warning = Status.MAIN_VOLTAGE_LOW_WARNING if low else Status.NORMAL
             return codec.encode_status(self.status | warning, self.old_firmware)
         return struct.pack(codec.READS[command], *self._values(command))
@@ -182,10 +180,10 @@ class RoboClawBoard:
             BoardCommand.GET_ENCODER_2: (encoders[1], 2 * (speeds[1] < 0)),
             BoardCommand.GET_SPEED_1: (speeds[0], int(speeds[0] < 0)),
             BoardCommand.GET_SPEED_2: (speeds[1], int(speeds[1] < 0)),
-            BoardCommand.GET_MAIN_VOLTAGE: (round(10 * self.motors.voltage()),),
+            BoardCommand.GET_MAIN_VOLTAGE: (round(10 * self.motors.voltage),),
             BoardCommand.GET_LOGIC_VOLTAGE: (50,),
             BoardCommand.GET_DUTIES: self.duties(),
-            BoardCommand.GET_CURRENTS: [round(100 * each) for each in self.motors.currents()],
+            BoardCommand.GET_CURRENTS: [round(100 * each) for each in self.motors.currents],
             BoardCommand.GET_VELOCITY_PID_1: one.gains,
             BoardCommand.GET_VELOCITY_PID_2: two.gains,
             BoardCommand.GET_ENCODERS: encoders,
@@ -219,7 +217,7 @@ class RoboClawBoard:
                     _CHANNEL_WRITES[kind](channel, values[number * share :])
 
     def _set_encoder(self, number: int, count: int) -> None:
-        self.channels[number].offset = count - self.motors.counts()[number]
+        self.channels[number].offset = count - self.motors.counts[number]
 
 
 class RoboClawLine:

@@ -35,11 +35,20 @@ ANALOGUE_SENSORS = SensorSuite(
         "heading": ChannelSpec(connected=False),
     },
 )
-"""What reaches the boards, before they make counts of it."""
+"""Sensors of the boards, before their conversion into counts."""
 
 
 class EmulatedRover:
-    """Counts and voltages of one simulated rover, as its boards see them."""
+    """Counts and voltages of one simulated rover, as its boards measure them.
+
+    Attributes:
+        name: Name of the robot.
+        description: Robot as drawn.
+        calibration: Conversions of its boards.
+        codes: Duty codes (8,) of the boards.
+        battery: Main battery voltage [V].
+        currents: Motor currents (8,) of the present tick [A].
+    """
 
     def __init__(
         self,
@@ -47,35 +56,28 @@ class EmulatedRover:
         model: mujoco.MjModel,
         data: mujoco.MjData,
         calibration: Calibration,
-        amplifier: AmplifierConfig | None = None,
     ) -> None:
         """Wire a rover up, and activate it: its boards have power.
 
         Args:
-            robot: With the suite `ANALOGUE_SENSORS`.
-            model: Its scene.
-            data: The scene's state.
-            calibration: How its boards count.
-            amplifier: Its power stage.
+            robot: Simulated robot with the sensors `ANALOGUE_SENSORS`.
+            model: Model of the scene.
+            data: State of the scene.
+            calibration: Conversions of its boards.
         """
-        self.description = robot.description
+        self.name, self.description = robot.name, robot.description
         self.calibration = calibration
         self.codes = np.zeros(8, dtype=np.int64)
         self.battery = 12.0
         self._robot = robot
         self._model, self._data = model, data
-        self._config = amplifier or AmplifierConfig()
+        self._config = AmplifierConfig()
         joints = [model.joint(f"{robot.name}/{axis}_joint") for axis in AXES]
         self._positions = np.array([int(joint.qposadr[0]) for joint in joints])
         self._velocities = np.array([int(joint.dofadr[0]) for joint in joints])
         self._high_time = np.zeros(8)
-        self._currents = np.zeros(8)
+        self.currents = np.zeros(8)
         robot.activate()
-
-    @property
-    def name(self) -> str:
-        """Of the robot."""
-        return self._robot.name
 
     def angles(self) -> FloatArray:
         """Return the shafts' true angles (8,) [rad]."""
@@ -85,18 +87,14 @@ class EmulatedRover:
         """Return encoder counts (8,) since the model's zero, unwrapped."""
         return self.calibration.drive.counts(self.angles())
 
-    def currents(self) -> FloatArray:
-        """Return the motor currents (8,) of the present tick [A]."""
-        return self._currents
-
     def drive(self, period: float) -> None:
         """Bring the duty codes to the motors for one tick of `period` [s]."""
         config = dataclasses.replace(self._config, battery=self.battery)
         codes = converter_codes(self.calibration.drive.duties(self.codes), config)
         speeds = self._data.qvel[self._velocities]
         limit = current_limit(self._high_time, config)
-        self._currents = motor_current(codes, speeds, config, limit)
-        high = np.abs(self._currents) >= 0.999 * config.continuous_current
+        self.currents = motor_current(codes, speeds, config, limit)
+        high = np.abs(self.currents) >= 0.999 * config.continuous_current
         self._high_time = np.where(high, self._high_time + period, 0.0)
         volts = motor_volts(codes, speeds, config, limit)
         duty = np.clip(volts / self._config.battery, -1.0, 1.0)
@@ -112,7 +110,7 @@ class EmulatedRover:
             (board.centre, seen.centre_angle.value[0]),
         ):
             if sensor.pin == pin:
-                return int(board.angle_codes(angle, sensor))
+                return int(board.codes(sensor.volts(angle)))
         return 0
 
     def wrench(self) -> IntArray:
@@ -121,7 +119,7 @@ class EmulatedRover:
 
     def camera(self) -> Pinhole:
         """Return the intrinsics of the left camera of its head."""
-        return camera_model(self._model, f"{self._robot.name}/stereo_left")
+        return camera_model(self._model, f"{self.name}/stereo_left")
 
     def stereo(self) -> Channel:
         """Return the latest stereo pair of its cameras, which count nothing."""

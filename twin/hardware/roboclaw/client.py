@@ -60,7 +60,6 @@ class BusStatistics:
         refused: Answers whose checksum or acknowledgement was wrong, or with bytes behind them.
         stray: Bytes that nobody had asked for.
         failures: Calls that ended with a `LinkError`.
-        worst_call: Longest call [s].
     """
 
     transactions: int = 0
@@ -69,7 +68,6 @@ class BusStatistics:
     refused: int = 0
     stray: int = 0
     failures: int = 0
-    worst_call: float = 0.0
 
 
 class RoboClawBus:
@@ -197,26 +195,22 @@ class RoboClawBus:
         exchange: Callable[[float], T | None],
     ) -> T:
         """Exchange until an answer is right or the time is up."""
-        begin = time.monotonic()
-        end = begin + self._timing.call
+        end = time.monotonic() + self._timing.call
         self.statistics.transactions += 1
         tries = 0
-        try:
-            while time.monotonic() + self._timing.reply < end:
-                if not self._clear(address, command, end):
-                    continue
-                tries += 1
-                self.statistics.retries += tries > 1
-                value = exchange(min(time.monotonic() + self._timing.reply, end))
-                if value is not None and self._stands_alone():
-                    return value
-                self._suspect = True
-                if command in codec.NOT_REPEATABLE:
-                    break
-            self.statistics.failures += 1
-            raise LinkError(f"{what}: no valid answer in {tries} tries on {self._link.port}")
-        finally:
-            self.statistics.worst_call = max(self.statistics.worst_call, time.monotonic() - begin)
+        while time.monotonic() + self._timing.reply < end:
+            if not self._clear(address, command, end):
+                continue
+            tries += 1
+            self.statistics.retries += tries > 1
+            value = exchange(min(time.monotonic() + self._timing.reply, end))
+            if value is not None and self._stands_alone():
+                return value
+            self._suspect = True
+            if command in codec.NOT_REPEATABLE:
+                break
+        self.statistics.failures += 1
+        raise LinkError(f"{what}: no valid answer in {tries} tries on {self._link.port}")
 
     def _stands_alone(self) -> bool:
         """Return whether nothing follows an answer.

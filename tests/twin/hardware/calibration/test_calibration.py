@@ -86,7 +86,7 @@ def test_voltage_comes_back_from_the_converter_within_half_a_count(share, bits, 
 def test_tilt_comes_back_from_the_converter_within_half_a_count(angle):
     board = ROVER2.analogue
     for sensor in (ROVER2.inclinometer.roll, ROVER2.inclinometer.pitch):
-        back = board.angle(board.angle_codes(angle, sensor), sensor)
+        back = sensor.angle(board.volts(board.codes(sensor.volts(angle))))
         assert abs(back - angle) <= 0.5 * board.step / sensor.volts_per_radian * (1 + 1e-9)
 
 
@@ -164,7 +164,7 @@ def test_inclinometer_has_table_d_1s_constants(robot):
 
 def test_ten_bits_cost_0_145_degrees_a_count_on_robot_1s_roll_axis():
     sensor, board = ROVER1.inclinometer.roll, ROVER1.analogue
-    step = np.diff(np.degrees(board.angle([500, 501], sensor)))[0]
+    step = np.diff(np.degrees(sensor.angle(board.volts([500, 501]))))[0]
     assert step == pytest.approx(0.1452, abs=5e-5)
 
 
@@ -177,7 +177,7 @@ def test_nominal_files_agree_with_the_sheets_and_the_simulated_sensors():
         board = calibration.analogue
         assert board.bits == DATASHEET.channels["centre_angle"].bits
         low = DATASHEET.channels["centre_angle"].low
-        assert board.angle(0, board.centre) == pytest.approx(low)
+        assert board.centre.angle(board.volts(0)) == pytest.approx(low)
         # The limit is above what a stalled motor takes, so only a short circuit trips it.
         for axis, sheet in ((drive.rear_left, WHEEL_MOTOR), (drive.elbow, ARM_MOTOR)):
             stall = sheet.gross_stall_torque * sheet.gross_no_load_speed / sheet.voltage

@@ -262,7 +262,7 @@ def test_impossible_card_is_refused_by_name(field, value):
 
 
 def test_defaults_are_the_makers():
-    assert CARD.bridge_resistance == pytest.approx(2 * 0.33)
+    assert CARD.switch_resistance == pytest.approx(0.33)
     assert (CARD.continuous_current, CARD.peak_current) == (3.0, 6.0)
     assert CARD.full_fraction == PULSE_CLOCK.threshold == pytest.approx(2 / 3)
     low, high = POWER_STAGE.supply

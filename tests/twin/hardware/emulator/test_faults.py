@@ -18,12 +18,10 @@ class Bench:
     def __init__(self):
         self.battery = 13.2
         self.codes = np.zeros(8, dtype=np.int64)
+        self.currents = np.zeros(8)
 
     def counts(self):
         return np.zeros(8, dtype=np.int64)
-
-    def currents(self):
-        return np.zeros(8)
 
     def wrench(self):
         return np.zeros(6, dtype=int)

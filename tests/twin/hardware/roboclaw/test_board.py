@@ -65,9 +65,9 @@ def test_watchdog_stops_the_motors_and_only_then():
 def test_overcurrent_latches_and_an_error_stops_the_motors():
     (board,), line = boards_on_a_line()
     exchange(line, "80 22 7f ff 80 01 ca 56")
-    board.motors.current = [0.0, -15.01]  # The limit is 15 A.
+    board.motors.currents = [0.0, -15.01]  # The limit is 15 A.
     line.tick(0.0, 0.01)
-    board.motors.current = [0.0, 0.0]
+    board.motors.currents = [0.0, 0.0]
     line.tick(0.01, 0.01)
     assert board.status == Status.CURRENT_ERROR_2 and board.duties() == (0, 0)
     board.reset()
@@ -76,11 +76,11 @@ def test_overcurrent_latches_and_an_error_stops_the_motors():
 
 def test_encoder_wraps_at_32_bits_and_counts_from_reset():
     motors = StillMotors()
-    motors.count = [1000, 0]
+    motors.counts = [1000, 0]
     board = RoboClawBoard(0x80, motors)
     assert board.encoders()[0] == 0
     board.preset(2**31 - 1)
-    motors.count = [1001, -1]
+    motors.counts = [1001, -1]
     assert board.encoders() == (-(2**31), 2**31 - 2)
     board.reset()
     assert board.encoders() == (0, 0)
@@ -93,14 +93,14 @@ def test_speed_command_reaches_its_speed_and_position_command_its_position():
     for step in range(2000):
         line.tick(0.01 * step, 0.01)
         speed += 0.2 * (44000 * board.duties()[0] / 32767 - speed)
-        board.motors.count[0] += round(0.01 * speed)
+        board.motors.counts[0] += round(0.01 * speed)
     assert board.channels[0].rate == pytest.approx(20000, rel=0.01)
     target = board.encoders()[0] - 5000
     line.feed(codec.encode_write(0x80, BoardCommand.POSITION_1, 1, 30000, 1, target, 1), 20.0)
     for step in range(2000):
         line.tick(20.0 + 0.01 * step, 0.01)
         speed += 0.2 * (44000 * board.duties()[0] / 32767 - speed)
-        board.motors.count[0] += round(0.01 * speed)
+        board.motors.counts[0] += round(0.01 * speed)
     assert abs(board.encoders()[0] - target) <= 5
 
 

@@ -64,14 +64,14 @@ def compare(steps, offered):
 def turn(board, rates):
     """Let the motors turn for a tick at rates [1/s]."""
     for number, rate in enumerate(rates):
-        board.motors.count[number] += round(rate * PERIOD)
+        board.motors.counts[number] += round(rate * PERIOD)
     board.tick(0.0, PERIOD)
 
 
 def set_counts(board, one, two):
     """Let the encoders stand somewhere, as after many ticks."""
-    board.motors.count = [one, two]
-    for channel, count in zip(board.channels, board.motors.count, strict=True):
+    board.motors.counts = [one, two]
+    for channel, count in zip(board.channels, board.motors.counts, strict=True):
         channel.offset, channel.last_count = 0, count
 
 
@@ -86,11 +86,11 @@ def motor_truth(board):
         set_counts(board, one, two)
         yield "encoders", (one, two)
     for volts in (10.0, 12.0, 34.0, 6553.5):
-        board.motors.volts = volts
+        board.motors.voltage = volts
         yield "voltage", round(10 * volts)
-    board.motors.volts = 12.0
+    board.motors.voltage = 12.0
     for one, two in pairs((0, 1, -1, 32767, -32768)):
-        board.motors.current = [0.01 * one, 0.01 * two]
+        board.motors.currents = [0.01 * one, 0.01 * two]
         yield "currents", (one, two)
     for one, two in pairs(RATES):
         turn(board, (one, two))

@@ -56,9 +56,9 @@ class ScriptedLine(FaultyLine):
 def scramble(board, rng):
     """Let the board hold new values throughout; return what it must answer to each question."""
     motors = board.motors
-    motors.count = rng.integers(-(2**31), 2**31, 2).tolist()
+    motors.counts = rng.integers(-(2**31), 2**31, 2).tolist()
     currents, volts = rng.integers(-3000, 3001, 2).tolist(), int(rng.integers(100, 340))
-    motors.current, motors.volts = [0.01 * current for current in currents], 0.1 * volts
+    motors.currents, motors.voltage = [0.01 * current for current in currents], 0.1 * volts
     motors.logic, motors.temperature = rng.integers(0, 1000, 2).tolist()
     board.status = Status(int(rng.integers(2**22)) & int(sum(Status)))
     board.timeout, board.pwm_mode = rng.integers(0, 256, 2).tolist()
@@ -73,8 +73,8 @@ def scramble(board, rng):
     shown = board.status & OLD_BITS if board.old_firmware else board.status
     return {
         BoardCommand.GET_TIMEOUT: (board.timeout,),
-        BoardCommand.GET_ENCODER_1: (motors.count[0], 2 * back[0]),
-        BoardCommand.GET_ENCODER_2: (motors.count[1], 2 * back[1]),
+        BoardCommand.GET_ENCODER_1: (motors.counts[0], 2 * back[0]),
+        BoardCommand.GET_ENCODER_2: (motors.counts[1], 2 * back[1]),
         BoardCommand.GET_SPEED_1: (rates[0], back[0]),
         BoardCommand.GET_SPEED_2: (rates[1], back[1]),
         BoardCommand.GET_MAIN_VOLTAGE: (volts,),
@@ -83,7 +83,7 @@ def scramble(board, rng):
         BoardCommand.GET_CURRENTS: tuple(currents),
         BoardCommand.GET_VELOCITY_PID_1: tuple(gains[0]),
         BoardCommand.GET_VELOCITY_PID_2: tuple(gains[1]),
-        BoardCommand.GET_ENCODERS: tuple(motors.count),
+        BoardCommand.GET_ENCODERS: tuple(motors.counts),
         BoardCommand.GET_RAW_SPEEDS: tuple(rates),
         BoardCommand.GET_TEMPERATURE: (motors.temperature,),
         BoardCommand.GET_CURRENT_LIMIT_1: (limits[0], 0),

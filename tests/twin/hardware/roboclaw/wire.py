@@ -10,7 +10,7 @@ from unittest import mock
 from tests.twin.hardware.serving import Served
 from twin.hardware import serial_link as link
 from twin.hardware.emulator.ports import PseudoTerminal
-from twin.hardware.emulator.roboclaw_board import RoboClawBoard, RoboClawLine
+from twin.hardware.emulator.roboclaw_board import Motors, RoboClawBoard, RoboClawLine
 from twin.hardware.roboclaw import client as roboclaw
 from twin.hardware.roboclaw.codec import BoardCommand
 from twin.hardware.serial_link import SerialLink
@@ -18,23 +18,12 @@ from twin.hardware.serial_link import SerialLink
 BAUD = 460800
 
 
-class StillMotors:
-    """Motors that stand where they are told."""
+class StillMotors(Motors):
+    """Motors at rest, in a board whose surroundings a test sets."""
 
     def __init__(self):
-        self.count = [0, 0]
-        self.current = [0.0, 0.0]
-        self.volts = 12.0
+        super().__init__([0, 0], [0.0, 0.0])
         self.logic, self.temperature = 50, 250  # [0.1 V], [0.1 deg C]
-
-    def counts(self):
-        return tuple(self.count)
-
-    def currents(self):
-        return tuple(self.current)
-
-    def voltage(self):
-        return self.volts
 
 
 class NotedBoard(RoboClawBoard):
