@@ -64,7 +64,7 @@ class Batch:
 def deal(count: int, seeds: list[int]) -> list[Batch]:
     """Return batches, one for each seed, that together hold every fault equally often."""
     kinds = [KINDS[number % len(KINDS)] for number in range(count)]
-    shares = [tuple(kinds[first :: len(seeds)]) for first in range(len(seeds))]
+    shares = (tuple(kinds[first :: len(seeds)]) for first in range(len(seeds)))
     return [Batch(share, seed) for share, seed in zip(shares, seeds) if share]
 
 

@@ -189,9 +189,16 @@ def _measure_errors(
     """Store how far the constants are off, by fit, by converter, and what spoils them."""
     ours = distribution(_column(rows, "slope_error_percent", fit=OURS))
     output.measure("calibration_error_percent", ours)
-    for name in FITS:
-        _measure_fit(rows, name, output)
-    _measure_fit(rows, "misaligned", output)
+    for name in (*FITS, "misaligned"):
+        for metric, column in (
+            ("calibration_error_percent", "slope_error_percent"),
+            ("zero_error_percent", "zero_error_percent"),
+            ("tilt_error_degree", "tilt_error_degree"),
+        ):
+            output.measure(f"{metric}/{name}", distribution(_column(rows, column, fit=name)))
+        for axis in AXES:
+            zeros = _column(rows, "zero_error_degree", fit=name, axis=axis)
+            output.measure(f"zero_bias_degree/{name}/{axis}", distribution(zeros))
     for index, bits in enumerate(BITS):
         slopes = _column(rows, "slope_error_percent", fit=OURS, bits=bits)
         output.measure(f"calibration_error_percent/{bits}_bits", distribution(slopes))
@@ -206,19 +213,6 @@ def _measure_errors(
         deviates = np.array(_column(rows, f"{what}_deviates", fit=OURS))
         covered = fraction(int(np.sum(deviates <= 2.0)), deviates.size)
         output.measure(f"within_two_standard_errors/{what}", covered)
-
-
-def _measure_fit(rows: Sequence[FittedAxis], name: str, output: Output) -> None:
-    """Store the errors of one way to fit."""
-    for metric, column in (
-        ("calibration_error_percent", "slope_error_percent"),
-        ("zero_error_percent", "zero_error_percent"),
-        ("tilt_error_degree", "tilt_error_degree"),
-    ):
-        output.measure(f"{metric}/{name}", distribution(_column(rows, column, fit=name)))
-    for axis in AXES:
-        zeros = _column(rows, "zero_error_degree", fit=name, axis=axis)
-        output.measure(f"zero_bias_degree/{name}/{axis}", distribution(zeros))
 
 
 def _check(rows: Sequence[FittedAxis], output: Output) -> None:

@@ -44,30 +44,19 @@ class TrialConfig:
     poll: float = 0.0
 
 
-def clean_duration(size: int, delay: float, poll: float, baud: int) -> float:
-    """Return how long a handshake for a message takes without errors, at most [s].
-
-    Args:
-        size: Size of the message [bytes].
-        delay: One-way delay of the modems [s].
-        poll: Polling period of the hosts [s].
-        baud: Rate of the line [bit/s].
-    """
-    return (3 * size + 1) * BITS_PER_BYTE / baud + 2 * size * (delay + poll)
-
-
 def make_links(
     config: TrialConfig, modems: VirtualModems, rng: np.random.Generator
 ) -> tuple[HandshakeLink | FramedLink, HandshakeLink | FramedLink]:
     """Return both ends of the trial's link.
 
-    The handshake's deadlines are as short as they can be, which favours it: 1.25 times what a
-    message takes without errors.
+    The handshake's deadlines are as short as they can be, which favours it: 1.25 times the longest
+    duration of a message without errors.
     """
     first, second = modems.ends
     if config.link == "framed":
         return FramedLink(first, rng), FramedLink(second, rng)
-    clean = clean_duration(config.size, config.delay, config.poll, ModemConfig().baud)
+    size, waiting = config.size, config.delay + config.poll
+    clean = (3 * size + 1) * BITS_PER_BYTE / ModemConfig.baud + 2 * size * waiting
     deadlines = HandshakeConfig(send_within=1.25 * clean, receive_within=1.1 * clean)
     return HandshakeLink(first, deadlines), HandshakeLink(second, deadlines)
 

@@ -56,11 +56,6 @@ class AxisCalibration:
         require_positive("counts_per_turn", self.counts_per_turn, "counts")
         require_positive("current_limit", self.current_limit, "A")
 
-    @property
-    def counts_per_radian(self) -> float:
-        """Encoder counts per radian of the output shaft."""
-        return self.counts_per_turn / (2.0 * math.pi)
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class JointCalibration(AxisCalibration):
@@ -150,7 +145,8 @@ class DriveCalibration(Section):
     @functools.cached_property
     def counts_per_radian(self) -> FloatArray:
         """(8,) encoder counts per radian, with the direction as sign."""
-        return read_only([axis.direction * axis.counts_per_radian for axis in self.axes])
+        turn = 2.0 * math.pi
+        return read_only([axis.direction * (axis.counts_per_turn / turn) for axis in self.axes])
 
     @functools.cached_property
     def zero_counts(self) -> FloatArray:

@@ -96,7 +96,7 @@ class _Eyes:
     """The captures of one source, and how their images make a pair."""
 
     def __init__(self, sources: tuple[Source, ...]) -> None:
-        self.names = [_name(source) for source in sources]
+        self.names = [f"camera {s}" if isinstance(s, int) else str(s) for s in sources]
         self._captures: list[cv2.VideoCapture] = []
         try:
             for source, name in zip(sources, self.names):
@@ -252,10 +252,6 @@ class _DeviceFeed:
         if skew <= self._max_skew:
             with self._lock:
                 self._newest = Channel(images, moment, Validity.MEASURED)
-
-
-def _name(source: Source) -> str:
-    return f"camera {source}" if isinstance(source, int) else str(source)
 
 
 def _opened(source: Source, name: str) -> cv2.VideoCapture:

@@ -133,7 +133,7 @@ class Emulator:
         ready, _, _ = select.select(self._ports, [], [], wait)
         now = time.monotonic()
         for rig in self.rigs.values():
-            rig.serve(now)
+            rig.serve(ready, now)
         return sys.stdin not in ready or self._obey()
 
     def _obey(self) -> bool:

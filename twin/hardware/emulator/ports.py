@@ -29,8 +29,9 @@ class PseudoTerminal:
 
     def write(self, data: bytes) -> None:
         """Send to the host; what its full buffer does not take is lost, as on a wire."""
-        with contextlib.suppress(BlockingIOError):
-            os.write(self._master, data)
+        if data:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._master, data)
 
     def close(self) -> None:
         """Take the port away."""

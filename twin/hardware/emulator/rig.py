@@ -72,13 +72,13 @@ class EmulatedRig:
         rng: np.random.Generator,
         folder: Path | None = None,
     ) -> None:
-        places = rover.calibration.drive.boards
-        for fault in schedule:
-            _check_address(fault, places)
         self._rover = rover
-        self._motors = {address: Motors() for address in places}
+        self._motors = {address: Motors() for address in rover.calibration.drive.boards}
         self._read_motors()
         self.boards = RoboClawLine([RoboClawBoard(a, m) for a, m in self._motors.items()])
+        self._schedule: list[ScheduledFault] = []
+        for fault in schedule:
+            self.inject(fault)
         self.bus_line = FaultyLine(self.boards, line_faults, rng)
         self._firmata = FirmataBoard(rover.analogue)
         self._net_ft = NetFT(lambda: tuple(rover.wrench().tolist()))
@@ -86,7 +86,6 @@ class EmulatedRig:
         self.wrench = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wrench.bind((LOOPBACK, 0))
         self.wrench.setblocking(False)
-        self._schedule = list(schedule)
         self._active: list[ScheduledFault] = []
         self._full_battery = rover.battery
         self._shown = -np.inf
@@ -142,15 +141,22 @@ class EmulatedRig:
         pair = self._rover.stereo()
         return lambda: np.asarray(pair.value, dtype=np.uint8)
 
-    def serve(self, now: float) -> None:
-        """Answer what has come by `now` [s], and send what damage or sampling held back."""
-        self.bus.write(self.bus_line.feed(self.bus.read(), now))
-        report = self._firmata.feed(self.analogue.read(), now)
+    def serve(self, ready: Collection[object], now: float) -> None:
+        """Answer what has come by `now` [s], and send what damage or sampling held back.
+
+        Args:
+            ready: Ports with something to read.
+            now: Time on the wall clock [s].
+        """
+        request = self.bus.read() if self.bus in ready else b""
+        self.bus.write(self.bus_line.feed(request, now))
+        request = self.analogue.read() if self.analogue in ready else b""
+        report = self._firmata.feed(request, now)
         if RobotFault.NO_ANALOGUE not in self._present:
             self.analogue.write(report)
         records: list[tuple[bytes, Hashable]] = []
         with contextlib.suppress(BlockingIOError):
-            while True:
+            while self.wrench in ready:
                 datagram, host = self.wrench.recvfrom(256)
                 records += [(record, host) for record in self._net_ft.answer(datagram, host, now)]
         for record, host in records + self._net_ft.due(now):
@@ -165,7 +171,9 @@ class EmulatedRig:
         Raises:
             ValueError: If there is no such board.
         """
-        _check_address(fault, self.boards.boards)
+        if fault.address not in self._motors:
+            there = ", ".join(f"{address:#x}" for address in self._motors)
+            raise ValueError(f"no motor board {fault.address:#x}; there are {there}")
         self._schedule.append(fault)
 
     def _pass(self, time: float) -> None:
@@ -202,9 +210,3 @@ class EmulatedRig:
         self.bus.close()
         self.analogue.close()
         self.wrench.close()
-
-
-def _check_address(fault: ScheduledFault, addresses: Collection[int]) -> None:
-    if fault.address not in addresses:
-        there = ", ".join(f"{address:#x}" for address in addresses)
-        raise ValueError(f"no motor board {fault.address:#x}; there are {there}")

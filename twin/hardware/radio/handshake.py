@@ -142,8 +142,7 @@ class HandshakeLink:
             self._byte = None
             if value == END_OF_DATA:
                 result.messages.append(bytes(self._received))
-                self._stop_receiving()
-            elif len(self._received) >= self._config.message_limit:
+            if value == END_OF_DATA or len(self._received) >= self._config.message_limit:
                 self._stop_receiving()
             else:
                 self._channel.write(bytes([RECEIVED_OK]))

@@ -11,7 +11,6 @@ import struct
 
 import fastcrc
 
-ADDRESSES = range(0x80, 0x88)
 ACKNOWLEDGE = 0xFF
 FULL_DUTY = 32767
 """Duty code of full forward drive; -32767 is full reverse."""
@@ -182,7 +181,7 @@ def encode_write(address: int, command: BoardCommand, *values: int) -> bytes:
     """Return the packet of a write.
 
     Args:
-        address: Address of the board, in `ADDRESSES`.
+        address: Address of the board, 0x80 to 0x87.
         command: A key of `WRITES`.
         values: The payload.
 

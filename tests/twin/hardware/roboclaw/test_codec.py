@@ -290,7 +290,7 @@ def test_version_is_checked_text():
     assert codec.checked(0x80, BoardCommand.GET_VERSION, text + bytes.fromhex("0033")) is None
 
 
-@given(st.sampled_from(sorted(codec.WRITES)), st.sampled_from(codec.ADDRESSES), st.data())
+@given(st.sampled_from(sorted(codec.WRITES)), st.integers(0x80, 0x87), st.data())
 def test_write_is_read_back(command, address, draw):
     layout = codec.WRITES[command]
     values = draw.draw(values_of(layout))
@@ -300,7 +300,7 @@ def test_write_is_read_back(command, address, draw):
     assert binascii.crc_hqx(packet, 0) == 0  # Nothing is left over a sound packet.
 
 
-@given(st.sampled_from(sorted(codec.READS)), st.sampled_from(codec.ADDRESSES), st.data())
+@given(st.sampled_from(sorted(codec.READS)), st.integers(0x80, 0x87), st.data())
 def test_reply_is_read_back_and_refused_when_up_to_three_bits_flip(command, address, draw):
     values = draw.draw(values_of(codec.READS[command]))
     payload = struct.pack(codec.READS[command], *values)
@@ -330,7 +330,3 @@ def test_difference_of_wrapped_counters_is_the_shorter_way(count, step):
 def test_duty_code_keeps_sign_and_range(duty):
     code = codec.duty_code(duty)
     assert abs(code) <= 32767 and code * duty >= 0
-
-
-def test_addresses_are_the_eight_of_the_manual():
-    assert list(codec.ADDRESSES) == [0x80, 0x81, 0x82, 0x83, 0x84, 0x85, 0x86, 0x87]
