@@ -54,8 +54,8 @@ class BoardRobot:
     Attributes:
         name: Name of the robot, as controllers see it.
         description: The robot as drawn.
-        boards: Its boards.
-        calibration: Their constants.
+        boards: Boards of the robot.
+        calibration: Constants of the boards.
         fault: Why it is in ERROR; empty otherwise.
         seconds: Wall time spent in `observe` and `command` so far [s].
     """
@@ -72,8 +72,8 @@ class BoardRobot:
 
         Args:
             description: The robot as drawn, with four wheels and four arm joints, as the boards.
-            boards: Its boards.
-            calibration: Their constants.
+            boards: Boards of the robot.
+            calibration: Constants of the boards.
             clock: Robot time [s].
             config: Time limits and age limits of the robot.
         """
@@ -189,7 +189,7 @@ class BoardRobot:
         """Drive until the next command, and return what is applied, as duty, after limits.
 
         Args:
-            command: What is asked for.
+            command: Requested efforts, speeds or positions.
 
         Raises:
             RobotError: If the robot is not ACTIVE, a channel that the mode needs is not usable, or

@@ -64,7 +64,7 @@ class BoardSamples:
         """Start without a sample.
 
         Args:
-            boards: Where they come from.
+            boards: Boards that are sampled.
             calibration: Calibration of the robot.
             clock: Robot time [s].
             config: Ages.

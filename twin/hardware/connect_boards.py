@@ -215,7 +215,7 @@ def wired_robot(
     """Return a configured robot over its wires, homed if the wiring tells its pose.
 
     Args:
-        wiring: Where its boards are.
+        wiring: Ports of its boards.
         clock: Robot time [s].
         config: Time limits and age limits of the robot.
 

@@ -54,8 +54,8 @@ def draw_calls(results: Sequence[DamagedCalls], bound: float) -> Figure:
     """Draw the share of calls that took longer than a time, for each rate of damage.
 
     Args:
-        results: Of `appd_boards_line.call_damaged`, with their ``rate``.
-        bound: On the longest call [ms].
+        results: Calls by rate of damage.
+        bound: Bound on the longest call [ms].
     """
     figure = Figure(figsize=(8, 4))
     axes = figure.add_subplot()
@@ -77,7 +77,7 @@ def draw_pace(result: LoopPace, period: float) -> Figure:
     """Draw the distribution of the loop's period and of the adapter's time in a cycle.
 
     Args:
-        result: Of `appd_boards_live.keep_pace`.
+        result: Pace of the loop on the wall clock.
         period: Wanted [s].
     """
     figure = Figure(figsize=(10, 4))

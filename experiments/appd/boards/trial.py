@@ -53,7 +53,7 @@ class Batch:
     """Trials that share one emulator.
 
     Attributes:
-        kinds: What happens in each, of `KINDS`.
+        kinds: Faults of the trials, of `KINDS`.
         seed: Seed of the time, the board, the motion and all noise.
     """
 

@@ -43,7 +43,7 @@ class TiltTable:
         """Take hold of the ground and of a rover's gripper.
 
         Args:
-            simulation: With one rover on flat ground.
+            simulation: Scene with one rover on flat ground.
             name: Name of the rover.
         """
         self._simulation = simulation
@@ -137,7 +137,7 @@ class WeighedRobot:
         key: Robot of Table D-1.
         truth: (n, 2) true pitch and roll with the weight on [rad].
         sag: (n, 2) change of pitch and roll under the weight [rad].
-        weighings: For each of `BITS`, the weighings through a converter of so many bits.
+        weighings: Weighings through a converter of so many bits, for each of `BITS`.
         reading_rms: (bits, n, 2) r.m.s. error of single readings through each converter [rad].
     """
 

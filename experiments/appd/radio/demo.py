@@ -57,7 +57,7 @@ class Conversation:
 
     Attributes:
         truth: (n, 5) time [s] and both rovers' true x, y [m].
-        rovers: What each sent and received, by name.
+        rovers: Messages sent and received by each rover, by name.
     """
 
     truth: FloatArray

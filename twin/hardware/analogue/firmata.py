@@ -103,7 +103,7 @@ class AnalogueBoard:
         """Return the present values of analogue inputs.
 
         Args:
-            pins: Their numbers, 0 to 15.
+            pins: Numbers of the inputs, 0 to 15.
 
         Returns:
             Counts 0 to 1023 for each pin; None where none was read within the deadline.

@@ -38,7 +38,7 @@ class Message(NamedTuple):
     Attributes:
         command: ANALOGUE_MESSAGE, DIGITAL_MESSAGE, REPORT_VERSION or START_SYSEX.
         channel: Pin of an analogue, port of a digital message; else 0.
-        data: Its bytes of seven bits; a system-exclusive one begins with its kind.
+        data: Bytes of seven bits; a system-exclusive message begins with its kind.
     """
 
     command: int

@@ -97,12 +97,12 @@ class Calibration:
     """Everything that is particular to one robot.
 
     Attributes:
-        robot: Its name.
+        robot: Name of the robot.
         drive: Motors and encoders.
         analogue: Analogue board and centre potentiometer.
         inclinometer: Roll and pitch.
         force_torque: The sensor under the arm.
-        limits: Where it must stop.
+        limits: Limits at which the robot must stop.
     """
 
     robot: str
@@ -136,7 +136,7 @@ def load_calibration(
     Args:
         path: TOML file.
         robot: Name of the robot.
-        today: For the age of its sections; None where age does not matter (emulated boards).
+        today: Date for the age of its sections; None where age does not matter (emulated boards).
         most_days: Largest age [days].
 
     Raises:

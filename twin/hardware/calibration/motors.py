@@ -62,7 +62,7 @@ class JointCalibration(AxisCalibration):
     """A motor that moves an arm joint.
 
     Attributes:
-        zero_counts: What the encoder counts at joint angle zero.
+        zero_counts: Encoder counts at joint angle zero.
         lower: Least joint angle that may be asked for [rad].
         upper: Largest one [rad].
     """

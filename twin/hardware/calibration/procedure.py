@@ -45,15 +45,15 @@ class ProcedureConfig:
         tilts: Pitch and roll of each tilt that is asked for [rad]; wedges need not be exact.
         weight: Mass that is hung on the gripper [kg].
         arm_mass: Mass of all that the force/torque sensor carries [kg].
-        least_span: Between the outermost tilts of an axis [rad].
-        least_step: Between a tilt and every other one, in one of the axes [rad].
+        least_span: Smallest angle between the outermost tilts of an axis [rad].
+        least_step: Smallest angle between two tilts, in one of the axes [rad].
         largest_tilt: End of the inclinometer's linear range [rad].
         weight_tolerance: Largest relative difference of the added force from the weight.
         least_signal: Added force over its standard error.
         largest_wander: Standard error of a voltage, as an angle [rad]; above, the robot moved.
         sensitivity_tolerance: Largest relative difference from `USUAL_SENSITIVITY`.
         largest_residual: Distance of the readings from their line, as an angle [rad].
-        attempts: How often one tilt may fail before the procedure is given up.
+        attempts: Number of failures of one tilt that end the procedure.
     """
 
     tilts: tuple[tuple[float, float], ...] = (
@@ -94,7 +94,7 @@ class Instruction:
     """What the person must do before the next measurement.
 
     Attributes:
-        text: To be shown.
+        text: Text to show.
         problem: Why the last measurement was refused, or empty.
     """
 
@@ -107,7 +107,7 @@ class TiltResult:
     """What the procedure found.
 
     Attributes:
-        calibration: With the new inclinometer section.
+        calibration: Calibration with the new inclinometer section.
         pitch: Line of the pitch axis.
         roll: Line of the roll axis.
         weighings: The readings behind it.

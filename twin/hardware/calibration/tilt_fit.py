@@ -175,7 +175,7 @@ def fit_tilt(
     """Return the constants of the pitch and the roll axis.
 
     Args:
-        weighings: At different tilts; every one tells about both axes.
+        weighings: Weighings at different tilts; each is used for both axes.
         arm_weight: Weight of all that the force/torque sensor carries [N].
         two_point: Use only the two outermost tilts of each axis.
         without_sag: Take the sag under the weight out.

@@ -50,7 +50,7 @@ class Taken(NamedTuple):
     """A pair that can be fetched.
 
     Attributes:
-        number: Its number.
+        number: Number of the pair.
         stamp: When it was taken, in the scene's time [s].
         moment: When it was announced, on the clock of `time.monotonic` [s].
     """

@@ -43,7 +43,7 @@ class AmplifierConfig:
     """Parts of the amplifier card and the motors on it.
 
     Attributes:
-        law: How the second timer's pulse follows the command voltage; see `pulse_share`.
+        law: Law of the second timer's pulse over the command voltage; see `pulse_share`.
         logic_supply: Vcc of the timers and full scale of the converter [V].
         converter_bits: Resolution of the converter, without the direction pin.
         resistance_a: R_A of the clock [ohm].
@@ -211,7 +211,7 @@ def current_limit(high_time: ArrayLike, config: AmplifierConfig) -> FloatArray:
     only at some 10 A, or when it is too hot.
 
     Args:
-        high_time: For how long each motor's current has been above the continuous limit [s].
+        high_time: Time for which each motor's current has been above the continuous limit [s].
         config: The card.
     """
     spent = np.asarray(high_time, dtype=float) >= config.peak_time

@@ -51,7 +51,7 @@ class FaultyLine:
     """A device behind a line that damages what it carries; bytes keep their order.
 
     Attributes:
-        counts: How often each kind of damage was done.
+        counts: Number of damaged exchanges by kind.
         silent: True while nothing gets through at all.
     """
 
@@ -61,8 +61,8 @@ class FaultyLine:
         """Put a device behind a line.
 
         Args:
-            device: What answers.
-            config: How often what goes wrong.
+            device: Boards behind the line.
+            config: Rate and kinds of damage.
             rng: Decides each time.
         """
         self.counts: collections.Counter[LineFault] = collections.Counter()
@@ -164,8 +164,8 @@ class ScheduledFault:
 
     Attributes:
         time: When it begins [s]; at 0 the boards power on with it.
-        kind: What happens.
-        duration: For how long, where that has a meaning [s].
+        kind: Kind of the fault.
+        duration: Duration of a fault that lasts [s].
         address: Address of the motor board that it happens to.
     """
 

@@ -51,7 +51,7 @@ class NetFT:
         """Take a datagram, and return those that go back to its sender at once.
 
         Args:
-            datagram: What came; anything but a request is ignored.
+            datagram: Received datagram; anything but a request is ignored.
             address: Address of the sender, kept for the stream that it may start.
             now: Time [s].
         """

@@ -31,7 +31,7 @@ class EmulatorProcess:
         """Start the process and wait until its boards have power.
 
         Args:
-            scene: What is emulated.
+            scene: Robots, ground and cameras.
             line_faults: Share of the exchanges with the motor boards that are damaged.
             realtime: Whether time passes by itself.
             slow_down: How many times slower than on the wall it passes by itself.
