@@ -14,6 +14,7 @@ from experiments.ch5.insertion_scene import MASTER
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
 from experiments.ch5.insertion_trial import perform
 from experiments.ch5.task_film import InsertionLog, insertion_views, scene_picture
+from experiments.harness.recording import write_gif
 from models.card_and_slot.stand import OVERVIEW
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.poses import BodyFit
@@ -72,15 +73,10 @@ class Film(LoopRecorder):
 
     def save(self, path: Path) -> None:
         """Write the GIF, at twice the speed of the robots."""
-        middle = Image.fromarray(self.frames[len(self.frames) // 2])
+        frames = [Image.fromarray(frame) for frame in self.frames]
         # Octrees keep the small colours: the card's green, the marks' red.
-        palette = middle.quantize(96, method=Image.Quantize.FASTOCTREE)
-        images = [
-            Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE)
-            for frame in self.frames
-        ]
-        times = [10 * EVERY // 2] * (len(images) - 1) + [2000]
-        images[0].save(path, save_all=True, append_images=images[1:], duration=times, loop=0)
+        palette = frames[len(frames) // 2].quantize(96, method=Image.Quantize.FASTOCTREE)
+        write_gif(path, frames, palette, 10 * EVERY / 2, 2000.0)
 
 
 class _Curves(LoopRecorder):

@@ -6,7 +6,7 @@
 - `output`: metrics, checks, figures and tables of a run.
 - `sweep`: one function over many configurations, in parallel and resumable.
 - `intervals`: medians and fractions with their 95 % intervals.
-- `recording`: recordings for the rerun viewer.
+- `recording`: recordings for the rerun viewer, and moving pictures.
 - `timing`: processor time of a function.
 - `provenance`: versions, commit and processor of a run.
 - `summary`: the result of a run on the terminal.

@@ -1,7 +1,7 @@
-"""What the experiments' recordings for the rerun viewer have in common."""
+"""What recordings for the rerun viewer have in common, and moving pictures."""
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -9,6 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
+from PIL import Image
 
 from perception.geometry.arrays import FloatArray
 
@@ -40,3 +41,20 @@ def viridis(values: FloatArray) -> NDArray[np.uint8]:
 def closed(corners: FloatArray) -> FloatArray:
     """Return the corners (K + 1, D) of a closed line around a polygon (K, D)."""
     return np.vstack([corners, corners[:1]])
+
+
+def write_gif(
+    path: Path, frames: Sequence[Image.Image], palette: Image.Image, frame: float, last: float
+) -> None:
+    """Write a moving picture that repeats itself.
+
+    Args:
+        path: File to write, ``.gif``.
+        frames: Pictures of one size.
+        palette: Picture whose colours all of them get.
+        frame: Duration of a picture [ms].
+        last: Duration of the last one [ms].
+    """
+    first, *rest = (each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames)
+    times = [round(frame)] * len(rest) + [round(last)]
+    first.save(path, save_all=True, append_images=rest, duration=times, loop=0)

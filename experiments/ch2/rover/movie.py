@@ -10,6 +10,7 @@ from PIL import Image
 
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
 from experiments.ch2.rover.trial import ROBOT, known_swinging_arm
+from experiments.harness.recording import write_gif
 from models.compose import FLAT, RobotPlacement, build_scene, compile_scene, settle
 from twin.camera import renderer
 from twin.loop import LoopRecorder, Tick, run
@@ -77,14 +78,8 @@ def main(
         rate: Pictures a second [1/s].
         seed: Random seed of sensors and planner.
     """
-    frames = film(seconds, rate, seed)
-    colours = Image.fromarray(frames[0]).quantize(48)
-    images = [
-        Image.fromarray(f).quantize(palette=colours, dither=Image.Dither.NONE) for f in frames
-    ]
-    images[0].save(
-        out, save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0
-    )
+    frames = [Image.fromarray(frame) for frame in film(seconds, rate, seed)]
+    write_gif(out, frames, frames[0].quantize(48), 1000 / rate, 1000 / rate)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from PIL import Image
 
 from experiments.ch3.planar.figures import ROBOT_COLOURS, picture_points, sector, shades
 from experiments.ch3.planar.trial import TARGET, PlanarTrial, Round, build_world, run_trial
+from experiments.harness.recording import write_gif
 from perception.geometry.arrays import IntArray
 
 SCALE = 2
@@ -77,10 +78,7 @@ def main(
     """
     trial = PlanarTrial(world, seed, "information", 75.0, 10.0, 600, robots, target=TARGET)
     frames = [Image.fromarray(frame) for frame in film(trial, every)]
-    colours = frames[-1].quantize(24)
-    first, *rest = (f.quantize(palette=colours, dither=Image.Dither.NONE) for f in frames)
-    times = [round(1000 / rate)] * len(rest) + [FINAL_HOLD]
-    first.save(out, save_all=True, append_images=rest, duration=times, loop=0)
+    write_gif(out, frames, frames[-1].quantize(24), 1000 / rate, FINAL_HOLD)
 
 
 if __name__ == "__main__":

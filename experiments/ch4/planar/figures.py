@@ -17,6 +17,7 @@ from controllers.placement.planar.search import PlanarTask, best_view, rating_fi
 from controllers.placement.task import Target, View
 from experiments.ch4.planar.motion import MappedSite, Moment
 from experiments.ch4.planar.scenes import SIDE
+from experiments.harness.recording import write_gif
 from perception.geometry.arrays import FloatArray
 
 EXTENT = (0.0, float(SIDE), 0.0, float(SIDE))
@@ -140,10 +141,7 @@ def write_film(site: MappedSite, moments: Sequence[Moment], path: Path) -> None:
         stream = io.BytesIO()
         FigureCanvasAgg(figure).print_png(stream)
         frames.append(Image.open(stream).convert("RGB"))
-    palette = frames[len(frames) // 2].quantize(64)
-    images = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in frames]
-    times = [FRAME] * (len(images) - 1) + [HOLD]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=times, loop=0)
+    write_gif(path, frames, frames[len(frames) // 2].quantize(64), FRAME, HOLD)
 
 
 def _draw_moment(axes: Axes, site: MappedSite, moments: Sequence[Moment], step: int) -> None:
