@@ -15,7 +15,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import experiments
-import twin.connect
+import twin.hardware.emulator.scene as scene_room
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
 from controllers.mission.stages.meet import GuidedSlave
 from experiments.ch5.insertion_scene import insertion_drawing
@@ -251,13 +251,13 @@ def as_made(model, robots=(MASTER, SLAVE)):
 @pytest.fixture(scope="module")
 def missions():
     """A mission with robots as drawn, and the same with robots as made that differ in all."""
-    make_model = twin.connect.make_model
+    make_model = scene_room.make_model
     with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
         found = []
         for change in (lambda model: model, as_made):
             for cached in (describe_rover, insertion_drawing):
                 cached.cache_clear()
-            patch.setattr(twin.connect, "make_model", lambda *a, c=change: c(make_model(*a)))
+            patch.setattr(scene_room, "make_model", lambda *a, c=change: c(make_model(*a)))
             found.append(stack.enter_context(prepared(MissionTrial(seed=4))))
         yield found
 
