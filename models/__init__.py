@@ -1,7 +1,7 @@
 """What the robots and the field are: datasheets, MJCF, scene composition.
 
 - `datasheets`: every number with its source.
-- `rover`, `arm`, `stereo_head`, `field`: MJCF of the robot and of the ground it stands on.
+- `rover`, `arm`, `stereo_head`, `field`: MJCF of the robot and of the ground below it.
 - `configuration`: what may be asked of a scene; `compose`: the scene from it.
 - `terrain`, `materials`, `clutter`: ground, textures, blocks and a panel with markers.
 - `card_and_slot`: the card and its slot (thesis chapter 5).

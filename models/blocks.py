@@ -17,12 +17,12 @@ from perception.geometry.arrays import FloatArray
 CAMERA_NAME = "view"
 THICKNESS = 0.02
 """Thickness of the work-piece; the ground is that much below its face [m]."""
-_PAINT = 1e-4  # A hole's disc stands out of the face by this [m].
+_PAINT = 1e-4  # Height of a hole's disc above the face [m].
 
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """A box that stands upright.
+    """An upright box.
 
     Attributes:
         name: Name of the block's geom.
@@ -63,7 +63,7 @@ class Block:
 
 @dataclasses.dataclass(frozen=True)
 class Arrangement:
-    """A work-piece and what stands about it.
+    """A work-piece and the blocks about it.
 
     Attributes:
         blocks: Blocks with different names.
@@ -98,7 +98,7 @@ WALL_EDGE = 0.1
 
 
 def _figure_4_12() -> Arrangement:
-    """Return a long wall whose edge, expanded by the hole, stands at 60 deg behind the hole.
+    """Return a long wall whose edge, expanded by the hole, is at 60 deg behind the hole.
 
     The other blocks are so low, or so far off, that none is nearer than 60 deg to the camera which
     looks from 60 deg above the opposite side.

@@ -1,6 +1,6 @@
-"""What stands on a field besides rocks: textured blocks, and a panel with markers.
+"""Objects on a field besides rocks: textured blocks, and a panel with markers.
 
-The panel stands for the solar panel that the thesis' robots set up. Its frame, in which its CAD
+The panel represents the solar panel that the thesis' robots set up. Its frame, in which its CAD
 is given, lies in the middle of its face: x right and y up as one looks at the face, z out of it.
 """
 
@@ -16,7 +16,7 @@ from perception.geometry.arrays import FloatArray
 
 STRUT_RADIUS = 0.006
 """Radius of the two rods that hold the panel up [m]."""
-_DISC = 2e-4  # Each disc of a marker stands out of what it lies on by this [m].
+_DISC = 2e-4  # Height of each disc of a marker above the surface below it [m].
 _SUNK = 0.005  # A block goes this deep into the ground, so that no gap shows on a slope [m].
 
 

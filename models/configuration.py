@@ -34,7 +34,7 @@ class FieldConfig:
         block_edge: Smallest and largest edge of a block [m].
         panel: The panel that is the robots' target, if any.
         slot_width: Distance between the walls of the slot at the origin [m]; None for no slot.
-        shadows: Whether lights cast them: they take two thirds of the time of an image.
+        shadows: Whether lights cast shadows, which take two thirds of an image's rendering time.
     """
 
     size: tuple[float, float] = (6.0, 6.0)
@@ -132,8 +132,8 @@ class RobotPlacement:
         name: Prefix of its names, without the slash; letters, digits and underscores.
         position: Start of its centre of gravity in x and y [m], world.
         yaw: Start heading about the vertical [rad]; 0 looks along the world's y.
-        arm: Whether it carries the arm.
-        stereo: Whether the arm's stereo head sees; without it the housings stay as ballast.
+        arm: Whether the rover carries the arm.
+        stereo: Whether the arm's stereo head renders images; if not, its housings are ballast.
         centre_locked: Whether the centre joint is held at zero.
         payload: Box in the gripper, if any.
         card: Whether the gripper holds the card.
@@ -205,7 +205,7 @@ def check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
 
 
 def check_panel(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
-    """Refuse a panel that hangs over the field's edge or stands where a robot starts.
+    """Refuse a panel that hangs over the field's edge or overlaps a robot's start.
 
     Args:
         field: The field, perhaps with a panel.

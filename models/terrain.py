@@ -165,7 +165,7 @@ def make_rocks(
         clear: (N, 3) discs without rocks: x and y of the centre, and radius [m].
 
     Returns:
-        The rocks, each standing out of the ground by 0.3 to 0.7 of its mean horizontal semi-axis.
+        The rocks, each protruding from the ground by 0.3 to 0.7 of its mean horizontal semi-axis.
     """
     half = np.asarray(terrain.size) / 2.0
     places = rng.uniform(-half, half, (count, 2))

@@ -44,7 +44,7 @@ def _information(estimate, sigma, bounds, bits):
         low, high = bounds[n, 0], bounds[n, 1]
         width = (high - low) / count
         mean = min(max(estimate[n], low), high)
-        # A thousand ranges are as good as infinity, which is also what NaN stands for.
+        # A thousand ranges are as good as infinity, which NaN means too.
         deviation = 1e3 * (high - low)
         if sigma[n] < deviation:
             deviation = max(sigma[n], 1e-12 * (high - low))

@@ -90,7 +90,7 @@ class ContactPoint:
         gradient: (3,) derivative of the gap by the pose.
         point: (2,) position in the card's frame [m].
         normal: (2,) unit force on the card, card's frame.
-        excess: How far the point lies beyond the end of its feature, 0 within [m].
+        excess: Distance of the point beyond the end of its feature, 0 within [m].
     """
 
     gap: float

@@ -54,7 +54,7 @@ class GuideConfig:
         give: Speed across the card by force [m/s/N].
         give_turn: Turning rate by moment [rad/s/(N m)].
         turn_rate: Largest turning rate [rad/s].
-        slow_force: Force at which the insertion stands still [N].
+        slow_force: Force at which the insertion's speed falls to zero [N].
         force_limit: Force at which the card is drawn back [N].
         filter_time: Time constant of the wrench's low pass [s].
         steepest: Largest angle of the card that is expected [rad].

@@ -115,7 +115,7 @@ class _Partner:
 class Master(_Partner):
     """Plans, guides, and holds its end of the segment.
 
-    Without the slave's reports, or its own wrench, it waits in REST; in INSERT it stands still, and
+    Without the slave's reports, or its own wrench, it waits in REST; in INSERT it stops, and
     gives up after the guide's `lost_time`.
 
     Args:

@@ -29,7 +29,7 @@ class BeliefConfig:
         veer: Turn that was not commanded, per distance [rad/m].
         bump: Tilt per distance that the inclinometer misses [rad/m], and rise per distance.
         stretch: Distance [m] and turn [rad] in which these errors stay alike.
-        standing: Deviations of turn [rad] and position [m] that a second at rest adds.
+        rest_drift: Standard deviations of turn [rad] and position [m] that a second at rest adds.
         card: Deviations of turn [rad] and position [m] of the card by the arm's joints.
         gate: Squared distance, whitened, beyond which a view is refused (six degrees of freedom).
         refusals: Refused views in a row after which the next one is used all the same.
@@ -41,7 +41,7 @@ class BeliefConfig:
     veer: float = 0.2
     bump: float = 0.1
     stretch: tuple[float, float] = (0.05, 0.1)
-    standing: tuple[float, float] = (2e-4, 2e-4)
+    rest_drift: tuple[float, float] = (2e-4, 2e-4)
     card: tuple[float, float] = (2e-3, 5e-4)
     gate: float = 30.0
     refusals: int = 3
@@ -143,7 +143,7 @@ class SlotBelief:
         yaw = config.turn_drift**2 * turning + config.veer**2 * driven
         tilt, along = config.bump**2 * driven, config.drift**2 * driven
         drift = np.diag([tilt, tilt, yaw, 0.1 * along, along, tilt])
-        rest = np.diag(np.repeat(np.square(config.standing), 3) * period)
+        rest = np.diag(np.repeat(np.square(config.rest_drift), 3) * period)
         # The card is near enough to where the robot turns.
         robot = RigidTransform.from_matrix(self._where[-1][1])
         self.covariance = self.covariance + transport_covariance(robot, drift + rest)

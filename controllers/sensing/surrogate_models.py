@@ -243,7 +243,7 @@ class WrenchModel:
         return slopes
 
     def _uncertain(self, motion: FrameMotion, dt: float, keep: float, known: bool) -> FloatArray:
-        """Return (n + 7,) deviations of what `_by_motion` stands for, and of the mass's part."""
+        """Return (n + 7,) sigmas of the result of `_by_motion`, and of the mass's part."""
         config = self.config
         # White noise, differenced and then filtered; and filtered alone.
         shaken = (1.0 - keep) / dt * math.sqrt(2.0 / (1.0 + keep))

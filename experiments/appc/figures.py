@@ -37,12 +37,12 @@ def draw_methods(
             (name, m.ratios[column].mean(axis=0), m.ratios[column].std(axis=0, ddof=1), colour)
             for (name, m), colour in zip(sets.items(), COLOURS)
         ]
-        mean, spread = (np.array(table)[:, column] for table in (thesis, sigma))
-        bars.insert(0, ("thesis", mean, spread, "black"))
-        for place, (name, mean, spread, colour) in enumerate(bars):
+        mean, deviation = (np.array(table)[:, column] for table in (thesis, sigma))
+        bars.insert(0, ("thesis", mean, deviation, "black"))
+        for place, (name, mean, deviation, colour) in enumerate(bars):
             at = where + (place - len(sets) / 2) * width
             axes.bar(at, mean - 1.0, width, bottom=1.0, color=colour, label=name)
-            axes.errorbar(at, mean, spread, fmt="none", ecolor="dimgray", elinewidth=0.6)
+            axes.errorbar(at, mean, deviation, fmt="none", ecolor="dimgray", elinewidth=0.6)
         axes.axhline(1.0, color="black", linewidth=0.6)
         axes.set_xticks(where, [str(method) for method in METHODS])
         axes.set(title=f"{size} x {size} px", xlabel="method", ylabel="compression ratio")
@@ -89,14 +89,14 @@ def draw_views(
     """
     figure = Figure(figsize=(11, 4.5))
     left, right = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)
-    spread = np.linspace(-0.2, 0.2, len(share))
+    offsets = np.linspace(-0.2, 0.2, len(share))
     labels = [name.replace("_", " ") for name in names]
     for axes, values, extra in (
         (left, np.column_stack([share, drawn]), ["random"]),
         (right, correlation, []),
     ):
         for column in range(values.shape[1]):
-            axes.plot(values[:, column], column + spread, ".", color="tab:gray")
+            axes.plot(values[:, column], column + offsets, ".", color="tab:gray")
             axes.plot(np.mean(values[:, column]), column, "D", color="tab:red")
         axes.set_yticks(range(values.shape[1]), labels + extra)
         axes.invert_yaxis()

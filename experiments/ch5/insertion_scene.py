@@ -1,7 +1,7 @@
 """Scene of ``ch5-insertion``: a slave rover with the card, the slot on its post, a master rover.
 
 The slot's mouth lies above the world's origin; the card goes in along +y, and the faces of card and
-slot look along +x, where the master stands. So the insertion's plane is the upright plane of the
+slot face +x, where the master is. So the insertion's plane is the upright plane of the
 slave's arm, in which it can move the card across, ahead and in pitch (thesis assumption 1).
 """
 

@@ -71,11 +71,11 @@ class MarkerScene:
         self._rng = rng
         seed = int(rng.integers(2**31))
         scene = build_scene(FieldConfig(size=(3.0, 3.0), rocks=150, blocks=10, seed=seed), ())
-        stands = [
+        poses = [
             scene.worldbody.add_body(name=f"{name}_stand", mocap=True) for name in ("card", "slot")
         ]
-        add_card(scene, stands[0])
-        add_slot(scene, stands[1], self.width)
+        add_card(scene, poses[0])
+        add_slot(scene, poses[1], self.width)
         head = load_part("stereo_head")
         for geom in list(head.geoms):
             head.delete(geom)
@@ -99,10 +99,10 @@ class MarkerScene:
         gap = [rng.uniform(-0.01, 0.01), rng.uniform(-0.03, -0.005), rng.uniform(-0.004, 0.004)]
         bend = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3))
         card = slot * RigidTransform.from_components(gap, bend)
-        around, lean = rng.uniform(-1.0, 1.0) - math.pi / 2.0, math.radians(slant) + 1e-3
-        away = [math.sin(lean) * math.cos(around), math.sin(lean) * math.sin(around)]
+        around, tilt = rng.uniform(-1.0, 1.0) - math.pi / 2.0, math.radians(slant) + 1e-3
+        away = [math.sin(tilt) * math.cos(around), math.sin(tilt) * math.sin(around)]
         middle = slot.apply([0.0, 0.0, CARD_AND_SLOT.wall_height / 2.0])
-        eye = middle + distance * turn.apply([*away, math.cos(lean)])
+        eye = middle + distance * turn.apply([*away, math.cos(tilt)])
         ahead = middle + rng.uniform(-0.02, 0.02, 3) * distance - eye
         roll = rng.uniform(-0.4, 0.4)
         upward = turn.apply([math.sin(roll), math.cos(roll), 0.0])

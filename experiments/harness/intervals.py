@@ -21,7 +21,7 @@ def distribution(samples: Iterable[float] | np.ndarray) -> Distribution:
     range, and its coverage is 1 - 2^(1 - n) only.
 
     Args:
-        samples: (n,) values; an infinity stands for a run that never got there.
+        samples: (n,) values; infinity for a run that did not reach the goal.
 
     Returns:
         ``median``, ``mean``, ``low``, ``high``, ``p95`` and ``n``.

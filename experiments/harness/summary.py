@@ -49,8 +49,8 @@ def print_summary(experiment: Experiment, output: Output) -> None:
     for check in metrics["checks"]:
         mark = "[green]ok[/]  " if check["ok"] else "[red]short[/]"
         # A name may have a unit in brackets, which rich would take for its own marks.
-        told = escape(f"{check['name']}: {format_number(check['value'])} (bound {check['bound']})")
-        console.print(f"{mark} {told}")
+        line = escape(f"{check['name']}: {format_number(check['value'])} (bound {check['bound']})")
+        console.print(f"{mark} {line}")
     for path in sorted(output.directory.rglob("*")):
         if path.is_file() and "jobs" not in path.parts:
             console.print(str(path), highlight=False, soft_wrap=True)

@@ -4,7 +4,7 @@ One continuous run: both swing their arms and learn how they pitch on their spri
 master finds the panel and maps the place (chapter 3); it finds the card in the slave's gripper, and
 the slave learns from what the master sees how far it turns when its wheels roll; the master goes
 where card and slot are seen best (chapter 4), finds the panel again, and guides the slave, which
-feeds forward how its arm will lean it on the springs (chapter 5). Each stage uses what the stages
+feeds forward how its arm will tilt it on the springs (chapter 5). Each stage uses what the stages
 before it have estimated. The ablation leaves a stage out.
 """
 

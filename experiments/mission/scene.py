@@ -1,8 +1,8 @@
 """Scene of ``mission``: two rovers before a slot, on rough ground, beside a known panel.
 
-The panel is the target of chapter 3: whoever sees it knows where it stands. Slot and panel belong
-to one site whose drawing the robots have. They begin some centimetres and degrees off their
-nominal initial poses.
+The panel is the target of chapter 3: a robot that detects it is localized on the map. Slot and
+panel belong to one site whose drawing the robots have. The robots start some centimetres and
+degrees off their nominal initial poses.
 """
 
 import dataclasses

@@ -80,12 +80,12 @@ class Mission:
         """
         simulation, emulator = self.connection.simulation, self.connection.emulator
         if emulator is not None:
-            told = emulator.state()[robot]["bodies"]
+            bodies = emulator.state()[robot]["bodies"]
             return {
                 name: RigidTransform.from_components(
                     pose["translation"], Rotation.from_matrix(pose["rotation"])
                 )
-                for name, pose in told.items()
+                for name, pose in bodies.items()
             }
         if simulation is None:  # nobody measures real robots
             return {}

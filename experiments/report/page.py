@@ -185,8 +185,8 @@ def provenance(result: Result) -> str:
     """Return how the result was made, folded; not where on the disk."""
     options = {f"option {key}": value for key, value in result.config.items() if key != "out"}
     versions = {f"{name} version": text for name, text in result.run.get("versions", {}).items()}
-    told = ("versions", "command", "files")
-    rest = {key: item for key, item in result.run.items() if key not in told}
+    shown = ("versions", "command", "files")
+    rest = {key: item for key, item in result.run.items() if key not in shown}
     body = "".join(
         f"<tr><td>{escape(key)}</td><td>{escape(format_number(value))}</td></tr>"
         for key, value in {**options, **rest, **versions}.items()

@@ -77,7 +77,7 @@ def make_braid(config: BraidConfig) -> mujoco.MjSpec:
         body = _add_stage(spec, body, stage, config)
     body.add_site(name="tip", group=4)
     # The head's origin is between the optical centres, in the housings' front faces: so its centre
-    # of gravity stands over the disc's middle, and its housings 4 mm above the disc.
+    # of gravity is above the disc's middle, and its housings 4 mm above the disc.
     above = 0.5 * BRAID.disc_thickness + 0.0195
     body.add_site(name="stereo_mount", group=4, pos=[0.0, 0.5 * CAMERA.housing[2], above])
     return spec

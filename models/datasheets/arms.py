@@ -1,4 +1,4 @@
-"""The rover's arm, and the rod that stands for it in the simulation study of chapter 2."""
+"""The rover's arm, and the rod that models it in the simulation study of chapter 2."""
 
 import dataclasses
 from typing import Final

@@ -10,7 +10,7 @@ def check_numbers(what: str, config: Any, *names: str, zero: bool = False) -> No
     """Refuse fields of a configuration that are not finite and positive.
 
     Args:
-        what: What is configured; begins the error.
+        what: Name of the thing configured; begins the error message.
         config: Dataclass to check.
         names: Fields to check; all unless given.
         zero: Whether 0 is valid too.
@@ -29,8 +29,8 @@ def check_choice(name: str, value: str, valid: Collection[str]) -> None:
     """Refuse a choice that there is not.
 
     Args:
-        name: What is chosen.
-        value: The choice.
+        name: Name of the option, for the error message.
+        value: Value chosen.
         valid: All valid choices.
 
     Raises:

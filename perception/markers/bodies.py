@@ -81,11 +81,11 @@ def triangulate(
     ).reshape(-1, 3)
     # Both rows measure one height, weighted by their variances.
     rows = left.centres[one, 1], right.centres[two, 1]
-    spread = left.covariances[one, 1, 1], right.covariances[two, 1, 1]
-    seen[:, 1] = (rows[0] * spread[1] + rows[1] * spread[0]) / (spread[0] + spread[1])
+    variances = left.covariances[one, 1, 1], right.covariances[two, 1, 1]
+    seen[:, 1] = (rows[0] * variances[1] + rows[1] * variances[0]) / (variances[0] + variances[1])
     points = geometry.points(seen)
     depths = np.nan_to_num(points[:, 2])
-    fits = np.abs(rows[0] - rows[1]) < ROW + 3.0 * np.sqrt(spread[0] + spread[1])
+    fits = np.abs(rows[0] - rows[1]) < ROW + 3.0 * np.sqrt(variances[0] + variances[1])
     fits &= (depths > 0.9 * expected.nearest) & (depths < 1.1 * expected.farthest)
     with np.errstate(divide="ignore"):
         across = 0.5 * expected.diameter * geometry.fy / depths

@@ -152,8 +152,8 @@ def fit_body(
     covariance = np.linalg.inv(normal)
     curvature = 1.0 / float(twist @ normal @ twist)
     weights = np.exp(-0.5 * (costs - min(float(costs.min()), cost)))
-    spread = float(np.sum(weights * _SCAN**2) / weights.sum())
-    covariance = covariance + max(spread - curvature, 0.0) * np.outer(twist, twist)
+    variance = float(np.sum(weights * _SCAN**2) / weights.sum())
+    covariance = covariance + max(variance - curvature, 0.0) * np.outer(twist, twist)
     # A disc tilted to one side appears almost as if to the other: both count by likelihood.
     weights = [float(np.exp(-0.5 * max(entry[1] - cost, 0.0))) for entry in solved]
     for weight, (other, _, _) in zip(weights, solved, strict=True):

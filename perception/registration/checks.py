@@ -75,20 +75,20 @@ def checked_map(
             negative.
     """
     places = np.asarray(points, dtype=float)
-    spread = np.asarray(covariances, dtype=float)
+    matrices = np.asarray(covariances, dtype=float)
     if places.shape != (count, 3):
         raise RegistrationError(f"map points of shape {places.shape}: expected ({count}, 3)")
-    if spread.shape not in ((count, 3, 3), (3 * count, 3 * count)):
+    if matrices.shape not in ((count, 3, 3), (3 * count, 3 * count)):
         raise RegistrationError(
-            f"map covariances of shape {spread.shape}: expected ({count}, 3, 3) or "
+            f"map covariances of shape {matrices.shape}: expected ({count}, 3, 3) or "
             f"({3 * count}, {3 * count})"
         )
     _check_finite("map points", places)
-    _check_finite("map covariances", spread)
-    variances = np.diagonal(spread, axis1=-2, axis2=-1)
+    _check_finite("map covariances", matrices)
+    variances = np.diagonal(matrices, axis1=-2, axis2=-1)
     if np.any(variances < 0.0):
         raise RegistrationError("map covariances: a variance is negative")
-    return places, spread
+    return places, matrices
 
 
 def checked_pose_covariance(covariance: ArrayLike) -> FloatArray:

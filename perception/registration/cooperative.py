@@ -108,7 +108,7 @@ def fuse_views(
         RegistrationError: If shapes differ, a number is not finite, a covariance is none, or two
             measurements are both exact.
     """
-    one, spread = _checked_points("first", first_points, first_covariances)
+    one, own_covariance = _checked_points("first", first_points, first_covariances)
     other, other_spread = _checked_points("second", second_points, second_covariances)
     if len(one) != len(other):
         raise RegistrationError(f"{len(one)} points of the first robot, {len(other)} of the second")
@@ -118,12 +118,12 @@ def fuse_views(
         other,
         other_spread,
     )
-    total, apart = spread + carried, moved - one
+    total, apart = own_covariance + carried, moved - one
     exact = np.flatnonzero(np.linalg.eigvalsh(total)[:, 0] <= 0.0)
     if exact.size:
         raise RegistrationError(f"point {exact[0]}: both robots say that a direction is exact")
-    gain = np.swapaxes(np.linalg.solve(total, spread), 1, 2)
-    fused = spread - gain @ spread
+    gain = np.swapaxes(np.linalg.solve(total, own_covariance), 1, 2)
+    fused = own_covariance - gain @ own_covariance
     points = one + (gain @ apart[..., None])[..., 0]
     return FusedPoints(points, 0.5 * (fused + np.swapaxes(fused, 1, 2)))
 
@@ -188,12 +188,12 @@ def _fits(prior: RelativePose, known: KnownPoints, sight: Sighting) -> BoolArray
     """Return (N,) which points, each alone, may be the same for both robots."""
     pose = Pose.of(prior.transform_second_to_first)
     look = linearise(pose, known.coordinates, known, sight.geometry)
-    spread = innovation(look, known, sight)
-    spread = spread + look.by_pose @ prior.covariance @ np.swapaxes(look.by_pose, -1, -2)
+    total = innovation(look, known, sight)
+    total = total + look.by_pose @ prior.covariance @ np.swapaxes(look.by_pose, -1, -2)
     apart = sight.image_points - look.predicted
-    seen = np.isfinite(spread).all(axis=(-2, -1)) & np.isfinite(apart).all(axis=-1)
+    seen = np.isfinite(total).all(axis=(-2, -1)) & np.isfinite(apart).all(axis=-1)
     fits = np.zeros(len(apart), np.bool_)
-    solved = np.linalg.solve(spread[seen], apart[seen][..., None])[..., 0]
+    solved = np.linalg.solve(total[seen], apart[seen][..., None])[..., 0]
     fits[seen] = np.einsum("ni,ni->n", apart[seen], solved) <= GATE
     if not fits.any():
         raise RegistrationError(
@@ -214,19 +214,19 @@ def _checked_points(
     name: str, points: ArrayLike, covariances: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Return (N, 3) points and (N, 3, 3) covariances, all finite, no variance negative."""
-    places, spread = np.asarray(points, dtype=float), np.asarray(covariances, dtype=float)
-    if places.ndim != 2 or places.shape[1] != 3 or spread.shape != (len(places), 3, 3):
+    places, matrices = np.asarray(points, dtype=float), np.asarray(covariances, dtype=float)
+    if places.ndim != 2 or places.shape[1] != 3 or matrices.shape != (len(places), 3, 3):
         raise RegistrationError(
             f"points of the {name} robot of shape {places.shape} with covariances of shape "
-            f"{spread.shape}: expected (N, 3) and (N, 3, 3)"
+            f"{matrices.shape}: expected (N, 3) and (N, 3, 3)"
         )
-    fine = np.isfinite(places).all(axis=1) & np.isfinite(spread).all(axis=(1, 2))
+    fine = np.isfinite(places).all(axis=1) & np.isfinite(matrices).all(axis=(1, 2))
     if not fine.all():
         wrong = np.flatnonzero(~fine)[0]
         raise RegistrationError(f"points of the {name} robot: point {wrong} is not finite")
-    negative = np.flatnonzero(np.linalg.eigvalsh(spread)[:, 0] < -1e-12 * np.trace(spread.T))
+    negative = np.flatnonzero(np.linalg.eigvalsh(matrices)[:, 0] < -1e-12 * np.trace(matrices.T))
     if negative.size:
         raise RegistrationError(
             f"points of the {name} robot: the covariance of point {negative[0]} is negative"
         )
-    return places, spread
+    return places, matrices

@@ -99,16 +99,16 @@ class FiducialMap:
         Raises:
             RegistrationError: If it is not a covariance.
         """
-        spread = np.asarray(covariance, dtype=float)
-        if spread.ndim != 2 or spread.shape[0] != spread.shape[1]:
-            raise RegistrationError(f"offsets' covariance of shape {spread.shape}: expected (K, K)")
-        if not np.isfinite(spread).all() or np.any(np.diag(spread) < 0.0):
+        matrix = np.asarray(covariance, dtype=float)
+        if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
+            raise RegistrationError(f"offsets' covariance of shape {matrix.shape}: expected (K, K)")
+        if not np.isfinite(matrix).all() or np.any(np.diag(matrix) < 0.0):
             raise RegistrationError("offsets' covariance: a value is not finite, or negative")
-        first, count = len(self.offsets), len(spread)
+        first, count = len(self.offsets), len(matrix)
         grown = np.zeros((len(self._joint) + count,) * 2)
         old = np.delete(np.arange(len(grown)), np.arange(first, first + count))
         grown[np.ix_(old, old)] = self._joint
-        grown[first : first + count, first : first + count] = spread
+        grown[first : first + count, first : first + count] = matrix
         self.offsets, self._joint = np.append(self.offsets, np.zeros(count)), grown
         return np.arange(first, first + count)
 
@@ -123,8 +123,8 @@ class FiducialMap:
         """
         self._check_offsets(prior)
         own = checked_pose_covariance(prior.covariance)
-        spread = self._joint[np.ix_(prior.offsets, prior.offsets)]
-        shared = prior.by_offsets @ spread @ prior.by_offsets.T
+        offsets_covariance = self._joint[np.ix_(prior.offsets, prior.offsets)]
+        shared = prior.by_offsets @ offsets_covariance @ prior.by_offsets.T
         return prior.at(self.offsets[prior.offsets]), shared + own
 
     def observe_from(
@@ -159,7 +159,7 @@ class FiducialMap:
         count = len(self.offsets)
         moved = prior.by_offsets @ self._joint[prior.offsets]
         state = np.block([[pose, moved], [moved.T, self._joint]])
-        told = fit(
+        fitted = fit(
             start,
             state,
             6 + count + _rows(index),
@@ -167,12 +167,14 @@ class FiducialMap:
             self._placed[index],
             sight,
         )
-        self.offsets = self.offsets + told.shift[6 : 6 + count]
-        self.positions = self.positions + told.shift[6 + count :].reshape(-1, 3)
-        self._joint = told.covariance[6:, 6:]
-        transform, pose = told.transform_camera_to_world, told.covariance[:6, :6]
-        added = self._append(fresh, transform, pose, told.covariance[:6, 6:])
-        return MapObservation(Registration(transform, pose, told.believed, told.chi_square), added)
+        self.offsets = self.offsets + fitted.shift[6 : 6 + count]
+        self.positions = self.positions + fitted.shift[6 + count :].reshape(-1, 3)
+        self._joint = fitted.covariance[6:, 6:]
+        transform, pose = fitted.transform_camera_to_world, fitted.covariance[:6, :6]
+        added = self._append(fresh, transform, pose, fitted.covariance[:6, 6:])
+        return MapObservation(
+            Registration(transform, pose, fitted.believed, fitted.chi_square), added
+        )
 
     def add(
         self,
@@ -423,19 +425,19 @@ def fit(
     by_place, error = _linear(start, places, sight)
     # Of the state with the image points.
     crossed = _by_all(state[rows], state[:6], by_place, placed).T
-    spread = _by_all(crossed[rows], crossed[:6], by_place, placed)
-    spread = 0.5 * (spread + spread.T) + np.diag(sight.sigma.ravel() ** 2)
-    believed = _agreeing(error, spread)
+    total = _by_all(crossed[rows], crossed[:6], by_place, placed)
+    total = 0.5 * (total + total.T) + np.diag(sight.sigma.ravel() ** 2)
+    believed = _agreeing(error, total)
     if 2 * int(believed.sum()) <= count:
         return nothing
     kept, degrees = np.repeat(believed, 3), 3 * int(believed.sum())
-    crossed, error, spread = crossed[:, kept], error[kept], spread[np.ix_(kept, kept)]
-    weights = np.asarray(np.linalg.solve(spread, error), dtype=float)
+    crossed, error, total = crossed[:, kept], error[kept], total[np.ix_(kept, kept)]
+    weights = np.asarray(np.linalg.solve(total, error), dtype=float)
     square = float(error @ weights)
     if square > float(chdtri(degrees, CHANCE)):
         return nothing
     shift = crossed @ weights
-    covariance = state - crossed @ np.linalg.solve(spread, crossed.T)
+    covariance = state - crossed @ np.linalg.solve(total, crossed.T)
     covariance = 0.5 * (covariance + covariance.T)
     transform = RigidTransform.from_exp_coords(shift[:6]) * start
     return PriorFit(transform, shift, covariance, believed, square / degrees)
@@ -464,7 +466,7 @@ def _by_all(
     return (by_place @ moved).reshape(3 * len(placed), -1)
 
 
-def _agreeing(error: FloatArray, spread: FloatArray) -> BoolArray:
+def _agreeing(error: FloatArray, total: FloatArray) -> BoolArray:
     """Return (N,) which matches agree: with the prior, and each with all the others.
 
     Each match that the prior allows is tried as the one that is right; the one with which most
@@ -472,11 +474,11 @@ def _agreeing(error: FloatArray, spread: FloatArray) -> BoolArray:
 
     Args:
         error: (3N,) innovation [px].
-        spread: (3N, 3N) covariance of the innovation [px^2].
+        total: (3N, 3N) covariance of the innovation [px^2].
     """
     count = len(error) // 3
     chosen = np.zeros(count, np.bool_)
-    own, joint = error.reshape(count, 3), spread.reshape(count, 3, count, 3).swapaxes(1, 2)
+    own, joint = error.reshape(count, 3), total.reshape(count, 3, count, 3).swapaxes(1, 2)
     alone: FloatArray = joint[np.arange(count), np.arange(count)]
     by_prior = _squares(alone, own) <= GATE
     for seed in np.flatnonzero(by_prior):
@@ -488,7 +490,7 @@ def _agreeing(error: FloatArray, spread: FloatArray) -> BoolArray:
             chosen = agree
     while chosen.sum() > 1:
         kept = np.repeat(chosen, 3)
-        precision = np.asarray(np.linalg.inv(spread[np.ix_(kept, kept)]), dtype=float)
+        precision = np.asarray(np.linalg.inv(total[np.ix_(kept, kept)]), dtype=float)
         pull = (precision @ error[kept]).reshape(-1, 3)
         number = np.arange(len(pull))
         blocks = precision.reshape(len(pull), 3, len(pull), 3)[number, :, number]

@@ -102,8 +102,8 @@ def _certainties(
     if not len(points):
         return np.zeros(0)
     safe = np.where(np.isfinite(points), points, 1.0)
-    spread = np.trace(geometry.covariance(safe, config.sigma), axis1=1, axis2=2) / 3.0
-    return 1.0 / (1.0 + spread / config.spread**2)
+    variance = np.trace(geometry.covariance(safe, config.sigma), axis1=1, axis2=2) / 3.0
+    return 1.0 / (1.0 + variance / config.half_sigma**2)
 
 
 def _inside(
@@ -161,7 +161,7 @@ class FiducialConfig:
         full_depth: H * w / w_max at which h is 1.
         shell: Thickness of the spheres' shells in which neighbours' certainty is averaged [m].
         shells: Number of shells.
-        spread: Standard deviation of a point at which its certainty is a half [m].
+        half_sigma: Standard deviation of a point at which its certainty is a half [m].
         patch: Edge of the patch that will be tracked, odd [px].
         noise: Standard deviation of the image noise [grey levels]; 46 dB by default.
         localisation: Largest standard deviation of a match that noise may cause [px].
@@ -185,7 +185,7 @@ class FiducialConfig:
     full_depth: float = 0.05
     shell: float = 0.01
     shells: int = 5
-    spread: float = 0.005
+    half_sigma: float = 0.005
     patch: int = 15
     noise: float = 255.0 * 10.0 ** (-46.0 / 20.0)
     localisation: float = 0.1
@@ -205,7 +205,15 @@ class FiducialConfig:
 
     def __post_init__(self) -> None:
         """Check the values; an error names the wrong one."""
-        positive = ("count", "shells", "cell", "full_visual", "full_depth", "shell", "spread")
+        positive = (
+            "count",
+            "shells",
+            "cell",
+            "full_visual",
+            "full_depth",
+            "shell",
+            "half_sigma",
+        )
         check_numbers("fiducials", self, *positive, "localisation", "noise")
         for name in ("largest_window", "patch", "surface_window"):
             if getattr(self, name) < 3 or getattr(self, name) % 2 == 0:

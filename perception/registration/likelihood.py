@@ -80,13 +80,13 @@ def solve(start: Pose, known: KnownPoints, sight: Sighting) -> PoseSolution:
         raise RegistrationError(f"no fit: not converged in {ITERATIONS} iterations")
     _, _, information = _newton(pose, weights, known, sight)
     covariance = _solve_information(information, np.eye(6))
-    coordinates = known.coordinates + known.spread(weights)
+    coordinates = known.coordinates + known.covariance_times(weights)
     return PoseSolution(pose, coordinates, weights, covariance, cost)
 
 
 def _cost(pose: Pose, weights: FloatArray, known: KnownPoints, sight: Sighting) -> float:
     """Return the squared residuals at coordinates = mean + covariance times weights."""
-    shift = known.spread(weights)
+    shift = known.covariance_times(weights)
     places = known.places(known.coordinates + shift)
     seen = (places - pose.translation) @ pose.rotation
     residual = (sight.image_points - sight.geometry.project(seen)) / sight.sigma
@@ -98,7 +98,7 @@ def _newton(
     pose: Pose, weights: FloatArray, known: KnownPoints, sight: Sighting
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the step of the pose, the weights aimed at, and the pose's information."""
-    shift = known.spread(weights)
+    shift = known.covariance_times(weights)
     look = linearise(pose, known.coordinates + shift, known, sight.geometry)
     back = (look.by_coordinates @ shift[..., None])[..., 0]
     residual = sight.image_points - look.predicted + back
@@ -131,9 +131,11 @@ def _solve_innovation(
     look: Linearised, known: KnownPoints, sight: Sighting, right: FloatArray
 ) -> FloatArray:
     """Return S^-1 times (N, 3, k)."""
-    spread = innovation(look, known, sight)
-    flat = right if spread.ndim == 3 else right.reshape(-1, right.shape[-1])
-    return np.asarray(np.linalg.solve(spread, flat), dtype=float).reshape(right.shape)
+    innovation_covariance = innovation(look, known, sight)
+    flat = right if innovation_covariance.ndim == 3 else right.reshape(-1, right.shape[-1])
+    return np.asarray(np.linalg.solve(innovation_covariance, flat), dtype=float).reshape(
+        right.shape
+    )
 
 
 def _solve_information(information: FloatArray, right: FloatArray) -> FloatArray:
@@ -254,13 +256,13 @@ def _relative_step(
     prior: RelativePose | None,
 ) -> _RelativeStep:
     look = linearise(pose, coordinates, known, sight.geometry)
-    spread = innovation(look, known, sight)
+    innovation_covariance = innovation(look, known, sight)
     crossed = look.by_coordinates @ known.covariance
     shift = coordinates - known.coordinates
     residual = sight.image_points - look.predicted
     residual = residual + (look.by_coordinates @ shift[..., None])[..., 0]
     right = np.concatenate([look.by_pose, residual[..., None], crossed], axis=-1)
-    solved = np.asarray(np.linalg.solve(spread, right), dtype=float)
+    solved = np.asarray(np.linalg.solve(innovation_covariance, right), dtype=float)
     information = np.einsum("nij,nik->jk", look.by_pose, solved[..., :6])
     pull = np.einsum("nij,ni->j", look.by_pose, solved[..., 6])
     xi, covariance = _pose_step(information, pull, pose, prior)

@@ -137,13 +137,13 @@ def track(
         if other is None:
             continue
         own = np.hypot(right.sigma[0], other.sigma[0]) / np.sqrt(2.0)
-        spread = c.deviations(np.array([*left.sigma, own]))
-        if spread is None:
+        fitted_sigma = c.deviations(np.array([*left.sigma, own]))
+        if fitted_sigma is None:
             continue
         measured[n, 2] = start[0] - right.place[0]
         later[n] = *left.place, left.place[0] - other.place[0]
         # A place is measured against the other view's only: each view bears half the variance.
-        sigma[n] = spread / [np.sqrt(2.0), np.sqrt(2.0), 1.0]
+        sigma[n] = fitted_sigma / [np.sqrt(2.0), np.sqrt(2.0), 1.0]
     return Tracks(measured, later, sigma)
 
 
@@ -404,11 +404,11 @@ def match_across(
         right = _fit(there[0], there[1], left.place, start, shear, COLUMN_ONLY, c)
         if right is None:
             continue
-        spread = c.deviations(np.array([*left.sigma, right.sigma[0]]))
+        fitted_sigma = c.deviations(np.array([*left.sigma, right.sigma[0]]))
         disparity = left.place[0] - right.place[0]
-        if spread is None or disparity <= 0.0:
+        if fitted_sigma is None or disparity <= 0.0:
             continue
-        found[n], sigma[n] = [*(left.place - bend), disparity], spread
+        found[n], sigma[n] = [*(left.place - bend), disparity], fitted_sigma
     return Across(found, sigma)
 
 

@@ -49,7 +49,7 @@ class KnownPoints:
         split = self.covariance.reshape(count, 3, count, 3)
         return np.stack([split[i, :, i, :] for i in range(count)])
 
-    def spread(self, weights: FloatArray) -> FloatArray:
+    def covariance_times(self, weights: FloatArray) -> FloatArray:
         """Return covariance times weights (N, 3)."""
         if self.covariance.ndim == 3:
             return (self.covariance @ weights[..., None])[..., 0]

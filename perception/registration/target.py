@@ -265,8 +265,8 @@ def _matched(
     """Return the largest set of points whose mutual distances are those of the CAD."""
     between = np.linalg.norm(cad.points[:, None] - cad.points, axis=2)
     apart = np.linalg.norm(points[:, None] - points, axis=2)
-    spread = np.sqrt(np.trace(geometry.covariance(points, sigma), axis1=1, axis2=2))
-    allowed = DISTANCE + 3.0 * np.hypot(spread[:, None], spread)
+    position_sigma = np.sqrt(np.trace(geometry.covariance(points, sigma), axis1=1, axis2=2))
+    allowed = DISTANCE + 3.0 * np.hypot(position_sigma[:, None], position_sigma)
     nothing: list[tuple[int, int]] = []
     best = max(
         _assignments(between, apart, allowed, nothing),

@@ -95,9 +95,9 @@ def fit_patch(
             return None
         if np.abs(step[:2]).sum() + half * np.abs(step[2:6]).sum() < LEAST_STEP:
             inverse = np.linalg.inv(scaled) * np.outer(scale, scale)
-            spread = np.zeros(8)
-            spread[fitted] = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-            return _judged(place, shape, known, second, half, spread[:2])
+            deviations = np.zeros(8)
+            deviations[fitted] = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+            return _judged(place, shape, known, second, half, deviations[:2])
     return None
 
 
@@ -107,9 +107,9 @@ def _judged(
     known: FloatArray,
     second: FloatImage,
     half: int,
-    spread: FloatArray,
+    deviations: FloatArray,
 ) -> PatchFit | None:
-    """Return the fit with its correlation, and `spread` (2,) times the residuals' deviation."""
+    """Return the fit with its correlation, and `deviations` (2,) times the residuals' deviation."""
     sampled = _sampled(second, place, warp, half)
     if sampled is None:
         return None
@@ -119,7 +119,7 @@ def _judged(
         return None
     correlation = float(first @ other / size)
     residual = (1.0 - correlation**2) * float(other @ other) / (len(known) - 8)
-    return PatchFit(place, warp, correlation, spread * np.sqrt(max(residual, 0.0)))
+    return PatchFit(place, warp, correlation, deviations * np.sqrt(max(residual, 0.0)))
 
 
 def sample_patch(

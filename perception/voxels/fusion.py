@@ -154,7 +154,7 @@ def _gather(
         mean: (3,) written.
         covariance: (6,) written.
     """
-    kind, depth, place, spread = scan.kind, scan.depth, scan.place, scan.spread
+    kind, depth, place, covariances = scan.kind, scan.depth, scan.place, scan.covariance
     nearest = np.float32(np.inf)
     if not flat:
         for v in range(corner[0], corner[1]):
@@ -173,7 +173,7 @@ def _gather(
                 for axis in range(3):
                     mean[axis] += place[v, u, axis]
                 for k in range(6):
-                    covariance[k] += spread[v, u, k]
+                    covariance[k] += covariances[v, u, k]
     scale = 1.0 / max(count, 1)
     for axis in range(3):
         mean[axis] *= scale
@@ -208,9 +208,9 @@ def _fuse_group(
     fused_mean, fused = work.fused_mean, work.fused
     other_mean, other = work.other_mean, work.other
     floor = (MIN_SIGMA_VOXELS * resolution) ** 2
-    spread = resolution * resolution / 12.0
+    voxel_variance = resolution * resolution / 12.0
     gate_group = _variance_along(covariance, ax, ay, az) / _effective(count, correlated)
-    gate_group += floor + (0.0 if sure else spread)
+    gate_group += floor + (0.0 if sure else voxel_variance)
     lx, ly, lz = -1, -1, -1
     scale = 1.0 / resolution
     for j in range(2 * steps + 1):
@@ -253,12 +253,12 @@ def _fuse_group(
         for k in range(6):
             own_covariance[k] /= worth
         # Which point of the voxel's patch was measured is not known; it lies in the surface.
-        own_covariance[0] += spread * (1.0 - (ax * ax if sure else 0.0))
-        own_covariance[1] -= spread * (ax * ay if sure else 0.0)
-        own_covariance[2] -= spread * (ax * az if sure else 0.0)
-        own_covariance[3] += spread * (1.0 - (ay * ay if sure else 0.0))
-        own_covariance[4] -= spread * (ay * az if sure else 0.0)
-        own_covariance[5] += spread * (1.0 - (az * az if sure else 0.0))
+        own_covariance[0] += voxel_variance * (1.0 - (ax * ax if sure else 0.0))
+        own_covariance[1] -= voxel_variance * (ax * ay if sure else 0.0)
+        own_covariance[2] -= voxel_variance * (ax * az if sure else 0.0)
+        own_covariance[3] += voxel_variance * (1.0 - (ay * ay if sure else 0.0))
+        own_covariance[4] -= voxel_variance * (ay * az if sure else 0.0)
+        own_covariance[5] += voxel_variance * (1.0 - (az * az if sure else 0.0))
         if merged:
             merge_gaussians(fused_mean, fused, own, own_covariance)
         else:

@@ -109,7 +109,7 @@ def checked_cloud(points: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray
         where = np.empty((0, 3))
     if where.ndim != 2 or where.shape[1] != 3:
         raise MapError(f"points: expected (N, 3), got {where.shape}")
-    spread = np.ascontiguousarray(covariances, dtype=float)
-    if spread.shape != (len(where), 3, 3) and not len(where) == spread.size == 0:
-        raise MapError(f"covariances: expected ({len(where)}, 3, 3), got {spread.shape}")
-    return where, spread
+    checked = np.ascontiguousarray(covariances, dtype=float)
+    if checked.shape != (len(where), 3, 3) and not len(where) == checked.size == 0:
+        raise MapError(f"covariances: expected ({len(where)}, 3, 3), got {checked.shape}")
+    return where, checked

@@ -172,7 +172,7 @@ class VoxelMap:
                 unchanged.
             MapFull: If there was no memory for all of the scan.
         """
-        where, spread = checked_cloud(points, covariances)
+        where, checked = checked_cloud(points, covariances)
         if not np.isfinite(transform_camera_to_world.as_matrix()).all():
             raise MapError(f"transform_camera_to_world: not finite: {transform_camera_to_world}")
         if len(where) == 0:
@@ -185,10 +185,10 @@ class VoxelMap:
         if self._scan is None or self._scan.depth.shape != size:
             self._scan = allocate_scan(pixels)
         scan = self._scan
-        bad = fill_scan(scan, camera, where, spread, resolution, margins)
+        bad = fill_scan(scan, camera, where, checked, resolution, margins)
         if bad >= 0:
             raise MapError(
-                f"point {bad}: {where[bad]} with covariance {spread[bad].tolist()}: expected "
+                f"point {bad}: {where[bad]} with covariance {checked[bad].tolist()}: expected "
                 "finite numbers, and a positive definite covariance"
             )
         count = int(scan.count.sum())

@@ -92,7 +92,7 @@ class Scan(NamedTuple):
         sigma: (height, width) deviation of one point's depth [m].
         kind: (height, width) NO_POINT; FLAT if the points lie on their tile's plane, else ROUGH.
         place: (height, width, 3) sum of the points [m], from the grid's corner.
-        spread: (height, width, 6) sum of their covariances [m^2]: xx, xy, xz, yy, yz, zz.
+        covariance: (height, width, 6) sum of their covariances [m^2]: xx, xy, xz, yy, yz, zz.
         normal: (tiles down, tiles across, 3) world, towards the camera.
         low: (tiles down, tiles across) least limit of a tile [m], zero if a pixel has no point.
         high: (tiles down, tiles across) largest depth [m].
@@ -105,7 +105,7 @@ class Scan(NamedTuple):
     sigma: NDArray[np.float32]
     kind: NDArray[np.int8]
     place: NDArray[np.float32]
-    spread: NDArray[np.float32]
+    covariance: NDArray[np.float32]
     normal: NDArray[np.float32]
     low: NDArray[np.float32]
     high: NDArray[np.float32]
@@ -126,7 +126,7 @@ def allocate_scan(frustum: Frustum) -> Scan:
         sigma=np.zeros(size, dtype=np.float32),
         kind=np.zeros(size, dtype=np.int8),
         place=np.zeros((*size, 3), dtype=np.float32),
-        spread=np.zeros((*size, 6), dtype=np.float32),
+        covariance=np.zeros((*size, 6), dtype=np.float32),
         normal=np.zeros((*tiles, 3), dtype=np.float32),
         low=np.zeros(tiles, dtype=np.float32),
         high=np.zeros(tiles, dtype=np.float32),
@@ -211,7 +211,7 @@ def _organise(
     ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
     height, width = scan.depth.shape
     depths, counts, sigmas = scan.depth.reshape(-1), scan.count.reshape(-1), scan.sigma.reshape(-1)
-    places, spreads = scan.place.reshape(-1, 3), scan.spread.reshape(-1, 6)
+    places, covariances = scan.place.reshape(-1, 3), scan.covariance.reshape(-1, 6)
     for i in range(np.uint64(points.shape[0])):
         xx, xy, xz = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 0, 2]
         yy, yz, zz = covariances[i, 1, 1], covariances[i, 1, 2], covariances[i, 2, 2]
@@ -253,11 +253,19 @@ def _organise(
             sigmas[pixel] += variance
             # All are read before any is written: so they are added up together.
             x, y, z = x + places[pixel, 0], y + places[pixel, 1], z + places[pixel, 2]
-            xx, xy, xz = xx + spreads[pixel, 0], xy + spreads[pixel, 1], xz + spreads[pixel, 2]
-            yy, yz, zz = yy + spreads[pixel, 3], yz + spreads[pixel, 4], zz + spreads[pixel, 5]
+            xx, xy, xz = (
+                xx + covariances[pixel, 0],
+                xy + covariances[pixel, 1],
+                xz + covariances[pixel, 2],
+            )
+            yy, yz, zz = (
+                yy + covariances[pixel, 3],
+                yz + covariances[pixel, 4],
+                zz + covariances[pixel, 5],
+            )
         places[pixel, 0], places[pixel, 1], places[pixel, 2] = x, y, z
-        spreads[pixel, 0], spreads[pixel, 1], spreads[pixel, 2] = xx, xy, xz
-        spreads[pixel, 3], spreads[pixel, 4], spreads[pixel, 5] = yy, yz, zz
+        covariances[pixel, 0], covariances[pixel, 1], covariances[pixel, 2] = xx, xy, xz
+        covariances[pixel, 3], covariances[pixel, 4], covariances[pixel, 5] = yy, yz, zz
     return -1
 
 

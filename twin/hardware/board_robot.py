@@ -126,7 +126,7 @@ class BoardRobot:
         """Tell the robot where its arm is: its encoders count from power-on.
 
         Args:
-            angles: (4,) joint angles in which the arm stands still, as a jig holds it [rad].
+            angles: (4,) joint angles of the arm at rest in its jig [rad].
 
         Raises:
             RobotError: If the robot drives, the arm moves, or a board does not answer.

@@ -33,7 +33,7 @@ from twin.hardware.serial_link import SerialLink
 BUS_BAUD = 460800
 """Four boards, twice a cycle, at 100 Hz need so much."""
 _PATIENCE = 0.25
-"""Longest call of boards whose time stands still meanwhile [s]."""
+"""Longest call of emulated boards whose time is stopped during the call [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,12 +49,11 @@ class Wiring:
         robot: Name of the robot.
         calibration: File of its calibration; the repository's own unless given.
         most_days: Largest age of the calibration [days].
-        home: Joint angles (4,) in which the arm stands in its jig [rad]; empty if it is not.
+        home: (4,) joint angles of the arm in its jig [rad]; empty if it is not in the jig.
         radio: Serial port of the radio modem; empty for none.
-        slow_down: How many times as long as on the wall the boards' time takes: above 1 for
-            emulated ones that say so.
-        emulated: Whether they are emulated, so that an old calibration is as good as a new one.
-        patient: Whether their time stands still while they are asked. Then a call may take long,
+        slow_down: Wall-clock time over the boards' time; above 1 for slowed emulated boards.
+        emulated: Whether the boards are emulated, so that a calibration's age does not matter.
+        patient: Whether the boards' time is stopped during a call. Then a call may take long,
             and a busy machine changes nothing.
     """
 
@@ -73,12 +72,12 @@ class Wiring:
 
     @classmethod
     def parse(cls, words: str) -> "Wiring":
-        """Return the wiring that stands behind ``serial:``.
+        """Parse the wiring given behind ``serial:``.
 
         Args:
             words: "/dev/ttyACM0,analogue=/dev/ttyACM1,wrench=192.168.1.1,stereo=0:1,robot=rover1,
                 calibration=FILE,most_days=365,home=0:0.9:-1.4:0.1"; all but the first may be left
-                out. `home` are the joint angles in which the arm stands now [rad].
+                out. `home` are the arm's present joint angles [rad].
 
         Raises:
             ValueError: Naming the word that is wrong, and those that there are.
@@ -212,7 +211,7 @@ def _camera(wiring: Wiring) -> StereoCapture:
 def wired_robot(
     wiring: Wiring, clock: Callable[[], float], config: BoardRobotConfig | None = None
 ) -> BoardRobot:
-    """Return a configured robot over its wires, homed if the wiring tells its pose.
+    """Return a configured robot over its wires, homed if the wiring gives the arm's joint angles.
 
     Args:
         wiring: Ports of its boards.

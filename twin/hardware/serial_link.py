@@ -73,7 +73,8 @@ class SerialLink:
 
         Args:
             count: Bytes wanted.
-            deadline: On the clock of `time.monotonic` [s]; one that has passed takes what is there.
+            deadline: Time on the clock of `time.monotonic` [s] until which to wait; one in the past
+                reads what has arrived.
 
         Raises:
             LinkError: If the port is gone.

@@ -142,7 +142,7 @@ def stages_clear(bases, states, stages, joints, centres, reach):
     """Return which stages (m,) are farther than a reach from all centres.
 
     Args:
-        bases: (m, 12) pose of the disc that each stage stands on.
+        bases: (m, 12) pose of the disc below each stage.
         states: (m,) of each stage.
         stages: (8, 12) pose of a stage in each state.
         joints: (3, 3) joints on the rim of a disc, in its frame; the first at the disc's radius.

@@ -38,9 +38,9 @@ class PlanarPlant:
 def planar_plant() -> PlanarPlant:
     """Build both from the rover's sheet and the arm's model."""
     wheels = 4.0 * _SHEET.wheel_mass
-    spread = wheels * np.array([_SHEET.half_wheelbase**2, 1e-3, _SHEET.half_wheelbase**2])
+    wheel_inertia = wheels * np.array([_SHEET.half_wheelbase**2, 1e-3, _SHEET.half_wheelbase**2])
     depth = _SHEET.wheel_radius - _SHEET.centre_height
-    vehicle = RigidBody(wheels, np.array([0.0, 0.0, depth]), np.diag(spread))
+    vehicle = RigidBody(wheels, np.array([0.0, 0.0, depth]), np.diag(wheel_inertia))
     squares = _BASE_SIDES**2
     inertia = _SHEET.sprung_mass / 3.0 * np.diag(squares.sum() - squares)
     rise = _SHEET.sprung_height - _SHEET.centre_height

@@ -60,7 +60,7 @@ class TrussBench:
         self._stage = set(np.flatnonzero(self.model.geom_bodyid == stage).tolist())
 
     def look(self) -> None:
-        """Compute the forces of this instant; the simulation itself stands amid a step."""
+        """Compute this instant's forces on a copy of the state: the simulation is amid a step."""
         now = self._now
         for name in ("qpos", "qvel", "act", "ctrl", "qacc_warmstart"):
             getattr(now, name)[:] = getattr(self.data, name)

@@ -1,8 +1,8 @@
 """``appa-truss``: two rovers hold one segment and insert it in a truss stage (Thesis A.4).
 
 Master and slave as in figure A-8, on their suspensions, with their datasheets' sensors and the
-9600-baud radio between them. The stage stands elsewhere than the master believes, and the slave
-elsewhere than the map says. Compared are the hybrid control, the same without its force half (both
+9600-baud radio between them. The stage's true pose differs from the master's estimate, and the
+slave's from that on the map. Compared are the hybrid control, the same without its force half (both
 grips hold positions; the insertion still gives way), and the hybrid grips without guidance.
 """
 

@@ -36,7 +36,7 @@ def draw_stops(times: Mapping[str, Sequence[float]], bound: float) -> Figure:
     axes = figure.add_subplot()
     for row, values in enumerate(times.values()):
         found = 1e3 * np.minimum(np.asarray(values, dtype=float), 1.3 * bound)
-        # Ticks are discrete: spread what would lie on one point.
+        # Ticks are discrete: separate points that would coincide.
         height = row + np.linspace(-0.25, 0.25, len(found))
         axes.plot(found, height, "o", markersize=4, alpha=0.7, color="tab:blue")
         axes.plot([np.median(found)] * 2, [row - 0.35, row + 0.35], color="tab:red")

@@ -109,14 +109,14 @@ def call_damaged(rate: float, calls: int, seed: int) -> DamagedCalls:
 
 
 def _read(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Generator) -> bool:
-    """Turn the shafts anywhere, read them, and tell whether the reading is wrong."""
+    """Turn the shafts anywhere, read them, and return whether the reading is wrong."""
     one, two = (int(count) for count in rng.integers(-(2**31), 2**31, 2))
     wire.boards[address].motors.counts = one, two
     return bus.read(address, BoardCommand.GET_ENCODERS) != (one, two)
 
 
 def _write(bus: RoboClawBus, wire: DamagedLine, address: int, rng: np.random.Generator) -> bool:
-    """Set two duties, and tell whether the board has others though it acknowledged."""
+    """Set two duties, and return whether the board has others though it acknowledged."""
     one, two = (int(code) for code in rng.integers(-FULL_DUTY, FULL_DUTY + 1, 2))
     bus.write(address, BoardCommand.DUTY_BOTH, one, two)
     return wire.boards[address].duties() != (one, two)

@@ -142,7 +142,7 @@ class LoopPace:
         misses: Deadlines missed.
         periods: (n - 1,) time from the beginning of one cycle to the next [s].
         adapter: (n,) time that the adapter takes of each cycle [s].
-        fault: What the robot reported when it stopped; empty if it did not.
+        fault: Report of the robot on stopping; empty if it did not stop.
         exchanges: Exchanges with motor boards in a cycle.
     """
 

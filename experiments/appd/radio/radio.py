@@ -2,8 +2,8 @@
 
 Bytes are changed, lost and inserted at a given rate, alike and in both directions. Virtual time
 carries an hour of radio in seconds. The handshake answers each byte, so it is the slower the more
-the modems delay; the framed link hardly is. In the end two rovers drive and tell each other where
-they are.
+the modems delay; the framed link hardly is. In the end two rovers drive and report their
+positions to each other.
 """
 
 import dataclasses

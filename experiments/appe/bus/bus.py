@@ -126,7 +126,7 @@ def run(options: Options, output: Output) -> None:
     output.figure("figure_e-8_waveform", draw_waveform(traces, BusCircuit()))
     output.figure("bus_one_fault", draw_faults(found["faults"]))
     output.figure("bus_word_errors", draw_rates(found))
-    output.figure("bus_lasting_and_rc", draw_lasting(found["lasting"], found["spread"]))
+    output.figure("bus_lasting_and_rc", draw_lasting(found["lasting"], found["rc_sigma"]))
     output.figure("bus_change_time", draw_durations(durations))
 
 
@@ -166,7 +166,7 @@ def _plans(options: Options, sizes: Sizes) -> dict[str, list[BusTrialConfig]]:
             for name in PROTOCOLS
             for seed in options.job_seeds(sizes.runs, sizes.runs)
         ],
-        "spread": [
+        "rc_sigma": [
             BusTrialConfig("thesis", count, next(seeds), "rc", rc_sigma=share, margin=margin)
             for margin in MARGINS
             for share in SPREADS
@@ -213,13 +213,13 @@ def _measure_faults(rows: Sequence[BusTrial], output: Output) -> None:
 
 
 def _measure_curves(found: dict[str, list[BusTrial]], output: Output) -> None:
-    """Store the shares of words that are not right by noise, rate and spread."""
+    """Store the shares of words that are not right by noise, rate of faults and RC tolerance."""
     for part in ("noise", "missed", "extra"):
         for row in found[part]:
             where = f"{row.config.protocol}/{row.config.buffer}/{getattr(row.config, part):g}"
             output.measure(f"word_errors_by_{part}/{where}", fraction(row.wrong, row.sent))
             output.measure(f"silent_errors_by_{part}/{where}", fraction(row.silent, row.sent))
-    for row in found["spread"]:
+    for row in found["rc_sigma"]:
         where = f"{row.config.margin:g}/{row.config.rc_sigma:g}"
         output.measure(f"word_errors_by_rc/{where}", fraction(row.wrong, row.sent))
     for name in PROTOCOLS:

@@ -20,7 +20,12 @@ _FAULTS = {
     "extra": "one pulse too many in each word",
     "missed_flag": "one flag missed in each word",
 }
-_FATE_COLOURS = {"right": "0.85", "told": "tab:blue", "skipped": "tab:orange", "wrong": "tab:red"}
+_FATE_COLOURS = {
+    "right": "0.85",
+    "told": "tab:blue",
+    "skipped": "tab:orange",
+    "wrong": "tab:red",
+}
 _FATE_LABELS = {
     "right": "right",
     "told": "wrong, the master knows",

@@ -1,8 +1,9 @@
 """``appe-placement``: a camera placement of chapter 4, carried out by BRAID on a rover.
 
 Blocks hide a target from the head at rest. The placement is rated as in chapter 4 from blocks that
-are known with an error; a place counts as taken unless some word comes near it with the target in
-its picture. The best one that the inverse kinematics stands for, links clear of the blocks, is
+are known with an error; a camera position counts as occupied unless some word of the actuators
+comes near it with the target in view. The best one that the inverse kinematics reaches, links clear
+of the blocks, is
 driven in physics by the muscle wires, and what the camera then sees is rendered.
 """
 

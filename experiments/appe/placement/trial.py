@@ -155,7 +155,7 @@ class BraidPlanner:
         return np.all((pixels > MARGIN) & (pixels < size - MARGIN), axis=1)
 
     def plan(self) -> Plan | None:
-        """Return the best rated placement that a word stands for, or None."""
+        """Return the best rated placement that a word of the actuators reaches, or None."""
         best = views_in_order(SpatialTask([self.field], self.lens, self.occupancy, SEARCH))
         for tries, view in enumerate(best, start=1):
             if tries > TRIES:

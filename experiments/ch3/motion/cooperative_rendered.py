@@ -1,4 +1,4 @@
-"""Cooperative stereo on rendered pairs: both rovers view the panel and what stands about it.
+"""Cooperative stereo on rendered pairs: both rovers view the panel and its surroundings.
 
 The panel's markers, whose positions on it are known, give each robot's pose, and so the relative
 pose. Points of the first robot's stereo are then searched for in the second one's left image: their

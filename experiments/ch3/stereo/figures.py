@@ -33,7 +33,7 @@ def growth_figure(curves: Mapping[str, FloatArray]) -> Figure:
     """Draw the map's growth (figure 3-25).
 
     Args:
-        curves: By method (runs, views, 2): share of the surface and occupied voxels.
+        curves: (runs, views, 2) share of the surface [-] and occupied voxels, by method.
     """
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     labels = ("share of the visible surface mapped [-]", "mapped points (voxels of 5 mm)")

@@ -61,7 +61,7 @@ class Scored:
 
     Attributes:
         mapper: Mapper with its map and views.
-        scene: The same scene, for its truth.
+        scene: Simulated scene, for its true surface.
         curve: Share of the true surface mapped, and number of occupied voxels, after each view.
         transform_scene_to_map: True transform to the frame that the robots map in, see
             `named_frame`.

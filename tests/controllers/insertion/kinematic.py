@@ -1,6 +1,6 @@
 """A slave without physics: it rolls and moves as commanded, and its card touches what is said.
 
-On springs it leans under its arm, at once.
+On springs it tilts under its arm, at once.
 """
 
 import dataclasses
@@ -72,7 +72,7 @@ class Slave:
         return pose
 
     def _tilt(self) -> np.ndarray:
-        """Return (2,) how it leans, against how it would with the arm at home."""
+        """Return (2,) its pitch and roll relative to those with the arm at home [rad]."""
         if self._springs is None:
             return np.zeros(2)
         up = np.array([0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""The slave brings the card in by looks and force, and stands still when it must."""
+"""The slave inserts the card by guidance and force, and stops without either."""
 
 import copy
 import dataclasses
@@ -55,7 +55,7 @@ def test_card_is_brought_before_the_slot_and_in(slip, error):
 
 @pytest.mark.slow
 def test_the_lean_under_the_arm_is_fed_forward():
-    """Four times softer than ours, so that the way of the card leans it by a millimetre."""
+    """Springs four times softer than the rover's: the card's path tilts the base by 1 mm."""
     soft = (
         dataclasses.replace(axis, stiffness=axis.stiffness / 4.0)
         for axis in drawn_springs(describe_rover())

@@ -1,4 +1,4 @@
-"""What the master tells arrives as it was told, to its steps, or not at all."""
+"""Guidance arrives as it was sent, to its quantisation steps, or not at all."""
 
 import numpy as np
 import pytest
@@ -27,58 +27,61 @@ def drawn(rng: np.random.Generator) -> Guidance:
 def test_message_says_the_pose_to_half_a_step_and_fits_a_frame():
     rng = np.random.default_rng(0)
     for _ in range(60):
-        told = drawn(rng)
-        message = told.pack()
+        original = drawn(rng)
+        message = original.pack()
         assert len(message) <= MESSAGE_LIMIT
-        heard = unpack(message)
-        assert told.transform_slot_to_card is not None
-        assert heard.transform_slot_to_card is not None
-        assert heard.card_seen and heard.slot_seen
-        assert heard.time == pytest.approx(told.time, abs=0.51e-3)
-        place = heard.transform_slot_to_card.translation - told.transform_slot_to_card.translation
+        received = unpack(message)
+        assert original.transform_slot_to_card is not None
+        assert received.transform_slot_to_card is not None
+        assert received.card_seen and received.slot_seen
+        assert received.time == pytest.approx(original.time, abs=0.51e-3)
+        place = (
+            received.transform_slot_to_card.translation
+            - original.transform_slot_to_card.translation
+        )
         assert np.abs(place).max() <= 0.5 * PLACE_STEP + 1e-12
-        turn = heard.transform_slot_to_card.rotation.as_rotvec()
-        turn = turn - told.transform_slot_to_card.rotation.as_rotvec()
+        turn = received.transform_slot_to_card.rotation.as_rotvec()
+        turn = turn - original.transform_slot_to_card.rotation.as_rotvec()
         assert np.abs(turn).max() <= 0.5 * TURN_STEP + 1e-12
 
 
 def test_covariance_arrives_to_half_precision_and_positive():
     rng = np.random.default_rng(1)
     for _ in range(60):
-        told = drawn(rng)
-        heard = unpack(told.pack()).covariance
-        np.testing.assert_allclose(heard, heard.T, atol=1e-18)
-        assert np.linalg.eigvalsh(heard).min() > 0.0
+        original = drawn(rng)
+        received = unpack(original.pack()).covariance
+        np.testing.assert_allclose(received, received.T, atol=1e-18)
+        assert np.linalg.eigvalsh(received).min() > 0.0
         # Eleven bits of each number, on the scale of its row and column.
-        scale = np.sqrt(np.outer(np.diag(told.covariance), np.diag(told.covariance)))
-        assert np.abs((heard - told.covariance) / scale).max() < 2e-3
+        scale = np.sqrt(np.outer(np.diag(original.covariance), np.diag(original.covariance)))
+        assert np.abs((received - original.covariance) / scale).max() < 2e-3
 
 
 def test_covariance_too_small_or_too_large_for_its_numbers_stays_positive_and_finite():
     for size in (0.0, 1e-16, 1e-2, 1.0, 1e6):
-        told = Guidance(1.0, True, True, RigidTransform.identity(), size * np.eye(6))
-        heard = unpack(told.pack()).covariance
-        assert np.isfinite(heard).all() and np.linalg.eigvalsh(heard).min() > 0.0
+        original = Guidance(1.0, True, True, RigidTransform.identity(), size * np.eye(6))
+        received = unpack(original.pack()).covariance
+        assert np.isfinite(received).all() and np.linalg.eigvalsh(received).min() > 0.0
 
 
 @pytest.mark.parametrize("card", [False, True])
 @pytest.mark.parametrize("slot", [False, True])
 def test_look_without_a_pose_says_what_was_seen(card, slot):
-    heard = unpack(Guidance(2.0, card, slot, None, np.zeros((6, 6))).pack())
-    assert (heard.card_seen, heard.slot_seen) == (card, slot)
-    assert heard.transform_slot_to_card is None
-    np.testing.assert_array_equal(heard.covariance, 0.0)
+    received = unpack(Guidance(2.0, card, slot, None, np.zeros((6, 6))).pack())
+    assert (received.card_seen, received.slot_seen) == (card, slot)
+    assert received.transform_slot_to_card is None
+    np.testing.assert_array_equal(received.covariance, 0.0)
 
 
 def test_what_cannot_be_sent_is_refused():
     far = RigidTransform.from_translation([0.7, 0.0, 0.0])
-    near, spread = RigidTransform.identity(), 1e-6 * np.eye(6)
+    near, identity = RigidTransform.identity(), 1e-6 * np.eye(6)
     with pytest.raises(GuidanceError, match="0.65 m"):
-        Guidance(1.0, True, True, far, spread).pack()
+        Guidance(1.0, True, True, far, identity).pack()
     with pytest.raises(GuidanceError, match="not finite"):
         Guidance(1.0, True, True, near, np.full((6, 6), np.nan)).pack()
     with pytest.raises(GuidanceError, match="not finite"):
-        Guidance(float("nan"), True, True, near, spread).pack()
+        Guidance(float("nan"), True, True, near, identity).pack()
 
 
 def test_what_is_no_such_message_is_refused():
@@ -96,15 +99,15 @@ def test_radio_with_byte_errors_loses_looks_but_never_changes_one():
     modems = VirtualModems(ModemConfig(error_rate=3e-3), rng)
     master, slave = (FramedLink(end, rng) for end in modems.ends)
     sent: list[bytes] = []
-    heard: list[bytes] = []
+    received: list[bytes] = []
     for tick in range(60 * 100):
         modems.time = 0.01 * tick
         if tick % 25 == 0:
             sent.append(drawn(rng).pack())
             master.send_latest(sent[-1])
         master.poll()
-        heard += slave.poll().messages
-    assert 0.6 * len(sent) < len(heard) < len(sent)
-    order = [sent.index(message) for message in heard]
+        received += slave.poll().messages
+    assert 0.6 * len(sent) < len(received) < len(sent)
+    order = [sent.index(message) for message in received]
     assert order == sorted(order)
     assert slave._parser.rejected > 0

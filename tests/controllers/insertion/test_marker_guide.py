@@ -1,4 +1,4 @@
-"""Of rendered pairs the master tells what is true within its covariance, or that it saw nothing."""
+"""Poses measured in rendered pairs are true within their covariance, or reported as missing."""
 
 import dataclasses
 
@@ -81,7 +81,7 @@ def eyes():
 
 
 def square(eyes: Eyes, guidance) -> float:
-    """Squared error of the pose that was told, whitened by its covariance."""
+    """Squared error of the measured pose, whitened by its covariance."""
     parts = true_parts(eyes.data)
     true = parts.card_pose.inv() * parts.slot_pose
     error = (true * guidance.transform_slot_to_card.inv()).as_exp_coords()
@@ -99,8 +99,8 @@ def test_told_pose_is_true_within_its_covariance(eyes):
         squares.append(square(eyes, guidance))
         parts = true_parts(eyes.data)
         true = parts.card_pose.inv() * parts.slot_pose
-        told = guidance.transform_slot_to_card
-        places.append(np.abs(told.inv().translation - true.inv().translation)[:2].max())
+        measured = guidance.transform_slot_to_card
+        places.append(np.abs(measured.inv().translation - true.inv().translation)[:2].max())
     # The mean of eight squares of six degrees of freedom has a deviation of 1.2.
     assert 1.5 < np.mean(squares) < 11.0
     assert np.median(places) < 1e-3

@@ -21,7 +21,7 @@ TICK = PAIR.period
 
 
 class Felt:
-    """Stands for the grip's sensor: tells what it is set to."""
+    """Replaces the grip's sensor: returns the value that it is set to."""
 
     def __init__(self, wrench=(0.0, 0.0, 0.0)):
         self.wrench = np.array(wrench)

@@ -51,7 +51,7 @@ def test_planar_motion_is_that_of_the_rigid_transform():
 
 @pytest.mark.parametrize("slant", [0.2, 0.5, 1.0])
 def test_motion_in_a_plane_seen_aslant_is_not(slant):
-    """The same planar turn of 0.3 rad, seen by a camera that leans: eq. 5-4 misses the goal."""
+    """The same planar turn of 0.3 rad, seen by a tilted camera: eq. 5-4 misses the goal."""
     camera = pose([0.0, 0.0, 0.6], x=slant)
     card, goal = camera * pose([0.0, 0.0, 0.0], z=0.2), camera * pose([0.1, 0.0, 0.0], z=0.5)
     motion = required_motion(three_points(goal), three_points(card))
@@ -64,7 +64,7 @@ def test_motion_in_a_plane_seen_aslant_is_not(slant):
 def test_angles_of_a_general_attitude_are_not_the_factors_of_the_transform():
     body = pose([0.1, 0.1, 0.5], x=0.4, y=0.3, z=0.5)
     angles = euler_angles(three_points(body))
-    assert angles[0] == pytest.approx(0.4)  # R^x stands first, so it alone is told exactly
+    assert angles[0] == pytest.approx(0.4)  # R^x is first, so it alone is recovered exactly
     # The factors themselves would give the attitude.
     assert (turn_of([0.4, 0.3, 0.5]).inv() * body.rotation).magnitude() < 1e-12
     assert apart(pose_of(three_points(body)), body)[1] > 0.05

@@ -13,12 +13,12 @@ from perception.geometry.se3 import adjoint
 
 SLOT = RigidTransform.from_components([0.02, 0.8, 0.3], Rotation.from_euler("zx", [0.1, -0.05]))
 PRIOR = np.diag([4e-3**2] * 3 + [2e-3**2] * 3)
-STILL = BeliefConfig(standing=(0.0, 0.0))
-"""Without drift, for comparison with an estimate of something that stands still."""
+STILL = BeliefConfig(rest_drift=(0.0, 0.0))
+"""Without drift, for comparison with a belief about a slot at rest."""
 
 
-def look(time: float, card: RigidTransform, slot: RigidTransform, spread) -> Guidance:
-    return Guidance(time, True, True, card.inv() * slot, np.asarray(spread, dtype=float))
+def look(time: float, card: RigidTransform, slot: RigidTransform, noise_covariance) -> Guidance:
+    return Guidance(time, True, True, card.inv() * slot, np.asarray(noise_covariance, dtype=float))
 
 
 def small(rng: np.random.Generator, turn=1e-3, place=5e-4) -> RigidTransform:
@@ -36,15 +36,15 @@ def cards(rng: np.random.Generator, count: int) -> list[RigidTransform]:
     ]
 
 
-def batch(believed: RigidTransform, seen, spreads) -> tuple[RigidTransform, np.ndarray]:
+def batch(believed: RigidTransform, seen, covariances) -> tuple[RigidTransform, np.ndarray]:
     """The weighted least-squares pose of prior and looks at once, with its covariance."""
 
     def whitened(xi):
         pose = RigidTransform.from_exp_coords(xi) * SLOT
         rows = [np.linalg.solve(np.linalg.cholesky(PRIOR), (pose * believed.inv()).as_exp_coords())]
-        for one, spread in zip(seen, spreads, strict=True):
+        for one, noise_covariance in zip(seen, covariances, strict=True):
             error = (pose * one.inv()).as_exp_coords()
-            rows.append(np.linalg.solve(np.linalg.cholesky(spread), error))
+            rows.append(np.linalg.solve(np.linalg.cholesky(noise_covariance), error))
         return np.concatenate(rows)
 
     found = least_squares(whitened, np.zeros(6), x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
@@ -58,14 +58,14 @@ def test_posterior_is_that_of_a_batch_least_squares_fit():
     belief = SlotBelief(believed, PRIOR, STILL)
     noise = np.diag([1e-3**2] * 3 + [3e-4**2] * 3)
     own = np.diag([STILL.card[0] ** 2] * 3 + [STILL.card[1] ** 2] * 3)
-    seen, spreads = [], []
+    seen, covariances = [], []
     for number, card in enumerate(cards(rng, 8)):
         guidance = look(float(number), card, small(rng) * SLOT, noise)
         belief.note(float(number), card.as_matrix(), 0.0, 0.0, 0.25)
         assert belief.take(guidance)
         seen.append(card * guidance.transform_slot_to_card)
-        spreads.append(adjoint(card) @ (noise + own) @ adjoint(card).T)
-    pose, covariance = batch(believed, seen, spreads)
+        covariances.append(adjoint(card) @ (noise + own) @ adjoint(card).T)
+    pose, covariance = batch(believed, seen, covariances)
     mean = RigidTransform.from_matrix(belief.slot_in_start)
     error = (mean * pose.inv()).as_exp_coords()
     # Poses do not form a vector space: a hundredth of a deviation is left.

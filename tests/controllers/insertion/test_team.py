@@ -18,11 +18,11 @@ def heard_of(distance: float) -> list[Guidance]:
     """Return what the slave hears of one look that places the slot so far from the card [m]."""
     pose = RigidTransform.from_translation([distance, 0.0, 0.0])
     looks = iter([Guidance(0.0, True, True, pose, np.eye(6) * 1e-6)])
-    heard: list[Guidance] = []
+    received: list[Guidance] = []
     time = 0.0
 
-    def act(seen, told):
-        heard.extend(told)
+    def act(seen, messages):
+        received.extend(messages)
         return Command()
 
     marker_guide = SimpleNamespace(step=lambda seen: (Command(), next(looks, None)))
@@ -42,7 +42,7 @@ def heard_of(distance: float) -> list[Guidance]:
     for tick in range(40):
         time = 0.01 * tick
         team.step({name: Observation(time) for name in (MASTER, SLAVE)})
-    return heard
+    return received
 
 
 def test_look_arrives_by_radio():

@@ -45,16 +45,18 @@ def master_of(site: SiteDrawing) -> MissionBelief:
 
 
 def test_slot_is_drawn_where_a_rover_at_its_nominal_place_would_have_it(site: SiteDrawing) -> None:
-    told = master_of(site)
+    belief = master_of(site)
     x, y, yaw = INITIAL_POSES[SLAVE]
     assert (x, yaw) == (0.0, 0.0)
     # Straight ahead of the slave, as high as the slot is above a robot's origin.
     ahead = [0.0, -y, site.insertion.transform_slot_to_ground.translation[2] - ROVER.centre_height]
-    np.testing.assert_allclose(told.partner.transform_slot_to_robot.translation, ahead, atol=1e-12)
-    # The master looks along -x: what is at its left is at -y.
+    np.testing.assert_allclose(
+        belief.partner.transform_slot_to_robot.translation, ahead, atol=1e-12
+    )
+    # The master faces -x: its left is -y.
     master_x, master_y, _ = INITIAL_POSES[MASTER]
     np.testing.assert_allclose(
-        told.transform_slot_to_level.translation[:2],
+        belief.transform_slot_to_level.translation[:2],
         [-master_y * -1.0 * -1.0, master_x],
         atol=1e-12,
     )
@@ -68,8 +70,8 @@ def test_a_standing_and_the_drawing_tell_where_the_slot_is(site: SiteDrawing) ->
     belief = master_of(site)
     belief.map = _map(site.target)
     belief.map.transform_target_to_world = to_world
-    standing = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), level_to_world)
-    belief.localize(standing)
+    localization = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), level_to_world)
+    belief.localize(localization)
     expected = to_level * site.transform_slot_to_panel
     np.testing.assert_allclose(
         belief.transform_slot_to_level.as_matrix(),
@@ -77,8 +79,8 @@ def test_a_standing_and_the_drawing_tell_where_the_slot_is(site: SiteDrawing) ->
         atol=1e-12,
     )
     # All that is left is the drawing's error, seen from the robot.
-    spread = np.sqrt(np.trace(belief.slot_covariance[:3, :3]))
-    assert spread == pytest.approx(np.sqrt(np.trace(site.covariance[:3, :3])))
+    sigma = np.sqrt(np.trace(belief.slot_covariance[:3, :3]))
+    assert sigma == pytest.approx(np.sqrt(np.trace(site.covariance[:3, :3])))
 
 
 def _map(target: TargetCad) -> SharedMap:
@@ -96,38 +98,38 @@ def test_a_leaning_rover_sees_the_slot_where_its_lean_puts_it(site: SiteDrawing)
     )
 
 
-Ways = list[tuple[np.ndarray, typing.Callable[[np.ndarray], bool]]]
+Drives = list[tuple[np.ndarray, typing.Callable[[np.ndarray], bool]]]
 
 
 @pytest.fixture
-def ways(monkeypatch: pytest.MonkeyPatch) -> Ways:
-    """Return a list that gets each drive's goal, and what it asks whether a pose is free."""
-    told: Ways = []
+def drives(monkeypatch: pytest.MonkeyPatch) -> Drives:
+    """Return a list that gets each drive's goal, and its function for whether a pose is free."""
+    drives: Drives = []
     begin = DriveToPose.__init__
 
     def note(self: DriveToPose, steer: SkidSteer, goal: np.ndarray, free: typing.Any) -> None:
-        told.append((np.array(goal), free))
+        drives.append((np.array(goal), free))
         begin(self, steer, goal, free=free)
 
     monkeypatch.setattr(DriveToPose, "__init__", note)
-    return told
+    return drives
 
 
-def test_a_stand_is_gone_to_from_where_the_slot_is_seen(site: SiteDrawing, ways: Ways) -> None:
+def test_a_stand_is_gone_to_from_where_the_slot_is_seen(site: SiteDrawing, drives: Drives) -> None:
     belief = master_of(site)
     x, y, yaw = INITIAL_POSES[MASTER]
     PlaceCamera(belief, CameraStation((x, y, yaw), np.zeros(4), 0.5, 0.0))
-    np.testing.assert_allclose(ways[0][0], np.zeros(3), atol=1e-12)
+    np.testing.assert_allclose(drives[0][0], np.zeros(3), atol=1e-12)
     PlaceCamera(belief, CameraStation((x - 0.3, y, yaw + 0.2), np.zeros(4), 0.5, 0.0))
     # It looks along -x: 0.3 m less of x is 0.3 m ahead.
-    np.testing.assert_allclose(ways[1][0], [0.0, 0.3, 0.2], atol=1e-12)
+    np.testing.assert_allclose(drives[1][0], [0.0, 0.3, 0.2], atol=1e-12)
 
 
 def _with_map(site: SiteDrawing, points: np.ndarray) -> MissionBelief:
     """Return belief whose map holds points of the level ground below the slot [m]."""
     belief = master_of(site)
     level_to_world = RigidTransform.from_components([0.3, 0.2, 0.1], Rotation.from_euler("z", 0.5))
-    standing = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), level_to_world)
+    localization = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), level_to_world)
     to_world = (
         level_to_world
         * belief.transform_slot_to_level
@@ -137,7 +139,7 @@ def _with_map(site: SiteDrawing, points: np.ndarray) -> MissionBelief:
         to_world.apply(points), np.tile(1e-8 * np.eye(3), (len(points), 1, 1)), np.ones(len(points))
     )
     shared = types.SimpleNamespace(voxels=types.SimpleNamespace(surface=lambda: surface))
-    belief.map, belief.localization = typing.cast(SharedMap, shared), standing
+    belief.map, belief.localization = typing.cast(SharedMap, shared), localization
     return belief
 
 
@@ -150,12 +152,14 @@ def test_the_master_does_not_stand_where_the_map_has_something(site: SiteDrawing
     assert math.dist(other.place[:2], (x + 0.1, y)) > 0.29
 
 
-def test_the_master_does_not_back_off_into_what_the_map_has(site: SiteDrawing, ways: Ways) -> None:
+def test_the_master_does_not_back_off_into_what_the_map_has(
+    site: SiteDrawing, drives: Drives
+) -> None:
     x, y, yaw = INITIAL_POSES[MASTER]
     # It looks along -x: behind it is +x, and +y lies to its right.
     stake = np.array([[x + 0.4, y + 0.1, z] for z in (0.15, 0.2, 0.25, 0.3)])
     PlaceCamera(_with_map(site, stake), CameraStation((x, y, yaw), np.zeros(4), 0.5, 0.0))
-    ((_, free),) = ways
+    ((_, free),) = drives
     assert not free(np.array([0.1, -0.4, 0.0]))
     assert not free(np.array([0.0, -0.2, 0.3]))
     assert free(np.array([-0.3, -0.4, 0.0])) and free(np.array([0.1, 0.4, 0.0]))

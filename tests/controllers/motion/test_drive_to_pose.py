@@ -24,11 +24,11 @@ def drive(
     """Return (3,) where a rover ends that follows at once and turns by a share of rolling.
 
     Args:
-        driver: Its controller.
+        driver: Controller of the rover.
         share: Turn rate over that of rolling wheels.
         longest: Time after which it has failed [s].
-        lame: What the left and the right wheels do of what is asked of them.
-        motions: Gets the speed [m/s] and rate of turn [rad/s] that are asked for in each tick.
+        lame: Shares of the commanded speed that the left and the right wheels reach.
+        motions: Gets the commanded speed [m/s] and rate of turn [rad/s] of each tick.
     """
     x = y = yaw = 0.0
     speeds = np.zeros(4)

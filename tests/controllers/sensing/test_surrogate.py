@@ -184,7 +184,7 @@ def test_lost_inclinometer_on_a_slope_is_not_taken_for_a_failed_wrench():
     for seen in run.seen[FIRST:FAIL]:
         robot.step(seen, PERIOD)
     for tick in range(FAIL, FAIL + 260):
-        # Five degrees on half a metre of way, then it stands on the slope.
+        # Five degrees on half a metre of path, then it is at rest on the slope.
         slope = np.radians(min(0.025 * (tick - FAIL), 5.0))
         speed = 3.0 if tick < FAIL + 200 else 0.0
         state = robot.step(on_a_slope(run.seen[tick], slope, speed), PERIOD)

@@ -1,4 +1,4 @@
-"""The scene of the insertion is as the thesis has it, and cameras are placed as told."""
+"""The scene of the insertion is that of the thesis, and cameras are placed as configured."""
 
 import math
 
@@ -86,7 +86,7 @@ def test_only_the_master_has_cameras(placed):
 def test_true_pose_of_a_card_in_the_slot(placed):
     model, data = placed
     pose = card_in_slot(data)
-    # The slave stands about 0.62 m before the mouth, its card as far ahead as the arm reaches.
+    # The slave is about 0.62 m before the mouth, its card as far ahead as the arm reaches.
     wrist = data.body(f"{SLAVE}/wrist").xpos
     tip = wrist + data.body(f"{SLAVE}/card").xmat.reshape(3, 3)[:, 1] * TIP
     np.testing.assert_allclose(pose[:3], [SLOT_HEIGHT - tip[2], tip[1], tip[0]], atol=1e-9)
@@ -142,7 +142,7 @@ def test_best_station_puts_all_markers_in_both_images(width):
         name = f"{MASTER}/stereo_{side}"
         camera = camera_model(model, name)
         rotation, eye = camera_pose(data, model.camera(name).id)
-        # The level scene's ground is that of the model: the chassis stands at its height.
+        # The level scene's ground is that of the model: the chassis is at its height.
         eye = eye + [0.0, 0.0, ROVER.centre_height - data.body(f"{MASTER}/chassis").xpos[2]]
         local = (insertion_drawing(width).parts(GAP).markers() - eye) @ rotation
         u, v = camera.pixels(local).T

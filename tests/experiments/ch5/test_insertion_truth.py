@@ -40,7 +40,7 @@ class Notes(LoopRecorder):
         self.reasons.append(self._inserter.reason)
 
 
-class Told:
+class CommandRecorder:
     """Keeps what a team commands, before robots turn it into duty."""
 
     def __init__(self, team):
@@ -96,10 +96,10 @@ def blind(request):
         simulation.model.key_qpos[:] = np.nan
         simulation.model.site_rgba[:, 3] = 0.0
         team.slave.inserter.config = dataclasses.replace(team.slave.inserter.config, first=FIRST)
-        notes, told = Notes(setting), Told(team)
-        run(simulation.robots, [told], simulation, [notes], FIRST + 1.0)
+        notes, recorder = Notes(setting), CommandRecorder(team)
+        run(simulation.robots, [recorder], simulation, [notes], FIRST + 1.0)
     assert copies and simulation.model.nsite > 0
-    yield setting, notes, told, held
+    yield setting, notes, recorder, held
     simulation.close()
 
 
@@ -112,9 +112,9 @@ def test_controllers_stop_with_target_not_seen(blind):
 
 
 def test_no_axis_is_ever_told_to_move(blind):
-    told = blind[2]
+    recorder = blind[2]
     for robot in (MASTER, SLAVE):
-        commands = [each[robot] for each in told.commands]
+        commands = [each[robot] for each in recorder.commands]
         assert len(commands) == 300
         assert all(c.wheel_mode is WheelMode.SPEED and not c.wheels.any() for c in commands)
         assert all(c.arm_mode is ArmMode.POSITION and not c.arm_rates.any() for c in commands)
@@ -125,7 +125,7 @@ def test_no_axis_is_ever_told_to_move(blind):
 
 def test_all_axes_stay_still(blind):
     _, notes, _, held = blind
-    # Arms sag a little when servos take them over, as those of robots that are told to hold do.
+    # Arms sag a little when servos take them over, as those of robots commanded to hold do.
     np.testing.assert_allclose(notes.arms[: len(held.arms)], held.arms, atol=1e-9)
     np.testing.assert_allclose(notes.places[: len(held.places)], held.places, atol=1e-9)
     assert np.ptp(notes.arms, axis=0).max() < 0.05

@@ -55,10 +55,10 @@ class Person:
 
     def __init__(self, table):
         self.table = table
-        self.told = []
+        self.shown = []
 
-    def tell(self, text):
-        self.told.append(text)
+    def show(self, text):
+        self.shown.append(text)
         if "take the weight off" in text:
             number = int(text.split()[1]) - 1
             self.table.hang(0.0)
@@ -96,11 +96,11 @@ def test_person_finds_the_constants_of_the_boards_behind_wrong_ones():
     clock = ground
     try:
         result = run_procedure(
-            steps, lambda: calibrate.measure(robot, clock, 2.0), person.ask, person.tell
+            steps, lambda: calibrate.measure(robot, clock, 2.0), person.ask, person.show
         )
     finally:
         scene.close()
-    assert not [text for text in person.told if text.startswith("Not taken")]
+    assert not [text for text in person.shown if text.startswith("Not taken")]
     found = result.calibration.inclinometer
     for axis in ("pitch", "roll"):
         ours, real = getattr(found, axis), getattr(truth.inclinometer, axis)
@@ -125,7 +125,7 @@ def test_silent_sensor_is_told_by_name():
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--robot", "sim"], "no real boards"),
         (["--robot", "serial:/dev/null"], "needs analogue=PORT and wrench=HOST"),
@@ -133,9 +133,9 @@ def test_silent_sensor_is_told_by_name():
         (["--robot", "serial:a,analogue=b,wrench=c", "--output", "no/x.toml"], "no folder no"),
     ],
 )
-def test_bad_options_are_told_in_one_line(words, told, capsys):
+def test_bad_options_are_told_in_one_line(words, message, capsys):
     assert main(["calibrate", *words]) == 2
-    assert told in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def test_port_that_is_not_there_is_told_and_nothing_is_written(tmp_path, capsys):
@@ -177,8 +177,8 @@ def test_person_who_stops_changes_nothing(tmp_path, capsys, monkeypatch):
         robot = f"serial:{ports['bus']},analogue={ports['analogue']}"
         robot += f",wrench=127.0.0.1:{ports['wrench']}"
         assert main(["calibrate", "--robot", robot, "--output", str(target)]) == 1
-    told = capsys.readouterr()
-    assert "take the weight off" in told.out and "stopped" in told.err
+    message = capsys.readouterr()
+    assert "take the weight off" in message.out and "stopped" in message.err
     assert not target.exists()
 
 
@@ -191,5 +191,5 @@ def test_constants_that_cannot_be_written_are_printed(tmp_path, capsys, monkeypa
     monkeypatch.setattr(calibrate, "run_procedure", lambda *_: result)
     words = ["--robot", "serial:a,analogue=b,wrench=c", "--output", str(tmp_path)]
     assert main(["calibrate", *words]) == 1
-    told = capsys.readouterr()
-    assert calibration_text(found) in told.out and "printed above" in told.err
+    message = capsys.readouterr()
+    assert calibration_text(found) in message.out and "printed above" in message.err

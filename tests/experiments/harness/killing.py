@@ -17,12 +17,12 @@ PATIENCE = 300.0  # [s] for one run
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """What one killed run left, and what became of it.
+    """State that one killed run left, and that of its resumption.
 
     Attributes:
-        status: Of the killed run, as `subprocess` tells it.
-        finished: Jobs that were kept when it died.
-        lost: Of these, those that are gone, damaged or were made again by the resumed run.
+        status: Exit status of the killed run, as `subprocess` reports it.
+        finished: Jobs whose results were stored when it died.
+        lost: Finished jobs that are gone, damaged or were repeated by the resumed run.
         metrics: metrics.json of the resumed run.
     """
 
@@ -38,8 +38,8 @@ def run(words, out, after=None):
     Args:
         words: Module and arguments.
         out: Folder of results.
-        after: Signal, whether all of its processes get it, and a function that tells when, from
-            the seconds since the start; None lets it end.
+        after: Signal, whether all of its processes get it, and a function that decides from the
+            seconds since the start when to send it; None lets the run end.
     """
     process = subprocess.Popen(
         [sys.executable, "-m", *words, "--out", str(out)],
@@ -70,9 +70,9 @@ def kill_and_resume(words, name, out, after):
 
     Args:
         words: Module and arguments, without ``--out``.
-        name: Of the experiment.
+        name: Name of the experiment.
         out: Empty folder of results.
-        after: As in `run`.
+        after: Signal, its recipients and its moment, see `run`.
     """
     status = run(words, out, after)
     before = _jobs(out / name)

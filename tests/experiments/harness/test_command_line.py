@@ -64,7 +64,7 @@ def test_without_name_experiments_are_listed_without_importing_them(capsys):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["tiny", "--mass", "-1"], "--mass: -1.0 kg is not positive"),
         (["tiny", "--mass", "heavy"], "--mass"),
@@ -81,11 +81,11 @@ def test_without_name_experiments_are_listed_without_importing_them(capsys):
         (["doctor", "--deep"], "--deep"),
     ],
 )
-def test_bad_options_give_one_line_and_status_2(words, told, tmp_path, capsys):
+def test_bad_options_give_one_line_and_status_2(words, message, tmp_path, capsys):
     extra = ["--out", tmp_path] if words[0] == "tiny" else []
     assert call(*words, *extra) == 2
     error = capsys.readouterr().err
-    assert error.count("\n") == 1 and error.startswith("error: ") and told in error
+    assert error.count("\n") == 1 and error.startswith("error: ") and message in error
 
 
 def test_failure_gives_status_1_and_keeps_the_results_before_it(tmp_path, capsys):

@@ -1,4 +1,4 @@
-"""A run tells what its last bits depend on."""
+"""A run records what its last bits depend on."""
 
 import os
 import platform
@@ -18,7 +18,7 @@ def test_the_linear_algebra_that_numpy_has_loaded_is_named():
 @pytest.mark.parametrize("kernels", ["Haswell", "Sandybridge"])
 def test_chosen_kernels_are_told(kernels):
     code = "import numpy, experiments.harness.provenance as p; print(p.linear_algebra())"
-    told = subprocess.run(
+    printed = subprocess.run(
         [sys.executable, "-c", code],
         env={**os.environ, "OPENBLAS_CORETYPE": kernels},
         capture_output=True,
@@ -26,4 +26,4 @@ def test_chosen_kernels_are_told(kernels):
         check=True,
     ).stdout
     # Only x86 processors have them.
-    assert (kernels in told) == (platform.machine() == "x86_64")
+    assert (kernels in printed) == (platform.machine() == "x86_64")

@@ -23,7 +23,7 @@ class Options(contract.Options):
 
     Attributes:
         mass: Payload [kg].
-        fault: What goes wrong.
+        fault: Kind of failure to provoke.
         sweep: Number of jobs of a tenth of a second.
     """
 

@@ -225,7 +225,7 @@ def _check_any_course(result: MissionResult) -> None:
         )
         assert np.all(errors < 4.0 * sigmas)
         assert np.all(np.diff(sigmas) <= 1e-9)
-    # Finding the panel and being seen tell more than the drawing.
+    # Finding the panel and the master's views inform more than the drawing.
     for robot, learns in (("master", "find"), ("slave", "meet")):
         stage = names.index(learns)
         if stage < len(result.stage_names):
@@ -237,8 +237,8 @@ def _check_any_course(result: MissionResult) -> None:
     shares = [stage.turn_share for stage in result.stages]
     assert all(share == 1.0 for share in shares[:2])
     assert all(0.4 < share < 0.9 for share in shares[2:])
-    # It drives on until it has seen that it stands there, or four times; it sees where it stands
-    # with the error of a found panel.
+    # The master drives again until its measured pose is at the station, or four times; the
+    # measurement has the error of a found panel.
     misses = result.misses
     if len(misses):
         seen_within = 4.0 * np.linalg.norm(result.stages[names.index("find")].master_sigma)

@@ -22,8 +22,8 @@ def sound_pictures(path, width, profile):
     """Show a report, find nothing broken and nothing outside, and return how many pictures it has.
 
     Args:
-        path: Of the page.
-        width: Of the window [px].
+        path: Path of the page.
+        width: Width of the window [px].
         profile: Empty folder for the browser.
     """
     with Browser(profile) as chromium:

@@ -81,9 +81,9 @@ def test_points_placed_by_an_uncertain_pose_have_the_covariance_of_draws():
     xi = generator.multivariate_normal(np.zeros(6), covariance, 40_000)
     local = generator.multivariate_normal(point[0], own, 40_000)
     drawn = RigidTransform.from_exp_coords(xi).apply(pose.apply(local))
-    moved, spread = transform_points_with_covariance(pose, covariance, point, own[None])
+    moved, propagated = transform_points_with_covariance(pose, covariance, point, own[None])
     np.testing.assert_allclose(moved[0], pose.apply(point[0]))
-    np.testing.assert_allclose(spread[0], np.cov(drawn.T), atol=0.03 * np.trace(spread[0]))
+    np.testing.assert_allclose(propagated[0], np.cov(drawn.T), atol=0.03 * np.trace(propagated[0]))
 
 
 def test_covariances_of_products_and_inverses_are_those_of_draws():

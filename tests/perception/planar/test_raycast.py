@@ -169,7 +169,7 @@ def test_expected_view_is_what_a_scan_then_sees_but_for_the_edge():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"fov": 0.0}, "fov"),
         ({"fov": 7.0}, "fov"),
@@ -177,8 +177,8 @@ def test_expected_view_is_what_a_scan_then_sees_but_for_the_edge():
         ({"noise": -1.0}, "noise"),
     ],
 )
-def test_impossible_sensors_are_refused(change, told):
-    with pytest.raises(ValueError, match=told):
+def test_impossible_sensors_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
         RangeSensor(**change)
 
 

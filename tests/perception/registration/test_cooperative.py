@@ -36,9 +36,9 @@ def drawn(rng, count, sigma, geometry=HEAD, truth=None):
     points = TARGET + rng.uniform(-0.2, 0.2, (count, 3))
     there = (truth or across()).apply(points, inverse=True)
     views = [HEAD.project(points), geometry.project(there)]
-    spread = np.broadcast_to(sigma, (count, 3))
-    views = [view + spread * rng.standard_normal(view.shape) for view in views]
-    one, two = (Sighting(v, spread, g) for v, g in zip(views, (HEAD, geometry)))
+    sigmas = np.broadcast_to(sigma, (count, 3))
+    views = [view + sigmas * rng.standard_normal(view.shape) for view in views]
+    one, two = (Sighting(v, sigmas, g) for v, g in zip(views, (HEAD, geometry)))
     return points, one, two
 
 
@@ -78,25 +78,25 @@ def test_bundle_is_that_of_a_general_solver(known):
     rng = np.random.default_rng(1)
     points, one, two = drawn(rng, 7, [0.2, 0.2, 0.3], OTHER)
     prior = random_prior(rng) if known else None
-    told = triangulate_together(one, two, prior)
+    estimate = triangulate_together(one, two, prior)
     places, covariance, cost = general_solution(one, two, across(), points, prior)
-    assert told.inliers.all()
-    np.testing.assert_allclose(told.points, places, atol=1e-5)
-    spread = np.sqrt(np.diag(covariance))
-    scale = np.outer(spread, spread)
+    assert estimate.inliers.all()
+    np.testing.assert_allclose(estimate.points, places, atol=1e-5)
+    sigma = np.sqrt(np.diag(covariance))
+    scale = np.outer(sigma, sigma)
     np.testing.assert_allclose(
-        told.covariance / scale[6:, 6:], (covariance / scale)[6:, 6:], atol=0.01
+        estimate.covariance / scale[6:, 6:], (covariance / scale)[6:, 6:], atol=0.01
     )
-    mine = told.relative.covariance / scale[:6, :6]
+    mine = estimate.relative.covariance / scale[:6, :6]
     np.testing.assert_allclose(mine, (covariance / scale)[:6, :6], atol=0.01)
-    assert told.chi_square == pytest.approx(cost / (21 if known else 15), rel=1e-3)
+    assert estimate.chi_square == pytest.approx(cost / (21 if known else 15), rel=1e-3)
 
 
 def test_without_noise_points_and_pose_are_exact():
     points, one, two = drawn(np.random.default_rng(2), 6, 1e-9, OTHER)
-    told = triangulate_together(one, two)
-    np.testing.assert_allclose(told.points, points, atol=1e-7)
-    error = (across() * told.relative.transform_second_to_first.inv()).as_exp_coords()
+    estimate = triangulate_together(one, two)
+    np.testing.assert_allclose(estimate.points, points, atol=1e-7)
+    error = (across() * estimate.relative.transform_second_to_first.inv()).as_exp_coords()
     np.testing.assert_allclose(error, 0.0, atol=1e-7)
 
 
@@ -112,12 +112,12 @@ def test_covariance_of_all_points_together_is_that_of_the_errors():
             )
             for s in (one, two)
         ]
-        told = triangulate_together(*noisy)
-        if not told.inliers.all():
+        estimate = triangulate_together(*noisy)
+        if not estimate.inliers.all():
             continue
-        error = (told.points - points).ravel()
+        error = (estimate.points - points).ravel()
         errors.append(error)
-        squares.append(error @ np.linalg.solve(told.covariance, error))
+        squares.append(error @ np.linalg.solve(estimate.covariance, error))
     assert len(squares) > 0.97 * runs
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 18 * len(squares)) / len(squares)
     assert low < np.mean(squares) < high
@@ -161,10 +161,10 @@ def test_wrong_matches_are_left_out(known):
     rng = np.random.default_rng(6)
     points, one, two = drawn(rng, 12, 0.1)
     two.image_points[[2, 7]] += [[15.0, 4.0, 0.0], [0.0, 0.0, 4.0]]
-    told = triangulate_together(one, two, random_prior(rng) if known else None)
-    assert np.flatnonzero(~told.inliers).tolist() == [2, 7]
-    assert told.points.shape == (10, 3) and told.covariances.shape == (10, 3, 3)
-    assert np.linalg.norm(told.points - points[told.inliers], axis=1).max() < 0.02
+    estimate = triangulate_together(one, two, random_prior(rng) if known else None)
+    assert np.flatnonzero(~estimate.inliers).tolist() == [2, 7]
+    assert estimate.points.shape == (10, 3) and estimate.covariances.shape == (10, 3, 3)
+    assert np.linalg.norm(estimate.points - points[estimate.inliers], axis=1).max() < 0.02
 
 
 def test_fused_points_are_the_product_of_two_gaussians():
@@ -172,8 +172,8 @@ def test_fused_points_are_the_product_of_two_gaussians():
     _, one, two = drawn(rng, 5, 0.2)
     prior = random_prior(rng)
     local = [HEAD.points(s.image_points) for s in (one, two)]
-    spread = [HEAD.covariance(p, 0.2 * np.ones(3)) for p in local]
-    told = fuse_views(local[0], spread[0], local[1], spread[1], prior)
+    covariances = [HEAD.covariance(p, 0.2 * np.ones(3)) for p in local]
+    estimate = fuse_views(local[0], covariances[0], local[1], covariances[1], prior)
     rotation = prior.transform_second_to_first.rotation.as_matrix()
     for n in range(5):
         place = prior.transform_second_to_first.apply(local[1][n])
@@ -182,23 +182,23 @@ def test_fused_points_are_the_product_of_two_gaussians():
             np.array([RigidTransform.from_exp_coords(s).apply(place) - place for s in step]).T
             / 1e-6
         )
-        other = rotation @ spread[1][n] @ rotation.T + by_pose @ prior.covariance @ by_pose.T
-        weights = [np.linalg.inv(spread[0][n]), np.linalg.inv(other)]
+        other = rotation @ covariances[1][n] @ rotation.T + by_pose @ prior.covariance @ by_pose.T
+        weights = [np.linalg.inv(covariances[0][n]), np.linalg.inv(other)]
         covariance = np.linalg.inv(sum(weights))
-        np.testing.assert_allclose(told.covariances[n], covariance, rtol=1e-4, atol=1e-12)
+        np.testing.assert_allclose(estimate.covariances[n], covariance, rtol=1e-4, atol=1e-12)
         mean = covariance @ (weights[0] @ local[0][n] + weights[1] @ place)
-        np.testing.assert_allclose(told.points[n], mean, atol=1e-7)
+        np.testing.assert_allclose(estimate.points[n], mean, atol=1e-7)
 
 
 def test_fusing_equals_the_bundle_for_small_noise_and_a_known_pose():
     _, one, two = drawn(np.random.default_rng(8), 5, 0.003)
     local = [HEAD.points(s.image_points) for s in (one, two)]
-    spread = [HEAD.covariance(p, np.full(3, 0.003)) for p in local]
+    covariances = [HEAD.covariance(p, np.full(3, 0.003)) for p in local]
     exact = RelativePose(across(), EXACT)
-    fused = fuse_views(local[0], spread[0], local[1], spread[1], exact)
-    told = triangulate_together(one, two, exact)
-    np.testing.assert_allclose(fused.points, told.points, atol=1e-6)
-    np.testing.assert_allclose(fused.covariances, told.covariances, rtol=0.02, atol=1e-13)
+    fused = fuse_views(local[0], covariances[0], local[1], covariances[1], exact)
+    estimate = triangulate_together(one, two, exact)
+    np.testing.assert_allclose(fused.points, estimate.points, atol=1e-6)
+    np.testing.assert_allclose(fused.covariances, estimate.covariances, rtol=0.02, atol=1e-13)
 
 
 def test_relative_pose_by_a_target_is_as_uncertain_as_it_says():
@@ -214,9 +214,9 @@ def test_relative_pose_by_a_target_is_as_uncertain_as_it_says():
             exact = HEAD.project(camera.apply(target.apply(markers), inverse=True))
             noisy = exact + 0.05 * rng.standard_normal((4, 3))
             seen.append(Sighting(noisy, np.full((4, 3), 0.05), HEAD))
-        told = relative_pose_by_target(seen[0], markers, seen[1], markers)
-        xi = (across() * told.transform_second_to_first.inv()).as_exp_coords()
-        squares.append(xi @ np.linalg.solve(told.covariance, xi))
+        estimate = relative_pose_by_target(seen[0], markers, seen[1], markers)
+        xi = (across() * estimate.transform_second_to_first.inv()).as_exp_coords()
+        squares.append(xi @ np.linalg.solve(estimate.covariance, xi))
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 6 * len(squares)) / len(squares)
     assert low < np.mean(squares) < high
 
@@ -254,17 +254,17 @@ def test_what_a_known_pose_cannot_explain_is_refused():
 
 def test_measurements_that_are_none_are_refused():
     points = np.tile(TARGET, (2, 1))
-    spread = np.tile(np.eye(3), (2, 1, 1))
+    covariances = np.tile(np.eye(3), (2, 1, 1))
     pose = RelativePose(across(), EXACT)
     with pytest.raises(RegistrationError, match="2 points of the first robot, 1 of the second"):
-        fuse_views(points, spread, points[:1], spread[:1], pose)
+        fuse_views(points, covariances, points[:1], covariances[:1], pose)
     with pytest.raises(RegistrationError, match="expected \\(N, 3\\) and \\(N, 3, 3\\)"):
-        fuse_views(points, spread[0], points, spread, pose)
+        fuse_views(points, covariances[0], points, covariances, pose)
     with pytest.raises(RegistrationError, match="second robot: point 1 is not finite"):
-        fuse_views(points, spread, [TARGET, [0, np.inf, 1]], spread, pose)
+        fuse_views(points, covariances, [TARGET, [0, np.inf, 1]], covariances, pose)
     with pytest.raises(RegistrationError, match="first robot: the covariance of point 0 is neg"):
-        fuse_views(points, -spread, points, spread, pose)
+        fuse_views(points, -covariances, points, covariances, pose)
     with pytest.raises(RegistrationError, match="point 0: both robots say"):
-        fuse_views(points, 0.0 * spread, points, 0.0 * spread, pose)
+        fuse_views(points, 0.0 * covariances, points, 0.0 * covariances, pose)
     with pytest.raises(RegistrationError, match="pose covariance of shape"):
-        fuse_views(points, spread, points, spread, RelativePose(across(), np.eye(3)))
+        fuse_views(points, covariances, points, covariances, RelativePose(across(), np.eye(3)))

@@ -144,7 +144,7 @@ def test_unknown_and_repeated_numbers_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("covariance", "told"),
+    ("covariance", "message"),
     [
         (np.full((6, 6), np.nan), r"\[0, 0\] is not finite"),
         (np.eye(3), r"shape \(3, 3\): expected \(6, 6\)"),
@@ -152,12 +152,12 @@ def test_unknown_and_repeated_numbers_are_refused():
         (np.eye(6)[[1, 0, 2, 3, 4, 5]], "negative in some direction"),
     ],
 )
-def test_what_is_no_covariance_of_a_pose_is_refused_and_leaves_the_map(covariance, told):
+def test_what_is_no_covariance_of_a_pose_is_refused_and_leaves_the_map(covariance, message):
     _, fiducials, _ = explore(9, steps=0)
     joint, pose = fiducials.covariance.copy(), RigidTransform.identity()
     image = HEAD.project(fiducials.positions)
-    with pytest.raises(RegistrationError, match=told):
+    with pytest.raises(RegistrationError, match=message):
         fiducials.add(image, pose, covariance)
-    with pytest.raises(RegistrationError, match=told):
+    with pytest.raises(RegistrationError, match=message):
         fiducials.observe_from(PosePrior(pose, covariance), [0, 1], image[:2], new=image)
     np.testing.assert_array_equal(fiducials.covariance, joint)

@@ -66,7 +66,7 @@ def test_none_is_chosen_on_a_straight_edge():
     image = np.full(SHAPE, 60, np.uint8)
     image[:, 250:] = 180
     assert len(select_fiducials(image, grid(), HEAD).indices) == 0
-    image[246:, :] = 100  # A corner, and a corner only, can be told apart along both axes.
+    image[246:, :] = 100  # A corner, and a corner only, is distinct along both axes.
     chosen = select_fiducials(image, grid(), HEAD)
     assert len(chosen.indices) > 0
     assert np.abs(chosen.image_points[:, :2] - [250, 246]).max() < 10

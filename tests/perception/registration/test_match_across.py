@@ -38,13 +38,13 @@ def test_points_are_found_across_a_wide_baseline_as_certainly_as_they_say(scene)
     plane, second, one, two = scene
     seen = plane.image_points(PIXELS, FIRST)
     normals = np.tile(-plane.normal, (len(seen), 1))
-    told = match_across(one, two, seen, normals, HEAD, second)
+    matches = match_across(one, two, seen, normals, HEAD, second)
     truth = seen_by(plane, second)
-    error = told.image_points[told.found] - truth[told.found]
-    assert told.found.sum() > 0.7 * len(seen)
+    error = matches.image_points[matches.found] - truth[matches.found]
+    assert matches.found.sum() > 0.7 * len(seen)
     assert np.linalg.norm(second.translation) > 0.7
     assert np.abs(error).max() < 0.25
-    ratio = error / told.sigma[told.found]
+    ratio = error / matches.sigma[matches.found]
     assert 0.2 < np.mean(ratio**2) < 2.0
     # Perspective within the patch would put all of them aside by more than that.
     assert np.abs(np.median(error, axis=0)).max() < 0.01
@@ -55,10 +55,10 @@ def test_a_rough_pose_and_a_normal_some_degrees_off_are_enough(scene):
     seen = plane.image_points(PIXELS, FIRST)
     tilted = RigidTransform.from_exp_coords([0.05, 0.06, 0, 0, 0, 0]).apply(-plane.normal)
     slip = RigidTransform.from_exp_coords([0.002, -0.002, 0.002, 0.001, 0.001, 0.001])
-    told = match_across(one, two, seen, np.tile(tilted, (len(seen), 1)), HEAD, slip * second)
-    error = told.image_points - seen_by(plane, second)
-    assert told.found.sum() > 0.6 * len(seen)
-    assert np.abs(error[told.found]).max() < 0.3
+    matches = match_across(one, two, seen, np.tile(tilted, (len(seen), 1)), HEAD, slip * second)
+    error = matches.image_points - seen_by(plane, second)
+    assert matches.found.sum() > 0.6 * len(seen)
+    assert np.abs(error[matches.found]).max() < 0.3
 
 
 def test_where_the_surface_faces_away_or_another_picture_is_nothing_is_found(scene):

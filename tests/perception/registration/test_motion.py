@@ -277,8 +277,8 @@ def registered(generator, count, wrong=0):
     """Pose, its error, and the registration to a map of uncertain points."""
     pose = random_motion(generator, 40.0, 1.0)
     points = random_points(generator, count)
-    spread = 0.003 * generator.standard_normal((count, 3, 3))
-    covariances = spread @ np.swapaxes(spread, -1, -2) + 1e-6 * np.eye(3)
+    factors = 0.003 * generator.standard_normal((count, 3, 3))
+    covariances = factors @ np.swapaxes(factors, -1, -2) + 1e-6 * np.eye(3)
     drawn = [generator.multivariate_normal(np.zeros(3), c) for c in covariances]
     mapped = pose.apply(points) + np.array(drawn)
     image = HEAD.project(points) + 0.1 * generator.standard_normal((count, 3))

@@ -1,4 +1,4 @@
-"""Arm and fiducials tell a pose together; what all looks of a robot err by stays what it is."""
+"""Arm and fiducials give a pose together; errors common to all views of a robot remain."""
 
 import dataclasses
 from typing import Any
@@ -21,7 +21,7 @@ OWN = np.diag([0.001] * 6) ** 2
 
 @dataclasses.dataclass
 class Robot:
-    """A place and a mount, both a little wrong, and where the arm was when they were told."""
+    """A robot's pose and a mount, both a little wrong, and the arm's poses of the observations."""
 
     errors: np.ndarray
     sighting: RigidTransform
@@ -70,18 +70,18 @@ def run(seed, robots=2, looks=6, few=12):
     rng = np.random.default_rng(seed)
     fiducials, field = FiducialMap(HEAD, np.full(3, SIGMA)), Field(rng)
     team = [robot(rng, fiducials) for _ in range(robots)]
-    result: dict[str, Any] = {key: [] for key in ("arm", "told", "arm_error", "error")}
+    result: dict[str, Any] = {key: [] for key in ("arm", "observed", "arm_error", "error")}
     for n in range(looks * robots):
         prior, true = team[n % robots].look(rng)
         expected, covariance = fiducials.expected(prior)
         result["arm"].append(square(error_of(expected, true), covariance))
         old, new, image = field.sight(rng, true)
         old = old[:few]
-        told = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
-        field.numbers[new] = told.added
-        pose = told.registration
+        observed = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
+        field.numbers[new] = observed.added
+        pose = observed.registration
         xi = error_of(pose.transform_camera_to_world, true)
-        result["told"].append(square(xi, pose.covariance))
+        result["observed"].append(square(xi, pose.covariance))
         at = true.apply([0.0, 0.0, 0.8])
         for key, camera in (
             ("arm_error", prior.transform_camera_to_world),
@@ -105,17 +105,17 @@ def runs():
 
 
 def test_error_is_as_large_as_said_of_poses_fiducials_and_offsets(runs):
-    for key in ("arm", "told", "fiducials", "offsets"):
+    for key in ("arm", "observed", "fiducials", "offsets"):
         assert 0.8 < np.mean([np.mean(r[key]) for r in runs]) < 1.25, key
 
 
 def test_error_is_as_large_as_said_also_late_when_much_was_averaged(runs):
-    assert 0.8 < np.mean([r["told"][-2:] for r in runs]) < 1.25
+    assert 0.8 < np.mean([r["observed"][-2:] for r in runs]) < 1.25
 
 
 def test_fiducials_do_not_make_the_arm_worse(runs):
-    arm, told = (np.mean([r[key] for r in runs]) for key in ("arm_error", "error"))
-    assert told < 0.8 * arm
+    arm, observed = (np.mean([r[key] for r in runs]) for key in ("arm_error", "error"))
+    assert observed < 0.8 * arm
 
 
 def test_robots_that_see_the_same_are_brought_together():
@@ -136,8 +136,8 @@ def test_robots_that_see_the_same_are_brought_together():
         apart.append(gap())
         for prior, true in looks:
             old, new, image = field.sight(rng, true, fresh=20, sigma=0.03)
-            told = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
-            field.numbers[new] = told.added
+            observed = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
+            field.numbers[new] = observed.added
         together.append(gap())
     # What is left is of single looks, a millimetre and a milliradian each.
     assert np.mean(together) < 0.35 * np.mean(apart)
@@ -167,12 +167,12 @@ def test_no_number_of_looks_at_its_own_fiducials_tells_a_robot_where_it_stands()
     for _ in range(10):
         prior, true = member.look(rng)
         old, new, image = field.sight(rng, true, sigma=0.03)
-        told = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
-        field.numbers[new] = told.added
-        assert np.linalg.eigvalsh(told.registration.covariance - PLACE).min() > -1e-12
+        observed = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
+        field.numbers[new] = observed.added
+        assert np.linalg.eigvalsh(observed.registration.covariance - PLACE).min() > -1e-12
     np.testing.assert_allclose(fiducials.offsets[:6], 0.0, atol=1e-9)
     np.testing.assert_allclose(fiducials.offset_covariance[:6, :6], PLACE, atol=1e-12)
-    # But it tells how the head sits.
+    # But it gives the pose of the head on its mount.
     assert np.diag(fiducials.offset_covariance)[6:9].sum() < 0.7 * np.trace(MOUNT[:3, :3])
 
 
@@ -191,10 +191,10 @@ def test_looks_one_by_one_give_what_weighted_least_squares_of_all_at_once_give()
         true = RigidTransform.from_exp_coords(prior.by_offsets @ errors + own) * pose
         prior = dataclasses.replace(prior, covariance=tiny**2 * OWN)
         old, new, image = field.sight(rng, true, sigma=tiny * SIGMA)
-        told = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
-        field.numbers[new] = told.added
+        observed = fiducials.observe_from(prior, field.numbers[old], image[old], new=image[new])
+        field.numbers[new] = observed.added
         seen = np.concatenate([old, new])
-        poses.append(told.registration)
+        poses.append(observed.registration)
         looks.append((prior, field.numbers[seen], image[seen]))
     places = fiducials.positions
 
@@ -213,8 +213,8 @@ def test_looks_one_by_one_give_what_weighted_least_squares_of_all_at_once_give()
         return np.concatenate(parts)
 
     batch = least_squares(residuals, np.zeros(36 + places.size), xtol=1e-12)
-    spread = np.linalg.inv(batch.jac.T @ batch.jac)
-    sigma = np.sqrt(np.diag(spread))
+    covariances = np.linalg.inv(batch.jac.T @ batch.jac)
+    sigma = np.sqrt(np.diag(covariances))
     assert np.abs((fiducials.offsets / tiny - batch.x[:12]) / sigma[:12]).max() < 0.02
     assert np.abs(batch.x[36:] / sigma[36:]).max() < 0.02
     np.testing.assert_allclose(
@@ -232,16 +232,16 @@ def test_match_that_the_prior_excludes_is_left_out(count):
     fiducials, prior, numbers, image, _ = second_look(6)
     wrong = image[:count].copy()
     wrong[0] += [80.0, 0.0, 0.0]
-    told = fiducials.observe_from(prior, numbers[:count], wrong)
-    assert not told.registration.inliers[0] and told.registration.inliers[1:].all()
+    observed = fiducials.observe_from(prior, numbers[:count], wrong)
+    assert not observed.registration.inliers[0] and observed.registration.inliers[1:].all()
 
 
 def test_match_that_the_prior_allows_but_the_others_do_not_is_left_out():
     fiducials, prior, numbers, image, _ = second_look(6)
     assert len(image) >= 6
     image[2] += [2.5, -2.5, 0.0]
-    told = fiducials.observe_from(prior, numbers, image).registration
-    assert not told.inliers[2] and told.inliers.sum() == len(image) - 1
+    observed = fiducials.observe_from(prior, numbers, image).registration
+    assert not observed.inliers[2] and observed.inliers.sum() == len(image) - 1
 
 
 def test_two_matches_that_contradict_each_other_are_not_believed():
@@ -249,10 +249,10 @@ def test_two_matches_that_contradict_each_other_are_not_believed():
     image[1] += [2.5, -2.5, 0.0]
     expected, covariance = fiducials.expected(prior)
     offsets, positions = fiducials.offsets.copy(), fiducials.positions.copy()
-    told = fiducials.observe_from(prior, numbers[:2], image[:2]).registration
-    assert not told.inliers.any() and np.isnan(told.chi_square)
-    assert np.abs(error_of(told.transform_camera_to_world, expected)).max() < 1e-12
-    np.testing.assert_allclose(told.covariance, covariance)
+    observed = fiducials.observe_from(prior, numbers[:2], image[:2]).registration
+    assert not observed.inliers.any() and np.isnan(observed.chi_square)
+    assert np.abs(error_of(observed.transform_camera_to_world, expected)).max() < 1e-12
+    np.testing.assert_allclose(observed.covariance, covariance)
     np.testing.assert_array_equal(fiducials.offsets, offsets)
     np.testing.assert_array_equal(fiducials.positions, positions)
 
@@ -269,12 +269,12 @@ def test_matches_of_looks_that_err_differently_are_all_believed():
             prior = dataclasses.replace(prior, covariance=9.0 * OWN)
             true = random_motion(rng, 0.15, 0.002) * true
             _, new, image = field.sight(rng, true, fresh=8, sigma=0.03)
-            told = fiducials.observe_from(prior, [], np.zeros((0, 3)), new=image[new])
-            field.numbers[new] = told.added
+            observed = fiducials.observe_from(prior, [], np.zeros((0, 3)), new=image[new])
+            field.numbers[new] = observed.added
         prior, true = member.look(rng, 3.0, 0.05)
         old, _, image = field.sight(rng, true, sigma=0.03)
-        told = fiducials.observe_from(prior, field.numbers[old], image[old])
-        believed += told.registration.inliers.sum()
+        observed = fiducials.observe_from(prior, field.numbers[old], image[old])
+        believed += observed.registration.inliers.sum()
         count += len(old)
     assert believed >= 0.98 * count > 40
 
@@ -289,8 +289,8 @@ def test_offsets_nobody_uses_change_nothing():
         fiducials = FiducialMap(HEAD, np.full(3, SIGMA))
         fiducials.share(np.eye(shares))
         fiducials.add(image, RigidTransform.identity())
-        told = fiducials.observe(np.arange(12), seen, new=image[:2]).registration
-        results.append((told.covariance, fiducials.positions, fiducials.covariance))
+        observed = fiducials.observe(np.arange(12), seen, new=image[:2]).registration
+        results.append((observed.covariance, fiducials.positions, fiducials.covariance))
     for one, other in zip(*results, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-15)
 

@@ -72,7 +72,7 @@ def test_three_markers_are_enough_and_two_are_not():
 
 
 def test_markers_of_a_target_half_out_of_view_are_hints_where_it_is():
-    """Two are in both images; one is in the right alone, its size tells its distance roughly."""
+    """Two are in both images; one is in the right alone, its size gives its distance roughly."""
     target = RigidTransform.from_components([0.255, 0.0, 0.8], at(0.8, 0.2, 0.0).rotation)
     images = pair(target)
     assert find_target(images, HEAD, CAD, SIGMA) is None

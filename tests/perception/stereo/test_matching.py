@@ -144,7 +144,7 @@ def test_a_step_of_depth_leaves_no_false_points():
 
 
 @pytest.mark.parametrize(
-    ("pair", "told"),
+    ("pair", "message"),
     [
         (np.zeros((0,), np.uint8), r"\(0,\) uint8, needs \(2, 160, 200\) uint8"),
         (np.zeros((2, 160, 200)), "float64, needs"),
@@ -153,9 +153,9 @@ def test_a_step_of_depth_leaves_no_false_points():
         ([np.zeros((160, 200), np.uint8), np.zeros((150, 200), np.uint8)], r"\(150, 200\)"),
     ],
 )
-def test_what_is_no_pair_is_refused_with_what_is_needed(pair, told):
+def test_what_is_no_pair_is_refused_with_what_is_needed(pair, message):
     for call in (MATCHER.match, MATCHER.disparities):
-        with pytest.raises(StereoError, match=told):
+        with pytest.raises(StereoError, match=message):
             call(pair)
 
 

@@ -1,4 +1,4 @@
-"""Log-odds are odds' logarithms, and clamping stands where it must."""
+"""Log-odds are the odds' logarithms, and are clamped at their limits."""
 
 import math
 

@@ -14,7 +14,7 @@ def serial_target(robots, slow_down, frames):
 
     Args:
         robots: Names of the robots.
-        slow_down: How many times slower than the wall's the robots' time is.
+        slow_down: Wall-clock time over the robots' time.
         frames: Folder for the stereo pairs.
     """
     command = [sys.executable, "-m", "twin.hardware.emulator", "--robots", *robots, "--realtime"]

@@ -172,20 +172,20 @@ def test_silent_board_that_holds_the_others_up_stops_the_robot_within_its_time(b
 
 
 def test_board_that_was_silent_is_driven_last():
-    told = []
+    stopped = []
 
     class Bus:
         def write(self, address, command, *values):
-            told.append(address)
+            stopped.append(address)
             if address == 0x80:
                 raise LinkError("silent")
 
     boards = WiredBoards(Bus(), CALIBRATION)
     for order in ([0x80, 0x81, 0x82, 0x83], [0x81, 0x82, 0x83, 0x80]):
-        told.clear()
+        stopped.clear()
         with pytest.raises(LinkError):
             boards.drive(np.zeros(8, dtype=np.int64))
-        assert told == order
+        assert stopped == order
 
 
 def test_zeros_that_no_board_heard_are_sent_until_it_does(bench):

@@ -303,7 +303,7 @@ def test_damaged_records_and_requests_harm_neither_end():
 
 
 class Channel:
-    """A line that brings what it is told, and takes what is sent."""
+    """A line that delivers given bytes, and accepts what is sent."""
 
     def __init__(self):
         self.into, self.time, self.sent = b"", 0.0, 0

@@ -7,8 +7,8 @@ each pin; what comes before its echo belongs to an earlier request, and a value 
 two polls of the pin agree. What is left is one damage to both polls alike.
 
 pyfirmata2 2.5.1 does not hold up: at 3 % damaged transmissions it gave 24 wrong values of 7232, of
-which 16 were above full scale; it has no polling and no time stamp, so a silent board leaves the
-last value standing; and it cannot set itself up from the answer of Firmata 2.5 to its query.
+which 16 were above full scale; it has no polling and no time stamp, so a silent board leaves
+its last value in place; and it cannot set itself up from the answer of Firmata 2.5 to its query.
 
 10 bits on 5 V are 4.9 mV a count: 0.145 degrees of the thesis' inclinometer. At 57600 baud, the
 rate of StandardFirmata, three pins take 5 ms and the bridge's latency twice; one by FTDI needs its
@@ -224,7 +224,7 @@ class AnalogueBoard:
         raise LinkError(f"{self._link.port}: no Firmata board answers")
 
     def _probe(self) -> bool:
-        """Tell whether the board echoes, and reports an input at once when told to report."""
+        """Return whether the board echoes, and reports an input at once on request."""
         for _ in range(_ATTEMPTS):
             self._drain()
             self._request([0])

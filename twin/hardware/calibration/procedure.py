@@ -170,7 +170,7 @@ def run_procedure(
     steps: Generator[Instruction, Sample, TiltResult],
     measure: Callable[[], Sample],
     ask: Callable[[str], str],
-    tell: Callable[[str], None],
+    show: Callable[[str], None],
 ) -> TiltResult:
     """Lead a person through a procedure.
 
@@ -178,7 +178,7 @@ def run_procedure(
         steps: Steps from `tilt_procedure`.
         measure: Returns the means over a second or more at rest.
         ask: Shows a question and returns the answer.
-        tell: Shows a line.
+        show: Function that shows the operator a line of text.
 
     Raises:
         ProcedureError: If the person stops or the procedure fails.
@@ -187,15 +187,15 @@ def run_procedure(
         instruction = next(steps)
         while True:
             if instruction.problem:
-                tell(f"Not taken: {instruction.problem}.")
-            tell(instruction.text)
+                show(f"Not taken: {instruction.problem}.")
+            show(instruction.text)
             answer = ask("Enter when it is done, q to stop: ").strip().lower()
             if answer in ("q", "quit", "stop"):
                 raise ProcedureError("stopped; the calibration is as it was")
             instruction = steps.send(measure())
     except StopIteration as end:
         result: TiltResult = end.value
-    tell(result.text)
+    show(result.text)
     return result
 
 

@@ -26,7 +26,7 @@ class Section:
 
     Attributes:
         calibrated_on: Date on which the numbers were last confirmed.
-        source: How the numbers were found.
+        source: Description of the measurement that gave the numbers.
     """
 
     calibrated_on: datetime.date

@@ -84,7 +84,7 @@ class AnalogueCalibration(Section):
     def codes(self, volts: ArrayLike) -> IntArray:
         """Return the converter codes (...) nearest to voltages (...) [V], within its range.
 
-        The last code stands one count below the reference, as in converters that give
+        The last code is one count below the reference, as in converters that give
         V 2^bits / reference.
 
         Raises:
@@ -112,8 +112,8 @@ class ForceTorqueCalibration(Section):
     Attributes:
         counts_per_newton: Counts of each of the three force components [1/N].
         counts_per_newton_metre: Counts of each of the three torque components [1/(N m)].
-        direction: -1 for a sensor that tells the load on its face, as makers do; 1 for one that
-            tells what carries the load, which is what the contract asks for.
+        direction: -1 for a sensor that reports the load on its face, the makers' convention; 1 for
+            one that reports the reaction to the load, the convention of the contract.
         rotation: (3, 3) rows of the rotation from the sensor's frame to the arm base frame.
         bias: (6,) reading without load, sensor frame [N, N m].
     """

@@ -1,4 +1,4 @@
-"""Inclinometer constants from weighings: the force/torque sensor tells how the robot is tilted.
+"""Inclinometer constants from weighings: the force/torque sensor gives the true tilt.
 
 At each tilt the force/torque sensor is reset, a weight is hung on the arm, and the direction of
 the force that it adds is the vertical (Thesis app. D). Voltages over the tilts give the zero angle
@@ -155,13 +155,13 @@ def fitted_line(tilts: ArrayLike, volts: ArrayLike) -> TiltLine:
     angles, outputs = np.asarray(tilts, dtype=float), np.asarray(volts, dtype=float)
     _span(angles)
     count, middle = angles.size, float(angles.mean())
-    spread = float(np.sum((angles - middle) ** 2))
-    slope = float(np.sum((angles - middle) * outputs)) / spread
+    squares = float(np.sum((angles - middle) ** 2))
+    slope = float(np.sum((angles - middle) * outputs)) / squares
     zero = float(outputs.mean()) - slope * middle
     residual = _residual(angles, outputs, zero, slope)
     scatter = residual * math.sqrt(count / (count - 2)) if count > 2 else math.nan
-    slope_error = scatter / math.sqrt(spread)
-    zero_error = scatter * math.sqrt(1.0 / count + middle**2 / spread)
+    slope_error = scatter / math.sqrt(squares)
+    zero_error = scatter * math.sqrt(1.0 / count + middle**2 / squares)
     return TiltLine(zero, slope, zero_error, slope_error, residual)
 
 

@@ -46,8 +46,7 @@ class StereoCapture:
             max_skew: Most time between the images of two devices [s].
             rate: Pairs a second of files [Hz]; by default their own.
             scene_time: Whether the caller's clock is that of an emulator's scene.
-            slow_down: How many times slower than the wall's the caller's clock is, with pairs of an
-                emulator.
+            slow_down: Wall-clock time over the caller's time, with pairs of an emulator.
 
         Raises:
             LinkError: If a capture cannot be opened, gives no image, or the sizes do not fit.

@@ -8,5 +8,5 @@
 - `scene`: the physics behind all rovers; `drawing`: their stereo pairs from a process of their own.
 - `rig`: the boards of one rover on their ports.
 - `__main__`: the program that serves them; `process`: starts and steers it from another one;
-  `messages`: what it tells of its robots.
+  `messages`: the messages about its robots.
 """

@@ -49,8 +49,8 @@ class Options:
     Attributes:
         robots: Names of the rovers; each needs a file in calibration/.
         realtime: Let the physics run on the wall clock at 100 Hz, and two robots' radio with them.
-        slow_down: With --realtime, how many times slower than the wall's the robots' time is; the
-            host says the same, as slow_down=N behind serial:PORT.
+        slow_down: Wall-clock time over the robots' time, with --realtime; the host needs the same
+            value, as slow_down=N behind serial:PORT.
         seed: Random seed of all noise and damage.
         line_faults: Share of the exchanges with the motor boards that are damaged, 0 to 1.
         faults: File with scheduled faults: a JSON list of {"robot", "time" [s], "kind",

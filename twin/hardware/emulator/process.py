@@ -33,8 +33,8 @@ class EmulatorProcess:
         Args:
             scene: Robots, ground and cameras.
             line_faults: Share of the exchanges with the motor boards that are damaged.
-            realtime: Whether time passes by itself.
-            slow_down: How many times slower than on the wall it passes by itself.
+            realtime: Whether the emulator runs on the wall clock rather than on request.
+            slow_down: Wall-clock time over the emulator's time, with `realtime`.
 
         Raises:
             LinkError: If it does not start.
@@ -72,7 +72,7 @@ class EmulatorProcess:
         Args:
             robot: Name of the robot that it happens to.
             kind: Value of `emulator.faults.RobotFault` or `CameraFault`.
-            duration: How long it lasts [s].
+            duration: Duration of the fault [s].
             address: Address of the motor board concerned.
         """
         order: Order = {"do": "fault", "robot": robot, "time": self.time, "kind": kind}

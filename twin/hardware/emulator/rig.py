@@ -56,7 +56,7 @@ class EmulatedRig:
         analogue: Pseudo-terminal of the analogue board.
         wrench: UDP socket of the force/torque sensor, bound to loopback only.
         boards: Motor boards on their line.
-        bus_line: The same line with its damage.
+        bus_line: Line of the motor boards with its injected damage.
         frames: File of its stereo pairs; None if it has none.
         newest: Returns a function that draws the newest pair, at once or in another process.
 

@@ -2,8 +2,8 @@
 
 A request asks for one sample, so that no stream of thousands of records a second has to be read
 behind the controller's back. A record has no checksum of its own but UDP's, and nothing that names
-the request: a late one is told by the sensor's sample number, and a local port whose requests were
-not answered one for one is given up, so that what still comes to it reaches nobody.
+the request: a late one is recognised by the sensor's sample number, and a local port whose requests
+were not answered one for one is closed, so that late records are discarded.
 
 pynetft 2.1.3 does hold up as to values: under the same faults it gave none that was wrong and kept
 its call times. But it can only stream, so it cannot be stepped with an emulated robot; after 0.15 s

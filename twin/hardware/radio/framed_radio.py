@@ -27,8 +27,8 @@ def check_message(message: bytes, limit: int) -> bytes:
     """Return a copy of a message that may be sent.
 
     Args:
-        message: What to send.
-        limit: Longest allowed [bytes].
+        message: Body of the message.
+        limit: Greatest length allowed [bytes].
 
     Raises:
         RadioError: If it is empty or too long.
@@ -50,7 +50,7 @@ class FramedConfig:
         acknowledge_within: Time from a frame's last byte to its acknowledgement [s]: delays of both
             directions, both ends' polling, and one frame sent before the acknowledgement.
         deliver_within: Time from `send` until a message is given up [s].
-        write_ahead: How long before the line is free the next frame is written [s]: two polls.
+        write_ahead: Time by which the next frame is written before the line is free [s]: two polls.
     """
 
     baud: int = 9600
@@ -225,7 +225,7 @@ class FramedLink:
         messages.append(frame.body)
 
     def _take_acknowledgement(self, frame: Frame, now: float, outcomes: list[Outcome]) -> None:
-        """Confirm all before the frame's number; the body's bits tell what is held beyond it."""
+        """Confirm all before the frame's number, and what the body's bits list beyond it."""
         oldest = self._flight[0].sequence if self._flight else self._next_sequence
         confirmed = (frame.sequence - oldest) & 0xFF
         if frame.session != self._session or confirmed > len(self._flight):

@@ -21,11 +21,11 @@ class Frame(NamedTuple):
     """What a frame says.
 
     Attributes:
-        kind: What the body is, 0 to 15.
-        age: How many sequence numbers back the sender's oldest unconfirmed message is, 0 to 15.
+        kind: Kind of the body, 0 to 15.
+        age: Sequence numbers since the sender's oldest unconfirmed message, 0 to 15.
         session: Session of the sender of the numbered messages, 0 to 65535.
         sequence: Number of a message, 0 to 255.
-        body: At least one byte.
+        body: Content, at least one byte.
     """
 
     kind: int

@@ -18,7 +18,7 @@ from twin.hardware.serial_link import LinkError, SerialLink
 
 T = TypeVar("T")
 
-# Asked in turn to see the line clear: each answer tells which of them it belongs to, unless it is
+# Sent in turn to find the line clear: each answer shows which of them it belongs to, unless it is
 # later than a whole round, some 140 ms. All firmware answers them alike, and the servo cycle asks
 # other ones.
 _PROBES = (

@@ -227,7 +227,7 @@ def decode_status_reply(address: int, reply: bytes) -> Status | None:
 
 
 def decode_status(payload: bytes) -> Status | None:
-    """Return the status of either layout, told apart by its length; None for other lengths."""
+    """Return the status of either layout, distinguished by its length; None for other lengths."""
     if len(payload) == 4:
         return Status(int.from_bytes(payload, "big"))
     if len(payload) != 2:

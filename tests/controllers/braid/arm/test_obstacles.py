@@ -60,7 +60,7 @@ def test_words_are_clear_where_no_place_of_a_dense_body_is_within_reach():
 def test_no_place_of_a_clear_body_is_in_a_cube_that_slips_between_samples():
     """One small cube in the middle of a leg, where the sampled body has no point."""
     joints = rim_joints(ARM.geometry.radius)
-    small = VoxelObstacles(joints[:1] + [0.0, 0.0, 0.385], 0.02)  # state 0 stands upright
+    small = VoxelObstacles(joints[:1] + [0.0, 0.0, 0.385], 0.02)  # state 0 is upright
 
     def sampled(points):
         return np.all(np.abs(points - small.centres[0]) < 0.01, axis=1).astype(float)

@@ -182,7 +182,7 @@ def test_quick_run_stops_the_motors_after_each_fault_and_writes_everything(tmp_p
     assert measured["went_on_fraction/counter_wrap"]["median"] == 1.0
     assert measured["wrong_values"] == 0
     assert measured["identical_cycles/clean"] >= 100 <= measured["identical_cycles/faulted"]
-    # How fast a busy machine is, is not tested here; that it is told, is.
+    # The speed of a busy machine is not tested here, but that it is reported.
     assert {"worst_call_ms", "miss_fraction"} < set(measured)
     assert {"adapter_ms", "stopped_after_s"} & set(measured)
     fast = [

@@ -1,4 +1,4 @@
-"""The simulated mechanism settles where the exact kinematics say, and switches as it is told."""
+"""The simulated mechanism settles at the exact kinematics' pose, and switches as commanded."""
 
 import numpy as np
 import pytest

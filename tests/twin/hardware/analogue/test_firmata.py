@@ -252,7 +252,7 @@ def test_damaged_link_gives_no_wrong_and_no_stale_value(board, rate, waiting_tim
 def test_pyfirmata2_reads_the_emulated_board(board, monkeypatch):
     monkeypatch.setattr(pyfirmata2.pyfirmata2, "BOARD_SETUP_WAIT_TIME", 0.3)
     with Wire(board) as wire:
-        # Its own detection of pins fails on the pull-up mode that Firmata 2.5 tells of.
+        # Its own detection of pins fails on the pull-up mode that Firmata 2.5 reports.
         theirs = pyfirmata2.Arduino(wire.port.name)
         try:
             # What the board said by itself may have been flushed when the port was opened.

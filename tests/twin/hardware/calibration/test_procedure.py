@@ -70,10 +70,10 @@ class Bench:
 
 def follow(bench, config=CONFIG, upset=None, answers=None):
     """Run the procedure with a person who does what is said; `upset` changes single samples."""
-    told, count = [], iter(range(1000))
+    output_lines, count = [], iter(range(1000))
 
-    def tell(text):
-        told.append(text)
+    def show(text):
+        output_lines.append(text)
         if "take the weight off" in text:
             number = int(text.split()[1]) - 1
             bench.tilt, bench.hung = np.array(config.tilts[number]), False
@@ -87,8 +87,8 @@ def follow(bench, config=CONFIG, upset=None, answers=None):
     def ask(_):
         return next(answers) if answers else ""
 
-    result = run_procedure(tilt_procedure(ROBOT, config, TODAY), measure, ask, tell)
-    return result, told
+    result = run_procedure(tilt_procedure(ROBOT, config, TODAY), measure, ask, show)
+    return result, output_lines
 
 
 @settings(deadline=None)
@@ -161,7 +161,7 @@ def test_two_points_are_the_outermost_and_need_two_tilts():
 
 
 def test_person_is_led_to_a_calibration_of_today():
-    result, told = follow(Bench(noise=0.1, seed=4))
+    result, output_lines = follow(Bench(noise=0.1, seed=4))
     section = result.calibration.inclinometer
     assert section.calibrated_on == TODAY and "5 tilts" in section.source
     for new, old in ((section.pitch, SENSORS[0]), (section.roll, SENSORS[1])):
@@ -171,9 +171,12 @@ def test_person_is_led_to_a_calibration_of_today():
     unchanged = dataclasses.replace(result.calibration, inclinometer=ROBOT.inclinometer)
     assert unchanged == ROBOT
     assert len(result.weighings) == 5
-    assert "raise its front by 12 degrees" in told[2] and "raise its right side" in told[8]
-    assert f"pitch: zero at {section.pitch.zero_volts:.4f} +-" in told[-1]
-    assert "mV/degree" in told[-1]
+    assert (
+        "raise its front by 12 degrees" in output_lines[2]
+        and "raise its right side" in output_lines[8]
+    )
+    assert f"pitch: zero at {section.pitch.zero_volts:.4f} +-" in output_lines[-1]
+    assert "mV/degree" in output_lines[-1]
 
 
 def test_standard_errors_cover_the_truth():
@@ -190,9 +193,9 @@ def test_standard_errors_cover_the_truth():
 
 
 def refused(upset, match, bench=None, config=CONFIG):
-    """One bad weighing is told, asked for again and replaced."""
-    result, told = follow(bench or Bench(), config, upset)
-    problems = [text for text in told if text.startswith("Not taken")]
+    """One bad weighing is reported, repeated and replaced."""
+    result, output_lines = follow(bench or Bench(), config, upset)
+    problems = [text for text in output_lines if text.startswith("Not taken")]
     assert len(problems) == 1 and match in problems[0]
     assert len(result.weighings) == len(config.tilts)
 
@@ -250,7 +253,7 @@ def test_wrong_input_and_slipping_readings_are_not_made_a_calibration():
     with pytest.raises(ProcedureError, match="far from the usual 33; is the right input wired"):
         follow(Bench(flat))
     swapped = (SENSORS[1], SENSORS[0])
-    result, _ = follow(Bench(swapped))  # axes of nearly one sensitivity: nothing can tell them
+    result, _ = follow(Bench(swapped))  # axes of nearly one sensitivity: indistinguishable
     assert result.pitch.zero_volts == pytest.approx(2.406, abs=1e-3)
     bent = shifted(3, volts=np.array([0.12, 0.0]))
     with pytest.raises(ProcedureError, match="off their line"):

@@ -69,11 +69,11 @@ def test_camera_that_is_frozen_or_unplugged_stops_the_robot_with_one_clear_error
     }
     with connect("emulated", field=FIELD, stereo=StereoConfig(rate=2.0)) as link:
         robot = link.robots[ROBOT]
-        for fault, told in faults.items():
+        for fault, message in faults.items():
             robot.activate()
             last = robot.observe().stereo.stamp
             link.emulator.inject(ROBOT, fault, 1.5)
-            with pytest.raises(RobotError, match=told):
+            with pytest.raises(RobotError, match=message):
                 for _ in range(200):
                     robot.observe()
                     robot.command(Command())

@@ -39,7 +39,7 @@ def sequence(folder, name, images):
 
 
 class Device:
-    """A camera that gives an image a period, until it is told otherwise."""
+    """A camera that gives an image a period, until it is switched off."""
 
     def __init__(self, level, period=0.01):
         self.level, self.period = level, period

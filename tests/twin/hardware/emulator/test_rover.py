@@ -254,7 +254,7 @@ with connect(sys.argv[1]) as link:
 
 
 class Host:
-    """A process that connects to boards, and drives them if it is told how they are homed."""
+    """A process that connects to boards, and drives them if it is given the homing angles."""
 
     def __init__(self, target):
         self.process = subprocess.Popen(

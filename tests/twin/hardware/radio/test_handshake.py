@@ -29,7 +29,7 @@ def shake(message, spoil=None):
     config = HandshakeConfig(send_within=1.0, receive_within=0.9)
     first, second = HandshakeLink(there, config), HandshakeLink(back, config)
     first.send(message)
-    got, told, count = [], [], 0
+    got, confirmations, count = [], [], 0
     for _ in range(200):
         for source, target, link in ((there, back, second), (back, there, first)):
             for byte in b"".join(source.out):
@@ -38,16 +38,16 @@ def shake(message, spoil=None):
                 count += 1
             source.out.clear()
             polled = link.poll()
-            got, told = got + polled.messages, told + polled.outcomes
+            got, confirmations = got + polled.messages, confirmations + polled.outcomes
         there.time = back.time = there.time + 0.01
-    return got, told, second
+    return got, confirmations, second
 
 
 @given(st.binary(min_size=1, max_size=40))
 def test_handshake_carries_any_bytes_over_a_clean_line(message):
-    got, told, _ = shake(message)
+    got, confirmations, _ = shake(message)
     assert got == [message]
-    assert told == [Outcome(1, True)]
+    assert confirmations == [Outcome(1, True)]
 
 
 def test_handshake_sends_what_the_thesis_says():
@@ -62,9 +62,9 @@ def test_handshake_sends_what_the_thesis_says():
 
 
 def test_handshake_delivers_a_changed_byte_and_calls_it_sent():
-    got, told, _ = shake(b"\x10\x20\x30", lambda n, b: b"\x21" if b == b"\x20" else b)
+    got, confirmations, _ = shake(b"\x10\x20\x30", lambda n, b: b"\x21" if b == b"\x20" else b)
     assert got == [b"\x10\x21\x30"]
-    assert told == [Outcome(1, True)]
+    assert confirmations == [Outcome(1, True)]
 
 
 def test_handshake_takes_data_for_a_command_after_a_lost_byte():
@@ -84,16 +84,16 @@ def test_handshake_takes_data_for_a_command_after_a_lost_byte():
 
 
 def test_handshake_stalls_on_a_lost_received_ok_until_its_deadline():
-    got, told, second = shake(b"abc", lambda n, b: b"" if b[0] == RECEIVED_OK else b)
+    got, confirmations, second = shake(b"abc", lambda n, b: b"" if b[0] == RECEIVED_OK else b)
     assert got == []
-    assert told == [Outcome(1, False)]
+    assert confirmations == [Outcome(1, False)]
     assert second.next_event() == math.inf  # It waits no more.
 
 
 def test_handshake_calls_a_message_sent_whose_end_was_lost():
-    got, told, second = shake(b"abc", lambda n, b: b"" if b[0] == END_OF_DATA else b)
+    got, confirmations, second = shake(b"abc", lambda n, b: b"" if b[0] == END_OF_DATA else b)
     assert got == []
-    assert told == [Outcome(1, True)]
+    assert confirmations == [Outcome(1, True)]
     assert second.next_event() == math.inf
 
 

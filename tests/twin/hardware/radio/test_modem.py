@@ -36,14 +36,14 @@ def test_modem_paces_delays_and_hits_as_it_is_told():
 
 
 def exchange(links, now, wait, messages):
-    """Send messages one after another; return what arrived, what was told and how long it took."""
-    begin, got, told = now(), [], []
+    """Send messages one after another; return arrivals, confirmations and the duration."""
+    begin, got, confirmed = now(), [], []
     for message in messages:
         links[0].send(message)
         done = False
         while not done:
             polled = links[0].poll()
-            told += [outcome.confirmed for outcome in polled.outcomes]
+            confirmed += [outcome.confirmed for outcome in polled.outcomes]
             got += links[1].poll().messages
             done = bool(polled.outcomes)
             if not done:
@@ -52,7 +52,7 @@ def exchange(links, now, wait, messages):
     for _ in range(20):
         wait()
         got += links[1].poll().messages
-    return got, told, end - begin
+    return got, confirmed, end - begin
 
 
 def make_links(kind, ends):

@@ -36,11 +36,11 @@ def test_no_message_is_wrong_twice_or_out_of_order_under_any_error(seed, kinds, 
     tickets = [[link.send(message) for message in own] for link, own in zip(links, sent)]
     messages, outcomes = pump(modems, links, 3.0)
     for own in range(2):
-        got, told = iter(sent[own]), dict(outcomes[own])
+        got, confirmed = iter(sent[own]), dict(outcomes[own])
         assert all(message in got for message in messages[1 - own])  # in this order, each once
-        assert sorted(told) == tickets[own] and len(outcomes[own]) == 6
+        assert sorted(confirmed) == tickets[own] and len(outcomes[own]) == 6
         arrived = set(messages[1 - own])
-        assert all(sent[own][i] in arrived for i, t in enumerate(tickets[own]) if told[t])
+        assert all(sent[own][i] in arrived for i, t in enumerate(tickets[own]) if confirmed[t])
     if rate == 1e-3:
         assert [len(each) for each in messages] == [6, 6]
 
@@ -127,11 +127,11 @@ def test_restarted_receiver_goes_on_from_the_oldest_on_the_way():
 def test_what_cannot_be_delivered_is_said_and_the_link_recovers():
     (first, there), (second, back) = framed(1, deliver_within=1.0), framed(2)
     tickets = [first.send(bytes([index])) for index in range(12)]
-    told = []
+    confirmed = []
     for step in range(12):  # nothing is carried
         there.time = 0.1 * step
-        told += first.poll().outcomes
-    assert told == [Outcome(ticket, False) for ticket in tickets]
+        confirmed += first.poll().outcomes
+    assert confirmed == [Outcome(ticket, False) for ticket in tickets]
     assert first.pending == 0
     there.out.clear()
     first.send(b"again")

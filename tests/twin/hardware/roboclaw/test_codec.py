@@ -58,7 +58,7 @@ WRITES = [
         "80 43 00 00 00 01 00 00 00 02 00 00 00 03 00 00 00 04"
         "00 00 00 05 00 00 00 06 00 00 00 07 ff ff ff f8 01 1b 14",
     ),
-    # Where the manual explains 133, its packet shows 134; the motors' numbers tell them apart.
+    # Where the manual explains 133, its packet shows 134; the motors' numbers distinguish them.
     (0x80, BoardCommand.SET_CURRENT_LIMIT_1, (1500, 0), "80 85 00 00 05 dc 00 00 00 00 d3 82"),
     (0x80, BoardCommand.SET_CURRENT_LIMIT_2, (2**32 - 1, 0), "80 86 ff ff ff ff 00 00 00 00 3e 20"),
     (0x80, BoardCommand.SET_PWM_MODE, (1,), "80 94 01 ff 54"),

@@ -37,7 +37,7 @@ COMMANDS = (*codec.WRITES, *QUESTIONS)
 
 
 class ScriptedLine(FaultyLine):
-    """Damages the next exchanges as told: a kind or None, and a seed for the place, for each."""
+    """Damages the next exchanges by a plan: a kind or None, and a seed for the byte, for each."""
 
     def __init__(self, device):
         super().__init__(device, LineFaultConfig(), np.random.default_rng(0))
@@ -50,7 +50,7 @@ class ScriptedLine(FaultyLine):
         super()._exchange(request, now)
 
 
-# Truth: what is set from behind, and how a board must tell of it
+# Truth: what is set in the board directly, and how the board must report it
 
 
 def scramble(board, rng):

@@ -52,7 +52,7 @@ def boards_on_a_line(addresses=(0x80,), old_firmware=False):
 
 
 class PtyWire(Served):
-    """Serves a device at a pseudo-terminal in a thread; `clock` is what the device is told."""
+    """Serves a device at a pseudo-terminal in a thread; `clock` is the device's clock."""
 
     def __init__(self, device, clock=time.monotonic):
         self.port = PseudoTerminal()
