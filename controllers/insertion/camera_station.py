@@ -1,4 +1,4 @@
-"""Camera stations from which a rover sees card and slot: best views, and random ones.
+"""Camera stations with card and slot in view: best views, and random ones.
 
 A camera station is a rover's pose on the ground with joint angles of the arm, for the middle of the
 approach (Thesis section 4.2.3). Poses are given in the ground frame of an `InsertionDrawing`.
@@ -22,7 +22,7 @@ from perception.stereo.geometry import StereoGeometry
 from twin.description import RobotDescription, StereoHeadDescription
 
 NEAREST, FARTHEST = 0.35, 1.2
-"""Distances at which a marker can be detected [m] (READINGS are of 0.35 to 1.1 m)."""
+"""Distances at which a marker can be detected [m] (READINGS has 0.35 to 1.1 m)."""
 STEEPEST = math.radians(80.0)
 """Largest angle of a random view with the faces' normal."""
 AIM = math.radians(5.0)
@@ -54,11 +54,11 @@ class CameraStation:
 
 
 def watch_plan(head: StereoHeadDescription, drawing: InsertionDrawing) -> WatchPlan:
-    """Return the candidates of a camera's placement for card and slot.
+    """Return the candidate camera poses for card and slot.
 
     Args:
-        head: The stereo head.
-        drawing: Card and slot as drawn.
+        head: Description of the stereo head.
+        drawing: Drawing of card and slot.
     """
     camera = head.camera
     view = 2.0 * math.atan(camera.width / 2.0 / camera.fx)
@@ -78,14 +78,14 @@ def best_camera_station(
     ground: MappedGround | None = None,
     start: ArrayLike = (0.0, 0.0),
 ) -> CameraStation:
-    """Return the station from which a rover sees card and slot best (Thesis section 4.2.3).
+    """Return the station with the best view of card and slot (Thesis section 4.2.3).
 
     With a map of the ground, only stations that the rover can drive to are considered.
 
     Args:
         robot: Rover with the camera.
-        drawing: Card and slot as drawn.
-        level: Level of the search.
+        drawing: Drawing of card and slot.
+        level: Level of refinement of the search.
         ground: Mapped ground; None without obstacles.
         start: (2,) position of the rover [m], ground frame; used with ``ground``.
 
@@ -129,19 +129,19 @@ def best_camera_station(
 def random_camera_station(
     robot: RobotDescription, drawing: InsertionDrawing, rng: np.random.Generator
 ) -> CameraStation:
-    """Draw a station for a rover whose camera then stays there.
+    """Draw a random station for a rover whose camera then stays fixed.
 
     Directions are uniform before the faces, distances uniform from `NEAREST` to `FARTHEST`, and
-    the camera points at the target within some degrees: so the target could be seen (the thesis'
-    "heuristics"), whatever hides it.
+    the camera points at the target within some degrees: so the target is in the field of view (the
+    thesis' "heuristics"), though it may be occluded.
 
     Args:
         robot: Rover with the camera.
-        drawing: Card and slot as drawn.
+        drawing: Drawing of card and slot.
         rng: Random generator for the station.
 
     Raises:
-        PlacementError: If none of many could be taken.
+        PlacementError: If none of many draws is reachable and clear.
     """
     markers, (arm, _) = drawing.parts(GAP).markers(), camera_arm(robot)
     target = 0.5 * (markers.max(axis=0) + markers.min(axis=0))
@@ -167,19 +167,19 @@ def random_camera_station(
 def base_placement(
     camera: FloatArray, target: FloatArray, arm: SerialChain, centre_height: float
 ) -> CameraStation | None:
-    """Return the pose of a level rover whose camera has a position and points at another.
+    """Return the pose of a level rover whose camera is at a position and points at a target.
 
-    It faces the target with its arm straight ahead, so that it came by driving straight (Thesis
-    section 5.2, assumption 3), and has its joints as far from their limits as can be.
+    The rover faces the target with its arm straight ahead, so that it arrives by driving straight
+    (Thesis section 5.2, assumption 3), and its joints are as far from their limits as possible.
 
     Args:
         camera: (3,) position of the left camera [m], ground frame.
-        target: (3,) point on its axis [m], ground frame.
-        arm: The arm with the camera.
+        target: (3,) point on the camera's axis [m], ground frame.
+        arm: Arm with the camera.
         centre_height: Height of the robot frame over level ground [m].
 
     Returns:
-        The station; None if the arm cannot reach it.
+        Camera station; None if the arm cannot reach it.
     """
     view = np.asarray(target, dtype=float) - camera
     distance = float(np.linalg.norm(view))
@@ -218,10 +218,10 @@ def camera_arm(robot: RobotDescription) -> tuple[SerialChain, StereoHeadDescript
     """Return a rover's arm that carries its stereo head, and the head.
 
     Args:
-        robot: The rover.
+        robot: Description of the rover.
 
     Raises:
-        ValueError: If it has none, naming it.
+        ValueError: If the rover has no arm or no stereo head, naming the rover.
     """
     if robot.arm is None or robot.head is None:
         raise ValueError(
@@ -231,6 +231,6 @@ def camera_arm(robot: RobotDescription) -> tuple[SerialChain, StereoHeadDescript
 
 
 def stereo_geometry(robot: RobotDescription) -> StereoGeometry:
-    """Return the geometry of a rover's stereo head as drawn."""
+    """Return the nominal geometry of a rover's stereo head."""
     head = camera_arm(robot)[1]
     return StereoGeometry(*head.camera.intrinsics, head.baseline)

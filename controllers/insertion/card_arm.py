@@ -1,6 +1,6 @@
-"""The card at the end of the slave's arm: its pose, its motion, and what touches it.
+"""The card at the end of the slave's arm: its pose, its motion, and its contact wrench.
 
-What runs several times a tick takes and returns poses as matrices (4, 4), as
+Functions that run several times a tick take and return poses as matrices (4, 4), as
 `SerialChain.tool_frame` does: a fiftieth of the time of a `RigidTransform`.
 """
 
@@ -65,7 +65,7 @@ class CardArm:
     """Kinematics and weight of the arm with the card in its gripper, robot frame.
 
     Args:
-        robot: The rover as drawn; its wrist's body counts the card.
+        robot: Description of the rover; its wrist's body includes the card.
         tip: Distance from the wrist's joint to the middle of the card's leading edge [m].
 
     Attributes:
@@ -93,14 +93,14 @@ class CardArm:
         return RigidTransform.from_matrix(self.card_frame(angles))
 
     def angles_at(self, place: ArrayLike, pitch: float, near: ArrayLike) -> FloatArray:
-        """Return the joint angles that bring the card to a place.
+        """Return the joint angles that bring the card to a position.
 
         The arm has four joints: the card's yaw is that of the arm, and its roll is the robot's.
 
         Args:
-            place: (3,) middle of the leading edge [m], robot frame.
+            place: (3,) position of the middle of the leading edge [m], robot frame.
             pitch: Pitch of the card's forward axis [rad].
-            near: (4,) present angles [rad]; the nearest solution counts.
+            near: (4,) present angles [rad]; the nearest solution is returned.
 
         Returns:
             (4,) [rad]; NaN if it is out of reach.

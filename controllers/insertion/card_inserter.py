@@ -30,7 +30,7 @@ _STILL = np.zeros(4)
 
 
 class InsertionStage(enum.Enum):
-    """What the slave is doing."""
+    """Stage of the slave's insertion."""
 
     WAIT = "wait"
     APPROACH = "approach"
@@ -59,14 +59,14 @@ class CardInserterConfig:
         aligned: Errors across and ahead [m] and turn [rad] within which the card is aligned.
         looks: Number of views in a row that have to show it aligned.
         patience: Time before the slot after which the card is inserted by the estimate [s].
-        stale: Age of the last view beyond which the slave continues by dead reckoning [s] while
-            the slot's covariance is small enough, else it stops.
-        known: Standard deviation of the slot's position that is small enough for that [m].
-        lost: Age of the last view after which it gives up [s].
-        first: Time without a first view after which it gives up [s]; until then nothing moves.
+        stale: Age of the last view beyond which the slave stops unless the slot's covariance is
+            small enough for dead reckoning [s].
+        known: Largest standard deviation of the slot's position for dead reckoning [m].
+        lost: Age of the last view at which the insertion fails [s].
+        first: Time without a first view after which it fails [s]; until then nothing moves.
         settle: Time over which the wrench is tared [s].
         force_limit: Contact force at which everything stops [N].
-        timeout: Time for the whole task [s].
+        timeout: Longest time of the whole task [s].
         period: Servo tick [s].
     """
 
@@ -100,20 +100,21 @@ class CardInserter:
     Args:
         config: Speeds, tolerances and timeouts.
         arm: Arm with the card.
-        steer: Wheels of the slave.
+        steer: Kinematics of the slave's wheels.
         transform_slot_to_robot: Prior transform from the slot to the robot, by the map.
-        covariance: (6, 6) covariance of its xi.
-        base: Tilt of the robot under its arm, fed forward while force guides; None for a robot
-            that is taken to keep its tilt.
+        covariance: (6, 6) covariance of that transform, as a twist in the robot frame.
+        base: Tilt dynamics of the robot under its arm, fed forward while force guides; None for a
+            robot of constant tilt.
 
     Attributes:
         config: Speeds, tolerances and timeouts.
         stage: Stage of the slave.
-        reason: Why it stopped; empty if it did not.
-        guide: Guide of the insertion by force; None before it begins.
+        reason: Reason of the failure; empty without one.
+        guide: Force guidance of the insertion; None before it begins.
         contact: (6,) force and moment on the card less the tare, card frame [N, N m].
         belief: Estimate of the slot's pose.
-        error: (5,) `to_plane` of the card in the last view, from its stand-off; NaN before.
+        error: (5,) error of the card from its stand-off in the last view, see `to_plane`; NaN
+            before the first.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class CardInserter:
         self._arm, self._steer, self._base = arm, steer, base
         self._odometry = Odometry(steer)
         self._levelled = False
-        self._load = 0.0  # Force that must not grow too large [N].
+        self._load = 0.0  # Force that the limit applies to [N].
         self._time, self._since, self._last_view = 0.0, 0.0, -math.inf
         self._good = 0
         self._tare: list[FloatArray] = []
@@ -146,15 +147,15 @@ class CardInserter:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended, in DONE or FAILED."""
+        """Whether the insertion has ended, in DONE or FAILED."""
         return self.stage in (InsertionStage.DONE, InsertionStage.FAILED)
 
     def step(self, seen: Observation, views: Sequence[Guidance]) -> Command:
-        """Take what was measured and received, and return the next command.
+        """Process an observation and received guidance, and return the next command.
 
         Args:
             seen: Observation of the slave.
-            views: Guidance of the master that arrived by radio since the last step.
+            views: Guidance received by radio since the last step.
         """
         config = self.config
         self._time += config.period
@@ -184,7 +185,7 @@ class CardInserter:
         return self._hold()
 
     def stop(self, reason: str) -> None:
-        """Stop for good, for a reason from outside.
+        """End the insertion as failed, for a reason from outside.
 
         Args:
             reason: Reason to report.
@@ -196,7 +197,7 @@ class CardInserter:
         self.stage, self._since, self._good = stage, self._time, 0
 
     def _fail(self, reason: str, angles: FloatArray, arm: bool = True) -> Command:
-        # The first reason counts, and a card that is seated stays so.
+        # The first reason is reported, and a seated card stays seated.
         self.stop(reason)
         if arm:
             self._wanted = angles.copy()
@@ -206,7 +207,7 @@ class CardInserter:
         return Command(wheels, self._wanted, WheelMode.SPEED, ArmMode.POSITION, rates)
 
     def _reckon(self, seen: Observation, angles: FloatArray) -> None:
-        """Advance dead reckoning; the tilt counts from that of the start."""
+        """Advance dead reckoning; tilt is relative to that of the start."""
         before, turned = self._odometry.distance, self._odometry.turned
         self._odometry.update(seen, self.config.period)
         if not self._levelled and seen.inclinometer.usable:
@@ -248,13 +249,13 @@ class CardInserter:
             self._tare = [*self._tare, felt][-round(self.config.settle / self.config.period) :]
             self._offset = np.mean(self._tare, axis=0)
         self.contact = felt - self._offset if self._tare else np.zeros(6)
-        # What the card runs into before it is inserted must not be tared away.
+        # A contact before the insertion must not be tared away.
         bringing = self.stage in (InsertionStage.APPROACH, InsertionStage.ALIGN)
         touched = felt if bringing else self.contact
         self._load = float(np.linalg.norm(touched[:3]))
 
     def _go(self, angles: FloatArray) -> Command:
-        """Bring the card before the slot, by wheels and arm."""
+        """Move the card to its stand-off before the slot, by wheels and arm."""
         config = self.config
         age = self._time - self._last_view
         if age > config.lost:
@@ -268,7 +269,7 @@ class CardInserter:
             wheels = self._steer_to(slot, gap)
             if abs(gap) < config.near:
                 self._enter(InsertionStage.ALIGN)
-        # While the robot is away, the card stays in the arm's easy range.
+        # While the robot is far away, the card stays within easy reach of the arm.
         away = max(gap, 0.0) if self.stage is InsertionStage.APPROACH else 0.0
         rates = self._bring(slot @ planar([0.0, -config.stand_off - away, 0.0]))
         if self.stage is InsertionStage.ALIGN:
@@ -282,7 +283,7 @@ class CardInserter:
         """Return wheel speeds onto the slot's line, slower when near."""
         config, (x, y) = self.config, slot[:2, 3]
         heading = math.atan2(-slot[0, 1], slot[1, 1])  # of the slot's line, to the left
-        # How far the line lies to the left of the robot's origin.
+        # Distance of the line to the left of the robot's origin.
         beside = -x * math.cos(heading) - y * math.sin(heading)
         speed = min(max(config.slowing * gap, -config.speed), config.speed)
         curve = 2.0 * heading / config.look_ahead + beside / config.look_ahead**2
@@ -290,7 +291,7 @@ class CardInserter:
         return self._steer.wheel_speeds(speed, turn)
 
     def _bring(self, card: FloatArray) -> FloatArray:
-        """Move the wanted joints a step towards a pose of the card; return their rates."""
+        """Move the commanded joints a step towards a pose of the card; return their rates."""
         config, now = self.config, self._arm.card_frame(self._wanted)
         way = card[:3, 3] - now[:3, 3]
         most, step = config.card_speed * config.period, config.card_turn * config.period
@@ -300,7 +301,7 @@ class CardInserter:
         return self._command_card(place, pitch)
 
     def _command_card(self, place: FloatArray, pitch: float) -> FloatArray:
-        """Set the wanted joints for a place and pitch, if in reach; return their rates."""
+        """Set the commanded joints for a position and pitch, if in reach; return their rates."""
         target = self._arm.angles_at(place, pitch, self._wanted)
         rates = (target - self._wanted) / self.config.period
         if not np.all(np.abs(rates) <= _ELBOW):
@@ -309,7 +310,7 @@ class CardInserter:
         return rates
 
     def _hand_over(self, slot: FloatArray) -> None:
-        """Let force guide from here; the slot's estimate stays fixed in the world."""
+        """Switch from vision to force; the slot's estimate stays fixed in the world."""
         self._slot = slot
         self._weight = self._arm.weight(self._wanted, self._up)
         start = to_plane(inverse(slot) @ self._arm.card_frame(self._wanted))
@@ -317,7 +318,7 @@ class CardInserter:
         self._enter(InsertionStage.INSERT)
 
     def _slot_now(self) -> FloatArray:
-        """Return (4, 4) from the slot to the robot, which tilts as its arm reaches on."""
+        """Return (4, 4) from the slot to the robot, which tilts as its arm reaches forward."""
         if self._base is None:
             return self._slot
         change = self._arm.weight(self._wanted, self._up) - self._weight

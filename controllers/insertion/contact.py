@@ -1,9 +1,9 @@
-"""How a rectangular card touches a slot, on the plane (Thesis section A.4, figures A-5, A-6).
+"""Planar contacts of a rectangular card with a slot (Thesis section A.4, figures A-5, A-6).
 
 Card frame: origin in the middle of the leading edge, y ahead, x to the right. Slot frame: origin in
 the middle of the mouth, y into the slot. A pose (x, y, theta) is the card's in the slot's frame.
-A wrench (f_x, f_y, m) is what the slot puts on the card, in the card's frame, the moment about its
-origin.
+A wrench (f_x, f_y, m) is that of the slot on the card, in the card's frame, with the moment about
+its origin.
 
 Six states exist up to a mirror image, where features of a convex rectangle meet those of a slot
 that is wider than it: a mouth corner on the leading edge (1), a mouth corner on a side (2), a
@@ -48,7 +48,7 @@ STATES: dict[int, tuple[tuple[Touch, int], ...]] = {
 
 @dataclasses.dataclass(frozen=True)
 class CardInSlot:
-    """Shapes and friction, as the CAD has them. Lengths [m].
+    """Shapes and friction from the CAD. Lengths [m].
 
     Attributes:
         card_width: Width of the card, across.
@@ -67,7 +67,7 @@ class CardInSlot:
     friction: float
 
     def __post_init__(self) -> None:
-        """Refuse shapes that are none, and slots that the card cannot enter.
+        """Refuse impossible shapes, and slots that the card cannot enter.
 
         Raises:
             ValueError: Naming the field.
@@ -161,7 +161,7 @@ def contacts_of(shape: CardInSlot, pose: FloatArray, state: int, side: int) -> l
 
 
 def overlap(shape: CardInSlot, pose: FloatArray) -> float:
-    """Return how deep card and slot overlap at a pose, 0 if they don't [m]."""
+    """Return the depth of the overlap of card and slot at a pose [m], 0 without one."""
     depths = (
         -max(contact_at(shape, pose, touch, side).gap for touch in pair)
         for side in (-1, 1)
@@ -233,11 +233,11 @@ def pose_in_state(
 
 
 def contact_point(shape: CardInSlot, wrench: FloatArray) -> FloatArray:
-    """Return where the line of action of one contact's force meets the card's outline.
+    """Return the intersection of one contact's line of action with the card's outline.
 
-    Thesis figure A-6: the point r with r x f = m. The larger part of the force says whether it is
-    sought on the leading edge or on a side, so tilt and angle of friction together must stay
-    below 45 deg.
+    Thesis figure A-6: the point r with r x f = m. The larger component of the force decides whether
+    it is on the leading edge or on a side, so tilt and angle of friction together must stay below
+    45 deg.
 
     Args:
         shape: Width and length of the card.

@@ -1,9 +1,9 @@
 """Classification of the six contact states by a measured wrench (Thesis section A.4, figure A-6).
 
-The wrench alone leaves it open: forces of two contacts often add up to what one could give. So the
-card's pose is taken as vision and arm estimate it, with its covariance. A state is rated by how
-far the pose must move for its features to meet, and by how far the wrench lies from what its
-frictional contacts can give there; the unknown part of the pose is integrated over to first order.
+The wrench alone is ambiguous: forces of two contacts often add up to a force that one could give.
+So the card's pose is used too, as estimated by vision and arm, with its covariance. A state is
+rated by the distance that the pose must move for its features to meet, and by the distance of the
+wrench from the cone of its frictional contacts there; the pose is marginalised to first order.
 
 Assumed: rigid shapes known from CAD, dry friction of a known coefficient, planar, at rest or slow,
 and that there is a contact at all.
@@ -29,7 +29,7 @@ from controllers.insertion.contact import (
 from perception.geometry.arrays import FloatArray
 
 _STEPS = 4  # Newton steps onto a state's set of poses.
-_MET = 1e-4  # Gap that may be left then [m].
+_MET = 1e-4  # Largest gap after these steps [m].
 _MOVE = 1e-5  # Step of the differences by the pose [m, m, rad].
 _EXACT = 1e-5  # Standard deviation of the CAD's lengths [m].
 _HOPELESS = 300.0  # Cost of the pose alone beyond which the wrench does not matter.
@@ -118,7 +118,7 @@ def classify(
 
 
 class _Meeting(NamedTuple):
-    """The likeliest pose where a state's features meet, its covariance, and what it costs."""
+    """The likeliest pose where a state's features meet, its covariance, and its cost."""
 
     pose: FloatArray
     covariance: FloatArray
@@ -128,7 +128,7 @@ class _Meeting(NamedTuple):
 def _rate(
     shape: CardInSlot, wrench: FloatArray, noise: WrenchNoise, met: _Meeting, state: int, side: int
 ) -> float:
-    """Return -2 ln of a hypothesis' evidence, but for what all share.
+    """Return -2 ln of a hypothesis' evidence, but for a common constant.
 
     One contact's wrenches fill a plane: the moment about the contact point must vanish, and its
     variance counts. Those of two fill a volume: the moment may be any up to the leading edge's.
@@ -160,7 +160,7 @@ def _rate(
 def _meet(
     shape: CardInSlot, pose: FloatArray, covariance: FloatArray, state: int, side: int
 ) -> _Meeting:
-    """Move a pose estimate to where a state's features meet."""
+    """Move a pose estimate to the likeliest pose where a state's features meet."""
     met = pose.copy()
     for _ in range(_STEPS):
         gaps, rows, gain = _pull(contacts_of(shape, met, state, side), covariance)
@@ -168,13 +168,13 @@ def _meet(
     contacts = contacts_of(shape, met, state, side)
     gaps, rows, gain = _pull(contacts, covariance)
     if np.abs(gaps).max() > _MET:
-        return _Meeting(met, covariance, math.inf)  # too far for these steps to get there
+        return _Meeting(met, covariance, math.inf)  # the steps did not converge
     density = rows @ covariance @ rows.T
     keep = np.eye(3) - gain @ rows
     left = keep @ covariance @ keep.T
     moved = met - pose
     cost = float(moved @ np.linalg.solve(covariance, moved))
-    # Gaps that are not closed may be anything up to the clearance.
+    # Open gaps are uniform up to the clearance.
     clearance = shape.slot_width - shape.card_width
     cost += math.log(np.linalg.det(density * (2.0 * math.pi / clearance**2)))
     cost += _misplaced(shape, met, left, contacts, state, side)

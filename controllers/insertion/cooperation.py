@@ -1,14 +1,14 @@
 """Two robots hold one segment: decentralised master-slave hybrid control (Thesis figure A-8).
 
-In the plane two rigid grips take six forces, and the segment has three degrees of freedom: three
-forces are internal. So of the six directions of the two grips three are positions and three are
-forces. The master holds the place of its grip along s and z, the slave that of its own along z;
-both yield to moments, and the slave yields along the segment until it presses with the wanted
-squeeze. Each robot acts on its own sensors. Over the radio go where the segment shall be, to the
-slave, and what the slave's grip puts on it, to the master.
+In the plane two rigid grips transmit six forces, and the segment has three degrees of freedom:
+three forces are internal. So of the six directions of the two grips three are controlled in
+position and three in force. The master controls its grip's position along s and z, the slave its
+own along z; both yield to moments, and the slave yields along the segment until it exerts the
+wanted squeeze. Each robot uses its own sensors. The radio carries the segment's set point to the
+slave, and the wrench of the slave's grip on the segment to the master.
 
-A position is reached by the servo, a force by moving the servo's target in proportion to what is
-missing of it: the suspension, the arm and the grip are the spring (Thesis eq. A-1).
+A position is reached by the servo, a force by moving the servo's target in proportion to the force
+error: the suspension, the arm and the grip are the spring (Thesis eq. A-1).
 """
 
 import dataclasses
@@ -37,7 +37,7 @@ _UNITS = {
 
 
 def encode(kind: int, values: ArrayLike) -> bytes:
-    """Return a message for the radio; what exceeds its range is cut off there.
+    """Return a message for the radio; values are clipped to its range.
 
     Args:
         kind: `SET_POINT`, (6,) pose and rate, or `REPORT`, (3,) wrench.
@@ -127,15 +127,14 @@ class HybridConfig:
 
     Attributes:
         forces: Whether each of s, z, angle is controlled by force.
-        wanted: (3,) wrench of the gripper on the segment, where by force [N, N, N m].
-        give: Speed by missing force [m/s/N].
-        give_turn: Turning rate by missing moment [rad/s/(N m)].
+        wanted: (3,) commanded wrench of the gripper on the segment, where by force [N, N, N m].
+        give: Admittance, speed over force error [m/s/N].
+        give_turn: Admittance, turning rate over moment error [rad/s/(N m)].
         speed: Largest speed of a correction [m/s].
         turn_rate: Largest turning rate of a correction [rad/s].
         reach: Largest correction by force [m].
         turn_reach: Largest correction of the angle by force [rad].
-        take_up: Time constant in which a first difference from the target goes, where by
-            position [s].
+        take_up: Time constant of the decay of an initial position error, where by position [s].
         filter_time: Time constant of the wrench's low pass [s].
         joint_rate: Largest rate of a joint [rad/s].
         period: Servo tick [s].
@@ -155,7 +154,7 @@ class HybridConfig:
     period: float = 0.01
 
     def __post_init__(self) -> None:
-        """Refuse numbers that could not be meant.
+        """Refuse values out of range.
 
         Raises:
             ValueError: Naming the field.
@@ -167,7 +166,7 @@ class HybridConfig:
 
 
 class HybridGrip:
-    """Brings one gripper to positions and forces, by its own sensors alone.
+    """Hybrid position and force control of one gripper, by its own sensors alone.
 
     Args:
         config: Directions of force and position control, with their gains and limits.
@@ -176,8 +175,8 @@ class HybridGrip:
         stance: Stance of the robot; its tilt is measured later.
 
     Attributes:
-        wrench: (3,) low-passed wrench of the gripper on the segment, plan frame; None while there
-            is none.
+        wrench: (3,) low-passed wrench of the gripper on the segment, plan frame [N, N, N m]; None
+            without a measurement.
         stance: Stance of the gripper's robot.
     """
 
@@ -199,10 +198,10 @@ class HybridGrip:
         self._correction: FloatArray | None = None
 
     def hold(self, seen: Observation) -> Command:
-        """Return the command that keeps the joints where the first call finds them.
+        """Return the command that holds the joint angles of the first call.
 
         Raises:
-            RobotError: If their angles are missing or stale then.
+            RobotError: If the joint angles are missing or stale at the first call.
         """
         if self._angles is None:
             if not seen.arm_angles.usable:
@@ -212,13 +211,13 @@ class HybridGrip:
         return Command(arm=self._angles.copy(), arm_mode=ArmMode.POSITION)
 
     def start(self, tilt: float) -> FloatArray:
-        """Go over from holding to `command`, and return the gripper's pose (3,).
+        """Switch from `hold` to `command`, and return the gripper's pose (3,).
 
         Args:
             tilt: Pitch of the robot from now on [rad].
 
         Raises:
-            RobotError: If it did not hold before.
+            RobotError: If `hold` has not been called.
         """
         if self._angles is None:
             raise RobotError("grip: started before it held")
@@ -227,7 +226,7 @@ class HybridGrip:
         return self._begin.copy()
 
     def feel(self, seen: Observation) -> None:
-        """Take the wrench of this tick."""
+        """Filter the wrench of this tick."""
         felt, config = self._sensor.felt(seen, self.stance), self._config
         if felt is not None and self.wrench is not None:
             share = config.period / (config.period + config.filter_time)
@@ -235,7 +234,7 @@ class HybridGrip:
         self.wrench = felt
 
     def command(self, target: FloatArray, rate: FloatArray) -> Command:
-        """Return the arm's command; without a wrench the forces' corrections stay as they are.
+        """Return the arm's command; without a wrench the force corrections stay constant.
 
         Args:
             target: (3,) planned pose of the gripper.
@@ -254,7 +253,7 @@ class HybridGrip:
         moved = np.where(config.forces, self._gives * missing, by_place)
         moved = np.clip(moved, -self._speeds, self._speeds)
         corrected = self._correction + config.period * moved
-        # A first difference may be beyond the reach: it is let be, but not let grow.
+        # An initial error may exceed the reach: it is allowed, but must not grow.
         bound = np.maximum(self._reaches, np.abs(self._correction))
         self._correction = np.clip(corrected, -bound, bound)
         self._angles, rates = self._moved(self._angles, target + self._correction, rate + moved)

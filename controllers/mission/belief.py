@@ -1,4 +1,4 @@
-"""Estimates of one robot of a mission: drawn, then measured or received, stage by stage."""
+"""Estimates of one robot of a mission: first from the drawing, then measured or received."""
 
 import dataclasses
 
@@ -23,14 +23,14 @@ class MissionBelief:
     """Estimates of one robot.
 
     Attributes:
-        robot: The robot as drawn.
+        robot: Description of the robot.
         site: Drawing of the site.
-        transform_slot_to_level: Transform from the slot to the robot frame, which for the master is
-            brought level.
-        slot_covariance: (6, 6) covariance of its twist.
-        partner: Pose of the slot from the other robot.
-        pitch: Pitch dynamics on the springs, once the robot has swung its arm.
-        turn_share: Share of rolling wheels' turn that skidding leaves; 1 until identified.
+        transform_slot_to_level: Transform from the slot to the robot frame; the master's is level.
+        slot_covariance: (6, 6) covariance of the slot's pose, as a twist in the robot frame.
+        partner: Pose of the slot in the other robot's frame.
+        pitch: Identified pitch dynamics on the springs; None before the identification.
+        turn_share: Actual turn of the skidding rover over that of rolling wheels; 1 until
+            identified.
         map: Map of the site; None without one.
         localization: Localization of the robot on the map, once it has found the panel.
     """
@@ -49,12 +49,12 @@ class MissionBelief:
     def initial(
         cls, robot: RobotDescription, partner: RobotDescription, site: SiteDrawing
     ) -> "MissionBelief":
-        """Return a robot's estimates at the start, by the drawing alone.
+        """Return a robot's estimates at the start, from the drawing alone.
 
         Args:
-            robot: The robot.
-            partner: The other robot.
-            site: The drawing of the site.
+            robot: Description of the robot.
+            partner: Description of the other robot.
+            site: Drawing of the site.
         """
         slot = site.initial_slot(robot.name, robot.centre_height)
         other = site.initial_slot(partner.name, partner.centre_height)
@@ -72,11 +72,11 @@ class MissionBelief:
         return self.transform_slot_to_level * self.site.insertion.transform_slot_to_ground.inv()
 
     def steer(self) -> SkidSteer:
-        """Return the robot's wheels, with the turn share as identified."""
+        """Return the kinematics of the robot's wheels with the identified turn share."""
         return SkidSteer.of(self.robot, self.turn_share)
 
     def springs(self) -> tuple[TiltAxis, TiltAxis]:
-        """Return pitch and roll dynamics, by the prior if the robot did not swing its arm."""
+        """Return pitch and roll dynamics; the prior where none were identified."""
         prior = PitchPrior()
         pitch = TiltAxis(prior.inertia, prior.damping, prior.stiffness, (0.0, 0.0))
         if self.pitch is not None:
@@ -84,7 +84,7 @@ class MissionBelief:
         return pitch, roll_axis(pitch, self.robot)
 
     def slot_in_robot(self, tilt: FloatArray) -> tuple[RigidTransform, FloatArray]:
-        """Return the slot in the tilted robot's frame, and its covariance.
+        """Return the slot's pose in the tilted robot's frame, and its covariance (6, 6).
 
         Args:
             tilt: (2,) pitch and roll of the robot [rad].
@@ -96,7 +96,7 @@ class MissionBelief:
     def card_in_robot(
         self, tilt: FloatArray, transform_card_to_partner: RigidTransform
     ) -> RigidTransform:
-        """Return the rough pose of the card that the partner holds, in the tilted robot's frame.
+        """Return the approximate pose of the partner's card in the tilted robot's frame.
 
         Args:
             tilt: (2,) pitch and roll of the robot [rad].
@@ -106,7 +106,7 @@ class MissionBelief:
         return slot * self.partner.transform_slot_to_robot.inv() * transform_card_to_partner
 
     def localize(self, found: RobotLocalization) -> None:
-        """Set the slot's pose by the robot's localization on the map.
+        """Update the slot's pose from the robot's localization on the map.
 
         Args:
             found: Localization of the robot.
@@ -120,11 +120,11 @@ class MissionBelief:
         self.transform_slot_to_level = to_level * slot
         self.slot_covariance = transport_covariance(to_level, covariance)
 
-    def hear(self, exchange: Exchange, partner: str) -> None:
-        """Take what the partner has identified and measured.
+    def receive(self, exchange: Exchange, partner: str) -> None:
+        """Take over the slot's pose and the turn share that the partner posted.
 
         Args:
-            exchange: All that passes between the robots.
+            exchange: Message exchange between the robots.
             partner: Name of the other robot.
         """
         self.partner = exchange.read(partner, SlotPose) or self.partner

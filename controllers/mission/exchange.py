@@ -1,8 +1,8 @@
-"""All that passes between the two robots of a mission, by named messages.
+"""Message exchange between the two robots of a mission.
 
-Guidance goes over the radio. The rest is passed within the process, where the next versions may put
-a radio: of each kind of message the newest that a robot has posted can be read. The robots are
-stepped one after the other, so that the second reads what the first posts in the same tick.
+Guidance is sent by radio. All other messages are passed within the process: of each kind the newest
+that a robot has posted can be read. The robots are stepped one after the other, so that the second
+reads what the first posts in the same tick.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ Message = TypeVar("Message")
 
 @dataclasses.dataclass(frozen=True)
 class StagesDone:
-    """The sender has done its part of so many stages.
+    """Number of stages whose part the sender has completed.
 
     Attributes:
         count: Number of stages.
@@ -44,23 +44,23 @@ class ArmPosture:
 
 @dataclasses.dataclass(frozen=True)
 class MapBegun:
-    """The sender has found the panel, and maps on together with the other robot."""
+    """Notice that the sender has found the panel, and that both robots continue its map."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CardMet:
-    """The sender has recognised its card in the other robot's guidance."""
+    """Notice that the sender has recognised its card in the other robot's guidance."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SlotPose:
-    """Pose of the slot from the sender.
+    """Pose of the slot in the sender's frame.
 
     Attributes:
         transform_slot_to_robot: Transform from the slot to the sender's robot frame.
-        covariance: (6, 6) covariance of its twist.
-        tilt: (2,) pitch and roll of the sender then [rad].
-        met: Whether the pose was measured; if not it is drawn.
+        covariance: (6, 6) covariance of the pose, as a twist in the sender's robot frame.
+        tilt: (2,) pitch and roll of the sender at that time [rad].
+        met: Whether the pose was measured; if not it is from the drawing.
     """
 
     transform_slot_to_robot: RigidTransform
@@ -71,10 +71,10 @@ class SlotPose:
 
 @dataclasses.dataclass(frozen=True)
 class TurnShare:
-    """Share of turns that skidding leaves on this ground.
+    """Turn share of the skidding rovers on this ground.
 
     Attributes:
-        share: Share of rolling wheels' turn.
+        share: Actual turn over that of rolling wheels.
     """
 
     share: float
@@ -82,24 +82,24 @@ class TurnShare:
 
 @dataclasses.dataclass(frozen=True)
 class ArmReady:
-    """Whether the sender's arm is where the insertion begins.
+    """State of the sender's arm before the insertion.
 
     Attributes:
-        ready: Whether the arm is there, at rest.
+        ready: Whether the arm is at its initial pose of the insertion, at rest.
     """
 
     ready: bool
 
 
 class Exchange:
-    """The only channel between the robots.
+    """Channel by which the robots exchange all their messages.
 
     Args:
         links: Each robot's end of the radio, by robot name.
 
     Attributes:
         guidance: Each robot's end of the radio, for guidance, by robot name.
-        mapper: Mapper of the map that both build; None before they do.
+        mapper: Mapper of the common map; None before both robots map.
     """
 
     def __init__(self, links: Mapping[str, Link]) -> None:
@@ -108,7 +108,7 @@ class Exchange:
         self._posted: dict[tuple[str, type], object] = {}
 
     def post(self, robot: str, message: object) -> None:
-        """Post a message for the other robot, in place of the one before of its kind.
+        """Post a message for the other robot; it replaces the previous one of its kind.
 
         Args:
             robot: Name of the sender.

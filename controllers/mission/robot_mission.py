@@ -1,6 +1,6 @@
-"""One robot's part of a mission: stage after stage, each by the estimates of the ones before.
+"""One robot's part of a mission: stages in sequence, each using the estimates of earlier ones.
 
-A stage ends when both robots have done their parts of it.
+A stage ends when both robots have completed their parts of it.
 """
 
 from collections.abc import Iterator
@@ -20,27 +20,27 @@ class MissionStage(Protocol):
 
     @property
     def done(self) -> bool:
-        """Whether the robot has done its part."""
+        """Whether the robot has completed its part of the stage."""
         ...
 
     def step(self, seen: Observation) -> Command | None:
-        """Take what was measured and return the next command; None for none."""
+        """Process an observation and return the next command; None for none."""
         ...
 
 
 class RobotMission:
-    """One robot's part of a mission; it sees its own observations alone.
+    """One robot's part of a mission, which uses its own observations alone.
 
     Args:
         belief: Estimates of the robot.
         partner: Name of the other robot.
-        exchange: All that passes between the robots.
-        stages: The robot's stages, each made when the one before has ended.
+        exchange: Message exchange between the robots.
+        stages: Stages of the robot, each created when the previous one has ended.
 
     Attributes:
         belief: Estimates of the robot.
-        stage: The present stage.
-        ended: Names of the stages so far and when they ended [s].
+        stage: Present stage.
+        ended: Names of the completed stages and their end times [s].
         over: Whether the last stage has ended.
     """
 
@@ -63,7 +63,7 @@ class RobotMission:
         return self.belief.robot.name
 
     def report(self, seen: Observation) -> None:
-        """Post where the arm is, and whether this stage's part is done.
+        """Post the arm's posture, and whether the robot's part of this stage is completed.
 
         Args:
             seen: Observation of the robot.

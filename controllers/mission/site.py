@@ -17,13 +17,12 @@ from perception.registration.target import TargetCad
 from twin.description import RobotDescription
 
 _TILT, _HEIGHT = 0.05, 0.03
-"""Standard deviations of a robot's tilt [rad] and height [m] by the ground, before anything is
-measured."""
+"""Prior standard deviations of a robot's tilt [rad] and height [m] due to the ground."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SiteDrawing:
-    """Drawing of the site, which both robots have.
+    """Drawing of the site, known to both robots.
 
     Attributes:
         insertion: Drawing of card and slot.
@@ -44,7 +43,7 @@ class SiteDrawing:
     initial_error: tuple[float, float]
 
     def initial_slot(self, robot: str, height: float) -> tuple[RigidTransform, FloatArray]:
-        """Return the slot in a robot's level frame at its initial pose, and the covariance of that.
+        """Return the slot's pose in a robot's level frame at its initial pose, and its covariance.
 
         Args:
             robot: Name of the robot.

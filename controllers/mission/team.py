@@ -1,4 +1,4 @@
-"""Both rovers of a mission, each with its own part, joined by an exchange."""
+"""Both rovers of a mission, joined by their message exchange."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ from twin.link import Link
 from twin.robot import Command, Observation
 
 OMITTABLE = ("identification", "mapping", "placement")
-"""What a mission can be tried without."""
+"""Parts that an ablation can leave out of a mission."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +29,7 @@ class MissionConfig:
     """Configuration of a mission.
 
     Attributes:
-        without: One of `OMITTABLE` that is left out; empty for none.
+        without: Part of `OMITTABLE` that is left out; empty for none.
         scans: Number of views of the master alone, and of each robot when both have met.
     """
 
@@ -41,7 +41,7 @@ class MissionTeam:
     """Runs both robots' parts; a `twin.robot.Controller`.
 
     Args:
-        roles: Both robots as drawn.
+        roles: Descriptions of both robots.
         site: Drawing of the site.
         config: Configuration of the mission.
         rng: Random generator for the excitations and for candidate views.
@@ -71,10 +71,10 @@ class MissionTeam:
         self.slave = RobotMission(slave, roles.master.name, exchange, holding)
 
     def reset(self) -> None:
-        """Do nothing: a new mission gets a new team."""
+        """Do nothing: each mission has a new team."""
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Let both report, then step each."""
+        """Let both robots post their state, then step each."""
         parts = (self.master, self.slave)
         for part in parts:
             part.report(observations[part.name])
@@ -88,7 +88,7 @@ class MissionTeam:
 
     @property
     def ended(self) -> list[tuple[str, float]]:
-        """Names of the stages so far and when both robots had ended them [s]."""
+        """Names of the completed stages and the times at which both robots had ended them [s]."""
         pairs = zip(self.master.ended, self.slave.ended)
         return [(name, max(one, two)) for (name, one), (_, two) in pairs]
 
@@ -100,7 +100,7 @@ def _master_stages(
     config: MissionConfig,
     sources: tuple[np.random.Generator, np.random.Generator],
 ) -> Iterator[MissionStage]:
-    """Yield the stages of the robot with the camera; the sources are for excitation and views."""
+    """Yield the stages of the robot with the camera; generators are for excitation and views."""
     swing, explore = sources
     assert roles.slave.arm is not None
     arm = CardArm(roles.slave, belief.site.insertion.tip)
@@ -113,7 +113,7 @@ def _master_stages(
     if belief.map is not None:
         exchange.post(belief.robot.name, MapBegun())
     yield FindCard(slave)
-    belief.hear(exchange, slave.name)
+    belief.receive(exchange, slave.name)
     if belief.map is not None:
         yield MapTogether.begin(belief, roles.slave, exchange, config.scans[1], explore)
     placed = config.without != "placement"

@@ -211,7 +211,7 @@ def _organise(
     ox, oy, oz = camera.origin[0], camera.origin[1], camera.origin[2]
     height, width = scan.depth.shape
     depths, counts, sigmas = scan.depth.reshape(-1), scan.count.reshape(-1), scan.sigma.reshape(-1)
-    places, covariances = scan.place.reshape(-1, 3), scan.covariance.reshape(-1, 6)
+    places, sums = scan.place.reshape(-1, 3), scan.covariance.reshape(-1, 6)
     for i in range(np.uint64(points.shape[0])):
         xx, xy, xz = covariances[i, 0, 0], covariances[i, 0, 1], covariances[i, 0, 2]
         yy, yz, zz = covariances[i, 1, 1], covariances[i, 1, 2], covariances[i, 2, 2]
@@ -253,19 +253,11 @@ def _organise(
             sigmas[pixel] += variance
             # All are read before any is written: so they are added up together.
             x, y, z = x + places[pixel, 0], y + places[pixel, 1], z + places[pixel, 2]
-            xx, xy, xz = (
-                xx + covariances[pixel, 0],
-                xy + covariances[pixel, 1],
-                xz + covariances[pixel, 2],
-            )
-            yy, yz, zz = (
-                yy + covariances[pixel, 3],
-                yz + covariances[pixel, 4],
-                zz + covariances[pixel, 5],
-            )
+            xx, xy, xz = xx + sums[pixel, 0], xy + sums[pixel, 1], xz + sums[pixel, 2]
+            yy, yz, zz = yy + sums[pixel, 3], yz + sums[pixel, 4], zz + sums[pixel, 5]
         places[pixel, 0], places[pixel, 1], places[pixel, 2] = x, y, z
-        covariances[pixel, 0], covariances[pixel, 1], covariances[pixel, 2] = xx, xy, xz
-        covariances[pixel, 3], covariances[pixel, 4], covariances[pixel, 5] = yy, yz, zz
+        sums[pixel, 0], sums[pixel, 1], sums[pixel, 2] = xx, xy, xz
+        sums[pixel, 3], sums[pixel, 4], sums[pixel, 5] = yy, yz, zz
     return -1
 
 

@@ -1,4 +1,4 @@
-"""Stage ``find``, chapter 3: the master searches for the panel, and maps what it sees meanwhile."""
+"""Stage ``find``, chapter 3: the master searches for the panel, and maps the searched views."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ VOXEL = 0.01
 """Edge of the map's voxels [m]."""
 BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
 """Corners of the map [m], about the panel."""
-_SEARCH_SCANS = 20  # All views of the search, and some hints that it follows.
+_SEARCH_SCANS = 20  # All views of the search pattern, and some of possible markers.
 
 
 class FindPanel:
@@ -23,7 +23,7 @@ class FindPanel:
 
     Args:
         belief: Estimates of the master; gets the map, and the slot's pose.
-        scans: Number of views; more only until it has found the panel.
+        scans: Number of views; exceeded only until the panel is found.
         rng: Random generator for candidate views.
 
     Attributes:

@@ -12,10 +12,10 @@ from twin.robot import Command, Observation
 
 
 class SwingArm:
-    """Swings the arm, and fits everything once more at the end.
+    """Swings the arm, and fits all measurements again at the end.
 
     Args:
-        belief: Estimates of the robot; gets its pitch dynamics.
+        belief: Estimates of the robot; updated with its pitch dynamics.
         rng: Random generator for the planner of the excitation.
     """
 
@@ -29,7 +29,7 @@ class SwingArm:
 
     @property
     def done(self) -> bool:
-        """Whether the arm has swung."""
+        """Whether the pitch dynamics are identified."""
         return self._belief.pitch is not None
 
     def step(self, seen: Observation) -> Command | None:

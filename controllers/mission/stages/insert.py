@@ -19,11 +19,11 @@ from twin.robot import Command, Observation
 
 
 class GuideInsertion:
-    """The master's part: it brings its camera to card and slot, and sends what it sees.
+    """The master's part: it aims its camera at card and slot, and sends guidance.
 
     Args:
-        slave: The slave that holds the card.
-        placed: Whether the camera is placed for the task, or left where it is.
+        slave: Slave that holds the card.
+        placed: Whether the camera moves to its best view, or keeps its pose.
 
     Attributes:
         done: Always true: the slave's part ends the stage.
@@ -38,7 +38,7 @@ class GuideInsertion:
         self._move = ArmMove(slave.belief.home)
 
     def step(self, seen: Observation) -> Command:
-        """Bring the arm to where the insertion begins, then guide."""
+        """Move the arm to its initial pose of the insertion, then guide."""
         exchange = self._slave.exchange
         if self._master is None:
             self._master, self._move = self._begin(seen)
@@ -60,15 +60,15 @@ class GuideInsertion:
 
 
 class InsertCard:
-    """The slave's part: it brings the card to the slot and inserts it.
+    """The slave's part: it moves the card to the slot and inserts it.
 
     Args:
         belief: Estimates of the slave.
         partner: Name of the master.
-        exchange: All that passes between the robots.
+        exchange: Message exchange between the robots.
 
     Attributes:
-        slave: The insertion.
+        slave: The slave's part of the insertion.
     """
 
     name = "insert"
@@ -92,14 +92,14 @@ class InsertCard:
 
     @property
     def done(self) -> bool:
-        """Whether the card is in, or the slave has given up."""
+        """Whether the card is inserted, or the insertion has failed."""
         return self.slave.inserter.over
 
     def step(self, seen: Observation) -> Command:
-        """Bring the arm to where the insertion begins, then insert."""
+        """Move the arm to its initial pose of the insertion, then insert."""
         if self._begun:
             return self.slave.step(seen)
-        self._link.receive()  # Guidance from before the stage is too old.
+        self._link.receive()  # Discard guidance from before the stage.
         command = self._move.command(seen)
         ready = self._exchange.read(self._partner, ArmReady)
         if ready is not None and ready.ready and self._move.is_there(seen):

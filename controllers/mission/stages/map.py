@@ -1,4 +1,4 @@
-"""Stage ``map``, chapter 3: both rovers map the site, each leaving to the other what it sees."""
+"""Stage ``map``, chapter 3: both rovers map the site; each ignores cells claimed by the other."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ class MapTogether:
 
     Args:
         belief: Estimates of the robot.
-        exchange: All that passes between the robots, with the common map.
+        exchange: Message exchange between the robots, with the common map.
     """
 
     name = "map"
@@ -38,13 +38,13 @@ class MapTogether:
         scans: int,
         rng: np.random.Generator,
     ) -> "MapTogether":
-        """Let both robots continue the map that one has begun.
+        """Return the stage in which both robots continue one robot's map.
 
         Args:
-            belief: Estimates of the robot that has begun the map.
-            partner: The other robot; it takes part if it has been met.
-            exchange: All that passes between the robots; gets the common map.
-            scans: Number of views of each.
+            belief: Estimates of the robot that began the map.
+            partner: Description of the other robot; it takes part if its pose was measured.
+            exchange: Message exchange between the robots; gets the common map.
+            scans: Number of views of each robot.
             rng: Random generator for candidate views.
         """
         assert belief.map is not None and belief.localization is not None
@@ -59,7 +59,7 @@ class MapTogether:
 
     @property
     def done(self) -> bool:
-        """Whether no robot has a view left."""
+        """Whether all robots have taken their views."""
         return self.mapper.done
 
     def step(self, seen: Observation) -> Command:
@@ -78,7 +78,7 @@ class MapTogether:
 def _partner_place(
     belief: MissionBelief, here: RobotLocalization, partner: RobotDescription
 ) -> RobotLocalization:
-    """Return the partner's localization on the map, by the views of its card."""
+    """Return the partner's localization on the map, from the views of its card."""
     assert partner.arm is not None
     arm, pose = camera_arm(partner)[0], belief.partner
     to_world = here.transform_level_to_world * belief.transform_slot_to_level

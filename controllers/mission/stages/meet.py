@@ -1,7 +1,8 @@
-"""Stage ``meet``: the master finds the card, and the slave identifies how it turns.
+"""Stage ``meet``: the master finds the card, and the slave identifies its turn share.
 
-The slave turns to and fro before the master's camera and receives how far it truly turned. So both
-know the other's pose, and the slave the share of turns that skidding leaves, without a compass.
+The slave turns to and fro before the master's camera and receives the measured turns. This gives
+both robots the other's pose, and the slave the ratio of its turns to those of rolling wheels,
+without a compass.
 """
 
 import dataclasses
@@ -27,25 +28,25 @@ from twin.robot import Command, Observation
 PERIOD = 0.01
 """Servo tick [s]."""
 _VIEWS = 3  # Views of the slave at rest that are averaged.
-_TURN = 0.5  # Turn of the slave to and fro, had its wheels only rolled [rad].
+_TURN = 0.5  # Turn of the slave to and fro for rolling wheels [rad].
 _AROUND = ((0.0, -0.25), (0.0, 0.25), (0.25, 0.0), (-0.25, 0.0))
-"""Turns of yaw and wrist from where the card should be, to search for it around there [rad]."""
-_SPOT = 3.0  # Time for one of them, with the motion there [s].
-_PATIENCE = 15.0  # Time to wait for views, after which it is given up [s].
-_GATE = 30.0  # Squared distance, whitened, beyond which it was not the card.
+"""Turns of yaw and wrist from the card's expected direction, in the order of the search [rad]."""
+_SPOT = 3.0  # Time for one direction of the search, with the motion there [s].
+_PATIENCE = 15.0  # Longest time to wait for views [s].
+_GATE = 30.0  # Squared Mahalanobis distance beyond which a detection is not the card.
 _STIRRED = np.diag(np.square([0.05, 0.05, _TURN, 0.05, 0.05, 0.02]))
-"""Covariance of what a turn to and fro may change of the slot's pose in the robot's frame."""
+"""Covariance of the change of the slot's pose in the robot's frame by a turn to and fro."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GuidedSlave:
-    """The slave, as the master that guides it has it.
+    """The slave from the point of view of the master that guides it.
 
     Attributes:
         belief: Estimates of the master.
         name: Name of the slave.
-        exchange: All that passes between the robots.
-        transform_card_to_slave: Pose of the card in the slave's frame, its arm at home.
+        exchange: Message exchange between the robots.
+        transform_card_to_slave: Pose of the card in the slave's frame, with its arm at home.
     """
 
     belief: MissionBelief
@@ -56,13 +57,13 @@ class GuidedSlave:
     def guide(
         self, card: RigidTransform, tilt: FloatArray, angles: FloatArray, placed: bool
     ) -> MarkerGuide:
-        """Return the guide that sees card and slot.
+        """Return the master's guide, which measures card and slot.
 
         Args:
-            card: Rough transform from the card to the tilted master's frame.
+            card: Approximate transform from the card to the tilted master's frame.
             tilt: (2,) pitch and roll of the master [rad].
-            angles: (4,) joint angles at which the camera begins [rad].
-            placed: Whether the camera is placed anew, or left where it is.
+            angles: (4,) initial joint angles [rad].
+            placed: Whether the camera moves to its best view, or keeps its pose.
         """
         robot, drawing = self.belief.robot, self.belief.site.insertion
         slot = self.belief.slot_in_robot(tilt)
@@ -70,10 +71,10 @@ class GuidedSlave:
 
 
 class FindCard:
-    """The master's part: it searches for the card, and sends where it sees it.
+    """The master's part: it searches for the card, and sends its measured pose.
 
     Args:
-        slave: The slave that holds the card.
+        slave: Slave that holds the card.
 
     Attributes:
         done: Always true: the slave's part ends the stage.
@@ -99,7 +100,7 @@ class FindCard:
         if self._move.is_there(seen):
             guidance = self._guide.step(seen)[1]
             if not self._centred and guidance is not None and guidance.card_seen:
-                # It shall stay in view while the slave turns.
+                # Centred, the card stays in view while the slave turns.
                 self._aim_at(self._guide.transform_card_to_robot, seen)
                 self._centred, guidance = True, None
             elif seen.time > self._aimed + _SPOT:
@@ -130,15 +131,15 @@ class FindCard:
 
 
 class TurnInView:
-    """The slave's part: it turns to and fro, and gets from the master how far it truly turned.
+    """The slave's part: it turns to and fro, and receives its turns as measured by the master.
 
     Args:
-        belief: Estimates of the slave; gets the turn share, and the slot's pose.
-        exchange: All that passes between the robots.
-        turns: Whether the slave turns; if not it is only searched for.
+        belief: Estimates of the slave; updated with the turn share and the slot's pose.
+        exchange: Message exchange between the robots.
+        turns: Whether the slave turns; if not the master only searches for it.
 
     Attributes:
-        done: Whether the slave has turned, or was not seen for too long.
+        done: Whether the slave has turned, or was not detected for too long.
     """
 
     name = "meet"
@@ -154,11 +155,13 @@ class TurnInView:
         self._drive: DriveToPose | None = None
         self._steer = SkidSteer.of(belief.robot)
         self._rolling = Odometry(self._steer)
-        self._seen: list[float] = []  # Yaws by the master's views since the last turn [rad].
-        self._yaws: list[tuple[float, float]] = []  # Yaws seen and rolled after each turn [rad].
+        self._seen: list[float] = []  # Yaws measured by the master since the last turn [rad].
+        self._yaws: list[
+            tuple[float, float]
+        ] = []  # Measured yaw and that by odometry after each turn [rad].
 
     def step(self, seen: Observation) -> Command:
-        """Take guidance, turn, and take guidance again."""
+        """Average guidance at rest, turn, and average guidance again."""
         self._rolling.update(seen, PERIOD)
         views = self._exchange.guidance[self._name].receive()
         if self._drive is not None:
@@ -186,7 +189,7 @@ class TurnInView:
         return command
 
     def _take(self, transform_slot_to_card: RigidTransform, covariance: FloatArray) -> None:
-        """Take the slot's pose by a view of the master, unless it took something else for it."""
+        """Update the slot's pose from guidance, unless another object was mistaken for the card."""
         card = self._transform_card_to_robot
         slot, covariance = card * transform_slot_to_card, transport_covariance(card, covariance)
         off = slot * self._pose.transform_slot_to_robot.inv()

@@ -1,7 +1,7 @@
 """Stage ``place``, chapter 4: the master drives to the best camera station for card and slot.
 
-The station is chosen by the map; having come there by dead reckoning, the master finds the panel
-again. That shows the error of dead reckoning; if it is too large, the master drives on.
+The station is chosen on the map. The master drives there by dead reckoning, and localizes itself
+by the panel again; if the measured error is too large, it drives again.
 """
 
 import math
@@ -27,12 +27,12 @@ from perception.geometry.se3 import transport_covariance
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
-_NEAR_STATION = (0.06, 0.12)  # Distance [m] and heading [rad] from the station that will do.
-_MOST_DRIVES = 4  # Number of drives after which the master stays where it is.
+_NEAR_STATION = (0.06, 0.12)  # Tolerances of the station: distance [m] and heading [rad].
+_MOST_DRIVES = 4  # Largest number of drives to the station.
 
 
 def mapped_ground(belief: MissionBelief) -> MappedGround:
-    """Return the level ground below the slot as mapped.
+    """Return the mapped ground in the ground frame of the slot.
 
     Args:
         belief: Estimates of the master; without a map no obstacles are known.
@@ -44,7 +44,7 @@ def mapped_ground(belief: MissionBelief) -> MappedGround:
 
 
 def choose_station(belief: MissionBelief) -> CameraStation:
-    """Return the best camera station for card and slot that the master can drive to.
+    """Return the best camera station for card and slot that the master can reach.
 
     Args:
         belief: Estimates of the master.
@@ -57,14 +57,14 @@ def choose_station(belief: MissionBelief) -> CameraStation:
 
 
 class PlaceCamera:
-    """Drives the master to a camera station, and finds the panel from there.
+    """Drives the master to a camera station, and localizes it there by the panel.
 
     Args:
-        belief: Estimates of the master; gets the slot's pose from the station.
+        belief: Estimates of the master; updated with the slot's pose at the station.
         station: Camera station to drive to, ground frame.
 
     Attributes:
-        done: Whether the master is there, or will get no nearer.
+        done: Whether the master is at the station, or has ended its last drive.
         station: Camera station to drive to, ground frame.
         stops: Number of drives that have ended by dead reckoning.
     """
@@ -78,14 +78,14 @@ class PlaceCamera:
         self._set_off()
 
     def _set_off(self) -> None:
-        """Begin a drive to the station, by the present estimate of the slot."""
+        """Begin a drive to the station, from the present estimate of the slot."""
         self._drive = DriveToPose(self._belief.steer(), self._path(), free=self._free)
         self._fold, self._folded = ArmMove(self._belief.home), False
         self._search: TargetSearch | None = None
         self._look: ArmMove | None = None
 
     def _path(self) -> FloatArray:
-        """Return (3,) x to the right, y ahead [m] and turn [rad] to the station from here."""
+        """Return (3,) the station in the robot frame: x right, y ahead [m] and turn [rad]."""
         site = self._belief.transform_ground_to_level
         x, y, yaw = self.station.place
         place = site.apply([x, y, 0.0])
@@ -93,7 +93,7 @@ class PlaceCamera:
         return np.array([place[0], place[1], math.atan2(-ahead[0], ahead[1])])
 
     def _free(self, pose: FloatArray) -> bool:
-        """Return whether the map is free at a pose (3,) given as `_path` is."""
+        """Return whether the map is free at a pose (3,) in the robot frame, as `_path` gives it."""
         ground = self._belief.site.insertion.transform_slot_to_ground
         site = ground * self._belief.transform_slot_to_level.inv()
         x, y, _ = site.apply([pose[0], pose[1], 0.0])
@@ -125,7 +125,7 @@ class PlaceCamera:
         return command
 
     def _reckon(self) -> None:
-        """Bring the slot into the new frame by dead reckoning."""
+        """Transform the slot's pose to the new robot frame by dead reckoning."""
         odometry, belief = self._drive.odometry, self._belief
         x, y = odometry.place
         moved = RigidTransform.from_matrix(planar([x, y, odometry.yaw]))
@@ -136,7 +136,7 @@ class PlaceCamera:
         belief.slot_covariance = transport_covariance(moved.inv(), belief.slot_covariance) + added
 
     def _begin_search(self) -> None:
-        """Begin the search where the panel should be."""
+        """Begin the search in the panel's expected direction."""
         belief, config = self._belief, MapperConfig()
         arm, survey = camera_arm(belief.robot)[0], np.array(config.views.survey)
         extent = belief.site.target.extent

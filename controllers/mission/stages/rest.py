@@ -6,7 +6,7 @@ from twin.robot import Command, Observation
 
 
 class Rest:
-    """Brings the arm home and keeps it there.
+    """Moves the arm home and holds it there.
 
     Args:
         belief: Estimates of the robot.

@@ -202,12 +202,12 @@ def site_panel(site: SiteDrawing) -> RigidTransform:
 def test_robot_takes_what_its_partner_has_found_out(site: SiteDrawing) -> None:
     belief, exchange = master_of(site), Exchange({})
     drawn = belief.partner.transform_slot_to_robot
-    belief.hear(exchange, SLAVE)
+    belief.receive(exchange, SLAVE)
     assert belief.partner.transform_slot_to_robot is drawn and belief.turn_share == 1.0
     pose = SlotPose(RigidTransform.from_translation([0.1, 0.9, 0.2]), np.eye(6), met=True)
     exchange.post(SLAVE, pose)
     exchange.post(SLAVE, TurnShare(0.7))
-    belief.hear(exchange, SLAVE)
+    belief.receive(exchange, SLAVE)
     assert belief.partner is pose and belief.turn_share == 0.7
     # A message of the other robot's is not its own.
     assert exchange.read(MASTER, SlotPose) is None
