@@ -16,7 +16,7 @@ from perception.markers.poses import BodyCad
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class InsertionDrawing:
-    """Card and slot as drawn.
+    """Drawing of card and slot, with their markers and holders.
 
     Attributes:
         card: Markers of the card, card frame.
@@ -28,8 +28,8 @@ class InsertionDrawing:
         tip: Distance from the joint of the wrist that holds the card to the middle of the card's
             leading edge [m].
         transform_slot_to_ground: Transform from the slot to the ground frame.
-        card_holder: (K, 3) corners of a box about what carries the card [m], card frame.
-        slot_holder: (L, 3) corners of a box about what holds the slot [m], slot frame.
+        card_holder: (K, 3) corners of a box about the card's holder [m], card frame.
+        slot_holder: (L, 3) corners of a box about the slot's holder [m], slot frame.
     """
 
     card: BodyCad
@@ -44,7 +44,7 @@ class InsertionDrawing:
     slot_holder: FloatArray
 
     def parts(self, gap: float) -> SeenParts:
-        """Return card and slot before each other, ground frame.
+        """Return card and slot aligned at a gap, ground frame.
 
         Args:
             gap: Distance from the card's leading edge to the mouth [m].

@@ -1,6 +1,6 @@
-"""Message of the master to the slave: the slot's pose from the card, by the master's cameras.
+"""Message of the master to the slave: pose of the slot in the card's frame, from stereo images.
 
-A message of 60 bytes, so that one frame of the radio carries it: time, what was seen, the pose in
+A message has 60 bytes, so that one frame of the radio carries it: time, detections, the pose in
 steps of 20 um and 0.1 mrad, and its covariance's 21 numbers in half precision.
 """
 
@@ -28,13 +28,14 @@ class GuidanceError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Guidance:
-    """One view of the master.
+    """Measurement of the master in one stereo pair.
 
     Attributes:
         time: Time stamp of the images [s].
-        card_seen: Whether the card was seen in them.
-        slot_seen: Whether the slot was seen in them.
-        transform_slot_to_card: Pose of the slot from the card; None if the card was not seen.
+        card_seen: Whether the card was detected in the images.
+        slot_seen: Whether the slot was detected in the images.
+        transform_slot_to_card: Transform from the slot to the card; None if the card was not
+            detected.
         covariance: (6, 6) covariance of xi, rotation [rad] then translation [m], in
             ``true = from_exp_coords(xi) * transform_slot_to_card``; zeros without a pose.
     """
@@ -105,12 +106,12 @@ class GuidanceLink:
         self._link = link
 
     def send(self, guidance: Guidance | None) -> None:
-        """Send guidance in place of what still waits; to be called every tick.
+        """Send guidance, replacing any that still waits; to be called every tick.
 
-        What lies out of a message's range is left out: something was mistaken for card or slot.
+        A pose out of the message's range is discarded: it is a false detection of card or slot.
 
         Args:
-            guidance: View of the master; None without a new one.
+            guidance: Newest measurement of the master; None without a new one.
         """
         if guidance is not None:
             with contextlib.suppress(GuidanceError):
@@ -118,11 +119,11 @@ class GuidanceLink:
         self._link.poll()
 
     def receive(self) -> list[Guidance]:
-        """Return what has arrived since the last call, in order."""
+        """Return the guidance received since the last call, in order."""
         return [unpack(message) for message in self._link.poll().messages]
 
 
 def _positive(covariance: FloatArray) -> FloatArray:
-    """Return a covariance whose rounded numbers leave no direction without variance."""
+    """Return a rounded covariance made positive definite."""
     values, vectors = np.linalg.eigh(covariance)
     return (vectors * np.maximum(values, 1e-12)) @ vectors.T

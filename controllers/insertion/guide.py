@@ -1,15 +1,15 @@
 """Force-guided insertion: motion in the direction of least resistance (Thesis section A.4).
 
-The guide knows the wrench at the hand, its own commands, and shape, friction and stiffness; never
-the slot's true pose. Poses (x, y, theta) are of the card in the frame of the slot as estimated, y
-into the slot. It needs no vision once it has begun.
+The guide uses the wrench at the hand, its own commands, and shape, friction and stiffness; never
+the slot's true pose. Poses (x, y, theta) are of the card in the estimated frame of the slot, y into
+the slot. It needs no vision once it has begun.
 
 - A force against the leading edge before the card is in: hold it at a small push, and slide away
   from the side where the line of action meets the edge (states 1 and 3).
 - A force across the card: yield along it, and turn by the moment of the normal forces alone
-  about the middle of what is inserted (states 2, 5 and 6). The moment of friction is taken off
+  about the middle of the inserted part (states 2, 5 and 6). The moment of friction is subtracted
   first: with it a card that touches a wall with one corner would turn into the wall.
-- Inside a deadband nothing yields, so that noise does not make the card drift.
+- Inside a deadband the command does not yield, so that noise does not make the card drift.
 """
 
 import dataclasses
@@ -22,7 +22,7 @@ from controllers.insertion.contact import turn
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
-_MEDIAN = 3  # Samples of which the middle counts: one bad sample is no contact.
+_MEDIAN = 3  # Samples of the median filter: one bad sample is no contact.
 
 
 class Phase(enum.Enum):
@@ -43,23 +43,23 @@ class GuideConfig:
     Attributes:
         card_width: Width of the card, across [m].
         friction: Coulomb coefficient between card and slot.
-        stiffness: Stiffness of hand, arm and base along an axis, as drawn or identified [N/m].
+        stiffness: Stiffness of hand, arm and base along an axis, nominal or identified [N/m].
         depth: Depth at which the card is seated [m].
-        period: Time between two wrenches [s].
+        period: Sampling period of the wrench [s].
         speed: Speed of the insertion in free motion [m/s].
         slide_speed: Speed along the face [m/s].
         push: Force held against the face [N].
-        deadband: Force below which nothing yields [N].
-        moment_deadband: Moment below which nothing yields [N m].
-        give: Speed across the card by force [m/s/N].
-        give_turn: Turning rate by moment [rad/s/(N m)].
+        deadband: Force below which the command does not yield [N].
+        moment_deadband: Moment below which the command does not yield [N m].
+        give: Admittance, speed across the card over force [m/s/N].
+        give_turn: Admittance, turning rate over moment [rad/s/(N m)].
         turn_rate: Largest turning rate [rad/s].
         slow_force: Force at which the insertion's speed falls to zero [N].
         force_limit: Force at which the card is drawn back [N].
         filter_time: Time constant of the wrench's low pass [s].
-        steepest: Largest angle of the card that is expected [rad].
-        jam_time: Time without progress that makes a jam [s].
-        progress: Least advance that is progress [m].
+        steepest: Largest expected angle of the card [rad].
+        jam_time: Time without progress that counts as a jam [s].
+        progress: Least advance that counts as progress [m].
         retreat: Distance drawn back after a jam [m].
         retries: Largest number of further attempts.
         reach: Largest distance across from the start [m].
@@ -95,7 +95,7 @@ class GuideConfig:
     timeout: float = 45.0
 
     def __post_init__(self) -> None:
-        """Refuse numbers that could not be meant.
+        """Refuse values out of range.
 
         Raises:
             ValueError: Naming the field.
@@ -109,12 +109,12 @@ class InsertionGuide:
 
     Args:
         config: Shape, friction, stiffness, gains and limits.
-        start: (3,) commanded pose now, in front of the slot [m, m, rad].
+        start: (3,) initial commanded pose, in front of the slot [m, m, rad].
 
     Attributes:
         config: Shape, friction, stiffness, gains and limits.
         phase: Phase of the insertion.
-        reason: Why it drew back or gave up last; empty if it did not.
+        reason: Reason of the last retreat or failure; empty without one.
         tries: Number of further attempts so far.
         command: (3,) commanded pose [m, m, rad].
 
@@ -136,11 +136,11 @@ class InsertionGuide:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended, in DONE or FAILED."""
+        """Whether the insertion has ended, in DONE or FAILED."""
         return self.phase in (Phase.DONE, Phase.FAILED)
 
     def step(self, wrench: FloatArray | None) -> FloatArray:
-        """Take a wrench and return the next command.
+        """Process a wrench and return the next command.
 
         Args:
             wrench: (3,) wrench by the slot on the card, card's frame, about the middle of the
@@ -156,7 +156,7 @@ class InsertionGuide:
         return self.command.copy()
 
     def _advance(self, wrench: FloatArray | None) -> None:
-        """Choose phase and motion by a wrench."""
+        """Choose phase and motion from a wrench."""
         if wrench is None or not np.all(np.isfinite(wrench)):
             self._lost += self.config.period
             if self._lost >= self.config.lost_time:
@@ -172,7 +172,7 @@ class InsertionGuide:
             self._move()
 
     def believed(self) -> FloatArray:
-        """Return (3,) the card's pose by the command and the deflection of the hand."""
+        """Return (3,) the card's estimated pose: the command plus the deflection of the hand."""
         pose = self.command.copy()
         pose[:2] += turn(pose[2]) @ self._wrench[:2] / self.config.stiffness
         return pose
@@ -185,7 +185,7 @@ class InsertionGuide:
         self._load = math.hypot(middle[0], middle[1])
 
     def _choose(self) -> None:
-        """Pick the phase of this step."""
+        """Choose the phase of this step."""
         config, depth = self.config, float(self.believed()[1])
         if self.phase is Phase.RETREAT:
             if self.command[1] <= self._goal_back:
@@ -211,14 +211,14 @@ class InsertionGuide:
             self.phase = Phase.APPROACH if outside else Phase.INSERT
 
     def _draw_back(self, reason: str) -> None:
-        """Begin again from behind, if that is still allowed."""
+        """Retreat for another attempt, or fail after the last one."""
         self.tries += 1
         if self.tries > self.config.retries:
             self._fail(reason)
             return
         self.phase, self.reason = Phase.RETREAT, reason
         self._goal_back = min(float(self.command[1]), self._deepest) - self.config.retreat
-        # The next try begins a little further where the last one slid to.
+        # The next attempt starts a little farther in the direction of the last slide.
         self.command[0] += math.copysign(1e-3, self._slid) if self._slid else 0.0
 
     def _fail(self, reason: str) -> None:
@@ -227,7 +227,7 @@ class InsertionGuide:
     def _move(self) -> None:
         """Add this step's motion to the command."""
         config = self.config
-        # A card that is drawn out bent would spring aside and hit the slot.
+        # Without yielding, an elastically deflected card would spring aside and hit the slot.
         across, ahead, rate = self._give_aside(), -config.speed, 0.0
         if self.phase is Phase.SLIDE:
             across, ahead = self._slide()
@@ -244,26 +244,26 @@ class InsertionGuide:
             self._fail("out of reach")
 
     def _slide(self) -> tuple[float, float]:
-        """Return speeds across and ahead that keep the push and leave the face."""
+        """Return speeds across and ahead that hold the push and slide off the face."""
         _, force_y, moment = self._wrench
         self._slid = -math.copysign(1.0, moment / force_y)
         held = (self.config.push + force_y) * self.config.give
         return self._slid * self.config.slide_speed, held
 
     def _turn_away(self) -> float:
-        """Return the turning rate away from what presses on the sides."""
+        """Return the turning rate that relieves the forces on the sides."""
         config = self.config
         force_x, _, moment = self._wrench
         depth = max(float(self.believed()[1]), 0.0)
         # Sliding in, each side's friction is mu N backward, half a width from the middle; both
-        # together turn by mu f_x times that. What is left is the normal forces' own moment.
+        # together turn by mu f_x times that. The rest is the moment of the normal forces.
         normal = moment - config.friction * config.card_width / 2.0 * force_x
         about = normal - depth / 2.0 * force_x
         rate = config.give_turn * _beyond(about, config.moment_deadband)
         return min(max(rate, -config.turn_rate), config.turn_rate)
 
     def _give_aside(self) -> float:
-        """Return the speed across, away from what presses on the sides."""
+        """Return the speed across that relieves the forces on the sides."""
         return self.config.give * _beyond(self._wrench[0], self.config.deadband)
 
 
@@ -283,5 +283,5 @@ class StraightInsertion(InsertionGuide):
 
 
 def _beyond(value: float, deadband: float) -> float:
-    """Return what of a value lies beyond a deadband around zero."""
+    """Return the part of a value beyond a deadband around zero."""
     return math.copysign(max(abs(value) - deadband, 0.0), value)

@@ -1,8 +1,8 @@
-"""The master: it sees card and slot, sends their pose to the slave, and places its camera.
+"""The master: it measures the poses of card and slot, and moves its camera to the best view.
 
-It estimates the slot's pose in its own frame: by the map at first, by its views as soon as one
-shows it. What a view does not show is left to that estimate. Its camera moves to where card and
-slot are seen best within the arm's reach (chapter 4), anew as the card comes nearer.
+It estimates the slot's pose in its own frame: first from the map, then from its detections. In a
+view without the slot that estimate is used instead. The camera moves to the best view of card and
+slot within the arm's reach (chapter 4), again and again as the card comes nearer.
 """
 
 import dataclasses
@@ -32,13 +32,13 @@ class MarkerGuideConfig:
         card: Markers of the card.
         slot: Markers of the slot.
         diameter: Diameter of a marker [m].
-        plan: Candidates of the camera's placement; None leaves it where it is.
-        detector: Name in `perception.markers.bodies.DETECTORS`.
-        turned: Deviation of the card's attitude from the slot's, before it is seen [rad].
-        wander: Deviations of turn [rad] and place [m] by which the slot's covariance grows before
-            a view: the robot has moved on its springs since the last that showed the slot.
-        again: Time between placements of the camera [s].
-        better: Factor by which another place must rate higher.
+        plan: Candidate camera poses; None keeps the camera at its pose.
+        detector: Name of the marker detector, in `perception.markers.bodies.DETECTORS`.
+        turned: Prior standard deviation of the card's attitude [rad].
+        wander: Standard deviations of turn [rad] and position [m] by which the slot's covariance
+            grows before a view: the robot moves on its springs between detections of the slot.
+        again: Time between choices of the camera pose [s].
+        better: Factor by which another camera pose must rate higher.
         rate: Largest rate of a joint while the camera moves [rad/s].
         period: Servo tick [s].
     """
@@ -59,23 +59,23 @@ class MarkerGuideConfig:
 class MarkerGuide:
     """Drives the master's arm and turns its stereo pairs into guidance.
 
-    Nothing moves before card or slot is seen.
+    The camera stays at its pose until card or slot is detected.
 
     Args:
         config: Markers, detector and placement of the camera.
         arm: Arm with the camera.
         geometry: Geometry of the stereo pair.
         slot: Prior transform from the slot to the robot, and its covariance (6, 6).
-        card: Rough transform from the card to the robot.
-        angles: (4,) joint angles where the camera shall be, until a better place is found [rad].
+        card: Approximate transform from the card to the robot.
+        angles: (4,) initial goal of the joint angles [rad].
 
     Attributes:
         config: Markers, detector and placement of the camera.
         transform_slot_to_robot: Estimate of the slot's pose.
-        slot_covariance: (6, 6) covariance of its xi.
+        slot_covariance: (6, 6) covariance of the slot's pose, as a twist in the robot frame.
         transform_card_to_robot: Estimate of the card's pose.
-        fits: Fits of card and slot in the last pair; None for what was not seen.
-        moves: Number of times that the camera was placed anew.
+        fits: Fits of card and slot in the last pair; None for a body that was not detected.
+        moves: Number of changes of the camera's goal.
     """
 
     def __init__(
@@ -100,12 +100,12 @@ class MarkerGuide:
         self._pair: NDArray[np.uint8] = np.empty(0, np.uint8)
 
     def begin(self) -> FloatArray:
-        """Choose by the map alone where the camera begins; return the joint angles (4,) [rad]."""
+        """Choose the camera's first goal from the prior poses; return joint angles (4,) [rad]."""
         self._place()
         return self._goal
 
     def step(self, seen: Observation) -> tuple[Command, Guidance | None]:
-        """Take what was measured; return the next command, and guidance after each new pair.
+        """Process an observation; return the next command, and guidance after each new pair.
 
         Args:
             seen: Observation of the master.
@@ -119,14 +119,14 @@ class MarkerGuide:
         if seen.stereo.usable and seen.stereo.stamp != self._stamp:
             self._stamp = seen.stereo.stamp
             guidance = self._view(np.asarray(seen.stereo.value, dtype=np.uint8), angles)
-        # Before anything is seen, the camera waits where it was placed.
+        # Until the first detection the camera keeps its pose.
         if self._found and seen.time >= self._next:
             self._next = seen.time + self.config.again
             self._place()
         return self._move(), guidance
 
     def _view(self, pair: NDArray[np.uint8], angles: FloatArray) -> Guidance:
-        """Find card and slot in a pair; a frozen camera's is as the one before, and shows none."""
+        """Detect card and slot in a pair; a repeated pair is of a frozen camera and gives none."""
         frozen, self._pair = np.array_equal(self._pair, pair), pair
         if frozen:
             self.fits = (None, None)
@@ -171,12 +171,12 @@ class MarkerGuide:
         return max(0.8 * float(depths.min()), 0.2), max(1.25 * float(depths.max()), 0.3)
 
     def _parts(self) -> SeenParts:
-        """Return card and slot as estimated, robot frame."""
+        """Return the estimated poses of card and slot, robot frame."""
         card, slot = self.transform_card_to_robot, self.transform_slot_to_robot
         return SeenParts(card, slot, self.config.card, self.config.slot)
 
     def _place(self) -> None:
-        """Take the camera to a clearly better place, if it may be placed and there is one."""
+        """Set a clearly better camera pose as the goal, if a candidate is one."""
         plan = self.config.plan
         if plan is None:
             return
@@ -186,13 +186,13 @@ class MarkerGuide:
             self.moves += 1
 
     def _move(self) -> Command:
-        """Bring the joints a step nearer to the goal."""
+        """Move the joints a step towards the goal."""
         still = np.zeros(4)
         rates = still
         if self._found:
             most = self.config.rate * self.config.period
             step = self._goal - self._wanted
-            # All joints arrive at once.
+            # All joints arrive at the same time.
             step = step * min(1.0, most / max(float(np.abs(step).max()), 1e-12))
             self._wanted = self._wanted + step
             rates = step / self.config.period

@@ -1,8 +1,8 @@
 """Master and slave who carry a segment together and insert it (Thesis section A.4).
 
-The master plans the segment's path, adds up both grips' wrenches (figure A-6) and lets the
-insertion guide move the plan in the direction of least resistance. The slave follows the set points
-that the radio brings. Neither knows the other's joints, nor the stage's true pose.
+The master plans the segment's path, adds both grips' wrenches (figure A-6) and lets the insertion
+guide move the plan in the direction of least resistance. The slave follows the set points received
+by radio. Neither knows the other's joint angles, nor the stage's true pose.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ class Stage(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class PairConfig:
-    """Agreement of master and slave.
+    """Configuration shared by master and slave.
 
     Attributes:
         master: The master's grip.
@@ -41,12 +41,12 @@ class PairConfig:
         mouth: (2,) s, z of the mouth's middle by the master's estimate [m]; the stage is level.
         guide: Configuration of the insertion; `card_width` is that of the segment's web.
         stand_off: Height of the leading edge above the mouth before the insertion [m].
-        hold: Time in which the tilt is taken and the forces settle [s].
-        carry: Time of the path to the mouth [s].
-        rest: Time before the insertion in which the segment's weight is taken off the wrench [s].
+        hold: Time in which the tilt is averaged and the forces settle [s].
+        carry: Duration of the path to the mouth [s].
+        rest: Time before the insertion in which the wrench is tared of the segment's weight [s].
         every: Ticks between two messages.
         latency: Known latency of a message by the radio [s].
-        lost_time: Age beyond which a message does not count [s].
+        lost_time: Age beyond which a message is ignored [s].
         period: Servo tick [s].
     """
 
@@ -64,7 +64,7 @@ class PairConfig:
     period: float = 0.01
 
     def __post_init__(self) -> None:
-        """Refuse times that are none.
+        """Refuse times out of range.
 
         Raises:
             ValueError: Naming the field.
@@ -75,18 +75,18 @@ class PairConfig:
 
 
 class _Partner:
-    """Common part of master and slave: the partner's messages, and holding still at the start."""
+    """Common part of master and slave: the partner's messages, and holding at the start."""
 
     def __init__(self, grip: HybridGrip, config: PairConfig) -> None:
         self._grip, self._config = grip, config
         self._message: FloatArray | None = None
         self._age = math.inf  # Age of the message [s].
         self._sent = 0
-        self._holding = round(config.hold / config.period)  # Ticks to go.
+        self._holding = round(config.hold / config.period)  # Remaining ticks.
         self._tilts: list[float] = []
 
     def _take(self, seen: Observation, heard: list[bytes], kind: int, age: float = 0.0) -> None:
-        """Take the wrench, and the newest message of a kind, which is of an age [s] then."""
+        """Process the wrench, and the newest message of a kind with its age at arrival [s]."""
         self._age += self._config.period
         for message in heard:
             found, values = decode(message)
@@ -105,7 +105,7 @@ class _Partner:
         return self._grip.start(float(np.mean(self._tilts)) if self._tilts else 0.0)
 
     def _encoded(self, kind: int, values: ArrayLike | None) -> bytes | None:
-        """Return a message where one is due; without values there is none."""
+        """Return a message when one is due; None without values."""
         self._sent += 1
         if self._sent % self._config.every or values is None:
             return None
@@ -113,7 +113,7 @@ class _Partner:
 
 
 class Master(_Partner):
-    """Plans, guides, and holds its end of the segment.
+    """Plans the segment's path, guides the insertion, and controls its own grip.
 
     Without the slave's reports, or its own wrench, it waits in REST; in INSERT it stops, and
     gives up after the guide's `lost_time`.
@@ -127,8 +127,8 @@ class Master(_Partner):
         stage: Stage of the pair.
         guide: Insertion guide, by force or straight ahead.
         target: (3,) planned pose of the segment, plan frame; NaN while it holds.
-        felt: (3,) wrench by the stage on the segment as both grips measure it, in the guide's
-            frame; None without it.
+        felt: (3,) wrench of the stage on the segment from both grips' measurements, in the guide's
+            frame [N, N, N m]; None without them.
     """
 
     def __init__(
@@ -154,8 +154,8 @@ class Master(_Partner):
             heard: Messages of the slave since the last step.
 
         Raises:
-            RobotError: If joint angles are missing when it starts.
-            ValueError: If a message is none of the two.
+            RobotError: If joint angles are missing at the start.
+            ValueError: If a message is of neither kind.
         """
         config = self._config
         self._take(seen, heard, REPORT)
@@ -202,7 +202,7 @@ class Master(_Partner):
         return np.array([s + pose[0], z - pose[1], -pose[2]])
 
     def _total(self) -> FloatArray | None:
-        """Return (3,) wrench by both grips on the segment about its origin, plan frame."""
+        """Return (3,) wrench of both grips on the segment about its origin, plan frame."""
         own, report, lost = self._grip.wrench, self._message, self._age > self._config.lost_time
         if own is None or report is None or lost:
             return None
@@ -211,7 +211,7 @@ class Master(_Partner):
         return own + self._config.slave.about_segment(report, angle)
 
     def _contact(self, total: FloatArray | None) -> FloatArray | None:
-        """Return (3,) wrench by the stage on the segment, in the guide's frame."""
+        """Return (3,) wrench of the stage on the segment, in the guide's frame."""
         if total is None or self.stage in (Stage.CARRY, Stage.REST):
             return None
         f_s, f_z, moment = self._weight - total
@@ -220,7 +220,7 @@ class Master(_Partner):
 
 
 class Slave(_Partner):
-    """Holds its end of the segment where the master's set points and its own forces have it.
+    """Controls its own grip by the master's set points and its own forces.
 
     Args:
         grip: Control of the slave's gripper.
@@ -230,8 +230,8 @@ class Slave(_Partner):
     def step(self, seen: Observation, heard: list[bytes]) -> tuple[Command, bytes | None]:
         """Return the arm's command and a message for the master, None if there is none.
 
-        While no set point comes it follows the last one's rate for as long as messages count, and
-        then holds; the forces stay controlled.
+        Without a new set point it extrapolates the last one by its rate for `lost_time`, and then
+        holds; the forces stay controlled.
 
         Args:
             seen: Observation of the slave.

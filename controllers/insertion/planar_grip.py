@@ -1,11 +1,11 @@
-"""A gripper in the plane of its arm: its pose, and its wrench on what it holds.
+"""A gripper in the plane of its arm: its pose, and its wrench on the grasped object.
 
 The plan frame is shared by all robots that work in one vertical plane: s along it, z up, angles
-about its normal from s to z. A robot looks along s or against it. Poses are (s, z, angle) [m, m,
+about its normal from s to z. A robot faces along s or against it. Poses are (s, z, angle) [m, m,
 rad], wrenches (f_s, f_z, m) [N, N, N m].
 
-A robot has no sensor in its hand. The gripper's wrench on the world is what the sensor under the
-arm measures, less what the arm itself takes (surrogate sensing, Thesis figure A-8).
+A robot has no sensor in its hand. The gripper's wrench on the object is the measured wrench under
+the arm less the arm's own weight (surrogate sensing, Thesis figure A-8).
 """
 
 import dataclasses
@@ -51,7 +51,7 @@ class PlanarArm:
         """
         pitches = np.cumsum(np.asarray(bends, dtype=float))
         lengths = np.array(self.lengths)
-        # A joint moves all links from its own on.
+        # A joint moves its own link and all beyond.
         forward = -np.cumsum((lengths * np.sin(pitches))[::-1])[::-1]
         up = np.cumsum((lengths * np.cos(pitches))[::-1])[::-1]
         return np.array([forward, up, np.ones(3)])
@@ -59,7 +59,7 @@ class PlanarArm:
 
 @dataclasses.dataclass(frozen=True)
 class Stance:
-    """A robot's pose in the plan frame, by its own estimate.
+    """Estimate of a robot's pose in the plan frame.
 
     Attributes:
         place: (2,) origin of the robot frame [m].
@@ -72,7 +72,7 @@ class Stance:
     tilt: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse a stance that is none.
+        """Refuse an invalid stance.
 
         Raises:
             ValueError: Naming the number and what is valid.
@@ -129,10 +129,10 @@ class Stance:
 
 @dataclasses.dataclass(frozen=True)
 class GripSensor:
-    """Wrench of the gripper on what it holds, from the sensor under the arm.
+    """Wrench of the gripper on the grasped object, from the sensor under the arm.
 
     Attributes:
-        chain: Arm, with what the sensor carries before its first joint.
+        chain: Chain of the arm, with the mass between the sensor and the first joint.
         arm: Plane model of the arm, in the robot frame.
         mount: (2,) position of the sensor's frame forward and up in the robot frame [m].
     """
@@ -142,9 +142,9 @@ class GripSensor:
     mount: tuple[float, float]
 
     def felt(self, seen: Observation, stance: Stance) -> FloatArray | None:
-        """Return (3,) the wrench of the gripper on what it holds, about the grip point.
+        """Return (3,) the wrench of the gripper on the grasped object, about the grip point.
 
-        Slow motion is assumed: what the arm's own acceleration takes is not subtracted.
+        Slow motion is assumed: inertial forces of the arm are not subtracted.
 
         Args:
             seen: Observation of the robot.

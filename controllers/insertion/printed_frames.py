@@ -39,7 +39,7 @@ class RequiredMotion:
 
 
 def three_points(pose: RigidTransform, length: float = 1.0) -> FloatArray:
-    """Return (3, 3) the points that eq. 5-1 takes of a body: origin, one along x, one along z.
+    """Return (3, 3) the points of a body that eq. 5-1 uses: origin, one along x, one along z.
 
     Args:
         pose: The transform from the body to the camera.

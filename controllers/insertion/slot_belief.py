@@ -1,8 +1,8 @@
 """The slave's estimate of the slot's pose, in the frame of its dead reckoning.
 
-The master's views come late and seldom. Each is brought to the pose of the slave at the time of its
-images; between them the slot is at rest in the frame of dead reckoning, whose drift is the
-uncertainty that grows.
+The master's views arrive late and at a low rate. Each is combined with the pose of the slave at the
+time of its images; between them the slot is at rest in the frame of dead reckoning, whose drift is
+the process noise.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from controllers.insertion.guidance import Guidance
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, point_jacobian, transport_covariance
 
-_SIMULTANEOUS = 0.05  # Between images and joint angles that count as of one moment [s].
+_SIMULTANEOUS = 0.05  # Largest time difference of images and joint angles [s].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,15 +24,15 @@ class BeliefConfig:
     """Process noise of the slot's pose, and the gate of the master's views.
 
     Attributes:
-        drift: Error of the distance driven, as a share of it.
-        turn_drift: Error of the angle turned, as a share of it.
-        veer: Turn that was not commanded, per distance [rad/m].
+        drift: Relative error of the distance driven.
+        turn_drift: Relative error of the angle turned.
+        veer: Uncommanded turn per distance [rad/m].
         bump: Tilt per distance that the inclinometer misses [rad/m], and rise per distance.
-        stretch: Distance [m] and turn [rad] in which these errors stay alike.
+        stretch: Correlation lengths of these errors: distance [m] and turn [rad].
         rest_drift: Standard deviations of turn [rad] and position [m] that a second at rest adds.
-        card: Deviations of turn [rad] and position [m] of the card by the arm's joints.
-        gate: Squared distance, whitened, beyond which a view is refused (six degrees of freedom).
-        refusals: Refused views in a row after which the next one is used all the same.
+        card: Standard deviations of turn [rad] and position [m] of the card from joint angles.
+        gate: Squared Mahalanobis distance beyond which a view is refused (6 degrees of freedom).
+        refusals: Number of consecutive refused views after which the next one is accepted.
         memory: Time for which poses of the card are stored [s].
     """
 
@@ -53,14 +53,14 @@ class SlotBelief:
 
     Args:
         transform_slot_to_start: Prior transform from the slot to the frame of dead reckoning.
-        covariance: (6, 6) covariance of its xi.
-        config: Noise and gate.
+        covariance: (6, 6) covariance of that transform, as a twist in the frame of dead reckoning.
+        config: Process noise and gate.
 
     Attributes:
         slot_in_start: (4, 4) transform from the slot to the frame of dead reckoning.
         covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * slot_in_start``.
-        innovation: Squared distance, whitened, of the last view from the estimate.
-        refused: Number of views refused in a row.
+        innovation: Squared Mahalanobis distance of the last view from the estimate.
+        refused: Number of consecutive refused views.
     """
 
     def __init__(
@@ -76,11 +76,11 @@ class SlotBelief:
     def note(
         self, time: float, card_in_start: FloatArray, driven: float, turned: float, period: float
     ) -> None:
-        """Store the card's pose, and add up the motion for the drift.
+        """Store the card's pose, and accumulate the motion for the drift.
 
         Args:
             time: Robot time [s].
-            card_in_start: (4, 4) pose of the card by joints and dead reckoning.
+            card_in_start: (4, 4) pose of the card from joint angles and dead reckoning.
             driven: Distance driven since the last call [m].
             turned: Angle turned since the last call [rad].
             period: Time since the last call [s].
@@ -91,19 +91,19 @@ class SlotBelief:
         self._drifted += [driven, turned, period]
 
     def deviation(self) -> float:
-        """Return the larger standard deviation of the slot's place in its plane now [m]."""
+        """Return the largest standard deviation of the slot's position in its plane [m]."""
         self._drift()
         plane = self.slot_in_start[:3, :2].T @ point_jacobian(self.slot_in_start[:3, 3])
         return float(np.sqrt(np.linalg.eigvalsh(plane @ self.covariance @ plane.T)[-1]))
 
     def take(self, guidance: Guidance) -> bool:
-        """Take a view of the master.
+        """Update the estimate by a measurement of the master.
 
         Args:
-            guidance: View of the master.
+            guidance: Measurement of the master.
 
         Returns:
-            Whether it was used: it may have no pose, be too old, or too far from the estimate.
+            Whether it was used; not if it has no pose, is too old, or beyond the gate.
         """
         seen = guidance.transform_slot_to_card
         if seen is None or not self._where:
@@ -122,7 +122,7 @@ class SlotBelief:
             self.refused += 1
             return False
         if self.refused >= self._config.refusals:
-            # It was not the views that were wrong.
+            # Consistently refused views: the estimate was wrong.
             self.covariance = self.covariance + np.outer(error, error)
             total = self.covariance + noise
         self.refused = 0
@@ -136,7 +136,7 @@ class SlotBelief:
     def _drift(self) -> None:
         """Add the drift of dead reckoning since the last view, about the robot's position."""
         if not self._where:
-            return  # Not moved yet.
+            return  # No motion yet.
         config = self._config
         (driven, turning), period = self._drifted[:2] * config.stretch, self._drifted[2]
         self._drifted = np.zeros(3)
@@ -144,6 +144,6 @@ class SlotBelief:
         tilt, along = config.bump**2 * driven, config.drift**2 * driven
         drift = np.diag([tilt, tilt, yaw, 0.1 * along, along, tilt])
         rest = np.diag(np.repeat(np.square(config.rest_drift), 3) * period)
-        # The card is near enough to where the robot turns.
+        # The card's position approximates the robot's centre of rotation.
         robot = RigidTransform.from_matrix(self._where[-1][1])
         self.covariance = self.covariance + transport_covariance(robot, drift + rest)

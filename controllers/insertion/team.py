@@ -1,6 +1,6 @@
-"""The insertion of a card by two rovers: the master sends what it sees, the slave acts on it.
+"""Insertion of a card by two rovers: the master sends guidance, the slave moves the card.
 
-Each robot's part sees its own observations alone; guidance passes by radio (Thesis section 5.1).
+Each robot's part uses its own observations alone; guidance is sent by radio (Thesis section 5.1).
 """
 
 from collections.abc import Mapping
@@ -28,10 +28,10 @@ from twin.description import RobotDescription
 from twin.robot import MISSING, Command, Observation
 
 ARM_REACH = 0.4
-"""Distance ahead at which the base's compliance is taken for that of the hand [m]."""
+"""Distance ahead of the base at which its compliance acts on the hand [m]."""
 _ABSENT = dict.fromkeys(("accelerometer", "gyro", "heading"), MISSING)
 _PREDICTED = 5.0
-"""Longest time that a failed sensor is predicted [s]; the tilt's model lasts longer."""
+"""Longest time that a failed wrench sensor is predicted [s]; the tilt's model holds longer."""
 
 
 class InsertionMaster:
@@ -39,12 +39,12 @@ class InsertionMaster:
 
     Args:
         robot: Name of the master.
-        marker_guide: Guide that sees card and slot.
+        marker_guide: Measurement of card and slot, and motion of the camera.
         link: The robot's end of the radio.
 
     Attributes:
-        marker_guide: Guide that sees card and slot.
-        sent: Guidance of this tick; None without a new one.
+        marker_guide: Measurement of card and slot, and motion of the camera.
+        sent: Guidance sent in this tick; None without a new one.
     """
 
     def __init__(self, robot: str, marker_guide: MarkerGuide, link: GuidanceLink) -> None:
@@ -53,7 +53,7 @@ class InsertionMaster:
         self._link = link
 
     def step(self, seen: Observation) -> Command:
-        """Take a view, send what it shows, and return the next command.
+        """Process an observation, send guidance, and return the next command.
 
         Args:
             seen: Observation of the master.
@@ -68,13 +68,13 @@ class InsertionSlave:
 
     Args:
         robot: Name of the slave.
-        inserter: Brings the card to the slot and inserts it.
-        sensing: Replaces failed sensors of the slave by surrogates.
+        inserter: Control of wheels and arm during the insertion.
+        sensing: Surrogates of the slave's failed sensors.
         link: The robot's end of the radio.
 
     Attributes:
-        inserter: Brings the card to the slot and inserts it.
-        failed: Names of the sensors that their surrogates find failed now.
+        inserter: Control of wheels and arm during the insertion.
+        failed: Names of the sensors that are found failed now.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class InsertionSlave:
         self._sensing, self._link = sensing, link
 
     def step(self, seen: Observation) -> Command:
-        """Take the master's guidance, and return the next command.
+        """Process an observation and the master's guidance, and return the next command.
 
         Args:
             seen: Observation of the slave.
@@ -111,7 +111,7 @@ class InsertionTeam:
         self.master, self.slave = master, slave
 
     def reset(self) -> None:
-        """Do nothing: a new run gets a new team."""
+        """Do nothing: each run has a new team."""
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Step the master, then the slave."""
@@ -120,14 +120,14 @@ class InsertionTeam:
 
 
 def guide_config(drawing: InsertionDrawing, pitch: TiltAxis) -> GuideConfig:
-    """Return the configuration of force guidance for a card that a rover's arm holds.
+    """Return the configuration of force guidance for a card in a rover's gripper.
 
     The wrench is measured half a metre behind the card: the sensor's noise of 0.1 N is 0.05 N m
-    there, so the filter is longer and the answers are slower than on the bench of ``ch5-contact``.
+    there, so the filter is longer and the response slower than on the bench of ``ch5-contact``.
 
     Args:
-        drawing: Card and slot as drawn.
-        pitch: Pitch dynamics of the rover, the softest of what holds the card.
+        drawing: Drawing of card and slot.
+        pitch: Pitch dynamics of the rover, the softest part of the card's support.
     """
     return GuideConfig(
         drawing.card_width,
@@ -149,16 +149,16 @@ def marker_guide(
     placed: bool,
     detector: str = "blob",
 ) -> MarkerGuide:
-    """Return the guide of a rover that sees card and slot.
+    """Return the master's guide, which measures card and slot.
 
     Args:
-        robot: The rover with the camera.
-        drawing: Card and slot as drawn.
+        robot: Description of the rover with the camera.
+        drawing: Drawing of card and slot.
         slot: Prior transform from the slot to the robot, and its covariance (6, 6).
-        card: Rough transform from the card to the robot.
-        angles: (4,) joint angles at which the camera begins [rad].
-        placed: Whether the camera is placed anew, or left where it is.
-        detector: Name in `perception.markers.bodies.DETECTORS`.
+        card: Approximate transform from the card to the robot.
+        angles: (4,) initial joint angles [rad].
+        placed: Whether the camera moves to its best view, or keeps its pose.
+        detector: Name of the marker detector, in `perception.markers.bodies.DETECTORS`.
     """
     arm, head = camera_arm(robot)
     plan = watch_plan(head, drawing) if placed else None
@@ -172,12 +172,12 @@ def surrogate_sensing(
     """Return the surrogates of a robot's wrench sensor and inclinometer.
 
     Args:
-        robot: The rover with the card in its gripper.
+        robot: Description of the rover with the card in its gripper.
         tip: Distance from the wrist's joint to the middle of the card's leading edge [m].
         springs: Pitch and roll dynamics.
 
     Raises:
-        ValueError: If it has no arm, naming it.
+        ValueError: If the robot has no arm, naming it.
     """
     chain, sigma = SerialChain.of_robot(robot), robot.sensor_sigma
     arm = WrenchModelConfig(
@@ -198,5 +198,5 @@ def surrogate_sensing(
 
 
 def _bare(seen: Observation) -> Observation:
-    """Return an observation as the thesis' rovers have it: no accelerometer, gyro or compass."""
+    """Return an observation without sensors that the thesis' rovers lack: inertial and compass."""
     return seen._replace(**_ABSENT)

@@ -1,7 +1,7 @@
-"""Best view of card and slot for the master's camera, of all that its arm reaches at rest.
+"""Best view of card and slot for the master's camera, within reach of its arm.
 
 The target is the region between card and slot with the markers of both (thesis figures 5-2, 5-3):
-all of them must be in both images, and what carries the card must not hide them.
+all of them must be in both images, not occluded by the card's holder.
 """
 
 import dataclasses
@@ -20,20 +20,20 @@ from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 from perception.stereo.geometry import StereoGeometry
 
-_AS_GOOD = 0.95  # Ratio of ratings that do not matter.
+_AS_GOOD = 0.95  # Ratio to the best rating from which views count as equal.
 
 
 @dataclasses.dataclass(frozen=True)
 class WatchPlan:
-    """Candidates and rating of the camera's placement.
+    """Candidate camera poses and their rating.
 
     Attributes:
-        lens: Lens of the camera.
-        carrier: (K, 3) corners of what carries the card [m], card frame.
-        stand: (L, 3) corners of what holds the slot [m], slot frame.
+        lens: Field of view and range of the camera.
+        carrier: (K, 3) corners of the card's holder [m], card frame.
+        stand: (L, 3) corners of the slot's holder [m], slot frame.
         distances: (R,) candidate distances of the camera from the target [m].
         pitches: (S,) candidate pitches of the view above the horizon [rad].
-        border: Pixels that markers keep from the images' edges.
+        border: Least distance of markers from the images' edges [px].
         exponents: Exponents of eq. 4-1.
     """
 
@@ -70,11 +70,11 @@ class SeenParts:
 
 @dataclasses.dataclass(frozen=True)
 class ArmChoice:
-    """The best view for the camera.
+    """Best view within reach of the arm.
 
     Attributes:
         angles: (4,) joint angles [rad].
-        rating: Rating of the view there; 0 if none shows everything.
+        rating: Rating of the best view; 0 if no view has all markers.
         rating_now: Rating of the view from the present angles.
     """
 
@@ -86,10 +86,10 @@ class ArmChoice:
 def target_field(
     plan: WatchPlan, parts: SeenParts, whole: bool = True, others: Sequence[Occluder] = ()
 ) -> TargetField:
-    """Return the target between card and slot with what may hide it.
+    """Return the target between card and slot with its occluders.
 
     Args:
-        plan: Shapes of what carries the card and of what holds the slot.
+        plan: Shapes of the holders of card and slot.
         parts: Poses of card and slot, in any frame.
         whole: Whether the target is both card and slot; if not, the card alone.
         others: Further occluders, in the same frame.
@@ -122,10 +122,10 @@ def best_angles(
     """Return the joint angles with the best view of card and slot, or if none shows both, the card.
 
     Args:
-        plan: Candidates of the placement.
+        plan: Candidate camera poses.
         parts: Poses of card and slot, robot frame.
         arm: Arm with the camera.
-        geometry: Geometry of its stereo pair.
+        geometry: Geometry of the camera's stereo pair.
         now: (4,) present joint angles to compare with [rad].
     """
     for whole in (True, False):
@@ -143,7 +143,7 @@ def _best_of(
     now: FloatArray,
     whole: bool,
 ) -> ArmChoice:
-    """Return the best view of everything, or of the card alone: it is what moves."""
+    """Return the best view of card and slot, or of the card alone, which moves."""
     try:
         field = target_field(plan, parts, whole)
     except PlacementError:
@@ -156,14 +156,14 @@ def _best_of(
     places = np.asarray(cameras.translation)
     rated = rate_positions(field, plan.lens, places, None, plan.exponents)
     ratings = np.where(seen, [view.rating for view in rated], 0.0)
-    # Of views that are as good, the one nearest to the arm's present angles.
+    # Of equally good views, the one nearest to the arm's present angles.
     good = np.flatnonzero(ratings >= _AS_GOOD * ratings.max())
     best = int(good[np.argmin(np.abs(angles[good] - now).max(axis=1))])
     return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]))
 
 
 def above_its_foot(arm: SerialChain, angles: FloatArray) -> NDArray[np.bool_]:
-    """Return for which joint angles (N, joints) the arm stays above the plane of its base.
+    """Return (N,), whether the arm is above its base plane at joint angles (N, joints) [rad].
 
     Below are deck and ground: an arm that reaches there lifts its own robot.
     """
@@ -182,7 +182,7 @@ def in_both_images(
         cameras: Transforms from the left camera to the points' frame.
         points: (K, 3) points [m].
         geometry: Geometry of the stereo pair.
-        border: Width of the images' edges that does not count [px].
+        border: Width of the images' margin that is excluded [px].
     """
     rotations = cameras.rotation.as_matrix()
     local = np.einsum("nji,nkj->nki", rotations, points - cameras.translation[:, None])

@@ -5,15 +5,15 @@ Stereo heads on arms, in reading order:
 - `stereo_mapper`: the controller that moves all robots from view to view.
 - `stereo_view`: its configuration, and the record of each view.
 - `searching`: the search for the target, and aiming the camera at a point (3.2.2).
-- `localization`: a robot's pose by the target, and the camera pose that follows (3.2.2).
-- `shared_map`: the robots' common voxel map, and how a view enters it (3.2.3).
+- `localization`: a robot's pose from the target, and its camera's pose and covariance (3.2.2).
+- `shared_map`: the robots' common voxel map, and the fusion of views (3.2.3).
 - `arm_views`: candidates for the next view and their rating (3.2.4).
 - `fiducial_localizer`: camera poses corrected by fiducials of the scene (3.2.5).
 
 Planar robots (3.3.1):
 
 - `planar_planner`: the choice of the next pose by seven methods, for one robot or a team.
-- `planar_situation`: the map as a planner believes it, candidates and frontiers.
+- `planar_situation`: a planner's estimate of the map, candidates and frontiers.
 - `planar_paths`: shortest paths on known-free cells.
 
 Exchange by radio:

@@ -1,4 +1,4 @@
-"""Next view of a stereo head on an arm: candidates, whether they can be reached, and their rating.
+"""Next view of a stereo head on an arm: candidates, their reachability, and their rating.
 
 Thesis section 3.2.4: a candidate must be free of collision (P < 0.05) and reached by a path free
 of collision, and is rated by RF = (NI - K (d / D)^n) (1 - P) (eq. 3-15).
@@ -20,9 +20,9 @@ from perception.voxels.views import (
 )
 
 _PATHS = 50
-"""Number of paths checked at once: few calls, and few checks in vain."""
+"""Number of paths checked at once: few calls, and few unnecessary checks."""
 Collides = Callable[[FloatArray], BoolArray]
-"""Test of points (N, 3) [m] in the world: (N,) which may not be free (P >= 0.05)."""
+"""Collision test of points (N, 3) [m], world: (N,), whether each may be occupied (P >= 0.05)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,12 +31,12 @@ class ViewConfig:
 
     Attributes:
         candidates: Number of candidates of each decision.
-        price: K of eq. 3-15, against the best candidate's information.
-        exponent: n of eq. 3-15.
+        price: Weight K of eq. 3-15, relative to the best candidate's information.
+        exponent: Exponent n of eq. 3-15.
         step: Greatest turn of a joint between two checks of a path [rad].
-        survey: (joints,) posture of the arm for a raster but for its yaw and wrist [rad]: the head
+        survey: (joints,) posture of the arm in a raster, except yaw and wrist [rad]: the head is
             high, its view half a radian below the horizon.
-        raster_yaw: Turn between the columns of a raster [rad]: views overlap by a third.
+        raster_yaw: Turn between the columns of a raster [rad], such that views overlap by a third.
         raster_tilt: Turn between the rows of a raster [rad].
         raster_rows: Number of rows of a raster.
     """
@@ -112,7 +112,7 @@ class ArmViews:
         return world.reshape(points.shape)
 
     def is_free(self, angles: FloatArray, collides: Collides) -> BoolArray:
-        """Return (N,), whether the arm touches nothing with angles (N, joints) [rad]."""
+        """Return (N,), whether the arm is free of collision at angles (N, joints) [rad]."""
         bodies = self.body(angles)
         hit = collides(bodies.reshape(-1, 3)).reshape(bodies.shape[:2])
         return np.all(~hit, axis=1)
@@ -136,8 +136,8 @@ class ArmViews:
 
         Args:
             start: (joints,) present angles [rad].
-            collides: Test of which points may not be free.
-            count: Number of views wanted; fewer come back where space is narrow.
+            collides: Collision test of points.
+            count: Number of views wanted; fewer are returned where space is narrow.
             rng: Random generator for the views.
 
         Returns:
@@ -172,7 +172,7 @@ class ArmViews:
 
         Args:
             grid: Coarse grid of the map's states.
-            claims: (nx, ny, nz), which cells another robot is about to see; None for none.
+            claims: (nx, ny, nz), cells that other robots' next views cover; None for none.
             start: (joints,) present angles [rad].
             angles: (N, joints) angles of the views [rad].
         """
@@ -187,7 +187,7 @@ class ArmViews:
         return RatedViews(angles[order], ratings[order], information[order], cameras[order])
 
     def claims(self, grid: PlanningGrid, claims: BoolArray | None, angles: FloatArray) -> BoolArray:
-        """Return (nx, ny, nz) claims with those of one view (joints,) [rad] added."""
+        """Return (nx, ny, nz) claimed cells, including those of a view (joints,) [rad]."""
         occupancy = _unclaimed(grid, claims)
         camera = self.cameras(angles[None])[0]
         seen = claimed_by_view(grid, occupancy, camera, self.lens.rays, self.lens.reach)
@@ -196,7 +196,7 @@ class ArmViews:
     def raster(self) -> FloatArray:
         """Return the views (N, joints) of a raster: columns from left to right, row after row.
 
-        The arm keeps its survey posture but for yaw and wrist. Not all of them can be reached.
+        All joints but yaw and wrist are those of the survey posture. Some views are unreachable.
         """
         c, limits = self.config, self.arm.limits
         (low, high), step = limits[0], c.raster_yaw
@@ -208,7 +208,7 @@ class ArmViews:
 
 
 def _unclaimed(grid: PlanningGrid, claims: BoolArray | None) -> FloatArray:
-    """Return the expected occupancy, 0 in claimed cells: there is nothing left to learn."""
+    """Return the expected occupancy, 0 in claimed cells so that they give no information."""
     occupancy = expected_occupancy(grid.states)
     if claims is not None:
         occupancy[claims] = 0.0

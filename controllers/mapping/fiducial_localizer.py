@@ -1,9 +1,9 @@
-"""Correct a camera's pose by fiducials of the scene, which stay in the map (section 3.2.5).
+"""Correct a camera's pose by natural fiducials of the scene, stored in a map (section 3.2.5).
 
-Arm and inclinometer predict the camera's pose. Fiducials that earlier views have put into the map
-are searched for in the image; where enough are found, they and the prediction give the pose
-together, and the map of fiducials is improved. Each view adds new ones. The map also estimates the
-errors that all views of a robot share, for no number of views averages those away.
+Arm and inclinometer predict the camera's pose. Fiducials that earlier views added to the map are
+searched for in the image; if enough are found, the pose is estimated from them and the prediction,
+and the map of fiducials is updated. Each view adds new ones. The map also estimates the errors that
+are common to all views of a robot, which averaging over views does not reduce.
 """
 
 import dataclasses
@@ -26,16 +26,16 @@ class FiducialLocalizerConfig:
     """Configuration of the choice of fiducials and of the search for them.
 
     Attributes:
-        fiducials: Configuration of the choice, and of the number that a view adds.
+        fiducials: Configuration of the selection, and of the number that a view adds.
         tracker: Configuration of the search for fiducials in a new view.
-        place_sigma: Standard deviation of the column and row of a new fiducial [px]: it is where
-            it was chosen to be.
-        model_sigma: Standard deviation of image points beside their noise [px]: the model is
+        place_sigma: Standard deviation of the column and row of a new fiducial [px]; small, for the
+            selected pixel defines it.
+        model_sigma: Standard deviation of image points in addition to noise [px]: the model is
             linear, and a product of two errors of 5 mrad or 5 mm is 0.03 px. In scene 3 of
             ``ch3-stereo`` 68 of 71 matches were accepted with it, 63 without.
-        fewest: Least number of fiducials for a correction. Three give nine numbers for the six of a
-            pose, so they can contradict each other.
-        turned: Largest turn of the camera since the first view of a fiducial, at which it is still
+        fewest: Least number of fiducials for a correction. Three give nine measurements of the six
+            parameters of a pose, so outliers can be detected.
+        turned: Largest turn of the camera since a fiducial's first view at which it is still
             searched for [rad]: its patch changes with the view.
         sources: Largest number of earlier views whose fiducials are searched for.
     """
@@ -57,8 +57,8 @@ class Correction:
         camera: Pose of the left camera.
         found: (K, 3) image points of fiducials that were found again and accepted [px].
         added: (L, 3) image points of new fiducials [px].
-        corrected: Whether fiducials of this view contributed; if not, the pose is the prediction,
-            improved by other views' estimates of the errors that all views share.
+        corrected: Whether fiducials of this view contributed; if not, the pose is the prediction
+            with the common errors estimated from other views.
     """
 
     camera: CameraPose

@@ -1,9 +1,10 @@
-"""Localization of a robot by a target that it has seen, and the camera pose that follows.
+"""Localization of a robot by a detected target, and the resulting pose of its camera.
 
 The world is level: its origin is the target's, z is up, and x lies in the vertical plane of the
-target's x. The robot that finds the target first defines this frame by its own tilt; from then on
-all robots that see the target share it (Thesis section 3.2.2). While the arm moves the rover tilts
-on its springs; the inclinometer measures how far, and its error enters the camera's covariance.
+target's x. The robot that detects the target first defines this frame by its own tilt; from then on
+all robots that detect the target share it (Thesis section 3.2.2). While the arm moves, the rover
+tilts on its springs; the inclinometer measures the tilt, and its error enters the camera's
+covariance.
 """
 
 import dataclasses
@@ -70,8 +71,8 @@ class RobotLocalization:
         transform_level_to_world: Transform from the robot frame, brought level, to the world.
         covariance: (6, 6) covariance of xi of that transform, in the world, without the error of
             the head's mounting.
-        transform_sighting_to_world: Transform from the camera to the world when the target was
-            seen. The head's mounting had the same error then, so that it cancels there.
+        transform_sighting_to_world: Transform from the camera to the world at the detection of the
+            target. The error of the head's mounting cancels at this pose.
         config: Standard deviations of arm and inclinometer.
     """
 
@@ -93,17 +94,16 @@ class RobotLocalization:
         return CameraPose(prior.transform_camera_to_world, shared + prior.covariance)
 
     def shared_covariance(self) -> FloatArray:
-        """Return the covariance (12, 12) of the errors that all views share.
+        """Return the covariance (12, 12) of the errors common to all views.
 
-        These are xi of the robot's pose, in the world, and xi of the head's mounting, in the camera
-        frame.
+        They are the twists of the robot's pose, world, and of the head's mounting, camera frame.
         """
         shared = np.zeros((SHARED, SHARED))
         shared[:6, :6], shared[6:, 6:] = self.covariance, self.config.mount_covariance()
         return shared
 
     def prior(self, angles: FloatArray, tilt: FloatArray, offsets: IndexArray) -> PosePrior:
-        """Return the camera's pose with the shared part of its error kept apart.
+        """Return the camera's pose with the common part of its error as separate offsets.
 
         Args:
             angles: (joints,) joint angles of the arm [rad].
@@ -131,10 +131,10 @@ def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
 
     Args:
         transform_target_to_level: Transform from the target to the level frame of the first robot
-            that saw it.
+            that detected it.
 
     Raises:
-        ValueError: If the target's x axis is upright, so that it names no direction.
+        ValueError: If the target's x axis is upright, so that it has no direction on the ground.
     """
     rotation = transform_target_to_level.rotation.as_matrix()
     across = rotation[:2, 0]
@@ -151,7 +151,7 @@ def localize(
     camera: CameraPose,
     config: LocalizationConfig | None = None,
 ) -> RobotLocalization:
-    """Return the localization of a robot whose camera pose is known.
+    """Return the localization of a robot from its camera's pose.
 
     Args:
         arm: Chain of the arm, with the left camera as its tool.

@@ -49,7 +49,7 @@ UTILITIES: tuple[Utility, ...] = get_args(Utility)
 NEAR = 2.0
 """Path length within which half of the candidates lie, in depths of field."""
 MIN_NEW = 1e-6
-"""New information or area, over that of the whole sector, up to which a view brings nothing."""
+"""Least new information or area of a useful view, over that of the whole sector."""
 FRONTIER_BATCH = 64
 """Number of frontier cells that are rated together, the nearest first."""
 MIN_FRONTIER_AREA = 0.1
@@ -71,8 +71,8 @@ class PlannerConfig:
         rays: Number of rays of a full fan, a multiple of ``headings``.
         price: K of eq. 3-15, utility "fixed" only.
         exponent: n of eq. 3-15, utility "fixed" only.
-        scan_path: Length of path that takes as long as a scan, over the depth of field.
-        isolation: Additional worth of an unknown cell amid known ones, utility "going_rate" only.
+        scan_path: Path length driven in the time of a scan, over the depth of field.
+        isolation: Additional weight of an unknown cell amid known ones, utility "going_rate" only.
 
     Raises:
         ValueError: If a setting is out of range; the message names it.
@@ -147,10 +147,10 @@ class ViewPlanner:
         Args:
             world: Map of the plane.
             cell: Present row and column.
-            claimed: (rows, columns) cells that another robot is about to see; they count as seen.
+            claimed: (rows, columns) cells of other robots' next views; they count as known.
 
         Returns:
-            The view, or None if no pose would bring anything new.
+            The next view, or None if no pose gives new information.
         """
         config = self.config
         situation = believe(world, cell, config.sensor, config.rays, claimed)
@@ -164,7 +164,7 @@ class ViewPlanner:
         drawn = draw_candidates(situation, config.candidates, near, self._generator)
         view = self._best_view(situation, drawn)
         if view is None:
-            # The few drawn see nothing new; some cell beside the unknown may.
+            # No candidate gives new information; a frontier cell may.
             cells = frontier_cells(situation)
             if len(cells) > config.candidates:
                 cells = self._generator.choice(cells, config.candidates, replace=False)
@@ -184,7 +184,7 @@ class ViewPlanner:
         return self._view(situation, cells, index, heading, ratings.max(axis=1))
 
     def _anywhere(self, situation: Situation) -> PlannedView:
-        """Method (i): anywhere that can be reached, in any heading."""
+        """Method (i): a random reachable cell and heading."""
         cells = np.argwhere(np.isfinite(situation.paths.lengths))
         index = int(self._generator.integers(len(cells)))
         heading = int(self._generator.integers(self.config.headings))
@@ -218,10 +218,10 @@ class ViewPlanner:
         return None
 
     def _nearest_frontier(self, situation: Situation) -> PlannedView | None:
-        """Choose the nearest free cell beside the unknown that shows enough of it.
+        """Choose the nearest frontier cell with enough new area in view.
 
-        Without "enough" it would clear up every sliver around it, a scan for each. Where no cell
-        shows enough, the one that shows most is taken.
+        Without this threshold every small unknown area nearby would get a scan of its own. Where no
+        cell has enough, the one with the largest new area is chosen.
         """
         cells = frontier_cells(situation)
         cells = cells[np.argsort(situation.distance(cells), kind="stable")]
@@ -254,7 +254,7 @@ def new_and_old_area(
 
     Args:
         config: Sensor and headings.
-        situation: Map as believed.
+        situation: Estimate of the map.
         cells: (n, 2) rows and columns of the views.
 
     Returns:
@@ -267,15 +267,15 @@ def new_and_old_area(
 
 
 Rated: TypeAlias = tuple[FloatArray, BoolArray]
-"""(n, headings) ratings, and which views bring anything new."""
+"""(n, headings) ratings, and whether each view gives new information."""
 
 
 def _rate_by_area(config: PlannerConfig, situation: Situation, cells: IntArray) -> Rated:
     """Rate views by area: methods (iii) max_new and (iv) min_old.
 
-    Method (iii) wants the largest expected new region, whatever the path to it. Method (iv) wants
-    the smallest known region, among views of anything new at all: without that condition it would
-    face the nearest wall for ever.
+    Method (iii) maximises the expected new area, whatever the path to it. Method (iv) minimises the
+    known area among views with any new area: without that condition it would always face the
+    nearest wall.
     """
     new, old = new_and_old_area(config, situation, cells)
     return new if config.method == "max_new" else -old, new > MIN_NEW
@@ -297,11 +297,11 @@ def _rate_by_information(config: PlannerConfig, situation: Situation, cells: Int
 def expected_information(
     config: PlannerConfig, situation: Situation, cells: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the information that views are expected to bring.
+    """Return the expected information of views.
 
     Args:
         config: Sensor, reading and headings.
-        situation: Map as believed.
+        situation: Estimate of the map.
         cells: (n, 2) rows and columns of the views.
 
     Returns:
@@ -360,7 +360,7 @@ def rate_rating(
         information: (n, headings) NI or a weighted one.
         distance: (n,) length of the path there over the depth of field, d / D.
         probability: (n,) P that the pose is occupied.
-        scan_path: Path that a scan is worth over the depth of field, s / D = v t_scan / D.
+        scan_path: Path length equivalent to a scan over the depth of field, s / D = v t_scan / D.
 
     Returns:
         (n, headings) ratings.
@@ -372,9 +372,9 @@ def isolation_weights(known: BoolArray, width: int, gain: float) -> FloatArray:
     """Return the weight of cells by the share of known cells around them.
 
     Args:
-        known: (rows, columns) cells that were measured; outside the map all counts as known.
+        known: (rows, columns) measured cells; outside the map all cells count as known.
         width: Side of the square neighbourhood [cells], made odd.
-        gain: Additional worth of a cell amid known ones only.
+        gain: Additional weight of a cell amid known ones only.
 
     Returns:
         (rows, columns) 1 + gain * share of known cells around.
@@ -386,16 +386,16 @@ def isolation_weights(known: BoolArray, width: int, gain: float) -> FloatArray:
 class PlanarTeam:
     """Equal robots that share a map and choose their next poses in rounds.
 
-    A round: every robot chooses a pose, goes there and scans. Cooperating robots choose one after
-    the other; each claims the cells that its view should see, so that the next ones do not count
-    them. Independent robots choose by the map alone. Robots are points to each other: they neither
-    hide ground nor block paths.
+    In a round every robot chooses a pose, drives there and scans. Cooperating robots choose one
+    after the other; each claims the cells expected in its view, which the next ones then ignore.
+    Independent robots choose by the map alone. Robots neither occlude each other's views nor block
+    each other's paths.
 
     Args:
         robots: Number of robots.
         config: Configuration of every planner.
         generator: Random generator that is split among the robots.
-        cooperative: Whether robots claim the cells that they will see.
+        cooperative: Whether robots claim the cells of their next views.
 
     Raises:
         ValueError: If there is no robot.
@@ -423,10 +423,10 @@ class PlanarTeam:
             cells: Present row and column of each robot.
 
         Returns:
-            A view for each, or None where nothing new is left for it.
+            Next view of each robot; None where no pose gives new information.
 
         Raises:
-            ValueError: If there is not one cell for each robot.
+            ValueError: If the number of cells is not that of the robots.
         """
         if len(cells) != len(self._planners):
             raise ValueError(f"cells: expected {len(self._planners)}, got {len(cells)}")

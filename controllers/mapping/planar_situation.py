@@ -1,4 +1,4 @@
-"""The map as a planner believes it, paths on it, and cells for the next view."""
+"""A planner's estimate of the map, paths on it, and candidate cells for the next view."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ _SIDES = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
 
 @dataclasses.dataclass(frozen=True)
 class Situation:
-    """The map as believed, and the paths on it.
+    """Estimate of the map with claimed cells, and the paths on it.
 
     Attributes:
         probability: (rows, columns) probability of occupancy; claimed cells count as free.
@@ -42,14 +42,14 @@ def believe(
     world: PlanarMap, cell: tuple[int, int], sensor: RangeSensor, rays: int,
     claimed: BoolArray | None = None,
 ) -> Situation:  # fmt: skip
-    """Return the map and the paths on it, taking claimed cells for seen and empty.
+    """Return the map and the paths on it, with claimed cells as known and free.
 
     Args:
         world: Map of the plane.
         cell: Present row and column.
         sensor: Field of view and depth of field of the vision system.
         rays: Number of rays of a full fan.
-        claimed: (rows, columns) cells that another robot is about to see.
+        claimed: (rows, columns) cells of other robots' next views.
     """
     probability = world.probability()
     opaque = world.measured & (probability >= world.model.occupied_above)
@@ -67,10 +67,10 @@ def draw_candidates(
 ) -> IntArray:
     """Draw reachable free cells (n, 2): the present one, half nearby and half anywhere.
 
-    Few evenly drawn positions would leave none near enough to continue at the present one.
+    With few uniformly drawn positions, none would be near the present one.
 
     Args:
-        situation: Map as believed.
+        situation: Estimate of the map.
         count: Greatest number of cells.
         near: Path length within which half of them lie [m].
         generator: Random generator for the draw.

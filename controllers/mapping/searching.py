@@ -1,9 +1,9 @@
 """Search for the target, before a robot is localized (Thesis section 3.2.2).
 
-The head turns from view to view over all sides. A possible marker is a hint: the head turns to it
-at once, so that the whole target comes into view. The arm takes up only postures in the space that
-is free when the robot is set down, for nothing else is known to be free yet. The wrist makes up for
-the robot's tilt, so that the view is level on a slope too.
+The head turns from view to view in all directions. A possible marker is a hint: the head turns to
+it at once, so that the whole target comes into view. The arm uses only postures in the space that
+is free at the robot's start, for no other space is known to be free yet. The wrist compensates the
+robot's tilt, so that the view is level on a slope too.
 """
 
 import dataclasses
@@ -24,14 +24,13 @@ class TargetSearchConfig:
     """Configuration of the search for the target.
 
     Attributes:
-        turns: Yaws of the views [rad], in their order: ahead first. Less apart than a field of
-            view: one marker in either image is hint enough.
+        turns: Yaws of the views in their order, ahead first [rad]. The steps are smaller than the
+            field of view, for one marker in either image is a sufficient hint.
         lift: Turn of the wrist from the home posture [rad].
         bend: Greatest turn of the wrist from its posture's, to a hint or against a tilt [rad].
-        alike: Greatest difference of a joint between two views that show the same [rad].
-        slack: Greatest distance of two markers of one target, over its extent: distances are
-            measured.
-        alone: Weight of a possible marker in only one image, against 1 of one in both.
+        alike: Greatest difference of a joint between two equivalent views [rad].
+        slack: Greatest measured distance of two markers of one target, over the target's extent.
+        alone: Weight of a possible marker in only one image, relative to one in both.
     """
 
     turns: tuple[float, ...] = (0.0, 0.55, -0.55, 1.1, -1.1, 1.65, -1.65, 2.2, -2.2)
@@ -43,12 +42,12 @@ class TargetSearchConfig:
 
 
 class TargetSearch:
-    """One robot's search.
+    """Sequence of one robot's search views.
 
     Args:
         arm: Chain of the arm, with the left camera as its tool.
-        home: (joints,) initial posture of the arm, low [rad].
-        survey: (joints,) posture with the head high, above the obstacles before it [rad].
+        home: (joints,) initial posture of the arm with the head low [rad].
+        survey: (joints,) posture with the head above obstacles ahead [rad].
         extent: Greatest distance between two markers of the target [m].
         config: Configuration of the search; None for the default.
     """
@@ -95,7 +94,7 @@ class TargetSearch:
         return next((view for view in level if self._is_new(view)), None)
 
     def _views(self) -> Iterator[FloatArray]:
-        """Yield the views over all sides: ahead from both postures, then around from each."""
+        """Yield the views in all directions: ahead from both postures, then the others."""
         ahead, *sides = self._config.turns
         order = [(posture, ahead) for posture in self._postures]
         order += [(posture, turn) for posture in self._postures for turn in sides]
@@ -118,7 +117,7 @@ class TargetSearch:
         return all(np.abs(view - tried).max() > self._config.alike for tried in self._tried)
 
     def _likeliest(self, hints: PossibleMarkers) -> FloatArray | None:
-        """Return the middle (3,) of the heaviest hints that one target can hold, camera frame."""
+        """Return the middle (3,) [m] of the heaviest hints that fit in one target, camera frame."""
         points = np.concatenate([hints.paired, hints.alone])
         if not len(points):
             return None
@@ -130,16 +129,16 @@ class TargetSearch:
 
 
 def aim(arm: SerialChain, place: ArrayLike, posture: ArrayLike, bend: float = np.pi) -> FloatArray:
-    """Return a posture with yaw and wrist such that the left camera looks at a point.
+    """Return a posture with yaw and wrist such that the left camera points at a position.
 
     Args:
         arm: Chain of the arm, with the left camera as its tool.
-        place: (3,) point to look at [m], robot frame.
-        posture: (joints,) posture whose joints between yaw and wrist stay [rad].
+        place: (3,) position to point at [m], robot frame.
+        posture: (joints,) posture whose joints between yaw and wrist are unchanged [rad].
         bend: Greatest turn of the wrist from the posture's [rad].
 
     Returns:
-        (joints,) posture within the limits, as near to the aim as they allow [rad].
+        (joints,) posture within the limits that points as closely as they allow [rad].
     """
     fixed, point = np.asarray(posture, dtype=float), np.asarray(place, dtype=float)
     limits, turn = arm.limits, fixed[-1] + bend * np.array([-1.0, 1.0])

@@ -1,4 +1,4 @@
-"""The map that robots share, and how a view enters it."""
+"""The robots' common map, and the fusion of views into it."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,10 +31,10 @@ _MISFIT = 6.0  # Squared normalised residuals per degree of freedom of markers t
 
 
 class SharedMap:
-    """Voxels, and the target that fixes their frame.
+    """Voxel map whose frame is defined by the target.
 
     Args:
-        voxels: Map, new or begun; the target will be at its origin.
+        voxels: Empty or partial map; the target is at its origin.
         geometry: Geometry of all stereo heads.
         cad: Markers of the target.
         stride: Distance between matched pixels [px].
@@ -45,7 +45,7 @@ class SharedMap:
         geometry: Geometry of all stereo heads.
         cad: Markers of the target.
         transform_target_to_world: Transform from the target to the world; None until a robot has
-            seen it.
+            detected it.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class SharedMap:
         sigma: ArrayLike,
         config: LocalizationConfig,
     ) -> RobotLocalization | None:
-        """Localize a robot that sees the target; the first one to see it defines the world.
+        """Localize a robot by the target in its view; the first detection defines the world.
 
         Args:
             arm: Chain of the robot's arm, with the left camera as its tool.
@@ -82,7 +82,7 @@ class SharedMap:
             config: Standard deviations of the camera pose by arm and inclinometer.
 
         Returns:
-            The localization; None if the target is not in view.
+            Localization of the robot; None if the target is not detected.
         """
         target = find_target(pair, self.geometry, self.cad, sigma)
         if target is None:
@@ -127,10 +127,10 @@ class SharedMap:
         Args:
             camera: Pose of the left camera.
             points: Matched points, camera frame.
-            excluded: (M, 4) spheres about the robots, which move: centre and radius [m], world.
+            excluded: (M, 4) spheres about the moving robots: centre and radius [m], world.
 
         Returns:
-            Number of points that entered the map.
+            Number of fused points.
         """
         near, far = self._reach
         inside = (points.points[:, 2] >= near) & (points.points[:, 2] <= far)
@@ -146,7 +146,7 @@ class SharedMap:
         )
 
     def occupied_and_free(self, points: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Return (N,) which points (N, 3) [m] lie in occupied voxels, and which are free."""
+        """Return (N,), whether points (N, 3) [m] are in occupied voxels, and in free ones."""
         occupied = self.voxels.states(points) == State.OCCUPIED
         free = self.voxels.probabilities(points) < 0.05  # noqa: PLR2004
         return np.asarray(occupied), np.asarray(free)

@@ -1,9 +1,9 @@
 """Robots with stereo heads on their arms build one map together, view by view.
 
 Each robot searches for the target, which localizes it (Thesis section 3.2.2). From then on its
-views enter the common map (3.2.3), its camera's pose is corrected by the scene itself (3.2.5), and
-it chooses its next view (3.2.4) while the others do the same: the cells that a chosen view should
-show are claimed, so that no other robot counts them.
+views are fused into the common map (3.2.3), its camera's pose is corrected by fiducials of the
+scene (3.2.5), and it chooses its next view (3.2.4) at the same time as the others: the cells
+expected in a chosen view are claimed, so that the other robots ignore them.
 """
 
 import dataclasses
@@ -35,14 +35,14 @@ class _Head:
         arm: Chain of the arm, with the left camera as its tool.
         search: Search for the target.
         move: Motion of the arm to the present view.
-        localization: Localization of the robot; None until it has seen the target.
-        offsets: (12,) indices, in the map of fiducials, of the errors that its views share.
+        localization: Localization of the robot; None until it has detected the target.
+        offsets: (12,) indices, in the map of fiducials, of the errors common to its views.
         taken: Number of views taken.
         pending: Indices, among all views, of those taken before the robot was localized.
         rated: Candidates of the decision for the present goal.
-        claims: Unknown cells that the view at the present goal should show.
+        claims: Unknown cells expected in the view at the present goal.
         raster: Index of the next view of the raster.
-        done: Whether it has taken all its views, or found none that it can reach.
+        done: Whether the robot has taken all its views, or no further one is reachable.
     """
 
     arm: SerialChain
@@ -64,19 +64,19 @@ class StereoMapper:
     Nothing moves before the first `step`.
 
     Args:
-        robots: Robots by name, each with a stereo head on its arm; all heads are alike.
-        shared: Map that the robots build, new or begun.
+        robots: Robots by name, each with a stereo head on its arm; all heads have one geometry.
+        shared: Common map of the robots, empty or partial.
         config: Configuration of the motions, views and decisions.
         rng: Random generator for candidate views.
-        on_view: Called once after each view, for recording.
-        localizations: Localization of the robots that have one already, by name; they need a map
-            whose frame is known.
+        on_view: Function called once after each view, for recording.
+        localizations: Initial localization of robots that have one, by name; they need a map whose
+            frame is known.
 
     Attributes:
-        shared: Map that the robots build.
-        localizer: Fiducials of the scene, and the camera poses that they give.
-        views: All views so far, in the order in which they were taken. One that was taken before
-            its robot was localized is completed once it is.
+        shared: Common map of the robots.
+        localizer: Correction of camera poses by fiducials of the scene.
+        views: All views so far, in their order. A view of a robot that was not localized yet is
+            completed once it is.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class StereoMapper:
 
     @property
     def done(self) -> bool:
-        """Whether no robot will take another view."""
+        """Whether all robots have taken their views."""
         return all(head.done for head in self._heads.values())
 
     @property
@@ -112,7 +112,7 @@ class StereoMapper:
         return {name: head.localization for name, head in heads if head.localization is not None}
 
     def reset(self) -> None:
-        """Forget the robots' localizations and goals; the map stays."""
+        """Clear the robots' localizations and goals, but not the map."""
         self._heads = {}
         survey, extent = self._config.views.survey, self.shared.cad.extent
         for name, robot in self._robots.items():
@@ -142,7 +142,7 @@ class StereoMapper:
         Args:
             name: Name of the robot.
             seen: Observation of the robot.
-            arms: (joints,) angles of all robots' arms now, as far as they are known [rad].
+            arms: (joints,) present angles of the robots' arms by name, where known [rad].
         """
         head = self._heads[name]
         known = seen.inclinometer.usable and seen.stereo.usable
@@ -203,7 +203,7 @@ class StereoMapper:
         return dataclasses.replace(view, prediction=prediction, correction=correction)
 
     def _bodies(self, arms: Mapping[str, FloatArray]) -> FloatArray:
-        """Return (M, 4) spheres, centre and radius [m], about the robots that are localized."""
+        """Return (M, 4) spheres, centre and radius [m], world, about the localized robots."""
         spheres = [np.zeros((0, 4))]
         for name, localization in self.localizations.items():
             if name not in arms:
@@ -230,7 +230,7 @@ class StereoMapper:
         """Return the next view (joints,) of a robot [rad].
 
         Raises:
-            ViewError: If there is none.
+            ViewError: If no view is left.
         """
         angles = view.angles
         if head.localization is None:
@@ -267,7 +267,7 @@ class StereoMapper:
         return np.logical_or.reduce(others) if others else None
 
     def _collides(self, views: ArmViews) -> Collides:
-        """Return the test of which points may not be free for one robot's arm."""
+        """Return the collision test of points for one robot's arm."""
         base = views.arm.transform_base_to_robot.translation
         to_robot = views.transform_robot_to_world.inv()
         radius, height = self._config.clear

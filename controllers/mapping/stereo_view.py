@@ -21,7 +21,7 @@ class MapperConfig:
     Attributes:
         method: Method that chooses the next view; one of `METHODS`.
         scans: Number of views of each robot, those that search for the target included.
-        search_scans: Number of further views of a robot that has not seen the target yet.
+        search_scans: Number of further views of a robot that has not detected the target yet.
         speed: Speed of the fastest joint between views [rad/s].
         rest: Time at the goal before a view is taken [s].
         near: Greatest joint error at which the goal counts as reached [rad].
@@ -29,16 +29,16 @@ class MapperConfig:
         reach: Nearest and farthest depth that enters the map [m].
         rays: Columns and rows of rays that rate a view.
         clear: Radius about the arm's base [m] and least height above it [m] of the space that is
-            free when the robot is set down: there the arm may move before it was seen.
-        aura: Margin about a robot's spheres that does not enter the map [m]: robots move.
+            free at the robot's start: there the arm may move before the space is mapped.
+        aura: Margin about a robot's spheres that is excluded from the map [m]: robots move.
         search: Configuration of the search for the target.
         views: Configuration of the drawing and rating of candidate views.
         localization: Standard deviations of the camera pose by arm and inclinometer.
         stereo: Configuration of stereo matching.
         localizer: Configuration of the correction of camera poses by fiducials of the scene.
         marker_sigma: (3,) standard deviations of a marker's column, row and disparity [px], as
-            measured on 217 markers in 56 rendered views from 0.5 to 1.2 m. Both images err alike,
-            for the centre of a disc's image is not the image of its centre.
+            measured on 217 markers in 56 rendered views from 0.5 to 1.2 m. The errors of both
+            images are correlated: the centre of a disc's image is not the image of its centre.
     """
 
     method: str = "information"
@@ -73,12 +73,12 @@ class StereoView:
     """One stereo pair, and its results.
 
     Attributes:
-        robot: Name of the robot that took it.
+        robot: Name of the robot.
         number: Index among this robot's views, from 0.
         time: Robot time of the pair [s].
         angles: (joints,) joint angles of the arm [rad].
         tilt: (2,) pitch and roll of the robot [rad].
-        arms: (joints,) angles of all robots' arms by name, as far as they were known [rad].
+        arms: (joints,) angles of the robots' arms by name, where known [rad].
         pair: (2, H, W) uint8 left and right image.
         points: Matched points, in the left camera's frame.
         rated: Candidates of the decision that led to this view; None if there was none.

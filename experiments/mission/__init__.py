@@ -1,7 +1,7 @@
 """The mission of two rovers, chapters 2 to 5 in one run (figure 1-5).
 
 - `mission`: options, measures and checks.
-- `scene`, `trial`: site and drawing; one mission, scored by the truth.
+- `scene`, `trial`: site and drawing; one mission, scored against the truth.
 - `results`: results of several missions by stage.
 - `figures`, `film`: figures, progress bars, pictures and a recording.
 """

@@ -1,4 +1,4 @@
-"""Figures of ``mission``: how it went, what was known when, and what each stage is worth."""
+"""Figures of ``mission``: site after each stage, errors of the estimates, and the ablation."""
 
 from collections.abc import Mapping, Sequence
 
@@ -33,7 +33,7 @@ def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
 
 
 def draw_knowledge(results: Sequence[MissionResult]) -> Figure:
-    """Draw the errors of the slot's position after each stage, and the deviations expected.
+    """Draw the errors of the slot's position after each stage, and the expected deviations.
 
     Args:
         results: Results of missions.
@@ -57,11 +57,11 @@ def draw_knowledge(results: Sequence[MissionResult]) -> Figure:
             axes.plot(
                 [spots[0] - 0.1, spots[0] + 0.1], [1e3 * float(np.median(sigmas))] * 2, "-",
                 color=COLOURS[robot], linewidth=2,
-                label=f"{robot}: r.m.s. that it expects" if stage == 0 else None,
+                label=f"{robot}: expected r.m.s. error" if stage == 0 else None,
             )  # fmt: skip
     axes.set_yscale("log")
     axes.set_xticks(place, [f"after {name}" for name in names])
-    axes.set(ylabel="place of the slot [mm]", title="What the robots know of the slot")
+    axes.set(ylabel="position of the slot [mm]", title="Errors of the estimated slot position")
     figure.legend(fontsize=8, ncols=2, loc="outside lower center")
     axes.grid(visible=True, axis="y", alpha=0.3)
     return figure
@@ -72,13 +72,13 @@ def draw_worth(
     stops: Mapping[str, Sequence[float]],
     off: Mapping[str, Sequence[float]],
 ) -> Figure:
-    """Draw what each stage is worth: cards inserted, first stops of the master, cards in the slot.
+    """Draw the ablation: cards inserted, first stops of the master, offsets of inserted cards.
 
     Args:
-        shares: Fractions with intervals, by the stage that is left out; "" for the whole.
-        stops: Distances of first stops from the camera's place [m], by the same; empty where the
-            master goes nowhere.
-        off: Distances of inserted cards from the slot's middle [m], by the same.
+        shares: Fractions with intervals, by omitted stage; "" for whole missions.
+        stops: Distances of first stops from the camera station [m], by omitted stage; empty where
+            the master does not drive.
+        off: Distances of inserted cards from the slot's middle [m], by omitted stage.
     """
     figure = Figure(figsize=(12.0, 3.8), layout="constrained")
     inserted, stopped, seated = figure.subplots(1, 3)
@@ -91,7 +91,7 @@ def draw_worth(
     for spot, colour, kind in zip(place, colours, shares):
         _scatter(stopped, spot, 100.0 * np.asarray(stops[kind], dtype=float), colour, "stays")
         _scatter(seated, spot, 1e3 * np.asarray(off[kind], dtype=float), colour, "none is in")
-    stopped.set(ylabel="first stop from the camera's place [cm]", ylim=(0.0, None))
+    stopped.set(ylabel="first stop from the camera station [cm]", ylim=(0.0, None))
     seated.set(ylabel="inserted card from the slot's middle [mm]", ylim=(0.0, None))
     labels = [f"without\n{name}" if name else "whole\nmission" for name in shares]
     for axes in (inserted, stopped, seated):
@@ -101,7 +101,7 @@ def draw_worth(
 
 
 def _scatter(axes: Axes, spot: float, values: FloatArray, colour: str, without: str) -> None:
-    """Draw values beside each other about a place, and their median; or say why there is none."""
+    """Draw values beside each other about a position, and their median; without values, a text."""
     places = spot + np.linspace(-0.2, 0.2, len(values))
     axes.plot(places, values, "o", color=colour, alpha=0.7, markersize=4)
     if len(values):

@@ -20,7 +20,7 @@ from twin.record import Recorder
 
 _LASTS = {"identify": 13.5, "find": 12.0, "meet": 13.0, "map": 9.0, "place": 22.0, "insert": 20.0}
 _ANY_LASTS = 15.0
-"""About how long stages take [s], for the bars; `_ANY_LASTS` is of a stage without a name there."""
+"""Typical durations of stages for the progress bars [s]; `_ANY_LASTS` for any other stage."""
 _POINTS = 30_000
 Steps = list[tuple[str, float, ImageArray]]
 
@@ -51,7 +51,7 @@ class _Bars(LoopRecorder):
 
 
 class _StepPictures(LoopRecorder):
-    """Takes a picture of the site at the end of each stage, where it is simulated here."""
+    """Renders the site at the end of each stage, if it is simulated in this process."""
 
     def __init__(self, mission: Mission) -> None:
         self.steps: Steps = []
@@ -85,7 +85,7 @@ class _Notes(LoopRecorder):
             self._map(stage)
 
     def _map(self, stage: FindPanel | MapTogether) -> None:
-        """Show the map as it is, once the panel has been found."""
+        """Log the present map, once the panel has been found."""
         shared = stage.mapper.shared
         if shared.transform_target_to_world is not None:
             surface = shared.voxels.surface()
@@ -103,8 +103,8 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionRe
         recording: File of a recording for the rerun viewer; None for none.
 
     Returns:
-        The result, and names of the stages, when they ended [s] and pictures of the site; no
-        pictures without a simulation in this process.
+        The result, and for each stage its name, end time [s] and picture of the site; no pictures
+        without a simulation in this process.
     """
     columns = (
         TextColumn("{task.description:9}"), BarColumn(), TimeElapsedColumn(),

@@ -1,11 +1,11 @@
-"""``mission``: two rovers are dropped before a slot, and insert a card by what they find out.
+"""``mission``: two rovers start near a slot, and insert a card by their own estimates.
 
-One continuous run: both swing their arms and learn how they pitch on their springs (chapter 2); the
-master finds the panel and maps the place (chapter 3); it finds the card in the slave's gripper, and
-the slave learns from what the master sees how far it turns when its wheels roll; the master goes
-where card and slot are seen best (chapter 4), finds the panel again, and guides the slave, which
-feeds forward how its arm will tilt it on the springs (chapter 5). Each stage uses what the stages
-before it have estimated. The ablation leaves a stage out.
+One continuous run: both swing their arms and identify their pitch dynamics (chapter 2); the master
+finds the panel and maps the site (chapter 3); it finds the card in the slave's gripper, and the
+slave identifies its turn share from the master's measurements; the master drives to the best camera
+station for card and slot (chapter 4), finds the panel again, and guides the slave, which feeds
+forward its tilt on the springs under the arm (chapter 5). Each stage uses the estimates of earlier
+stages. The ablation leaves a stage out.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ from experiments.mission.trial import MissionResult, MissionTrial, run_mission
 ROBOTS = ("sim", "quantised", "emulated")
 WANTED = 0.9
 _SLIP_STAGE = "identification"
-"""Stage on which dead reckoning rests."""
+"""Part whose omission degrades dead reckoning."""
 Results = list[MissionResult]
 
 
@@ -88,7 +88,7 @@ def run(options: Options, output: Output) -> None:
             ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``stops`` and ``card_off_middle_mm`` of
             whole missions and without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
             ``card_off_middle_more_by_mm/without_<stage>`` (where both inserted),
-            ``wall_over_sim_time`` and what each stage knew.
+            ``wall_over_sim_time`` and the errors of the estimates after each stage.
     """
     seeds = options.job_seeds(20, 1)
     kinds = ("", *options.ablations)
@@ -156,7 +156,7 @@ def _suffix(kind: str) -> str:
 
 
 def _compare(kind: str, whole: Results, results: Results, output: Output) -> None:
-    """Measure what a stage is worth: the same seeds with and without it."""
+    """Compare missions of the same seeds with and without a stage."""
     share, without = _success(whole), _success(results)
     output.measure(f"success_fraction/without_{kind}", without)
     with_it, left_out = ([bool(r.success) for r in each] for each in (whole, results))
@@ -177,7 +177,7 @@ def _compare(kind: str, whole: Results, results: Results, output: Output) -> Non
 
 
 def _compare_places(kind: str, whole: Results, results: Results, output: Output) -> None:
-    """Measure by how much master and card miss their places by more without a stage."""
+    """Measure the increase of the master's and the card's position errors without a stage."""
     more = {
         "first_stop_miss_more_by_mm": [
             1e3 * (b.misses[0, 0] - a.misses[0, 0])
@@ -213,7 +213,7 @@ def _measure_stops(kind: str, results: Results, output: Output) -> None:
 
 
 def _measure_stages(results: Results, output: Output) -> None:
-    """Store what is known after each stage, over the missions that have ended it."""
+    """Store the errors of the estimates after each stage, over the missions that have ended it."""
     rows: list[list[Any]] = []
     for name in stages_of(results):
         if name == "insert":

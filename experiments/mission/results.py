@@ -24,7 +24,7 @@ def stages_of(results: Results) -> list[str]:
 
 
 def after_stage(results: Results, name: str) -> list[StageResult]:
-    """Return what a stage has led to in the missions that have ended it.
+    """Return the results of a stage in the missions that have ended it.
 
     Args:
         results: Results of missions.
@@ -34,7 +34,7 @@ def after_stage(results: Results, name: str) -> list[StageResult]:
 
 
 def stage_seconds(result: MissionResult) -> dict[str, float]:
-    """Return how long each stage of a mission took [s].
+    """Return the durations of a mission's stages [s], by name.
 
     Args:
         result: Result of the mission.
@@ -44,10 +44,10 @@ def stage_seconds(result: MissionResult) -> dict[str, float]:
 
 
 def first_stops(cells: Mapping[str, Results]) -> dict[str, list[float]]:
-    """Return how far from the camera's place the master stopped at first [m], by kind of mission.
+    """Return the distances of the master's first stops from its station [m], by kind of mission.
 
     Args:
-        cells: Results of missions, by kind; missions that stayed are left out.
+        cells: Results of missions, by kind; missions without a drive are left out.
     """
     return {
         kind: [float(result.misses[0, 0]) for result in results if len(result.misses)]
@@ -56,7 +56,7 @@ def first_stops(cells: Mapping[str, Results]) -> dict[str, list[float]]:
 
 
 def off_middle(cells: Mapping[str, Results]) -> dict[str, list[float]]:
-    """Return how far inserted cards ended from the slot's middle [m], by kind of mission.
+    """Return the final distances of inserted cards from the slot's middle [m], by kind of mission.
 
     Args:
         cells: Results of missions, by kind.

@@ -32,7 +32,7 @@ INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR = 0.06, 0.10
 """Greatest error of an initial pose, in x and y [m] and in yaw [rad]; errors are uniform."""
 PANEL = PanelConfig((-0.5, -0.3), yaw=math.pi / 2, tilt=0.3)
 SURVEY_PLACE, SURVEY_TURN = 1e-3, 1e-3
-"""Deviations by which the site differs from its drawing, along each axis [m] and about it [rad]."""
+"""Standard deviations of the site from its drawing, along [m] and about [rad] each axis."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +71,7 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
 
 
 def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
-    """Return the drawing, which differs from what was built.
+    """Return the drawing, which differs from the true scene.
 
     Args:
         scene: Scene as built.
@@ -99,5 +99,5 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
 
 
 def roles() -> MissionRoles:
-    """Return both robots as drawn: the slave holds the card."""
+    """Return the descriptions of both robots; the slave holds the card."""
     return MissionRoles(describe_rover(MASTER), describe_rover(SLAVE, card=True))

@@ -1,4 +1,4 @@
-"""One mission, from the initial poses to the seated card, scored by the truth."""
+"""One mission, from the initial poses to the seated card, scored against the truth."""
 
 import contextlib
 import dataclasses
@@ -97,11 +97,11 @@ class Mission:
 
 @dataclasses.dataclass(frozen=True)
 class StageResult:
-    """What a stage has led to.
+    """Errors and covariances of the estimates after a stage.
 
     Attributes:
         name: Name of the stage.
-        ended: Robot time at which both robots had ended it [s].
+        ended: Robot time at which both robots had ended the stage [s].
         master_error: (3,) error of the slot's position as the master estimates it, slot frame [m].
         master_sigma: (3,) standard deviations that the master expects, robot frame [m].
         slave_error: (3,) error of the slot's position as the slave estimates it, slot frame [m].
@@ -120,15 +120,15 @@ class StageResult:
 
 @dataclasses.dataclass(frozen=True)
 class MissionResult:
-    """What a mission has led to.
+    """Result of a mission.
 
     Attributes:
         success: Whether the slave reports success and the card is truly seated.
-        reason: Why it failed; empty if it did not.
-        seconds: Robot time that it took [s].
+        reason: Reason of the failure; empty without one.
+        seconds: Duration in robot time [s].
         wall_over_sim: Wall time for each second of robot time.
         peak: Largest true force on the card during the insertion [N]; NaN where it is not known.
-        across: Place of the card across the slot at the end [m].
+        across: Position of the card across the slot at the end [m].
         ahead: Depth of the card in the slot at the end [m].
         stages: Stages that have ended, in their order.
         misses: (stops, 2) distance of the master from its station [m] and from its heading [rad]
@@ -152,11 +152,11 @@ class MissionResult:
 
 
 class MissionScorer(LoopRecorder):
-    """Measures a mission by the truth, which no controller sees.
+    """Scores a mission against the truth, which no controller has access to.
 
     Attributes:
-        peak: Largest true force on the card during the insertion [N]; before, nothing touches it.
-            NaN where it is not known.
+        peak: Largest true force on the card during the insertion [N], 0 before it; NaN where it is
+            not known.
         stages: Results of the stages that have ended.
         misses: Distance of the master from its station [m] and its heading [rad] at each stop.
     """
@@ -276,7 +276,7 @@ def run_mission(trial: MissionTrial) -> MissionResult:
 
 
 def _miss(poses: Mapping[str, RigidTransform], station: CameraStation) -> tuple[float, float]:
-    """Return how far a robot is from a camera station [m] and from its heading [rad]."""
+    """Return a robot's distance from a camera station [m] and from its heading [rad]."""
     if not poses:
         return math.nan, math.nan
     ground = insertion_drawing(CARD_AND_SLOT.slot_widths[-1]).transform_slot_to_ground
@@ -295,6 +295,6 @@ def _offset(poses: Mapping[str, RigidTransform], believed: RigidTransform) -> Fl
 
 
 def _sigma(believed: RigidTransform, covariance: FloatArray) -> FloatArray:
-    """Return (3,) deviations of the place of a pose with a covariance of its xi."""
+    """Return (3,) standard deviations of the position of a pose with covariance (6, 6) [m]."""
     motion = point_jacobian(believed.translation)
     return np.sqrt(np.diag(motion @ covariance @ motion.T))
