@@ -145,6 +145,13 @@ def test_reach_beyond_the_footprint_is_cut_short():
     assert refused.report == "refused: the arm's pose is at the edge of tipping as is"
 
 
+def test_motion_that_is_only_cut_short_is_no_faster_than_requested():
+    sweep = Sweep(np.array([1.4]), np.array([0.0]), 30.0)
+    verdict = guard(footing(3.0), sweep)
+    assert 0.0 < verdict.sweep.part < 1.0 and verdict.margin < 0.0
+    assert verdict.stretch == 1.0 and verdict.sweep.duration == 30.0
+
+
 def test_motion_of_another_arm_is_an_error_and_not_a_rover_that_tips():
     with pytest.raises(ValueError, match="expected 1 finite numbers"):
         guard(footing(0.5), Sweep(np.zeros(3), np.full(3, 0.1), 1.0))

@@ -140,6 +140,41 @@ def test_where_backing_off_saves_no_turns_it_goes_straight(goal) -> None:
     assert not asked
 
 
+def _turned(goal: np.ndarray) -> float:
+    """Return the turns [rad] before and after a drive to (3,), from angles between headings."""
+    heading = np.array([-math.sin(goal[2]), math.cos(goal[2])])
+    path = goal[:2] / np.linalg.norm(goal[:2])
+    if path[1] < 0.0:  # The rover faces y; it drives backwards to what is behind it.
+        path = -path
+    return math.acos(path[1]) + math.acos(np.clip(path @ heading, -1.0, 1.0))
+
+
+def test_it_backs_off_exactly_where_that_halves_the_turns() -> None:
+    goals = np.random.default_rng(4).uniform([-0.5, -0.5, -3.0], [0.5, 0.5, 3.0], (200, 3))
+    backed = []
+    for goal in goals:
+        asked: list[np.ndarray] = []
+        DriveToPose(STEER, goal, free=lambda pose, asked=asked: (asked.append(pose), True)[1])
+        heading = np.array([-math.sin(goal[2]), math.cos(goal[2]), 0.0])
+        behind = goal - DriveToPoseConfig().back_off * heading
+        backed.append(bool(asked))
+        assert backed[-1] == (_turned(behind) < 0.5 * _turned(goal))
+    assert 10 < sum(backed) < 190
+
+
+@pytest.mark.parametrize("degrees", [60.0, -60.0, 120.0, -120.0])
+def test_a_goal_within_a_quarter_turn_is_reached_forwards_and_others_backwards(degrees) -> None:
+    course = math.radians(degrees)
+    goal = [-0.5 * math.sin(course), 0.5 * math.cos(course), 0.0]
+    motions: list[tuple[float, float]] = []
+    driver = DriveToPose(STEER, goal, free=lambda pose: False)
+    np.testing.assert_allclose(drive(driver, SHARE, motions=motions)[:2], goal[:2], atol=0.01)
+    forward = np.array(motions)[:, 0]
+    assert forward.sum() * PERIOD == pytest.approx(math.copysign(0.5, 90.0 - abs(degrees)), abs=0.02)
+    # To the course and back by 60 degrees each; the other direction would take 120 degrees each.
+    assert math.radians(115.0) < driver.odometry.turned < math.radians(180.0)
+
+
 def test_a_rover_that_believes_its_wheels_roll_goes_astray() -> None:
     ended = drive(DriveToPose(SkidSteer(RADIUS, HALF_TRACK, 1.0), (0.4, 0.3, 0.0)), SHARE)
     assert math.dist(ended[:2], (0.4, 0.3)) > 0.05

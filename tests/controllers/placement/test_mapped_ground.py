@@ -63,6 +63,32 @@ def test_nothing_mapped_is_free_everywhere_and_paths_are_straight():
         assert length(path) == pytest.approx(np.hypot(3.0, 0.2), abs=0.2)
 
 
+@pytest.mark.parametrize("towards", [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1)])
+def test_a_straight_path_on_free_ground_is_a_row_of_cells_from_the_start(towards):
+    start, towards = np.array([1.02, 0.47]), np.array(towards)
+    path = MappedGround(None, LEVEL).paths_from(start).path_to(start + 10 * HOW.cell * towards)
+    wanted = start + HOW.cell * np.arange(11)[:, None] * towards
+    np.testing.assert_allclose(path, wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("towards", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_paths_reach_as_far_to_every_side(towards):
+    start, count = np.array([1.02, 0.47]), round(HOW.reach / HOW.cell)
+    paths = MappedGround(None, LEVEL).paths_from(start)
+    assert paths.path_to(start + count * HOW.cell * np.array(towards)) is not None
+    assert paths.path_to(start + (count + 2) * HOW.cell * np.array(towards)) is None
+
+
+def test_a_goal_that_is_just_blocked_is_reached_from_the_neighbour_nearest_the_start():
+    goal = np.array([10 * HOW.cell, 0.0])
+    stake = np.tile([goal[0] + HOW.radius - 0.2 * HOW.cell, 0.0, 0.3], (3, 1))
+    ground = MappedGround(surface(stake), LEVEL)
+    assert not ground.is_free(goal) and ground.is_free(goal - [HOW.cell, 0.0])
+    path = ground.paths_from([0.0, 0.0]).path_to(goal)
+    wanted = [*(HOW.cell * np.arange(9)), goal[0]]
+    np.testing.assert_allclose(path, np.column_stack([wanted, np.zeros(10)]), atol=1e-12)
+
+
 def test_path_around_a_wall_is_as_short_as_the_rover_s_disc_allows():
     """Around the end of a wall the middle keeps a radius away: two tangents and an arc."""
     ground = MappedGround(surface(wall([0.0, -4.0], [0.0, 1.0])), LEVEL)
