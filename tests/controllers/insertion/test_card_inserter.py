@@ -234,6 +234,32 @@ def test_force_guides_by_what_pushes_across_and_along_the_slot_and_turns_in_its_
     np.testing.assert_allclose(felt[-1], slave.push[[0, 1, 5]], atol=2e-3)
 
 
+def test_slot_is_where_it_was_while_the_arm_has_not_moved_since_the_hand_over():
+    slave = Slave((0.0, -0.6, 0.0))
+    base = BaseTilt(*drawn_springs(describe_rover()), datasheets.ROVER.arm_mount)
+    inserter = slave.inserter(base=base)
+    inserter.step(slave.observe(), [])
+    slot = inserter.belief.slot_in_start
+    inserter._hand_over(slot)
+    np.testing.assert_allclose(inserter._slot_now(), slot, atol=1e-12)
+
+
+def test_arm_stays_where_it_is_measured_after_a_failure():
+    slave, inserter = approaching(timeout=0.0)
+    seen = slave.observe()
+    measured = slave.angles + [0.01, -0.02, 0.03, 0.01]
+    seen = seen._replace(arm_angles=seen.arm_angles._replace(value=measured))
+    for _ in range(2):
+        np.testing.assert_array_equal(inserter.step(seen, []).arm, measured)
+    assert inserter.reason == "out of time"
+
+
+def test_contact_without_a_wrench_is_six_zeros_on_the_way_and_unknown_while_inserting():
+    for (slave, inserter), contact in ((approaching(), 0.0), (inserting(), np.nan)):
+        inserter.step(slave.observe()._replace(arm_base_wrench=MISSING), [])
+        np.testing.assert_array_equal(inserter.contact, np.full(6, contact))
+
+
 def test_lost_wrench_in_contact_does_not_go_on():
     slave, inserter = inserting()
     ahead = slave.error()[1]

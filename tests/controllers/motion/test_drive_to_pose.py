@@ -169,8 +169,8 @@ def test_a_goal_within_a_quarter_turn_is_reached_forwards_and_others_backwards(d
     motions: list[tuple[float, float]] = []
     driver = DriveToPose(STEER, goal, free=lambda pose: False)
     np.testing.assert_allclose(drive(driver, SHARE, motions=motions)[:2], goal[:2], atol=0.01)
-    forward = np.array(motions)[:, 0]
-    assert forward.sum() * PERIOD == pytest.approx(math.copysign(0.5, 90.0 - abs(degrees)), abs=0.02)
+    driven = np.array(motions)[:, 0].sum() * PERIOD
+    assert driven == pytest.approx(0.5 if abs(degrees) < 90.0 else -0.5, abs=0.02)
     # To the course and back by 60 degrees each; the other direction would take 120 degrees each.
     assert math.radians(115.0) < driver.odometry.turned < math.radians(180.0)
 
