@@ -367,8 +367,7 @@ def _add_robot(scene: mujoco.MjSpec, robot: RobotPlacement, height: float, frict
         return
     rover = load_part("rover")
     for wheel in WHEELS:
-        tyre = rover.geom(f"{wheel}_tyre")
-        tyre.friction[0] = friction
+        rover.geom(f"{wheel}_tyre").friction[0] = friction
     scene.attach(rover, frame=frame, prefix=prefix)
     if robot.centre_locked:
         scene.add_equality(

@@ -165,8 +165,7 @@ def _connect_emulated(config: SceneConfig, bus_faults: float) -> Connection:
 
 
 def _connect_wires(wirings: Sequence[Wiring]) -> Connection:
-    slow_down = wirings[0].slow_down
-    clock = WallClock(SERVO_PERIOD, slow_down)
+    clock = WallClock(SERVO_PERIOD, wirings[0].slow_down)
     robots: dict[str, Robot] = {}
     links: dict[str, Link] = {}
     with contextlib.ExitStack() as opening:

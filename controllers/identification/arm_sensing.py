@@ -155,8 +155,7 @@ def read_arm(log: ObservationLog, config: SensingConfig) -> ArmRecord:
     measured = _differentiate(log.values("arm_angles"), seen)
     angles, rates, accelerations = _at(stamps, seen, *measured)
     base = _base_motion(log, config, stamps)
-    wrench = log.values("arm_base_wrench")
-    return ArmRecord(stamps, angles, rates, accelerations, base, wrench)
+    return ArmRecord(stamps, angles, rates, accelerations, base, log.values("arm_base_wrench"))
 
 
 def filter_alike(values: FloatArray, window: int, stride: int = 1) -> FloatArray:

@@ -138,8 +138,7 @@ class PayloadIdentifier:
             self._start = seen.arm_angles.value.astype(float)
             self._begin = seen.time
         angles, rates = swing_targets(self._config.swing, self._start, seen.time - self._begin)
-        command = Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)
-        return {self._robot: command}
+        return {self._robot: Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)}
 
     def estimate(self) -> PayloadEstimate:
         """Return the payload, from all that was recorded once the swing had faded in.
@@ -201,8 +200,7 @@ def estimate_payload(log: ObservationLog, config: PayloadIdentifierConfig) -> Pa
     gain = float(np.sum(raised_cosine(config.window) ** 2))
     sigma = np.array(config.wrench_noise) * np.sqrt(gain)
     rows = (matrix / sigma[:, None]).reshape(-1, COUNT)
-    right = (left / sigma).ravel()
-    return _solve(rows, right, times, config)
+    return _solve(rows, (left / sigma).ravel(), times, config)
 
 
 def parameter_scales(mass: float, distance: float) -> FloatArray:

@@ -314,5 +314,4 @@ class RoverIdentifier:
         return Excitation(*solution.x.tolist())
 
     def _command(self, angles: FloatArray, rates: FloatArray) -> Mapping[str, Command]:
-        command = Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)
-        return {self.config.robot: command}
+        return {self.config.robot: Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)}

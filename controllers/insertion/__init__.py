@@ -3,7 +3,6 @@
 Drawing and estimate:
 
 - `drawing`: card, slot, their markers, and obstacles about them.
-- `printed_frames`: the required motion by three points as printed (eqs 5-1 to 5-4), a reference.
 - `slot_belief`: the slave's estimate of the slot's pose.
 
 Contact, in the plane:

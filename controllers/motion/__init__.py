@@ -4,7 +4,6 @@
 - `arm_move`: an arm that goes to a posture, and pairs of images taken there at rest.
 - `base_motion`: motion of the base as measured.
 - `base_tilt`: tilt of the base on its springs under the arm.
-- `suspension`: springs and tyres as one compliance (eq. A-1).
 - `lagrange`: the nine coordinates of rover and arm, and their state space (eqs A-2, A-3).
 - `arm_control`: control of the arm on its yielding base (eq. A-4).
 - `tip_over`, `online_guard`: zero-moment point and guards against tipping (eq. A-5).

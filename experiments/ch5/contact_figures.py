@@ -47,8 +47,7 @@ def draw_states(width: float) -> Figure:
     for state in range(1, 7):
         tilt = {4: steepest + 4 * DEGREE, 5: 0.62 * steepest}.get(state, 7 * DEGREE)
         pose = pose_in_state(shape, state, 1, tilt, 0.008 if state in (1, 3) else 0.02)
-        axes = figure.add_subplot(2, 3, state)
-        _draw_state(axes, shape, pose, state)
+        _draw_state(figure.add_subplot(2, 3, state), shape, pose, state)
     note = "red: force of the slot on the card; dotted: edges of its friction cone"
     figure.text(0.5, 0.05, note, ha="center", fontsize=9)
     figure.subplots_adjust(hspace=0.15, wspace=0.1)

@@ -31,8 +31,7 @@ def draw_table(
     axes = figure.add_subplot()
     place = np.arange(len(widths), dtype=float)
     for offset, placement in ((-0.18, "optimal"), (0.18, "random")):
-        cells = [shares[placement, width] for width in widths]
-        mean, errors = error_bars(cells)
+        mean, errors = error_bars([shares[placement, width] for width in widths])
         axes.bar(place + offset, mean, 0.34, color=COLOURS[placement], label=placement)
         axes.errorbar(place + offset, mean, errors, fmt="none", color="k", capsize=3)
         axes.plot(

@@ -62,9 +62,9 @@ class Film(LoopRecorder):
         ellipses = seen_ellipses(team.master.marker_guide.fits)
         self.frames.append(np.hstack([_small(picture), eye_picture(pair[0], ellipses[0])]))
         stage = team.slave.inserter.stage.value
-        if stage in _MOMENTS and any(len(e) for e in ellipses):
-            if stage != "approach" or not self.pairs:
-                self.pairs[_MOMENTS[stage]] = (pair, ellipses)
+        shown = stage in _MOMENTS and any(len(e) for e in ellipses)
+        if shown and (stage != "approach" or not self.pairs):
+            self.pairs[_MOMENTS[stage]] = (pair, ellipses)
 
     def steps(self) -> list[tuple[float, ImageArray]]:
         """Return four times [s] and pictures of the scene."""

@@ -130,8 +130,7 @@ def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, home)
     mujoco.mj_forward(model, data)
-    voltages = arm_hold_voltage(model, data, MASTER)
-    for name, voltage in zip(ARM_JOINTS, voltages, strict=True):
+    for name, voltage in zip(ARM_JOINTS, arm_hold_voltage(model, data, MASTER), strict=True):
         model.key_ctrl[home, model.actuator(f"{MASTER}/{name}").id] = voltage
 
 

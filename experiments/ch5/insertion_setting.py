@@ -115,8 +115,7 @@ def prepare(trial: InsertionTrial) -> Setting:
         station = best_station(trial.width)
     else:
         station = random_camera_station(master, drawing, view_rng)
-    seed = int(scene_rng.integers(2**31))
-    field = dataclasses.replace(FIELD, seed=seed, texture_pixels=512)
+    field = dataclasses.replace(FIELD, seed=int(scene_rng.integers(2**31)), texture_pixels=512)
     beside, ahead, yaw = scene_rng.uniform([-0.03, 0.80, -0.07], [0.03, 0.90, 0.07])
     # The master came by dead reckoning, and knows where it is by the map.
     x, y, heading = np.array(station.place) + 0.01 * scene_rng.normal(size=3)

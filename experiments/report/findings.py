@@ -95,5 +95,4 @@ def _apart(result: Result, keys: Sequence[str], reasons: Sequence[Reason]) -> st
 
 
 def _why(reasons: Sequence[Reason], result: Result, name: str) -> str:
-    excuse = QUICK if result.config.get("quick") else UNKNOWN
-    return why(reasons, result.name, name) or excuse
+    return why(reasons, result.name, name) or (QUICK if result.config.get("quick") else UNKNOWN)

@@ -117,14 +117,15 @@ def _beam_cells(row: int, column: int, depth: float) -> list[tuple[int, int, int
         to_c = (2 * kc + 1) * ar if ac else None
         along_c = to_c is not None and (to_r is None or to_c <= to_r)
         along_r = to_r is not None and (to_c is None or to_r <= to_c)
-        leave = (2 * kc + 1) / (2 * ac) if along_c else (2 * kr + 1) / (2 * ar)
-        leave *= length
+        leave = length * ((2 * kc + 1) / (2 * ac) if along_c else (2 * kr + 1) / (2 * ar))
         kind = FULL if math.hypot(r, c) <= depth + 1e-9 else BEYOND
         cells.append((r, c, kind, entry, leave))
         if along_c and along_r and leave <= depth:
             # Through a corner: either neighbour would stop the beam.
-            cells.append((r, c + step_c, TOUCHED, leave, leave))
-            cells.append((r + step_r, c, TOUCHED, leave, leave))
+            cells += [
+                (r, c + step_c, TOUCHED, leave, leave),
+                (r + step_r, c, TOUCHED, leave, leave),
+            ]
         if along_c:
             c, kc = c + step_c, kc + 1
         if along_r:

@@ -120,8 +120,7 @@ def find_target(
         ValueError: If an image is empty or not grey of 8 bits.
     """
     _, _, seen = _spots_of_pair(pair, geometry, cad)
-    points = geometry.points(seen)
-    return _matched(seen, points, geometry, cad, np.asarray(sigma, dtype=float))
+    return _matched(seen, geometry.points(seen), geometry, cad, np.asarray(sigma, dtype=float))
 
 
 def possible_markers(
@@ -197,8 +196,7 @@ def _spot(
     if not (smallest <= major <= largest and minor >= FLATNESS * major):
         return None
     area = cv2.contourArea(contour.reshape(-1, 1, 2)) + len(contour) / 2.0 + 1.0
-    filled = area / (np.pi / 4.0 * minor * major)
-    if not ROUNDNESS <= filled <= 1.0 / ROUNDNESS:
+    if not ROUNDNESS <= (area / (np.pi / 4.0 * minor * major)) <= 1.0 / ROUNDNESS:
         return None
     wide = (axes[0] + 1.0) / 2.0, (axes[1] + 1.0) / 2.0
     scales = np.linspace(1.35, 0.8 / cad.dark, 3)
@@ -283,8 +281,7 @@ def _assignments(
     between: FloatArray, apart: FloatArray, allowed: FloatArray, matches: list[tuple[int, int]]
 ) -> Iterator[list[tuple[int, int]]]:
     """Yield all ways to match markers in order with points whose distances agree."""
-    first = matches[-1][0] + 1 if matches else 0
-    for marker in range(first, len(between)):
+    for marker in range(matches[-1][0] + 1 if matches else 0, len(between)):
         for point in range(len(apart)):
             if all(
                 point != other

@@ -62,8 +62,7 @@ def draw_calls(results: Sequence[DamagedCalls], bound: float) -> Figure:
     for result in results:
         calls = np.maximum(np.sort(result.call_ms), _LEAST_CALL)
         longer = 1.0 - np.arange(calls.size) / calls.size
-        label = f"{100 * result.rate:g} % damaged"
-        axes.step(calls, longer, where="post", label=label)
+        axes.step(calls, longer, where="post", label=f"{100 * result.rate:g} % damaged")
     axes.axvline(bound, color="k", linestyle="--", label="bound")
     axes.set(
         xscale="log", yscale="log", xlabel="call of the bus [ms]", ylabel="share of longer ones"

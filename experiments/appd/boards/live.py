@@ -171,14 +171,12 @@ class EchoPace:
 
 def keep_pace(duration: float, seed: int) -> LoopPace:
     """Drive emulated boards that run in real time, on the wall clock, as a real robot is driven."""
-    scene = SceneConfig((RobotPlacement(ROBOT),), seed=seed)
-    emulator = EmulatorProcess(scene, realtime=True)
+    emulator = EmulatorProcess(SceneConfig((RobotPlacement(ROBOT),), seed=seed), realtime=True)
     with contextlib.ExitStack() as resources:
         resources.callback(emulator.close)
         time.sleep(SINKING)
         robot_time = WallClock(PERIOD)
-        wiring = emulated_wiring(emulator, ROBOT)
-        robot = wired_robot(wiring, lambda: robot_time.time)
+        robot = wired_robot(emulated_wiring(emulator, ROBOT), lambda: robot_time.time)
         resources.callback(robot.close)
         boards = cast("WiredBoards", robot.boards)
         robot.home(np.array(emulator.state()[ROBOT]["arm_angles"]))

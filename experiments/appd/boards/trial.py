@@ -79,8 +79,7 @@ def fits_a_way(way: FloatArray, angles: FloatArray, count: float) -> bool:
         count: Angle of one count [rad].
     """
     first, last = np.triu_indices(len(angles), k=1)
-    between = (last - first)[:, None]
-    off = np.abs(angles[last] - angles[first] - way * between)
+    off = np.abs(angles[last] - angles[first] - way * (last - first)[:, None])
     return bool(np.all(np.any(off <= count, axis=0)))
 
 
@@ -188,7 +187,7 @@ class BoardBench:
         self.emulator.close()
 
 
-class _Motion:
+class _DriveAndSwing:
     """All eight motors turn: wheels the same way, joints to and fro about where they were."""
 
     def __init__(self, start: FloatArray, rng: np.random.Generator) -> None:
@@ -209,8 +208,7 @@ class _FaultInjection:
 
     def __init__(self, bench: BoardBench, kind: str, rng: np.random.Generator) -> None:
         self._bench, self._kind, self._rng = bench, kind, rng
-        wraps = kind == WRAP
-        self._address = int(rng.choice(WHEEL_BOARDS if wraps else ADDRESSES))
+        self._address = int(rng.choice(WHEEL_BOARDS if kind == WRAP else ADDRESSES))
         self._lead = int(rng.integers(*LEAD))
         # Half of the hosts stop at the first error; the others go on asking and commanding.
         self._gives_up = bool(rng.random() < 0.5)
@@ -244,12 +242,12 @@ class _FaultInjection:
             self._bench.robot = None
         return result
 
-    def _driving(self) -> tuple[BoardRobot, _Motion]:
+    def _driving(self) -> tuple[BoardRobot, _DriveAndSwing]:
         """Return the robot in motion; one that a busy machine stopped is started again."""
         said = ""
         for _ in range(_TRIES):
             robot = self._bench.renew(self._address if self._kind == WRAP else None)
-            motion = _Motion(self._bench.angles[4:], self._rng)
+            motion = _DriveAndSwing(self._bench.angles[4:], self._rng)
             # The counters must not wrap before they are looked at.
             for _ in range(0 if self._kind == WRAP else self._lead):
                 self._cycle(robot, motion.next_command())
@@ -266,7 +264,7 @@ class _FaultInjection:
                 robot.command(command)
         self._bench.emulator.tick()
 
-    def _after(self) -> Callable[[BoardRobot, _Motion], list[list[int]]]:
+    def _after(self) -> Callable[[BoardRobot, _DriveAndSwing], list[list[int]]]:
         """Return what makes this trial's fault happen, and returns the codes from then on."""
         own = {
             "controller_hang": self._hang,
@@ -276,7 +274,7 @@ class _FaultInjection:
         }
         return own.get(self._kind, self._inject)
 
-    def _inject(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
+    def _inject(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
         bench = self._bench
         bench.emulator.inject(ROBOT, self._kind, self._duration, self._address)
         codes: list[list[int]] = []
@@ -294,7 +292,7 @@ class _FaultInjection:
                     robot.deactivate()
         return codes
 
-    def _hang(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
+    def _hang(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
         """Nobody commands; only the watchdog's thread runs, on the wall clock."""
         codes: list[list[int]] = []
         with watched(robot):
@@ -310,7 +308,7 @@ class _FaultInjection:
                 time.sleep(max(0.0, due - time.monotonic()))
         return codes
 
-    def _kill(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
+    def _kill(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
         """The kernel closes the ports of a process that it kills; nothing more is sent."""
         robot.boards.close()
         codes: list[list[int]] = []
@@ -319,7 +317,7 @@ class _FaultInjection:
             codes.append(self._bench.codes)
         return codes
 
-    def _command_nan(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
+    def _command_nan(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
         command = None
         with contextlib.suppress(ValueError):
             command = Command(np.full(4, np.nan))
@@ -329,7 +327,7 @@ class _FaultInjection:
             codes.append(self._bench.codes)
         return codes
 
-    def _wrap(self, robot: BoardRobot, motion: _Motion) -> list[list[int]]:
+    def _wrap(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
         """Drive through the wrap, and hold every speed against the true angles."""
         count = 2.0 * np.pi / robot.calibration.drive.front_left.counts_per_turn
         angles, codes = [self._bench.angles[:4]], [self._bench.codes]

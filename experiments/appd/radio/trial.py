@@ -92,9 +92,9 @@ class _LinkTrial:
             event = min(
                 self._modems.next_arrival(), self._sender.next_event(), self._receiver.next_event()
             )
-            if ready == math.inf and not self._sender.pending:
-                if event == math.inf or event > self.finished + _DRAIN:
-                    return
+            idle = ready == math.inf and not self._sender.pending
+            if idle and (event == math.inf or event > self.finished + _DRAIN):
+                return
             self._advance(min(event, ready))
 
     def _ready_at(self) -> float:

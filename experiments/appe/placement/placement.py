@@ -107,13 +107,17 @@ def _draw_views(trial: PlacementTrial) -> Figure:
     scene, plan, _ = prepare(trial)
     if plan is None:
         raise ValueError(f"seed {trial.seed}: BRAID can take no placement there")
-    pictures = [("at home: from outside", scene.from_outside())]
-    pictures.append(("at home: left camera", scene.picture()))
+    pictures = [
+        ("at home: from outside", scene.from_outside()),
+        ("at home: left camera", scene.picture()),
+    ]
     scene.bench.put(plan.word)
     scene.bench.step(REST)
     word = "word " + "".join(map(str, plan.word))
-    pictures.append((f"{word}: from outside", scene.from_outside()))
-    pictures.append((f"{word}: left camera", scene.picture()))
+    pictures += [
+        (f"{word}: from outside", scene.from_outside()),
+        (f"{word}: left camera", scene.picture()),
+    ]
     return gallery(pictures, 2, (11, 8))
 
 

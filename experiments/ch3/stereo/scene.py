@@ -73,8 +73,7 @@ def draw_layout(seed: int) -> tuple[PanelConfig, tuple[RobotPlacement, RobotPlac
         distance = rng.uniform(1.0, 1.2)
         angle = panel.yaw + bearing
         place = (x + distance * math.sin(angle), y - distance * math.cos(angle))
-        yaw = angle + rng.uniform(-0.12, 0.12)
-        robots.append(RobotPlacement(f"rover{index + 1}", place, yaw))
+        robots.append(RobotPlacement(f"rover{index + 1}", place, angle + rng.uniform(-0.12, 0.12)))
     return panel, (robots[0], robots[1])
 
 
@@ -211,8 +210,7 @@ class StereoScene:
     def true_hits(self, name: str, pixels: ArrayLike) -> tuple[FloatArray, NDArray[np.int32]]:
         """Return (N,) depths as `true_depths`, and (N,) indices of the geoms in view."""
         pose = self.transform_camera_to_world(name)
-        image = np.asarray(pixels, dtype=float).reshape(-1, 2)
-        rays = self.geometry.rays(image)
+        rays = self.geometry.rays(np.asarray(pixels, dtype=float).reshape(-1, 2))
         lengths = np.linalg.norm(rays, axis=1)
         directions = pose.rotation.apply(rays / lengths[:, None]) if len(rays) else rays
         own_head = self.model.camera(left_name(name)).bodyid[0]
@@ -229,8 +227,7 @@ class StereoScene:
     def arm_touches(self, robot: str) -> bool:
         """Return whether an arm is in contact with anything now; truth."""
         arm = {self.model.body(f"{robot}/{body}").id for body in _ARM_BODIES}
-        bodies = self.model.geom_bodyid[self.data.contact.geom]
-        return bool(np.isin(bodies, list(arm)).any())
+        return bool(np.isin(self.model.geom_bodyid[self.data.contact.geom], list(arm)).any())
 
     def _check_name(self, name: str) -> None:
         if name not in (*self.robot_names, RIG):

@@ -124,8 +124,7 @@ def measure_mapping(options: Options, output: Output) -> None:
         output.measure(f"camera_error_mm/{method}/corrected", distribution(1e3 * corrected))
         shares = [r.corrected_share for r in runs[method]]
         output.measure(f"corrected_share/{method}", distribution(shares))
-    located = sum(r.located for r in results)
-    output.measure("located_fraction", fraction(located, 2 * len(results)))
+    output.measure("located_fraction", fraction(sum(r.located for r in results), 2 * len(results)))
     turns = [1e3 * r.frame_turn for r in results if r.located]
     output.measure("frame_turn_mrad", distribution(turns))
     output.measure("surface_nowhere_near_share/worst", max(r.lost_share for r in results))

@@ -70,8 +70,7 @@ def _log(stream: rr.RecordingStream, site: MappedSite, moment: Moment) -> None:
     ratings = rating_field(task, places).max(axis=0)
     seen = ratings > 0.0
     shade = np.sqrt(ratings[seen] / max(float(ratings.max()), 1e-12))
-    dots = rr.Points2D(pixels(places[seen]), radii=0.9, colors=viridis(shade))
-    stream.log("map/ratings", dots)
+    stream.log("map/ratings", rr.Points2D(pixels(places[seen]), radii=0.9, colors=viridis(shade)))
     view = moment.view
     if view is None:
         stream.log("map/camera", rr.Clear(recursive=True))

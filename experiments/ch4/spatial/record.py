@@ -83,8 +83,7 @@ def _log_sphere(stream: rr.RecordingStream, field: TargetField, radius: float) -
     caps = signed_caps(field, places) / (0.5 * np.pi)
     colours = np.where(caps[:, None] > 0.0, viridis(caps), np.array([40, 40, 40], np.uint8))
     stream.log("sphere", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    dots = rr.Points3D(places, colors=colours, radii=0.0016)
-    stream.log("sphere/free_cap", dots, static=True)
+    stream.log("sphere/free_cap", rr.Points3D(places, colors=colours, radii=0.0016), static=True)
 
 
 def _log_camera(

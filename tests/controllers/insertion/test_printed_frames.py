@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.printed_frames import (
+from tests.controllers.insertion.printed_frames import (
     base_in_camera,
     euler_angles,
     pose_of,

@@ -66,8 +66,7 @@ class DirectBoards:
     def state(self, address: int) -> BoardState:
         """Return the state that a board would report."""
         one, two = self._drive.at_board(address, self._rover.currents).tolist()
-        battery = self._rover.battery
-        return BoardState(address, Status.NORMAL, battery, (one, two), self._timeout)
+        return BoardState(address, Status.NORMAL, self._rover.battery, (one, two), self._timeout)
 
     def reset_e_stop(self) -> None:
         """Do nothing: there is no e-stop."""

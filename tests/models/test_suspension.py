@@ -4,10 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.motion.suspension import Corner, reduce_suspension
 from experiments.appa.control.plant import PLAIN
 from models.compose import RobotPlacement, make_model, settle
 from models.datasheets import ROVER
+from tests.models.suspension import Corner, reduce_suspension
 
 TYRE = 3.1e6  # of one contact [N/m], README of the rover
 
