@@ -1,16 +1,17 @@
-"""The next pose of planar vision systems, by any of the methods of Thesis 3.3.1 and two peers.
+"""Next-best views of planar vision systems: the methods of Thesis 3.3.1 and two common ones.
 
-The thesis rates a view by RF = (NI - K (d/D)^n)(1 - P) (eq. 3-15, with the distance over the depth
-of field D so that K has no unit). A constant K is a constant price of a metre. That suits one world
-only: indoors, where views are half hidden, the same K buys mere slivers of what is near.
+The thesis rates a view by RF = (NI - K (d/D)^n)(1 - P) (eq. 3-15, with the distance d divided by
+the depth of field D so that K is dimensionless). A constant K weights path length against
+information by a fixed ratio, which suits one environment only: indoors, where views are partly
+occluded, the same K selects near views with little new information.
 
-The price of a metre should be what the metre could earn elsewhere: K = max V / (d + s), the best
-information by distance on offer, where s is the path that a scan is worth. With n = 1 the best view
-then is the one with the greatest V / (d + s): the rule has no scale of its own, so it serves both
-worlds alike. V is NI with unknown cells amid known ones worth more: to come back for them later
-costs a trip of its own.
+The utility "going_rate" therefore adapts the weight: K = max V / (d + s), the best ratio of
+information to path length among the candidates, where s is the path length equivalent to the time
+of a scan. With n = 1 the best view is then the one with the largest V / (d + s). This rule has no
+scale of its own, so it suits both environments. V is NI with a larger weight of unknown cells
+surrounded by known ones, since a later visit to them needs a path of its own.
 
-Several vision systems choose in rounds, each for itself or claiming what it will see.
+Several vision systems choose in rounds, independently or by claiming the cells of their next views.
 """
 
 import dataclasses

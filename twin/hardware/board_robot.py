@@ -1,4 +1,4 @@
-"""A robot of the contract over motor boards, an analogue board and a force/torque sensor."""
+"""The robot contract on top of motor boards, an analogue board and a force/torque sensor."""
 
 import dataclasses
 import itertools
@@ -20,24 +20,25 @@ from twin.hardware.serial_link import LinkError, at_rest
 from twin.robot import AXES, NOTHING, Command, Lifecycle, Observation, RobotError
 from twin.servo import Servo, ServoConfig
 
-# The boards themselves do not stop for a battery that is low or high; the robot does.
+# The boards do not stop on a battery voltage warning; the robot does.
 _STOPPING = Status(0xFFFF) | Status.MAIN_VOLTAGE_LOW_WARNING | Status.MAIN_VOLTAGE_HIGH_WARNING
 _STILL = 2
-"""Counts by which an axis at rest may differ from one reading to the next."""
+"""Largest change of the counter of an axis at rest between two readings [counts]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class BoardRobotConfig:
-    """How patient the robot is.
+    """Timing and fault limits of a robot.
 
     Attributes:
-        sampling: Ages of the samples.
+        sampling: Age limits of the samples.
         period: Servo tick [s].
-        lost_cycles: Consecutive cycles without a motor board after which the robot stops.
-        lost_time: Time without a motor board after which it stops [s]: one that is silent holds
-            the others up, until a cycle takes many periods.
-        watchdog: Longest time between two commands while it drives [s].
-        most_speed: Fastest that an output shaft can turn [rad/s]; a faster count is a jump.
+        lost_cycles: Number of consecutive cycles without an answer from a motor board after which
+            the robot stops.
+        lost_time: Time without an answer from a motor board after which the robot stops [s]. A
+            silent board delays the others, so that a cycle may take many periods.
+        watchdog: Longest time between two commands while the robot is ACTIVE [s].
+        most_speed: Largest speed of an output shaft [rad/s]; a higher counting rate is a jump.
     """
 
     sampling: SamplingConfig = SamplingConfig()
@@ -49,14 +50,14 @@ class BoardRobotConfig:
 
 
 class BoardRobot:
-    """Watches, limits and stops; boards, samples and servo do the rest.
+    """Supervises the boards of a robot: limits the commands and stops all axes on a fault.
 
     Attributes:
-        name: Name of the robot, as controllers see it.
-        description: The robot as drawn.
+        name: Name of the robot.
+        description: Nominal description of the robot.
         boards: Boards of the robot.
         calibration: Constants of the boards.
-        fault: Why it is in ERROR; empty otherwise.
+        fault: Reason for the state ERROR; empty in the other states.
         seconds: Wall time spent in `observe` and `command` so far [s].
     """
 
@@ -68,14 +69,14 @@ class BoardRobot:
         clock: Callable[[], float],
         config: BoardRobotConfig | None = None,
     ) -> None:
-        """Take over open boards; nothing is sent before `configure`.
+        """Initialize from open boards; nothing is sent before `configure`.
 
         Args:
-            description: The robot as drawn, with four wheels and four arm joints, as the boards.
+            description: Nominal description of the robot, with four wheels and four arm joints.
             boards: Boards of the robot.
             calibration: Constants of the boards.
-            clock: Robot time [s].
-            config: Time limits and age limits of the robot.
+            clock: Returns the robot time [s].
+            config: Timing and fault limits.
         """
         self.name, self.description = description.name, description
         self.boards = boards
@@ -88,22 +89,22 @@ class BoardRobot:
         self._servo = Servo(ServoConfig.of(description), self._config.period)
         self._lifecycle = Lifecycle.UNCONFIGURED
         self._homed = False
-        # Whether the boards acknowledged the zeros they were last sent.
+        # Whether all boards acknowledged the last command to stop.
         self._zeroed = True
         self._unheard = 0
-        # The watchdog calls from another thread.
+        # The watchdog runs in another thread.
         self._lock = threading.RLock()
         self._sampled = self._commanded = -math.inf
         self._observation = Observation(clock())
 
     @property
     def lifecycle(self) -> Lifecycle:
-        """Current state."""
+        """Current lifecycle state."""
         return self._lifecycle
 
     @property
     def statistics(self) -> SamplingStatistics:
-        """What was not there when it was asked for."""
+        """Counts of cycles, lost samples and silent boards."""
         return self._samples.statistics
 
     def configure(self) -> None:
@@ -123,13 +124,13 @@ class BoardRobot:
             self._lifecycle = Lifecycle.INACTIVE
 
     def home(self, angles: FloatArray) -> None:
-        """Tell the robot where its arm is: its encoders count from power-on.
+        """Set the arm encoders to known joint angles; they count from power-on.
 
         Args:
             angles: (4,) joint angles of the arm at rest in its jig [rad].
 
         Raises:
-            RobotError: If the robot drives, the arm moves, or a board does not answer.
+            RobotError: If the robot is unconfigured or ACTIVE, the arm moves, or a board is silent.
         """
         with self._lock:
             if self._lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.ACTIVE):
@@ -142,10 +143,10 @@ class BoardRobot:
                 raise RobotError(f"robot {self.name!r}: {error}") from error
 
     def activate(self) -> None:
-        """Go to ACTIVE, from INACTIVE or, explicitly, from ERROR.
+        """Go to ACTIVE from INACTIVE or ERROR.
 
         Raises:
-            RobotError: If the robot is not configured or homed, or a board or sensor is not well.
+            RobotError: If the robot is not configured or homed, or a board or sensor has a fault.
         """
         with self._lock:
             if self._lifecycle is Lifecycle.ACTIVE:
@@ -168,7 +169,7 @@ class BoardRobot:
             self._lifecycle = Lifecycle.ACTIVE
 
     def observe(self) -> Observation:
-        """Return what the boards say; they are asked once a servo tick.
+        """Return the latest observation; the boards are read once per servo tick.
 
         Raises:
             RobotError: If the robot is not configured.
@@ -186,15 +187,15 @@ class BoardRobot:
             return self._observation
 
     def command(self, command: Command) -> Command:
-        """Drive until the next command, and return what is applied, as duty, after limits.
+        """Apply a command until the next one, and return the limited duties that were sent.
 
         Args:
             command: Requested efforts, speeds or positions.
 
         Raises:
             RobotError: If the robot is not ACTIVE, a channel that the mode needs is not usable, or
-                a board is silent; then it is in ERROR and all axes are zeroed.
-            ValueError: If a duty comes to no number; all axes are zeroed.
+                a board is silent; the robot is then in ERROR and all axes are zeroed.
+            ValueError: If a duty is NaN; all axes are zeroed.
         """
         with self._lock:
             if self._lifecycle is not Lifecycle.ACTIVE:
@@ -215,7 +216,7 @@ class BoardRobot:
                 self.boards.drive(codes)
                 self._unheard = 0
             except LinkError as error:
-                # Few cycles without an answer are borne; this one's encoders were read before.
+                # A few cycles without an answer are tolerated; the encoders of this one were read.
                 self._unheard += 1
                 cycles = max(self._unheard, 1 + max(self._samples.lost.values()))
                 if cycles >= self._config.lost_cycles or self._lost_for_long():
@@ -227,10 +228,10 @@ class BoardRobot:
             return Command(applied[:4], applied[4:])
 
     def deactivate(self) -> None:
-        """Zero all axes and go to INACTIVE; an ERROR stays until `activate` ends it.
+        """Zero all axes and go to INACTIVE; ERROR persists until `activate`.
 
         Raises:
-            RobotError: If a board does not acknowledge; its own timeout stops it then.
+            RobotError: If a board does not acknowledge; its serial timeout then stops it.
         """
         with self._lock:
             if self._lifecycle is Lifecycle.UNCONFIGURED:
@@ -244,7 +245,7 @@ class BoardRobot:
                 self._lifecycle = Lifecycle.INACTIVE
 
     def close(self) -> None:
-        """Zero all axes as far as they can be reached, and close the ports."""
+        """Zero the axes of all boards that answer, and close the ports."""
         with self._lock:
             if self._lifecycle is not Lifecycle.UNCONFIGURED:
                 self._stop()
@@ -252,7 +253,7 @@ class BoardRobot:
             self.boards.close()
 
     def guard(self) -> None:
-        """Stop a robot that drives and has not been commanded in time; a watchdog calls it."""
+        """Go to ERROR if ACTIVE and the last command is too old; called by the watchdog thread."""
         with self._lock:
             late = self._clock() - self._commanded
             if self._lifecycle is Lifecycle.ACTIVE and late > self._config.watchdog:
@@ -270,7 +271,7 @@ class BoardRobot:
         if np.any(np.abs(self._samples.arm_counts() - before) > _STILL):
             raise RobotError(f"robot {self.name!r}: the arm moves; hold it still to home")
         counts = self.calibration.drive.counts(np.concatenate([np.zeros(4), angles]))
-        # Until all counters are set, none of them means an angle.
+        # The counters are angles only once all of them are set.
         self._homed = False
         for axis in range(4, 8):
             self.boards.set_encoder(axis, codec.signed_difference(int(counts[axis]), 0))
@@ -291,16 +292,16 @@ class BoardRobot:
         self._observation = self._samples.observation(self._homed)
 
     def _warm(self) -> None:
-        """Load the servo's code for all kinds of arrays: half a second, too long while driving."""
+        """Load the code of all servo modes: half a second, too long for a cycle while driving."""
         for wheels, arm, rates in itertools.product((NOTHING, np.zeros(4)), repeat=3):
             self._servo.duty(Command(wheels, arm, arm_rates=rates), self._observation)
         self._servo.reset()
 
     def _judge(self) -> None:
-        """Stop for what must not go on."""
+        """Check boards, counters and sensors; go to ERROR on a fault."""
         self.guard()
         if self._lifecycle is Lifecycle.ERROR and not self._zeroed:
-            # A board that hears questions again does not time out any more.
+            # Requests reset the serial timeout of a board that is reachable again: zero it.
             self._stop()
         if self._lifecycle is not Lifecycle.ACTIVE:
             return
@@ -327,7 +328,7 @@ class BoardRobot:
         return self._samples.silence > self._config.lost_time
 
     def _check_sensors(self) -> None:
-        """Raise a RobotError if a sensor that the robot has cannot be believed."""
+        """Raise a RobotError if the channel of a fitted sensor is not usable."""
         needed = {
             "inclinometer": self.boards.has_analogue,
             "arm_base_wrench": self.boards.has_wrench,
@@ -340,7 +341,7 @@ class BoardRobot:
                 raise RobotError(f"{name} is {channel.validity.value}" + (why and f" ({why})"))
 
     def _check_in_turn(self) -> None:
-        """Ask one board for its status; once a round, another one, for all it says of itself."""
+        """Read the status of one board in turn, and once a round the whole state of one board."""
         boards = self.boards.addresses
         turn, place = divmod(self.statistics.cycles, len(boards))
         address = boards[place]
@@ -348,7 +349,7 @@ class BoardRobot:
             self._check_board(address)
 
     def _check_board(self, address: int) -> None:
-        """Raise a RobotError if a board must not drive, a LinkError if it is silent."""
+        """Raise a RobotError if a board has a fault, a LinkError if it is silent."""
         state, limits = self.boards.state(address), self.calibration.limits
         if not math.isclose(state.timeout, limits.serial_timeout, abs_tol=1e-6):
             self._homed = False
@@ -360,7 +361,7 @@ class BoardRobot:
             raise RobotError(f"motor board {address:#x} has a battery of {state.battery:.1f} V")
 
     def _within_range(self, duty: FloatArray) -> FloatArray:
-        """Take away the duty that drives a joint on beyond its range."""
+        """Remove duty that moves a joint further out of its range."""
         angles = self._observation.arm_angles
         if not angles.usable:
             return duty
@@ -386,5 +387,5 @@ class BoardRobot:
         try:
             self._zero()
         except LinkError:
-            # What cannot be reached stops by its own timeout.
+            # A board out of reach stops by its serial timeout.
             self.statistics.lost_boards += 1

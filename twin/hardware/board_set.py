@@ -1,4 +1,4 @@
-"""All boards of one robot as one device, and its implementation over their real wires."""
+"""All boards of one robot as one device, and the implementation on real hardware links."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from twin.robot import Channel
 _CURRENT_UNIT = 0.01  # [A]
 _VOLTAGE_UNIT = 0.1  # [V]
 _TIMEOUT_UNIT = 0.1  # [s]
-_SET_ENCODER = {1: BoardCommand.SET_ENCODER_1, 2: BoardCommand.SET_ENCODER_2}  # By channel.
+_SET_ENCODER = {1: BoardCommand.SET_ENCODER_1, 2: BoardCommand.SET_ENCODER_2}  # Keys: channels.
 _SET_LIMIT = {1: BoardCommand.SET_CURRENT_LIMIT_1, 2: BoardCommand.SET_CURRENT_LIMIT_2}
 _GET_LIMIT = {1: BoardCommand.GET_CURRENT_LIMIT_1, 2: BoardCommand.GET_CURRENT_LIMIT_2}
 
@@ -34,7 +34,7 @@ class BoardState:
         status: Errors and warnings.
         battery: Main voltage [V].
         currents: Currents of both motors [A].
-        timeout: Serial timeout that is set; 0 after a reset [s].
+        timeout: Serial timeout [s]; 0 after a reset.
     """
 
     address: int
@@ -45,14 +45,14 @@ class BoardState:
 
 
 class BoardSet(Protocol):
-    """What `BoardRobot` needs of its boards; axes are in the order of `twin.robot.AXES`.
+    """Interface of the boards to `BoardRobot`; axes are in the order of `twin.robot.AXES`.
 
     Attributes:
         addresses: Addresses of the motor boards.
-        has_analogue: Whether there are an inclinometer and a potentiometer.
-        has_wrench: Whether there is a force/torque sensor.
-        has_stereo: Whether there is a stereo head.
-        stereo_fault: Why the last call of `stereo` failed; empty if there only was no new pair.
+        has_analogue: Whether the robot has an inclinometer and a potentiometer.
+        has_wrench: Whether the robot has a force/torque sensor.
+        has_stereo: Whether the robot has a stereo head.
+        stereo_fault: Error of the last call of `stereo`; empty if there merely was no new pair.
     """
 
     addresses: tuple[int, ...]
@@ -80,25 +80,25 @@ class BoardSet(Protocol):
         """Set the counter of an axis at rest.
 
         Raises:
-            LinkError: If the board does not do it.
+            LinkError: If the board does not confirm it.
         """
 
     def drive(self, codes: IntArray) -> None:
         """Set the duty codes (8,) of all axes.
 
         Raises:
-            LinkError: If a board does not acknowledge; all others have received theirs.
+            LinkError: If a board does not acknowledge; the others are commanded nevertheless.
         """
 
     def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
-        """Return the converter codes of analogue inputs, None for those that were not read."""
+        """Return the converter codes of analogue inputs; None for an input without a reading."""
         ...
 
     def wrench(self) -> IntArray | None:
-        """Return the force/torque sensor's counts (6,), None if there is no new sample."""
+        """Return the counts (6,) of the force/torque sensor; None if there is no new sample."""
 
     def stereo(self, now: float) -> Channel | None:
-        """Return the cameras' newest pair at `now` [s], None if there is no new one."""
+        """Return the latest stereo pair at time `now` [s]; None if there is no new one."""
 
     def status(self, address: int) -> Status:
         """Return a board's status.
@@ -128,7 +128,7 @@ class BoardSet(Protocol):
 
 
 class WiredBoards:
-    """Boards on a serial bus, an analogue board and a force/torque sensor, each on its wire."""
+    """Motor boards on a serial bus, and the optional sensors on their own links."""
 
     def __init__(
         self,
@@ -138,14 +138,14 @@ class WiredBoards:
         force_torque: NetForceTorque | None = None,
         camera: StereoCapture | None = None,
     ) -> None:
-        """Take over open clients.
+        """Initialize from open clients, which `close` closes.
 
         Args:
-            bus: Motor boards.
-            calibration: Places of the axes on the boards, and the robot's limits.
-            analogue: Board of potentiometer and inclinometer, if there is one.
-            force_torque: Sensor under the arm, if there is one.
-            camera: Stereo head, if there is one.
+            bus: Bus of the motor boards.
+            calibration: Assignment of the axes to the boards, and limits of the robot.
+            analogue: Board of potentiometer and inclinometer; None if not fitted.
+            force_torque: Force/torque sensor under the arm; None if not fitted.
+            camera: Stereo head; None if not fitted.
         """
         self.bus = bus
         self.analogue_board = analogue
@@ -188,7 +188,7 @@ class WiredBoards:
                 self.bus.write(place.address, _SET_ENCODER[place.channel], count)
                 return
             except LinkError:
-                # The acknowledgement may be what was lost; at rest, the counter shows.
+                # Perhaps only the acknowledgement was lost: read the counter back.
                 if self.encoders(place.address)[place.channel - 1] == count:
                     return
         raise LinkError(f"board {place.address:#x} does not take an encoder count")
@@ -197,7 +197,7 @@ class WiredBoards:
         """Set the duty codes of all axes."""
         failed: LinkError | None = None
         codes = np.clip(codes, -codec.FULL_DUTY, codec.FULL_DUTY)
-        # A board that was silent the last time does not hold the others up.
+        # Boards that were silent the last time come last, so that they do not delay the others.
         for address in sorted(self.addresses, key=self._silent.__contains__):
             try:
                 duties = self._drive.at_board(address, codes).tolist()
@@ -219,7 +219,7 @@ class WiredBoards:
             return dict.fromkeys(pins)
 
     def wrench(self) -> IntArray | None:
-        """Return the force/torque sensor's counts (6,)."""
+        """Return the counts (6,) of the force/torque sensor."""
         if self.force_torque is None:
             return None
         try:
@@ -229,7 +229,7 @@ class WiredBoards:
         return None if record is None else np.array(record.counts, dtype=np.int64)
 
     def stereo(self, now: float) -> Channel | None:
-        """Return the cameras' newest pair."""
+        """Return the latest stereo pair."""
         if self.camera is None:
             return None
         try:

@@ -1,8 +1,8 @@
-"""Counts of one particular robot into SI units and back, from TOML files (thesis table D-1).
+"""Conversion between the counts of one robot's boards and SI units, from TOML files (Table D-1).
 
 - `section`: base of all sections of a file.
-- `motors`, `sensors`: the sections of the boards.
-- `calibration`: the whole file, read, checked and written.
+- `motors`, `sensors`: sections of the boards.
+- `calibration`: reading, validation and writing of whole files.
 - `tilt_fit`: inclinometer constants from weighings on wedges.
-- `procedure`: steps through which a person calibrates the inclinometer.
+- `procedure`: interactive calibration of the inclinometer.
 """

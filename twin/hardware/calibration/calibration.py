@@ -1,8 +1,8 @@
-"""What the boards of one particular robot say and want, in SI units and back, as TOML files.
+"""Calibration of one robot as a TOML file: constants that convert counts to SI units and back.
 
-Every section holds the constants of one kind of board with both directions of its conversion: a
-client reads numbers through the one, an emulated board makes them through the other. Going there
-and back errs by half a count at most.
+Every section holds the constants of one kind of board with both directions of the conversion: a
+client decodes readings with the one, an emulated board generates them with the other. A round trip
+errs by half a count at most.
 """
 
 import dataclasses
@@ -45,25 +45,25 @@ __all__ = [
 ]
 
 SCHEMA: Final = 1
-"""Version of the files; another version is refused."""
+"""Version of the file format; files of other versions are rejected."""
 FOLDER: Final = Path(__file__).parents[3] / "calibration"
-"""Where the robots' files are."""
+"""Folder of the calibration files."""
 MOST_DAYS: Final = 365
-"""Age from which a section is stale [days]."""
+"""Largest age of a section [days]."""
 TIMEOUT_STEP: Final = 0.1
 """Resolution of the motor boards' serial timeout [s]."""
 TIMEOUT_STEPS: Final = 255
-"""Largest serial timeout in these steps."""
+"""Largest serial timeout, in multiples of `TIMEOUT_STEP`."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LimitCalibration(Section):
-    """Where the robot must stop; the motors' currents stand with the motors.
+    """Voltage and timeout limits of a robot; `AxisCalibration` holds the current limits.
 
     Attributes:
         least_battery: Main battery voltage below which nothing is driven [V].
         most_battery: Main battery voltage above which nothing is driven [V].
-        serial_timeout: After which a motor board that hears nothing stops its motors [s].
+        serial_timeout: Time without a packet after which a motor board stops its motors [s].
     """
 
     least_battery: float
@@ -71,7 +71,7 @@ class LimitCalibration(Section):
     serial_timeout: float
 
     def __post_init__(self) -> None:
-        """Refuse limits that no board takes.
+        """Reject limits that no board accepts.
 
         Raises:
             CalibrationError: Naming the key and its value.
@@ -94,14 +94,14 @@ class LimitCalibration(Section):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Everything that is particular to one robot.
+    """Calibration of one robot.
 
     Attributes:
         robot: Name of the robot.
         drive: Motors and encoders.
         analogue: Analogue board and centre potentiometer.
-        inclinometer: Roll and pitch.
-        force_torque: The sensor under the arm.
+        inclinometer: Roll and pitch axes of the inclinometer.
+        force_torque: Force/torque sensor under the arm.
         limits: Limits at which the robot must stop.
     """
 
@@ -113,7 +113,7 @@ class Calibration:
     limits: LimitCalibration
 
     def __post_init__(self) -> None:
-        """Refuse two sensors on one analogue input.
+        """Reject two sensors on one analogue input.
 
         Raises:
             CalibrationError: Naming the pins.
@@ -124,23 +124,23 @@ class Calibration:
 
 
 def calibration_path(robot: str) -> Path:
-    """Return where a robot's calibration is kept."""
+    """Return the path of a robot's calibration file."""
     return FOLDER / f"{robot}.toml"
 
 
 def load_calibration(
     path: Path, robot: str, today: datetime.date | None, most_days: int = MOST_DAYS
 ) -> Calibration:
-    """Read the calibration of a robot that is going to be used.
+    """Read the calibration of a given robot, and check its age.
 
     Args:
         path: TOML file.
         robot: Name of the robot.
-        today: Date for the age of its sections; None where age does not matter (emulated boards).
+        today: Current date; None to accept any age, as for emulated boards.
         most_days: Largest age [days].
 
     Raises:
-        CalibrationError: If the file is unreadable or wrong, another robot's, or stale.
+        CalibrationError: If the file is unreadable, invalid, stale or of another robot.
     """
     calibration = read_calibration(path)
     if calibration.robot != robot:
@@ -157,10 +157,10 @@ def load_calibration(
 
 
 def check_age(calibration: Calibration, today: datetime.date, most_days: int = MOST_DAYS) -> None:
-    """Refuse a calibration with a section that is too old, or from the future.
+    """Reject a calibration with a section that is too old or dated in the future.
 
     Raises:
-        CalibrationError: Naming the section, its date and what to do.
+        CalibrationError: Naming the section, its date and the remedy.
     """
     for name, section in _sections(calibration).items():
         days = (today - section.calibrated_on).days
@@ -177,10 +177,10 @@ def check_age(calibration: Calibration, today: datetime.date, most_days: int = M
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read a calibration, of whichever robot and age.
+    """Read a calibration of any robot and age.
 
     Raises:
-        CalibrationError: If it cannot be read or holds something wrong, naming file, key and value.
+        CalibrationError: If it is unreadable or invalid, naming file, key and value.
     """
     try:
         with path.open("rb") as stream:
@@ -199,7 +199,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration in a form that people can edit; never half written.
+    """Write a calibration as commented TOML; the file is replaced atomically.
 
     Raises:
         OSError: If the folder cannot be written to.
@@ -242,7 +242,7 @@ def calibration_text(calibration: Calibration) -> str:
 
 
 def _table_lines(name: str, record: Any) -> list[str]:
-    """Return a table with its plain keys first, then the tables below it."""
+    """Return the lines of a table: its own keys first, then its subtables."""
     lines, below = ["", f"[{name}]"], list[str]()
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)
@@ -258,12 +258,12 @@ def _table_lines(name: str, record: Any) -> list[str]:
 
 
 def _literal(key: str, value: Any) -> str:
-    """Return a value as TOML writes it."""
+    """Return a value as a TOML literal."""
     if isinstance(value, tuple):
         items = typing.cast("tuple[Any, ...]", value)
         return f"[{', '.join(_literal(key, item) for item in items)}]"
     if isinstance(value, str):
-        # JSON's escapes are TOML's, which also wants this one.
+        # TOML has the escapes of JSON, and requires one more.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, datetime.date):
         return value.isoformat()

@@ -1,4 +1,4 @@
-"""Motors and encoders: counts and duty codes of the boards into SI units and back."""
+"""Motors and encoders: conversion between counts and duty codes of the boards and SI units."""
 
 import dataclasses
 import functools
@@ -22,7 +22,7 @@ from twin.robot import ARM_JOINTS, AXES, WHEELS
 Number = TypeVar("Number", np.int64, np.float64)
 
 ADDRESSES: Final = (0x80, 0x81, 0x82, 0x83)
-"""Addresses of the motor boards on the bus."""
+"""Valid addresses of the motor boards on the bus."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -32,8 +32,8 @@ class AxisCalibration:
     Attributes:
         address: Address of the board, one of `ADDRESSES`.
         channel: Channel of the board, 1 or 2.
-        direction: 1 where positive duty and rising counts mean the positive sense of the contract
-            (forward for wheels), -1 where they mean the negative one.
+        direction: 1 if positive duty and rising counts mean the positive direction of the robot
+            contract (forward for wheels), -1 if they mean the negative one.
         counts_per_turn: Encoder counts in one turn of the output shaft.
         current_limit: Largest motor current [A].
     """
@@ -45,7 +45,7 @@ class AxisCalibration:
     current_limit: float
 
     def __post_init__(self) -> None:
-        """Refuse what no board could be wired to.
+        """Reject impossible addresses, channels and constants.
 
         Raises:
             CalibrationError: Naming the key and its value.
@@ -63,8 +63,8 @@ class JointCalibration(AxisCalibration):
 
     Attributes:
         zero_counts: Encoder counts at joint angle zero.
-        lower: Least joint angle that may be asked for [rad].
-        upper: Largest one [rad].
+        lower: Lower joint limit [rad].
+        upper: Upper joint limit [rad].
     """
 
     zero_counts: int
@@ -72,7 +72,7 @@ class JointCalibration(AxisCalibration):
     upper: float
 
     def __post_init__(self) -> None:
-        """Refuse an impossible motor or range of motion.
+        """Reject impossible motor constants or joint limits.
 
         Raises:
             CalibrationError: Naming the key and its value.
@@ -89,7 +89,7 @@ class JointCalibration(AxisCalibration):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class DriveCalibration(Section):
-    """The eight motors on their boards; arrays run over `AXES`."""
+    """The eight motors on their boards; arrays are in the order of `AXES`."""
 
     front_left: AxisCalibration
     front_right: AxisCalibration
@@ -101,7 +101,7 @@ class DriveCalibration(Section):
     wrist: JointCalibration
 
     def __post_init__(self) -> None:
-        """Refuse two motors on one channel.
+        """Reject two motors on one channel.
 
         Raises:
             CalibrationError: Naming both motors.
@@ -122,14 +122,14 @@ class DriveCalibration(Section):
 
     @functools.cached_property
     def boards(self) -> dict[int, tuple[int, int]]:
-        """Axes at the two channels of each motor board, by address; -1 where no motor is."""
+        """Axis numbers at the two channels of each motor board, by address; -1 without a motor."""
         found: dict[int, list[int]] = {}
         for number, axis in enumerate(self.axes):
             found.setdefault(axis.address, [-1, -1])[axis.channel - 1] = number
         return {address: (one, two) for address, (one, two) in sorted(found.items())}
 
     def at_board(self, address: int, values: NDArray[Number]) -> NDArray[Number]:
-        """Return what of `values` (8,) belongs to the two channels of a board; 0 for no motor."""
+        """Return the entries of `values` (8,) at the two channels of a board; 0 without a motor."""
         return np.append(values, values.dtype.type(0))[list(self.boards[address])]
 
     @functools.cached_property
@@ -139,7 +139,7 @@ class DriveCalibration(Section):
 
     @functools.cached_property
     def directions(self) -> FloatArray:
-        """(8,) 1 or -1."""
+        """(8,) directions of the axes, 1 or -1."""
         return read_only([axis.direction for axis in self.axes])
 
     @functools.cached_property
@@ -150,12 +150,12 @@ class DriveCalibration(Section):
 
     @functools.cached_property
     def zero_counts(self) -> FloatArray:
-        """(8,) counts at angle zero; a wheel's angle is zero where its counter is."""
+        """(8,) counts at angle zero; 0 for the wheels."""
         return read_only([0.0] * len(WHEELS) + [float(joint.zero_counts) for joint in self.joints])
 
     @functools.cached_property
     def ranges(self) -> FloatArray:
-        """(4, 2) least and largest angles of the arm joints [rad]."""
+        """(4, 2) lower and upper limits of the arm joints [rad]."""
         return read_only([[joint.lower, joint.upper] for joint in self.joints])
 
     def angles(self, counts: ArrayLike) -> FloatArray:

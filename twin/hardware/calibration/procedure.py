@@ -1,7 +1,7 @@
-"""A person calibrates a robot's inclinometer with a weight and a few wedges (Thesis app. D).
+"""Interactive calibration of the inclinometer with a weight and a few wedges (Thesis app. D).
 
-`tilt_procedure` says what to do next and takes what was measured then; it neither reads nor
-prints. `run_procedure` lends it a voice and ears, which a test can replace.
+`tilt_procedure` is a generator without input or output: it yields instructions and receives the
+measurements. `run_procedure` connects it to the operator and the sensors by functions.
 """
 
 import dataclasses
@@ -34,25 +34,26 @@ USUAL_SENSITIVITY: Final = float(np.mean(_TABLE_D_1)) / DEGREE
 
 
 class ProcedureError(RuntimeError):
-    """The readings do not make a calibration, or the person stopped; nothing was changed."""
+    """The readings give no valid calibration, or the operator stopped; nothing was changed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ProcedureConfig:
-    """How the inclinometer is calibrated, and what is believed.
+    """Tilts, weights and acceptance limits of the calibration.
 
     Attributes:
-        tilts: Pitch and roll of each tilt that is asked for [rad]; wedges need not be exact.
-        weight: Mass that is hung on the gripper [kg].
-        arm_mass: Mass of all that the force/torque sensor carries [kg].
+        tilts: Pitch and roll of each tilt [rad]; the wedges need not be exact.
+        weight: Mass hung on the gripper [kg].
+        arm_mass: Mass carried by the force/torque sensor [kg].
         least_span: Smallest angle between the outermost tilts of an axis [rad].
-        least_step: Smallest angle between two tilts, in one of the axes [rad].
+        least_step: Smallest angle between two tilts, in at least one of the axes [rad].
         largest_tilt: End of the inclinometer's linear range [rad].
-        weight_tolerance: Largest relative difference of the added force from the weight.
-        least_signal: Added force over its standard error.
-        largest_wander: Standard error of a voltage, as an angle [rad]; above, the robot moved.
+        weight_tolerance: Largest relative difference between the added force and the weight.
+        least_signal: Smallest ratio of the added force to its standard error.
+        largest_wander: Largest standard error of a voltage, as an angle [rad]; a larger one means
+            that the robot moved.
         sensitivity_tolerance: Largest relative difference from `USUAL_SENSITIVITY`.
-        largest_residual: Distance of the readings from their line, as an angle [rad].
+        largest_residual: Largest residual of a fitted line, as an angle [rad].
         attempts: Number of failures of one tilt that end the procedure.
     """
 
@@ -76,7 +77,7 @@ class ProcedureConfig:
     attempts: int = 5
 
     def __post_init__(self) -> None:
-        """Refuse what cannot calibrate anything.
+        """Reject tilts and limits from which no calibration follows.
 
         Raises:
             ValueError: Naming the field and its value.
@@ -91,11 +92,11 @@ class ProcedureConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Instruction:
-    """What the person must do before the next measurement.
+    """Task of the operator before the next measurement.
 
     Attributes:
         text: Text to show.
-        problem: Why the last measurement was refused, or empty.
+        problem: Reason why the last measurement was rejected; empty if it was not.
     """
 
     text: str
@@ -104,13 +105,13 @@ class Instruction:
 
 @dataclasses.dataclass(frozen=True)
 class TiltResult:
-    """What the procedure found.
+    """Result of the calibration procedure.
 
     Attributes:
         calibration: Calibration with the new inclinometer section.
         pitch: Line of the pitch axis.
         roll: Line of the roll axis.
-        weighings: The readings behind it.
+        weighings: Accepted weighings, one for each tilt.
     """
 
     calibration: Calibration
@@ -120,7 +121,7 @@ class TiltResult:
 
     @property
     def text(self) -> str:
-        """The constants with their standard errors, as Table D-1 gives them."""
+        """Constants with their standard errors, in the units of Table D-1."""
         rows = [
             f"{name}: zero at {line.zero_volts:.4f} +- {line.zero_error:.4f} V, "
             f"{1000.0 * line.volts_per_radian * DEGREE:.3f} +- "
@@ -133,15 +134,15 @@ class TiltResult:
 def tilt_procedure(
     calibration: Calibration, config: ProcedureConfig, today: datetime.date
 ) -> Generator[Instruction, Sample, TiltResult]:
-    """Yield what to do, take the sample that was measured then, and return the new constants.
+    """Yield instructions, receive the sample measured after each, and return the new constants.
 
-    Each tilt takes two samples, without and with the weight. A sample or tilt that is not
-    plausible is refused and asked for again, with the reason.
+    Each tilt takes two samples, without and with the weight. An implausible sample or tilt is
+    rejected with the reason, and repeated.
 
     Args:
-        calibration: Calibration of the robot; all but the inclinometer's section is kept.
-        config: Tilts and limits.
-        today: Becomes the date of the section.
+        calibration: Present calibration of the robot; only the inclinometer section changes.
+        config: Tilts and acceptance limits.
+        today: Date of the new section.
 
     Raises:
         ProcedureError: If a tilt fails too often or the constants are not plausible.
@@ -172,16 +173,16 @@ def run_procedure(
     ask: Callable[[str], str],
     show: Callable[[str], None],
 ) -> TiltResult:
-    """Lead a person through a procedure.
+    """Guide the operator through a procedure.
 
     Args:
-        steps: Steps from `tilt_procedure`.
-        measure: Returns the means over a second or more at rest.
+        steps: Generator from `tilt_procedure`.
+        measure: Returns a sample averaged over a second or more at rest.
         ask: Shows a question and returns the answer.
-        show: Function that shows the operator a line of text.
+        show: Shows a line of text.
 
     Raises:
-        ProcedureError: If the person stops or the procedure fails.
+        ProcedureError: If the operator stops or the procedure fails.
     """
     try:
         instruction = next(steps)
@@ -200,7 +201,7 @@ def run_procedure(
 
 
 def _words(tilt: tuple[float, float]) -> str:
-    """Return how to place the robot, in words."""
+    """Return the instruction that places the robot at a tilt."""
     pitch, roll = np.degrees(tilt).tolist()
     parts: list[str] = []
     if pitch:
@@ -216,7 +217,7 @@ def _words(tilt: tuple[float, float]) -> str:
 def _weighing_problem(
     weighing: Weighing, others: Sequence[Weighing], config: ProcedureConfig
 ) -> str:
-    """Return why a weighing cannot be believed, or nothing."""
+    """Return the reason to reject a weighing; empty if it is plausible."""
     for one in (weighing.before, weighing.after):
         values = (one.volts, one.volts_error, one.force, one.force_error)
         if not all(np.all(np.isfinite(value)) for value in values):
@@ -247,7 +248,7 @@ def _result(
     weighings: Sequence[Weighing],
     today: datetime.date,
 ) -> TiltResult:
-    """Fit, check and store."""
+    """Fit the lines, check them and return the new calibration."""
     tilts = weighed_tilts(weighings, None, 0.0)
     for name, span in zip(_AXES, np.ptp(tilts, axis=0).tolist()):
         if span < config.least_span:

@@ -1,4 +1,4 @@
-"""Sections of a calibration, and dataclasses from the tables of a file."""
+"""Base class of calibration sections, and conversion of TOML tables to dataclasses."""
 
 import dataclasses
 import datetime
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class CalibrationError(ValueError):
-    """A calibration is wrong, stale or another robot's; one sentence says which and why."""
+    """A calibration is invalid, stale or of another robot; the message gives the reason."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -34,17 +34,17 @@ class Section:
 
 
 def require(condition: bool, key: str, value: object, valid: str) -> None:
-    """Refuse a value unless the condition holds.
+    """Reject a value unless the condition holds.
 
     Raises:
-        CalibrationError: Naming the key, its value and what would be valid.
+        CalibrationError: Naming the key, its value and the valid values.
     """
     if not condition:
         raise CalibrationError(f"{key} is {value!r}, needs {valid}")
 
 
 def require_positive(key: str, value: float, unit: str) -> None:
-    """Refuse a number that is not positive and finite.
+    """Reject a number that is not positive and finite.
 
     Raises:
         CalibrationError: Naming the key and its value.
@@ -53,7 +53,7 @@ def require_positive(key: str, value: float, unit: str) -> None:
 
 
 def read_only(values: ArrayLike) -> FloatArray:
-    """Return numbers as an array that nobody can change."""
+    """Return numbers as a read-only array."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array
@@ -63,9 +63,9 @@ def from_table(kind: type[T], table: Mapping[str, object], where: str = "") -> T
     """Return a dataclass from a table of TOML or JSON.
 
     Args:
-        kind: Dataclass; the table has its fields, but for those with a default value.
+        kind: Dataclass; the table may omit fields with a default value.
         table: Table from the file.
-        where: Prefix of the keys in messages.
+        where: Prefix of the keys in error messages.
 
     Raises:
         CalibrationError: Naming the key and its value.
@@ -89,7 +89,7 @@ def from_table(kind: type[T], table: Mapping[str, object], where: str = "") -> T
 
 
 def _value(hint: Any, value: Any, key: str) -> Any:
-    """Return a value of the type that a field has, or refuse it."""
+    """Convert a value to the type of its field, or reject it."""
     if typing.get_origin(hint) is types.UnionType:  # A type or None.
         return None if value is None else _value(typing.get_args(hint)[0], value, key)
     if dataclasses.is_dataclass(hint):

@@ -1,4 +1,4 @@
-"""Analogue inputs, inclinometer and force/torque sensor: counts into SI units and back."""
+"""Analogue inputs, inclinometer and force/torque sensor: conversion of counts and SI units."""
 
 import dataclasses
 import functools
@@ -12,7 +12,7 @@ from perception.geometry.arrays import FloatArray, IntArray
 from twin.hardware.calibration.section import Section, read_only, require, require_positive
 
 ANALOGUE_PINS: Final = 16
-"""Analogue inputs that an analogue board may have."""
+"""Largest number of analogue inputs of a board."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,7 +22,7 @@ class AngleSensor:
     Attributes:
         pin: Analogue input of the board.
         zero_volts: Output at angle zero [V].
-        volts_per_radian: Slope, negative where the sensor is mounted the other way round [V/rad].
+        volts_per_radian: Slope [V/rad]; negative if the sensor is mounted reversed.
     """
 
     pin: int
@@ -30,7 +30,7 @@ class AngleSensor:
     volts_per_radian: float
 
     def __post_init__(self) -> None:
-        """Refuse a sensor that says nothing.
+        """Reject an impossible input, offset or slope.
 
         Raises:
             CalibrationError: Naming the key and its value.
@@ -51,12 +51,12 @@ class AngleSensor:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class AnalogueCalibration(Section):
-    """The analogue board and the potentiometer in the rover's centre.
+    """Analogue board and potentiometer of the rover's centre joint.
 
     Attributes:
-        bits: Resolution of its converter.
-        reference: Voltage of a full scale [V].
-        centre: The potentiometer.
+        bits: Resolution of the converter [bits].
+        reference: Full-scale voltage of the converter [V].
+        centre: Potentiometer of the centre joint.
     """
 
     bits: int
@@ -64,7 +64,7 @@ class AnalogueCalibration(Section):
     centre: AngleSensor
 
     def __post_init__(self) -> None:
-        """Refuse an impossible converter.
+        """Reject an impossible converter.
 
         Raises:
             CalibrationError: Naming the key and its value.
@@ -82,9 +82,9 @@ class AnalogueCalibration(Section):
         return np.asarray(codes, dtype=float) * self.step
 
     def codes(self, volts: ArrayLike) -> IntArray:
-        """Return the converter codes (...) nearest to voltages (...) [V], within its range.
+        """Return the converter codes (...) nearest to voltages (...) [V], saturated.
 
-        The last code is one count below the reference, as in converters that give
+        The largest code is one count below the reference, as for converters that output
         V 2^bits / reference.
 
         Raises:
@@ -99,7 +99,7 @@ class AnalogueCalibration(Section):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TiltCalibration(Section):
-    """The two axes of the inclinometer (Thesis Table D-1)."""
+    """Roll and pitch axes of the inclinometer (Thesis Table D-1)."""
 
     roll: AngleSensor
     pitch: AngleSensor
@@ -107,13 +107,13 @@ class TiltCalibration(Section):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ForceTorqueCalibration(Section):
-    """The force/torque sensor under the arm; its origin is the arm base frame's.
+    """Force/torque sensor under the arm; its origin is that of the arm base frame.
 
     Attributes:
         counts_per_newton: Counts of each of the three force components [1/N].
         counts_per_newton_metre: Counts of each of the three torque components [1/(N m)].
-        direction: -1 for a sensor that reports the load on its face, the makers' convention; 1 for
-            one that reports the reaction to the load, the convention of the contract.
+        direction: -1 for a sensor that reports the load on its face, the convention of the
+            manufacturers; 1 for one that reports the reaction to it, as the robot contract does.
         rotation: (3, 3) rows of the rotation from the sensor's frame to the arm base frame.
         bias: (6,) reading without load, sensor frame [N, N m].
     """
@@ -125,7 +125,7 @@ class ForceTorqueCalibration(Section):
     bias: tuple[float, float, float, float, float, float]
 
     def __post_init__(self) -> None:
-        """Refuse what is no mounted sensor.
+        """Reject impossible constants or a rotation that is not proper.
 
         Raises:
             CalibrationError: Naming the key and its value.
@@ -148,22 +148,22 @@ class ForceTorqueCalibration(Section):
 
     @functools.cached_property
     def _turn(self) -> FloatArray:
-        """(6, 6) sensor frame to arm base frame."""
+        """(6, 6) transform of wrenches from the sensor frame to the arm base frame."""
         return read_only(self.direction * np.kron(np.eye(2), np.array(self.rotation)))
 
     def wrench(self, counts: ArrayLike) -> FloatArray:
-        """Return forces and moments (..., 6) of counts (..., 6).
+        """Return wrenches (..., 6) of counts (..., 6).
 
         Returns:
-            By the rover on the arm, arm base frame [N, N m].
+            Forces and moments of the rover on the arm, arm base frame [N, N m].
         """
         sensed = np.asarray(counts, dtype=float) / self._scale - np.array(self.bias)
         return sensed @ self._turn.T
 
     def counts(self, wrench: ArrayLike) -> IntArray:
-        """Return the counts (..., 6) nearest to a wrench (..., 6) as `wrench` returns it.
+        """Return the counts (..., 6) nearest to wrenches (..., 6), the inverse of `wrench`.
 
-        Counts are 32-bit numbers on the wire; the sensor saturates there.
+        Counts are sent as 32-bit integers, to which they saturate.
         """
         sensed = np.asarray(wrench, dtype=float) @ self._turn + np.array(self.bias)
         counts = np.rint(sensed * self._scale)

@@ -1,13 +1,14 @@
-"""Inclinometer constants from weighings: the force/torque sensor gives the true tilt.
+"""Inclinometer constants from weighings, with the force/torque sensor as tilt reference.
 
-At each tilt the force/torque sensor is reset, a weight is hung on the arm, and the direction of
-the force that it adds is the vertical (Thesis app. D). Voltages over the tilts give the zero angle
-voltage and the sensitivity of eq. D-1. Two tilts suffice, as in the thesis; more are fitted.
+At each tilt the force/torque sensor is zeroed, a weight is hung on the arm, and the direction of
+the added force is the vertical (Thesis app. D). A line through the voltages over the tilts gives
+the zero angle voltage and the sensitivity of eq. D-1. Two tilts suffice, as in the thesis; more are
+fitted by least squares.
 
-The weight also tilts the robot a little on its springs, and with it the arm's own weight, which
-the reset took away for the old tilt only. That turns the added force by W_arm / W_added times the
-sag, and since the sag is proportional to W_added, a heavier weight does not help: 0.6 degrees on
-the rover with its arm ahead. The inclinometer has seen the sag, so it can be taken out.
+The weight also tilts the robot slightly on its springs (the sag). The arm's own weight, which was
+zeroed at the old tilt only, turns with it and rotates the added force by W_arm / W_added times the
+sag. Since the sag is proportional to W_added, a heavier weight does not help: the error is 0.6
+degrees for the rover with its arm ahead. The inclinometer measures the sag, so it is corrected.
 
 Tilts are pitch and roll as in `twin.robot.Observation`. The reference is the force/torque sensor's
 frame: a misalignment between the two sensors becomes part of the zero angle voltages.
@@ -27,12 +28,12 @@ _SAG_ROUNDS = 4
 
 @dataclasses.dataclass(frozen=True)
 class Sample:
-    """Means over a time in which the robot stood still, and their standard errors.
+    """Mean readings of a robot at rest, and their standard errors.
 
     Attributes:
         volts: (2,) outputs of the inclinometer's pitch and roll axes [V].
         volts_error: (2,) standard errors [V].
-        force: (3,) by the rover on the arm, arm base frame [N].
+        force: (3,) force of the rover on the arm, arm base frame [N].
         force_error: (3,) standard errors [N].
     """
 
@@ -44,14 +45,14 @@ class Sample:
 
 @dataclasses.dataclass(frozen=True)
 class Weighing:
-    """One tilt, before and after the weight was hung on the arm."""
+    """Samples at one tilt, before and after the weight was hung on the arm."""
 
     before: Sample
     after: Sample
 
     @property
     def added(self) -> FloatArray:
-        """(3,) force that came with the weight, arm base frame [N]."""
+        """(3,) force added by the weight, arm base frame [N]."""
         return self.after.force - self.before.force
 
 
@@ -62,9 +63,9 @@ class TiltLine:
     Attributes:
         zero_volts: Output at angle zero [V].
         volts_per_radian: Slope [V/rad].
-        zero_error: Standard error of the first [V]; NaN from two readings.
-        slope_error: Standard error of the second [V/rad]; NaN from two readings.
-        residual: Root mean square distance of the readings from the line [V].
+        zero_error: Standard error of `zero_volts` [V]; NaN from two readings.
+        slope_error: Standard error of `volts_per_radian` [V/rad]; NaN from two readings.
+        residual: Root mean square residual of the readings [V].
     """
 
     zero_volts: float
@@ -88,14 +89,14 @@ def sample(volts: ArrayLike, force: ArrayLike) -> Sample:
 
 
 def tilt_of_up(up: ArrayLike) -> FloatArray:
-    """Return pitch and roll (..., 2) [rad] of a body that sees the vertical at ``up`` (..., 3)."""
+    """Return pitch and roll (..., 2) [rad] from the vertical ``up`` (..., 3) in the body frame."""
     x, y, z = np.moveaxis(np.asarray(up, dtype=float), -1, 0)
     pitch = np.arctan2(y, np.hypot(x, z))
     return np.stack([pitch, np.arctan2(-x, z)], axis=-1)
 
 
 def up_of_tilt(tilt: ArrayLike) -> FloatArray:
-    """Return the unit vertical (..., 3) that a body at pitch and roll (..., 2) [rad] sees."""
+    """Return the unit vertical (..., 3) in the body frame at pitch and roll (..., 2) [rad]."""
     pitch, roll = np.moveaxis(np.asarray(tilt, dtype=float), -1, 0)
     across = np.cos(pitch)
     return np.stack([-np.sin(roll) * across, np.sin(pitch), np.cos(roll) * across], axis=-1)
@@ -104,13 +105,13 @@ def up_of_tilt(tilt: ArrayLike) -> FloatArray:
 def weighed_tilts(
     weighings: Sequence[Weighing], volts_per_radian: ArrayLike | None, arm_weight: float
 ) -> FloatArray:
-    """Return pitch and roll (n, 2) [rad] with the weight on, from the forces.
+    """Return pitch and roll (n, 2) [rad] of the loaded robot, from the forces.
 
     Args:
-        weighings: n tilts.
-        volts_per_radian: (2,) rough slopes of the pitch and roll axes, by which the sag is taken
-            out [V/rad]; None takes the added force for the vertical, as the thesis does.
-        arm_weight: Weight of all that the force/torque sensor carries [N].
+        weighings: Weighings at n tilts.
+        volts_per_radian: (2,) approximate slopes of the pitch and roll axes that correct the sag
+            [V/rad]; None uses the added force as the vertical, as the thesis does.
+        arm_weight: Weight carried by the force/torque sensor [N].
     """
     added = np.array([weighing.added for weighing in weighings])
     up = _unit(added)
@@ -128,8 +129,8 @@ def two_point_line(tilts: ArrayLike, volts: ArrayLike) -> TiltLine:
     """Return the line through the two outermost of n readings, as the thesis does.
 
     Args:
-        tilts: (n,) of one axis [rad].
-        volts: (n,) [V].
+        tilts: (n,) tilts about one axis [rad].
+        volts: (n,) outputs of that axis [V].
 
     Raises:
         ValueError: If all tilts are the same.
@@ -143,11 +144,11 @@ def two_point_line(tilts: ArrayLike, volts: ArrayLike) -> TiltLine:
 
 
 def fitted_line(tilts: ArrayLike, volts: ArrayLike) -> TiltLine:
-    """Return the line of least squares through n readings, with standard errors.
+    """Return the least-squares line through n readings, with standard errors.
 
     Args:
-        tilts: (n,) of one axis [rad].
-        volts: (n,) [V].
+        tilts: (n,) tilts about one axis [rad].
+        volts: (n,) outputs of that axis [V].
 
     Raises:
         ValueError: If all tilts are the same.
@@ -176,9 +177,9 @@ def fit_tilt(
 
     Args:
         weighings: Weighings at different tilts; each is used for both axes.
-        arm_weight: Weight of all that the force/torque sensor carries [N].
-        two_point: Use only the two outermost tilts of each axis.
-        without_sag: Take the sag under the weight out.
+        arm_weight: Weight carried by the force/torque sensor [N].
+        two_point: Whether to use only the two outermost tilts of each axis.
+        without_sag: Whether to correct the sag under the weight.
 
     Raises:
         ValueError: If the tilts of an axis are all the same.
@@ -187,7 +188,7 @@ def fit_tilt(
     volts = np.array([weighing.after.volts for weighing in weighings])
     tilts = weighed_tilts(weighings, None, arm_weight)
     pitch, roll = (line(tilts[:, axis], volts[:, axis]) for axis in (0, 1))
-    # The sag is small, so slopes that it spoilt by a few percent suffice to take it out.
+    # The sag is small: slopes that it biases by a few percent suffice to correct it.
     for _ in range(_SAG_ROUNDS if without_sag else 0):
         slopes = (pitch.volts_per_radian, roll.volts_per_radian)
         tilts = weighed_tilts(weighings, slopes, arm_weight)

@@ -1,4 +1,4 @@
-"""The line between a computer and its radio modem, on a serial port or in virtual time."""
+"""Byte channel between a computer and its radio modem, on a serial port or in virtual time."""
 
 import time
 from collections.abc import Callable
@@ -10,26 +10,26 @@ BITS_PER_BYTE = 10  # 8N1: a start bit, eight data bits, a stop bit
 
 
 class ByteChannel(Protocol):
-    """A line to and from a modem, with its own clock."""
+    """Bidirectional byte channel to a modem, with its own clock."""
 
     def now(self) -> float:
-        """Time of the channel's clock [s], never going back."""
+        """Return the time of the channel's monotonic clock [s]."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send bytes, without waiting."""
+        """Send bytes without blocking."""
 
     def read(self) -> bytes:
-        """Return what has come, without waiting."""
+        """Return the bytes received so far, without blocking."""
         ...
 
 
 class SerialChannel:
-    """A real modem, or an emulated one, on a serial port.
+    """Channel to a real or emulated modem on a serial port.
 
     Args:
         link: Port of the modem, which the caller closes.
-        clock: Returns the time that the link keeps [s].
+        clock: Returns the monotonic time of the channel [s].
     """
 
     def __init__(self, link: SerialLink, clock: Callable[[], float] = time.monotonic) -> None:
@@ -40,14 +40,14 @@ class SerialChannel:
         """Send bytes.
 
         Raises:
-            LinkError: If the port is gone or does not take them.
+            LinkError: If the port is disconnected or does not accept them.
         """
         self._link.write(data)
 
     def read(self) -> bytes:
-        """Return what has come.
+        """Return the bytes received so far.
 
         Raises:
-            LinkError: If the port is gone.
+            LinkError: If the port is disconnected.
         """
         return self._link.read(4096, time.monotonic())

@@ -1,10 +1,10 @@
-"""The radio between two rovers at 9600 baud: the link in frames, which no byte error gets past.
+"""Reliable radio link between two rovers at 9600 baud, with checksummed frames.
 
-The modems may lose, change and insert bytes, but do not reorder them. `frames` has the frames
-themselves, `handshake` the thesis' own protocol (appendix D).
+The modems may lose, change and insert bytes, but do not reorder them. `frames` encodes the frames;
+`handshake` is the protocol of the thesis (appendix D).
 
-Nothing here waits: `poll` is called in the servo loop, takes what came and sends what the line
-has room for.
+All calls are non-blocking: `poll`, called in the servo loop, processes the received bytes and sends
+as much as the line's capacity permits.
 """
 
 import dataclasses
@@ -18,20 +18,20 @@ from twin.hardware.radio.channel import BITS_PER_BYTE, ByteChannel
 from twin.hardware.radio.frames import Frame, FrameParser, encode_frame
 from twin.link import MESSAGE_LIMIT, Outcome, Polled, RadioError
 
-_MAX_WINDOW = 8  # Frames that an acknowledgement's byte of flags can report.
+_MAX_WINDOW = 8  # Number of frames that the flags of an acknowledgement (a byte) cover.
 _LONGEST_MESSAGE = 1024  # [bytes]
 _DATA, _LATEST, _ACKNOWLEDGE = 1, 2, 3
 
 
 def check_message(message: bytes, limit: int) -> bytes:
-    """Return a copy of a message that may be sent.
+    """Check the length of a message, and return a copy of it.
 
     Args:
         message: Body of the message.
-        limit: Greatest length allowed [bytes].
+        limit: Largest length [bytes].
 
     Raises:
-        RadioError: If it is empty or too long.
+        RadioError: If the message is empty or too long.
     """
     if not 1 <= len(message) <= limit:
         raise RadioError(f"radio message of {len(message)} bytes: 1 to {limit} can be sent")
@@ -40,17 +40,17 @@ def check_message(message: bytes, limit: int) -> bytes:
 
 @dataclasses.dataclass(frozen=True)
 class FramedConfig:
-    """Numbers of a framed link; both ends should have the same.
+    """Configuration of a framed link; both ends should use the same.
 
     Attributes:
-        baud: Bits a second on the line.
+        baud: Bit rate of the line [bit/s].
         message_limit: Longest message [bytes].
-        window: Messages on the way at once, 1 to 8.
-        queue_limit: Messages that may wait to be sent.
+        window: Largest number of unconfirmed messages in transit, 1 to 8.
+        queue_limit: Largest number of messages that wait for transmission.
         acknowledge_within: Time from a frame's last byte to its acknowledgement [s]: delays of both
             directions, both ends' polling, and one frame sent before the acknowledgement.
-        deliver_within: Time from `send` until a message is given up [s].
-        write_ahead: Time by which the next frame is written before the line is free [s]: two polls.
+        deliver_within: Time from `send` until a message is reported as unconfirmed [s].
+        write_ahead: Time before the line is free at which the next frame is written [s]: two polls.
     """
 
     baud: int = 9600
@@ -62,7 +62,7 @@ class FramedConfig:
     write_ahead: float = 0.02
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no link can have.
+        """Reject numbers that are out of range.
 
         Raises:
             ValueError: Naming the field and its value.
@@ -79,7 +79,7 @@ class FramedConfig:
 
 @dataclasses.dataclass
 class _Pending:
-    """A message until it is confirmed or given up; `first` and `last` count transmissions."""
+    """Message that is neither confirmed nor expired; `first` and `last` number transmissions."""
 
     ticket: int
     message: bytes
@@ -93,13 +93,13 @@ class _Pending:
 class FramedLink:
     """One end of the framed link.
 
-    `send` is for what must arrive: in order, once, or said to be unconfirmed. `send_latest` is for
-    what the next value replaces. A new session number at each start, and after each message given
-    up, keeps numbers of before from being mistaken for those of now.
+    `send` delivers messages in order and once, or reports them as unconfirmed. `send_latest` is for
+    values that the next one replaces, without confirmation. The session number changes at each
+    start and after each expired message, so that old sequence numbers are not taken for new ones.
 
     Attributes:
-        bytes_sent: Number of bytes put on the line.
-        latest_missed: Number of latest values lost, by the gaps in the numbers of those received.
+        bytes_sent: Number of bytes written to the line.
+        latest_missed: Number of latest values lost, from gaps in the received sequence numbers.
     """
 
     def __init__(
@@ -108,9 +108,9 @@ class FramedLink:
         """Begin a session.
 
         Args:
-            channel: Line to the modem.
-            rng: Random generator for the session number; seeded anew at each start of a robot.
-            config: Numbers of the link.
+            channel: Channel to the modem.
+            rng: Random generator for the session number, with a new seed at each start of a robot.
+            config: Configuration of the link.
         """
         self.bytes_sent = self.latest_missed = 0
         self._channel = channel
@@ -134,14 +134,14 @@ class FramedLink:
 
     @property
     def pending(self) -> int:
-        """Messages neither confirmed nor given up."""
+        """Number of messages neither confirmed nor expired."""
         return len(self._queue) + len(self._flight)
 
     def send(self, message: bytes) -> int:
-        """Queue a message that must arrive.
+        """Queue a message for confirmed delivery.
 
         Returns:
-            The ticket that an `Outcome` of a later `poll` carries.
+            Ticket that identifies the message in an `Outcome` of a later `poll`.
 
         Raises:
             RadioError: If the message is empty or too long, or the queue is full.
@@ -155,7 +155,7 @@ class FramedLink:
         return self._tickets
 
     def send_latest(self, message: bytes) -> None:
-        """Send a value once; one that waits with the same first byte (its type) is replaced.
+        """Queue a value without confirmation; it replaces a queued one of its type (first byte).
 
         Raises:
             RadioError: If the message is empty or too long.
@@ -164,10 +164,10 @@ class FramedLink:
         self._latest[message[0]] = message
 
     def poll(self) -> Polled:
-        """Take what came, and send what the line has room for.
+        """Process the received bytes, and send as much as the line's capacity permits.
 
         Raises:
-            LinkError: If the port is gone.
+            LinkError: If the port is disconnected.
         """
         now = self._channel.now()
         result = Polled([], [])
@@ -178,7 +178,7 @@ class FramedLink:
         return result
 
     def next_event(self) -> float:
-        """When `poll` has something to do, though nothing came [s]; infinity for never."""
+        """Return when `poll` must run next if no bytes arrive [s]; infinity for never."""
         times = [pending.expires for pending in (*self._flight, *self._queue)]
         send = min((pending.due for pending in self._flight), default=math.inf)
         if self._acknowledge or self._latest or self._can_begin():
@@ -198,7 +198,7 @@ class FramedLink:
             self._parser.rejected += 1
 
     def _meet(self, frame: Frame) -> None:
-        """Begin anew when the other end has, with its oldest message on the way."""
+        """Resynchronize to a new session of the other end, at its oldest unconfirmed message."""
         if frame.session != self._peer:
             self._peer = frame.session
             self._expected = (frame.sequence - frame.age) & 0xFF
@@ -225,7 +225,7 @@ class FramedLink:
         messages.append(frame.body)
 
     def _take_acknowledgement(self, frame: Frame, now: float, outcomes: list[Outcome]) -> None:
-        """Confirm all before the frame's number, and what the body's bits list beyond it."""
+        """Confirm all messages before the frame's number, and those flagged in its body."""
         oldest = self._flight[0].sequence if self._flight else self._next_sequence
         confirmed = (frame.sequence - oldest) & 0xFF
         if frame.session != self._session or confirmed > len(self._flight):
@@ -240,14 +240,14 @@ class FramedLink:
                 newest = max(newest, pending.first)
                 pending.due = math.inf
             elif pending.due == math.inf:
-                pending.due = now  # The other end began anew and forgot it.
+                pending.due = now  # The other end restarted and lost it.
         for pending in self._flight:
-            # Nothing is reordered: what left before a frame that arrived, and did not, is lost.
+            # Frames are not reordered: one sent before another that arrived is lost.
             if pending.last < newest and pending.due < math.inf:
                 pending.due = now
 
     def _expire(self, now: float, outcomes: list[Outcome]) -> None:
-        """Give up what is too old; with it all on the way, since the order is broken."""
+        """Report expired messages; if one in transit expires, give up all in transit."""
         if self._flight and now >= self._flight[0].expires:
             outcomes += [Outcome(pending.ticket, False) for pending in self._flight]
             self._flight.clear()
@@ -266,7 +266,7 @@ class FramedLink:
             self.bytes_sent += len(line)
 
     def _next_line(self, now: float) -> bytes | None:
-        """Acknowledgements first; then latest values and messages in turn, so that none starves."""
+        """Return the next frame: first acknowledgements, then values and messages alternately."""
         if self._acknowledge:
             self._acknowledge = False
             bits = sum(1 << ((held - self._expected - 1) & 0xFF) for held in self._held)
@@ -287,7 +287,7 @@ class FramedLink:
         return bool(self._queue) and len(self._flight) < self._config.window
 
     def _find_message(self, now: float) -> _Pending | None:
-        """Return the message to send next: one that is due again before a new one."""
+        """Return the message to send next; retransmissions precede new messages."""
         due = (pending for pending in self._flight if now >= pending.due)
         return next(due, self._queue[0] if self._can_begin() else None)
 

@@ -1,8 +1,9 @@
-"""Frames on the radio's line: COBS(kind and age, session, sequence, body, CRC-16), zero.
+"""Frames of the radio link: COBS(kind and age, session, sequence, body, CRC-16), zero.
 
-The CRC has the polynomial of CRC-16/XMODEM, 0x1021, but begins with ones and is inverted
-(CRC-16/GENIBUS). XMODEM is blind to zeros put before the data or behind the CRC, and in COBS one
-byte hit at either end does just that: of 1000 messages at 1 % of bytes hit, two were wrong.
+The CRC is CRC-16/GENIBUS: the polynomial of CRC-16/XMODEM, 0x1021, but with ones as initial value
+and an inverted result. XMODEM does not detect zeros before the data or after the CRC, and in COBS
+one byte error at either end adds such zeros: at a byte error rate of 1 %, two of 1000 messages were
+wrong.
 """
 
 import struct
@@ -18,13 +19,13 @@ _CRC = struct.Struct(">H")
 
 
 class Frame(NamedTuple):
-    """What a frame says.
+    """Content of a frame.
 
     Attributes:
         kind: Kind of the body, 0 to 15.
-        age: Sequence numbers since the sender's oldest unconfirmed message, 0 to 15.
-        session: Session of the sender of the numbered messages, 0 to 65535.
-        sequence: Number of a message, 0 to 255.
+        age: Offset of `sequence` from the sender's oldest unconfirmed message, 0 to 15.
+        session: Session number of the end that sends the numbered messages, 0 to 65535.
+        sequence: Sequence number of a message, 0 to 255.
         body: Content, at least one byte.
     """
 
@@ -36,7 +37,7 @@ class Frame(NamedTuple):
 
 
 def encode_frame(frame: Frame) -> bytes:
-    """Return a frame as it goes on the line."""
+    """Return a frame as the bytes on the line."""
     head = _HEADER.pack(frame.kind << 4 | frame.age, frame.session, frame.sequence)
     data = head + frame.body
     encoded: bytes = _cobs.encode(data + _CRC.pack(fastcrc.crc16.genibus(data)))
@@ -44,10 +45,10 @@ def encode_frame(frame: Frame) -> bytes:
 
 
 class FrameParser:
-    """Cuts a stream of bytes into frames; what is no frame is counted and dropped."""
+    """Splits a byte stream into frames; counts and discards invalid ones."""
 
     def __init__(self, message_limit: int) -> None:
-        """Hold no more than the longest frame of `message_limit` [bytes]."""
+        """Limit the buffer to the longest frame with a body of `message_limit` [bytes]."""
         length = _HEADER.size + message_limit + _CRC.size
         self._most: int = _cobs.max_encoded_length(length)
         self._buffer = bytearray()
@@ -55,7 +56,7 @@ class FrameParser:
         self.rejected = 0
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Take bytes, and return the frames that they complete."""
+        """Process received bytes, and return the completed frames."""
         frames: list[Frame] = []
         pieces = data.split(b"\0")
         for piece in pieces[:-1]:

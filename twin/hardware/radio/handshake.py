@@ -1,10 +1,10 @@
-"""The thesis' radio protocol (appendix D): a handshake for n bytes, kept as the reference.
+"""Radio protocol of the thesis (appendix D): a handshake for n bytes, as the reference.
 
-The transmitter sends a transmit command and waits for the acknowledge command. Then it sends byte
-by byte, each followed by an end-of-byte command, and waits for received-ok before the next one;
-the last byte is followed by an end-of-data command. The commands' values are ours: the thesis
-names none. Like the original it has no checksum, no escaping, no sequence number and no rule for
-an unexpected byte (it is passed over). Only deadlines are added, so that every call ends.
+The transmitter sends a transmit command and waits for the acknowledge command. It then sends the
+bytes one at a time, each followed by an end-of-byte command, and waits for received-ok before the
+next one; the last byte is followed by an end-of-data command. The thesis does not give the values
+of the commands; they are chosen here. Like the original, the protocol has no checksum, no escaping
+and no sequence numbers, and it ignores unexpected bytes. Only deadlines are added.
 """
 
 import dataclasses
@@ -24,13 +24,13 @@ END_OF_DATA = 0x04
 
 @dataclasses.dataclass(frozen=True)
 class HandshakeConfig:
-    """Numbers of a handshake link.
+    """Configuration of a handshake link.
 
     Attributes:
         message_limit: Longest message [bytes].
         send_within: Time from the transmit command until the transmitter gives up [s].
         receive_within: Time from the transmit command until the receiver gives up [s]; shorter than
-            `send_within`, so that it listens again when the next transmit command comes.
+            `send_within`, so that the receiver is ready for the next transmit command.
     """
 
     message_limit: int = 1024
@@ -38,7 +38,7 @@ class HandshakeConfig:
     receive_within: float = 0.9
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no link can have.
+        """Reject numbers that are not positive.
 
         Raises:
             ValueError: Naming the field and its value.
@@ -47,13 +47,13 @@ class HandshakeConfig:
 
 
 class HandshakeLink:
-    """One end of the handshake link; it sends one message at a time.
+    """One end of the handshake link, which sends one message at a time.
 
-    A confirmed `Outcome` means only that the transmitter came to the end of data.
+    A confirmed `Outcome` means only that the transmitter sent the end-of-data command.
     """
 
     def __init__(self, channel: ByteChannel, config: HandshakeConfig | None = None) -> None:
-        """Listen on `channel`."""
+        """Initialize as a receiver on `channel`."""
         self._channel = channel
         self._config = config or HandshakeConfig()
         self._tickets = 0
@@ -61,23 +61,23 @@ class HandshakeLink:
         self._sent: int | None = None  # None until the transmit command is acknowledged
         self._send_until = math.inf
         self._received: bytearray | None = None
-        self._byte: int | None = None  # waits for the command that follows it
+        self._byte: int | None = None  # received, its command is not
         self._receive_until = math.inf
 
     @property
     def pending(self) -> int:
-        """Messages on the way: 0 or 1."""
+        """Number of messages in transit, 0 or 1."""
         return int(self._sending is not None)
 
     def send(self, message: bytes) -> int:
-        """Send the transmit command; `poll` does the rest.
+        """Begin a transmission, which `poll` continues.
 
         Returns:
-            The ticket that an `Outcome` of a later `poll` carries.
+            Ticket that identifies the message in an `Outcome` of a later `poll`.
 
         Raises:
             RadioError: If the message is empty or too long, or the link is busy.
-            LinkError: If the port is gone.
+            LinkError: If the port is disconnected.
         """
         message = check_message(message, self._config.message_limit)
         if self._sending is not None or self._received is not None:
@@ -90,10 +90,10 @@ class HandshakeLink:
         return self._tickets
 
     def poll(self) -> Polled:
-        """Take what came, and answer it.
+        """Process the received bytes, and reply to them.
 
         Raises:
-            LinkError: If the port is gone.
+            LinkError: If the port is disconnected.
         """
         now = self._channel.now()
         result = Polled([], [])
@@ -109,11 +109,11 @@ class HandshakeLink:
         return result
 
     def next_event(self) -> float:
-        """When `poll` has something to do, though nothing came [s]; infinity for never."""
+        """Return when `poll` must run next if no bytes arrive [s]; infinity for never."""
         return min(self._send_until, self._receive_until)
 
     def _take_answer(self, value: int, result: Polled) -> None:
-        """Go on with sending, if this is the command that is waited for."""
+        """Send the next byte if this is the expected command."""
         message = self._sending
         if message is None or value != (ACKNOWLEDGE if self._sent is None else RECEIVED_OK):
             return

@@ -1,5 +1,5 @@
 """RoboClaw motor boards: PWM, encoders, limits and status.
 
-- `codec`: commands and answers as bytes, and back.
-- `client`: several boards on one serial line, within deadlines.
+- `codec`: encoding and decoding of commands and replies.
+- `client`: several boards on one serial line, with deadlines.
 """

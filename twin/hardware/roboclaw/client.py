@@ -1,9 +1,9 @@
-"""Several RoboClaw boards on one serial line, asked strictly and within a deadline.
+"""Client for several RoboClaw boards on one serial line, with checked replies and deadlines.
 
-The makers' and public clients are not used: after one lost reply they wait for seconds, they take
-any byte as an acknowledgement, wrap a duty that is out of range (the motor reverses) and read
-encoders without a sign. Here a value counts only when its checksum fits, and every call ends by
-`BusTiming.call`.
+The manufacturer's and other public clients are not used: they block for seconds after a lost reply,
+accept any byte as an acknowledgement, wrap a duty that is out of range (the motor reverses) and
+read encoders as unsigned. Here a value is valid only if its checksum matches, and every call ends
+within `BusTiming.call`.
 """
 
 import dataclasses
@@ -18,9 +18,9 @@ from twin.hardware.serial_link import LinkError, SerialLink
 
 T = TypeVar("T")
 
-# Sent in turn to find the line clear: each answer shows which of them it belongs to, unless it is
-# later than a whole round, some 140 ms. All firmware answers them alike, and the servo cycle asks
-# other ones.
+# Sent in turn to verify that the line is clear: a reply identifies its probe, unless it is late by
+# a whole round, about 140 ms. All firmware versions reply alike, and the servo cycle does not use
+# these commands.
 _PROBES = (
     BoardCommand.GET_TEMPERATURE,
     BoardCommand.GET_ENCODER_1,
@@ -38,10 +38,10 @@ class BusTiming:
     """Deadlines of the bus [s].
 
     Attributes:
-        reply: Time from a request to its whole answer.
-        quiet: Silence after a failure; longer than `codec.PACKET_GAP`, so that the boards drop
-            what they hold of a broken packet.
-        call: Time from a call to its end, with all its retries.
+        reply: Time from a request to the end of its reply.
+        quiet: Silence after a failure; longer than `codec.PACKET_GAP`, so that the boards discard
+            a partial packet.
+        call: Time from the start of a call to its end, including all retries.
     """
 
     reply: float = 0.006
@@ -51,15 +51,15 @@ class BusTiming:
 
 @dataclasses.dataclass
 class BusStatistics:
-    """What the bus went through.
+    """Counts of the bus's transactions and errors.
 
     Attributes:
-        transactions: Calls.
-        retries: Requests sent again.
-        silent: Requests without an answer, or with a part of one.
-        refused: Answers whose checksum or acknowledgement was wrong, or with bytes behind them.
-        stray: Bytes that nobody had asked for.
-        failures: Calls that ended with a `LinkError`.
+        transactions: Number of calls.
+        retries: Number of requests sent again.
+        silent: Number of requests without a reply, or with a partial one.
+        refused: Number of replies with a wrong checksum or acknowledgement, or trailing bytes.
+        stray: Number of unsolicited bytes.
+        failures: Number of calls that ended with a `LinkError`.
     """
 
     transactions: int = 0
@@ -74,22 +74,22 @@ class RoboClawBus:
     """Boards at several addresses behind one port."""
 
     def __init__(self, link: SerialLink, timing: BusTiming | None = None) -> None:
-        """Take over an open port.
+        """Initialize from an open port.
 
         Args:
-            link: The port; closed by `close`.
-            timing: Deadlines.
+            link: Serial port, which `close` closes.
+            timing: Deadlines of the bus.
         """
         self.statistics = BusStatistics()
         self._link = link
         self._timing = timing or BusTiming()
-        # After a failure an answer may still be on its way; nothing is believed before it passed.
+        # After a failure a reply may still be pending; no reply is accepted until it has passed.
         self._suspect = True
         self._probes = itertools.cycle(_PROBES)
         self._status_length: dict[int, int] = {}
 
     def read(self, address: int, command: BoardCommand) -> tuple[int, ...]:
-        """Read from a board, and return the values of its answer.
+        """Send a read command, and return the values of the reply.
 
         Args:
             address: Address of the board.
@@ -107,7 +107,7 @@ class RoboClawBus:
         return self._call(f"{command.name} of board {address:#x}", address, command, exchange)
 
     def write(self, address: int, command: BoardCommand, *values: int) -> None:
-        """Write to a board, and wait for its acknowledgement.
+        """Send a write command, and wait for the acknowledgement.
 
         Args:
             address: Address of the board.
@@ -116,7 +116,7 @@ class RoboClawBus:
 
         Raises:
             ValueError: If a value does not fit its field; nothing was sent.
-            LinkError: If it was not acknowledged in time. It may have been carried out.
+            LinkError: If it was not acknowledged in time; the board may have executed it.
         """
         packet = codec.encode_write(address, command, *values)
 
@@ -128,7 +128,7 @@ class RoboClawBus:
         self._call(f"{command.name} to board {address:#x}", address, command, exchange)
 
     def status(self, address: int) -> Status:
-        """Return a board's status, of whichever layout its firmware has.
+        """Return a board's status, in the layout of any firmware version.
 
         Raises:
             LinkError: If no valid answer came in time.
@@ -140,7 +140,7 @@ class RoboClawBus:
             reply = self._ask(address, command, length, deadline)
             status = codec.decode_status_reply(address, reply)
             if status is None:
-                self._status_length.pop(address, None)  # It may be another firmware by now.
+                self._status_length.pop(address, None)  # The firmware may have changed.
             else:
                 self._status_length[address] = len(reply)
             return self._judge(reply, len(reply) or length, status)
@@ -148,7 +148,7 @@ class RoboClawBus:
         return self._call(f"status of board {address:#x}", address, command, exchange)
 
     def version(self, address: int) -> str:
-        """Return a board's firmware version, as it names itself.
+        """Return the firmware version string that a board reports.
 
         Raises:
             LinkError: If no valid answer came in time.
@@ -179,7 +179,7 @@ class RoboClawBus:
         return self._link.read(length, deadline)
 
     def _judge(self, reply: bytes, length: int, value: T | None) -> T | None:
-        """Count what was wrong with an answer, if anything."""
+        """Count a missing or invalid reply; return its value."""
         if value is None:
             if len(reply) < length:
                 self.statistics.silent += 1
@@ -194,7 +194,7 @@ class RoboClawBus:
         command: BoardCommand,
         exchange: Callable[[float], T | None],
     ) -> T:
-        """Exchange until an answer is right or the time is up."""
+        """Repeat an exchange until a reply is valid or the call's time is over."""
         end = time.monotonic() + self._timing.call
         self.statistics.transactions += 1
         tries = 0
@@ -213,10 +213,10 @@ class RoboClawBus:
         raise LinkError(f"{what}: no valid answer in {tries} tries on {self._link.port}")
 
     def _stands_alone(self) -> bool:
-        """Return whether nothing follows an answer.
+        """Return whether no bytes follow a reply.
 
-        What is followed may be an old answer come again, or the first byte of the answer to a
-        question that a damaged write became; that may well be the one of an acknowledgement.
+        A reply with trailing bytes may be a repeated old one. It may also be the reply to a read
+        command into which a write was corrupted: its first byte may equal an acknowledgement.
         """
         behind = self._link.drain(0.0, 0.0)
         self.statistics.stray += behind
@@ -224,10 +224,10 @@ class RoboClawBus:
         return not behind
 
     def _clear(self, address: int, command: BoardCommand, end: float) -> bool:
-        """Make sure that no earlier answer can be taken for the next one.
+        """Ensure that no earlier reply can be mistaken for the next one.
 
-        Bytes keep their order on a line: once the answer to one more question has come, and to no
-        earlier one like it, all that was on its way before has passed.
+        Bytes keep their order on a line: once a new probe has been answered, all replies that were
+        pending before it have passed.
         """
         stray = self._link.drain(0.0, end - time.monotonic())
         self.statistics.stray += stray
@@ -236,17 +236,17 @@ class RoboClawBus:
         self._suspect = True
         self.statistics.stray += self._link.drain(self._timing.quiet, end - time.monotonic())
         if time.monotonic() < end:
-            # A probe must not be the question itself.
+            # A probe must differ from the command itself.
             question = next(probe for probe in self._probes if probe is not command)
             self._suspect = not self._probe(address, question, end)
         return not self._suspect
 
     def _probe(self, address: int, question: BoardCommand, end: float) -> bool:
-        """Ask, and let pass what comes before the answer."""
+        """Send a read command, and discard all bytes before its reply."""
         deadline = min(time.monotonic() + self._timing.reply, end)
         self._link.write(codec.encode_read(address, question))
         length, tail = codec.reply_length(question), b""
-        # A board that babbles sends for ever.
+        # A faulty board may send without end.
         while time.monotonic() < deadline and (byte := self._link.read(1, deadline)):
             tail = (tail + byte)[-length:]
             if codec.decode_reply(address, question, tail) is not None:

@@ -1,8 +1,8 @@
-"""The RoboClaw packet-serial protocol, byte by byte; nothing here touches a port.
+"""Encoding and decoding of the RoboClaw packet-serial protocol, without input or output.
 
-A write is ``address command payload crc``, answered by one 0xFF. A read is ``address command``
-without a checksum, answered by ``payload crc`` in which the checksum also covers address and
-command: the answer to another question never passes for this one's. All numbers are big-endian.
+A write is ``address command payload crc``, acknowledged by one byte 0xFF. A read is ``address
+command`` without a checksum; its reply is ``payload crc``, where the checksum also covers address
+and command, so that the reply to another command is never accepted. Numbers are big-endian.
 """
 
 import enum
@@ -15,13 +15,13 @@ ACKNOWLEDGE = 0xFF
 FULL_DUTY = 32767
 """Duty code of full forward drive; -32767 is full reverse."""
 PACKET_GAP = 0.01
-"""A board drops a partial packet after such a silence [s]."""
+"""Silence after which a board discards a partial packet [s]."""
 LONGEST_VERSION = 48
 VERSION_END = b"\n\0"
 
 
 class BoardCommand(enum.IntEnum):
-    """Commands in use, by their numbers on the wire."""
+    """Command numbers of the protocol that are in use."""
 
     SET_TIMEOUT = 14
     GET_TIMEOUT = 15
@@ -63,8 +63,8 @@ class BoardCommand(enum.IntEnum):
     RESET_E_STOP = 200
 
 
-# Payload layouts for `struct`; what is not listed is not spoken. The status of an encoder or a
-# speed is a byte behind it: 1 underflow, 2 backward, 4 overflow.
+# Payload layouts for `struct`; other commands are not supported. An encoder or speed is followed by
+# a status byte: 1 underflow, 2 backward, 4 overflow.
 WRITES: dict[BoardCommand, str] = {
     BoardCommand.SET_TIMEOUT: ">B",
     BoardCommand.RESET_ENCODERS: ">",
@@ -78,10 +78,10 @@ WRITES: dict[BoardCommand, str] = {
     BoardCommand.SPEED_1: ">i",
     BoardCommand.SPEED_2: ">i",
     BoardCommand.SPEED_BOTH: ">ii",
-    BoardCommand.POSITION_1: ">IIIiB",  # acceleration, speed, deceleration, position, at once
+    BoardCommand.POSITION_1: ">IIIiB",  # acceleration, speed, deceleration, position, immediate
     BoardCommand.POSITION_2: ">IIIiB",
     BoardCommand.POSITION_BOTH: ">IIIiIIIiB",
-    BoardCommand.SET_CURRENT_LIMIT_1: ">II",  # most and least, 10 mA
+    BoardCommand.SET_CURRENT_LIMIT_1: ">II",  # maximum and minimum, 10 mA
     BoardCommand.SET_CURRENT_LIMIT_2: ">II",
     BoardCommand.SET_PWM_MODE: ">B",
     BoardCommand.RESET_E_STOP: ">",
@@ -105,7 +105,7 @@ READS: dict[BoardCommand, str] = {
     BoardCommand.GET_CURRENT_LIMIT_2: ">II",
     BoardCommand.GET_PWM_MODE: ">B",
 }
-# Twice is not once: after a lost acknowledgement these are not sent again.
+# Not idempotent: not sent again after a lost acknowledgement.
 NOT_REPEATABLE = frozenset(
     {
         BoardCommand.RESET_ENCODERS,
@@ -117,7 +117,7 @@ NOT_REPEATABLE = frozenset(
 
 
 class Status(enum.IntFlag):
-    """Status bits of present firmware (32 bits); the upper half are warnings."""
+    """Status bits of current firmware (32 bits); the upper half are warnings."""
 
     NORMAL = 0
     E_STOP = 0x1
@@ -143,12 +143,12 @@ class Status(enum.IntFlag):
 
     @property
     def errors(self) -> "Status":
-        """The bits that must stop the robot."""
+        """Error bits, on which the robot must stop."""
         return self & Status(0xFFFF)
 
 
-# Old firmware answers with 16 bits in another layout; over-current and low voltage, which it
-# knows as warnings, stay warnings.
+# Old firmware replies with 16 bits in another layout; over-current and low voltage are warnings
+# there too.
 _OLD_LAYOUT: dict[int, Status] = {
     0x1: Status.OVER_CURRENT_WARNING_1,
     0x2: Status.OVER_CURRENT_WARNING_2,
@@ -173,20 +173,20 @@ def checksum(data: bytes) -> bytes:
 
 
 def encode_read(address: int, command: BoardCommand) -> bytes:
-    """Return the packet that asks a question."""
+    """Return the packet of a read command."""
     return bytes((address, command))
 
 
 def encode_write(address: int, command: BoardCommand, *values: int) -> bytes:
-    """Return the packet of a write.
+    """Return the packet of a write command.
 
     Args:
         address: Address of the board, 0x80 to 0x87.
         command: A key of `WRITES`.
-        values: The payload.
+        values: Payload of the command.
 
     Raises:
-        ValueError: If a value does not fit its field: it is never cut or wrapped.
+        ValueError: If a value does not fit its field; it is never truncated or wrapped.
     """
     try:
         payload = struct.pack(WRITES[command], *values)
@@ -197,12 +197,12 @@ def encode_write(address: int, command: BoardCommand, *values: int) -> bytes:
 
 
 def reply_length(command: BoardCommand) -> int:
-    """Return the length of a read's reply with its checksum, for fixed layouts."""
+    """Return the length of a reply of fixed layout, including its checksum [bytes]."""
     return struct.calcsize(READS[command]) + 2
 
 
 def decode_reply(address: int, command: BoardCommand, reply: bytes) -> tuple[int, ...] | None:
-    """Return the values of a reply, or None if it is not the answer to this question."""
+    """Return the values of a reply, or None if it is not a valid reply to this command."""
     payload = checked(address, command, reply)
     if payload is None or len(payload) != struct.calcsize(READS[command]):
         return None
@@ -210,16 +210,16 @@ def decode_reply(address: int, command: BoardCommand, reply: bytes) -> tuple[int
 
 
 def checked(address: int, command: BoardCommand, reply: bytes) -> bytes | None:
-    """Return a reply without its checksum, or None if that does not fit."""
+    """Return the payload of a reply, or None if its checksum does not match."""
     payload, crc = reply[:-2], reply[-2:]
     return payload if checksum(bytes((address, command)) + payload) == crc else None
 
 
 def decode_status_reply(address: int, reply: bytes) -> Status | None:
-    """Return the status in a reply of either layout, or None if it is not the answer.
+    """Return the status in a reply of either layout, or None if it is invalid.
 
-    The checksum does not see zeros behind it: a short reply and two zeros would pass for a long
-    one, with bits that nobody set.
+    The checksum does not detect zeros appended to it: a short reply followed by two zeros would be
+    accepted as a long one with wrong bits.
     """
     payload = checked(address, BoardCommand.GET_STATUS, reply)
     short = len(reply) > 4 and checked(address, BoardCommand.GET_STATUS, reply[:4])
@@ -241,23 +241,23 @@ def decode_status(payload: bytes) -> Status | None:
 
 
 def encode_status(status: Status, old_layout: bool = False) -> bytes:
-    """Return a status as a board sends it; the old layout has no room for some bits."""
+    """Return a status as the bytes that a board sends; the old layout omits some bits."""
     if not old_layout:
         return int(status).to_bytes(4, "big")
     return sum(bit for bit, meaning in _OLD_LAYOUT.items() if status & meaning).to_bytes(2, "big")
 
 
 def signed_difference(later: int, earlier: int, bits: int = 32) -> int:
-    """Return ``later - earlier`` of a counter that wraps at `bits`, as the shorter way round."""
+    """Return the smallest difference ``later - earlier`` of a counter that wraps at `bits`."""
     half = 1 << (bits - 1)
     return (later - earlier + half) % (1 << bits) - half
 
 
 def duty_code(duty: float) -> int:
-    """Return the wire code of a duty in [-1, 1]; outside it saturates, it never wraps.
+    """Return the wire code of a duty, saturated to [-1, 1].
 
     Raises:
-        ValueError: If it is not a number: comparisons would make full drive of it.
+        ValueError: If the duty is NaN, which saturation would turn into full drive.
     """
     if math.isnan(duty):
         raise ValueError("duty is not a number")
