@@ -34,7 +34,7 @@ def test_corners_are_those_of_the_compiled_geoms():
         np.testing.assert_allclose(np.abs(local), np.tile(model.geom_size[geom], (8, 1)), atol=1e-9)
 
 
-def test_drawn_blocks_stand_on_the_ground_apart_and_clear_of_the_hole():
+def test_drawn_blocks_are_on_the_ground_apart_and_clear_of_the_hole():
     for seed in range(5):
         arrangement = draw_arrangement(np.random.default_rng(seed), 8)
         model, data = compiled(arrangement)

@@ -44,7 +44,7 @@ def test_detent_is_at_rest_at_both_lengths_and_its_greatest_force_is_the_barrier
     assert up[inside].min() == pytest.approx(-BRAID.barrier, rel=1e-4)
 
 
-def test_feet_stand_on_the_circle_of_the_exact_kinematics(stage):
+def test_feet_lie_on_the_circle_of_the_exact_kinematics(stage):
     data = lifted(stage, 0.0)
     for leg in range(3):
         foot = data.site(f"{BENCH}stage1_foot{leg + 1}").xpos
@@ -114,7 +114,7 @@ def test_mechanism_shaken_by_all_wires_for_a_second_gives_no_warning():
     assert all(warning.number == 0 for warning in data.warning)
 
 
-def test_on_a_rover_it_stands_with_the_stereo_head_at_its_tip():
+def test_braid_on_a_rover_is_upright_with_the_stereo_head_at_its_tip():
     model = build_rover(BraidConfig(2), FLAT, RobotPlacement()).compile()
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)

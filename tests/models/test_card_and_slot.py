@@ -22,7 +22,7 @@ def test_widths_are_those_of_the_thesis_and_leave_18_6_and_3_percent():
 
 
 @pytest.mark.parametrize("width", [*CARD_AND_SLOT.slot_widths, 4.2 * INCH])
-def test_walls_stand_as_far_apart_as_asked(width):
+def test_distance_of_the_walls_is_the_slot_width(width):
     model = compile_bench(width)
     for name, side in (("left", -1.0), ("right", 1.0)):
         wall = model.geom(f"slot_{name}")

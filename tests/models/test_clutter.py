@@ -21,7 +21,7 @@ def scene():
     return make_scene(*ROBOTS, field=CLUTTERED)
 
 
-def test_markers_of_the_compiled_scene_stand_where_the_cad_says(scene):
+def test_markers_of_the_compiled_scene_are_at_their_cad_positions(scene):
     expected = PANEL.transform_panel_to_world(0.0).apply(PANEL.marker_points)
     for index, (marker, point) in enumerate(zip(PANEL.markers, expected, strict=True)):
         for ending, radius in (("", marker.radius), ("_centre", marker.radius * marker.dark)):

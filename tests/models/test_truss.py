@@ -24,7 +24,7 @@ def test_segment_weighs_its_sheet_and_fits_the_mouth_with_3_percent(model):
     assert mouth / width - 1.0 == pytest.approx(0.03)
 
 
-def test_stage_stands_where_it_was_put(model):
+def test_stage_is_at_the_given_pose(model):
     np.testing.assert_allclose(model.body("stage").pos, [0.0, 0.003, TRUSS.mouth_height])
     quaternion = model.body("stage").quat
     assert 2.0 * np.arctan2(quaternion[1], quaternion[0]) == pytest.approx(0.02)

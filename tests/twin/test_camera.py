@@ -55,7 +55,7 @@ def settled(model=MODEL):
     return data
 
 
-def test_rendered_spots_stand_where_the_model_projects_them():
+def test_rendered_spots_are_where_the_model_projects_them():
     geoms = "".join(
         f'<geom type="sphere" size="0.012" pos="{x} {y} {z}" rgba="1 1 1 1"/>' for x, y, z in SPOTS
     )

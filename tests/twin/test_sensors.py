@@ -194,7 +194,7 @@ def test_readings_of_many_ticks_keep_their_own_values():
     np.testing.assert_allclose([c.stamp for c in channels[1:]], PERIOD * np.arange(199.0))
 
 
-def test_restored_bank_goes_on_bit_for_bit():
+def test_restored_bank_continues_bit_for_bit():
     suite = DATASHEET.with_channel("gyro", delay=0.02, dropout=0.3, rate=30.0, bandwidth=10.0)
     sensors = bank(5, suite)
     feed(sensors, np.sin(np.arange(50.0)))
@@ -207,7 +207,7 @@ def test_restored_bank_goes_on_bit_for_bit():
 
 
 @pytest.mark.parametrize("ticks", [10, 64, 100])
-def test_bank_restored_within_a_block_of_noise_goes_on_bit_for_bit(ticks):
+def test_bank_restored_within_a_block_of_noise_continues_bit_for_bit(ticks):
     sensors, other = bank(5, noise=0.1), bank(77, noise=0.1)
     feed(sensors, np.zeros(ticks))
     other.restore(sensors.save())

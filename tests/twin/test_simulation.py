@@ -124,7 +124,7 @@ def test_same_seed_gives_the_same_run_bit_for_bit_and_another_does_not():
     assert runs[0] != runs[2]
 
 
-def test_restored_run_goes_on_bit_for_bit():
+def test_restored_run_continues_bit_for_bit():
     suite = DATASHEET.with_channel("gyro", delay=0.03, dropout=0.2)
     simulation = make(suite, seed=5)
     observations_of(simulation, Drive(), 80)

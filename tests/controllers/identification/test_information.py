@@ -44,7 +44,7 @@ def test_nothing_known_is_0_bits(sigma):
     assert bits(1.0, sigma) == pytest.approx(0, abs=1e-4)
 
 
-def test_an_estimate_that_is_not_a_number_tells_nothing():
+def test_an_estimate_that_is_nan_has_no_information():
     assert bits(np.nan, 0.1) == 0.0
 
 

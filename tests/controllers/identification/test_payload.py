@@ -159,7 +159,7 @@ def test_missing_stale_and_nan_are_refused_by_name(arm):
         identifier.step({"rover1": seen[3]._replace(arm_base_wrench=bad)})
 
 
-def test_too_short_a_run_is_told(arm):
+def test_too_short_a_run_is_an_error(arm):
     config = PayloadIdentifierConfig(arm, sensing=SensingConfig())
     with pytest.raises(IdentificationError, match="a run of 0 ticks is too short"):
         identify(arm, config, observations(arm, config, 0.095, 0.0)).estimate()

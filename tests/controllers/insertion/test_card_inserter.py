@@ -54,7 +54,7 @@ def test_card_is_brought_before_the_slot_and_in(slip, error):
 
 
 @pytest.mark.slow
-def test_the_lean_under_the_arm_is_fed_forward():
+def test_base_tilt_under_the_arm_is_fed_forward():
     """Springs four times softer than the rover's: the card's path tilts the base by 1 mm."""
     soft = (
         dataclasses.replace(axis, stiffness=axis.stiffness / 4.0)
@@ -164,7 +164,7 @@ def test_the_card_stays_where_the_arm_is_at_ease_until_the_robot_is_there():
 
 
 @pytest.mark.parametrize("looks", [[], [NOTHING_SEEN]])
-def test_nothing_moves_before_the_first_look_and_without_one_it_gives_up(looks):
+def test_nothing_moves_before_the_first_guidance_message_and_without_one_insertion_fails(looks):
     slave = Slave()
     inserter = slave.inserter(first=2.0)
     for _ in range(400):
@@ -174,7 +174,7 @@ def test_nothing_moves_before_the_first_look_and_without_one_it_gives_up(looks):
     np.testing.assert_array_equal(slave.commands[0].arm, Slave().angles)
 
 
-def test_old_look_is_gone_on_from_by_dead_reckoning_and_then_given_up():
+def test_stale_guidance_is_extended_by_dead_reckoning_and_then_insertion_fails():
     slave, inserter = approaching(lost=2.5)
     place = slave.place.copy()
     slave.run(inserter, inserter.config.stale + 0.3, looks=False)
@@ -185,7 +185,7 @@ def test_old_look_is_gone_on_from_by_dead_reckoning_and_then_given_up():
     assert slave.stands_still(50)
 
 
-def test_unsure_slave_stands_still_until_it_hears_again():
+def test_slave_with_a_large_covariance_stops_until_the_next_guidance_message():
     slave, inserter = approaching(known=1e-4)
     slave.run(inserter, inserter.config.stale + 0.1, looks=False)
     place = slave.place.copy()
@@ -204,7 +204,7 @@ def test_wrench_beyond_the_limit_stops_everything():
 
 
 @pytest.mark.parametrize("stage", [InsertionStage.APPROACH, InsertionStage.ALIGN])
-def test_push_that_grows_slowly_on_the_way_stops_everything(stage):
+def test_slowly_growing_force_before_the_slot_stops_everything(stage):
     """Before the slot, where the wrench is tared, it must not be tared away."""
     slave, inserter = approaching(aligned=(0.0, 0.0))
     slave.run(inserter, 20.0, until=lambda: inserter.stage is stage)
@@ -254,7 +254,7 @@ def test_arm_stays_where_it_is_measured_after_a_failure():
     assert inserter.reason == "out of time"
 
 
-def test_contact_without_a_wrench_is_six_zeros_on_the_way_and_unknown_while_inserting():
+def test_contact_without_a_wrench_is_six_zeros_before_the_slot_and_unknown_while_inserting():
     for (slave, inserter), contact in ((approaching(), 0.0), (inserting(), np.nan)):
         inserter.step(slave.observe()._replace(arm_base_wrench=MISSING), [])
         np.testing.assert_array_equal(inserter.contact, np.full(6, contact))
@@ -330,7 +330,7 @@ def test_spoilt_channel_never_makes_a_command_that_is_not_finite(channel, kind):
     assert np.isfinite(inserter.belief.slot_in_start).all()
 
 
-def test_wild_look_moves_nothing_far():
+def test_outlying_guidance_message_moves_nothing_far():
     slave, inserter = approaching()
     before = inserter.belief.slot_in_start.copy()
     true = slave.look()

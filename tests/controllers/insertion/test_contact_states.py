@@ -31,7 +31,7 @@ def test_noisy_wrench_and_pose_name_the_state_and_its_side(state, side):
     assert right >= 9
 
 
-def test_wrench_tells_apart_what_the_pose_leaves_open():
+def test_wrench_distinguishes_states_that_the_pose_leaves_ambiguous():
     """One believed pose between two states: the force's direction decides."""
     pose = pose_of(5, 1)
     shares = np.array([1.0, 1.0, 0.0, 0.0])

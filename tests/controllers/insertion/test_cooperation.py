@@ -133,7 +133,7 @@ def test_hybrid_grip_reaches_wanted_forces_and_planned_position(facing):
     assert pose[1] == pytest.approx(target[1], abs=1e-5)
 
 
-def test_without_force_control_the_grip_goes_where_the_plan_says():
+def test_without_force_control_the_grip_follows_the_planned_path():
     grip, spring = hybrid()
     grip = HybridGrip(HybridConfig((False,) * 3), ARM, spring, grip.stance)
     grip.hold(seen())
@@ -192,7 +192,7 @@ def test_master_stops_and_gives_up_when_the_slaves_reports_cease():
     assert master.guide.reason == "no wrench"
 
 
-def test_slave_goes_on_for_a_moment_without_set_points_and_then_holds():
+def test_slave_continues_briefly_without_set_points_and_then_holds():
     stance = Stance((0.55, 0.06), -1)
     grip = HybridGrip(HybridConfig((False,) * 3), ARM, Spring(np.zeros(3), np.zeros(3)), stance)
     slave = Slave(grip, PAIR)

@@ -24,7 +24,7 @@ def drawn(rng: np.random.Generator) -> Guidance:
     return Guidance(float(rng.uniform(0.0, 90.0)), True, True, pose, covariance)
 
 
-def test_message_says_the_pose_to_half_a_step_and_fits_a_frame():
+def test_message_encodes_the_pose_to_half_a_step_and_fits_a_frame():
     rng = np.random.default_rng(0)
     for _ in range(60):
         original = drawn(rng)
@@ -66,7 +66,7 @@ def test_covariance_too_small_or_too_large_for_its_numbers_stays_positive_and_fi
 
 @pytest.mark.parametrize("card", [False, True])
 @pytest.mark.parametrize("slot", [False, True])
-def test_look_without_a_pose_says_what_was_seen(card, slot):
+def test_message_without_a_pose_reports_which_bodies_were_seen(card, slot):
     received = unpack(Guidance(2.0, card, slot, None, np.zeros((6, 6))).pack())
     assert (received.card_seen, received.slot_seen) == (card, slot)
     assert received.transform_slot_to_card is None
@@ -94,7 +94,7 @@ def test_what_is_no_such_message_is_refused():
         unpack(infinite)
 
 
-def test_radio_with_byte_errors_loses_looks_but_never_changes_one():
+def test_radio_with_byte_errors_loses_messages_but_never_changes_one():
     rng = np.random.default_rng(2)
     modems = VirtualModems(ModemConfig(error_rate=3e-3), rng)
     master, slave = (FramedLink(end, rng) for end in modems.ends)

@@ -24,7 +24,7 @@ def held(guide: InsertionGuide, wrench, steps: int) -> np.ndarray:
     return guide.command - before
 
 
-def test_without_force_the_card_goes_straight_in():
+def test_without_force_the_card_is_inserted_straight():
     guide = InsertionGuide(CONFIG, START)
     for _ in range(600):
         guide.step(np.zeros(3))
@@ -81,7 +81,7 @@ def test_couple_of_two_contacts_turns_the_card_straight():
     assert abs(moved[0]) < 5e-4
 
 
-def test_a_steady_force_is_believed_by_two_thirds_after_the_filters_time():
+def test_filtered_force_reaches_two_thirds_of_a_steady_force_after_the_time_constant():
     guide = InsertionGuide(CONFIG, START)
     held(guide, np.zeros(3), 5)
     bent = []
@@ -144,7 +144,7 @@ def test_time_runs_out():
     assert (guide.phase, guide.reason) == (Phase.FAILED, "out of time")
 
 
-def test_card_is_believed_where_the_bent_hand_has_it():
+def test_estimated_card_pose_includes_the_deflection_of_the_hand():
     guide = InsertionGuide(CONFIG, INSIDE)
     held(guide, np.array([0.2, -1.0, 0.0]), 60)
     bent = np.array([0.2, -1.0]) / CONFIG.stiffness
@@ -194,7 +194,7 @@ def test_any_wrenches_leave_the_command_finite_and_bounded():
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.05])
-def test_straight_insertion_goes_as_far_as_guided_insertion_does_along_its_own_heading(heading):
+def test_straight_insertion_reaches_the_depth_of_guided_insertion_along_its_own_heading(heading):
     start = START + [0.0, 0.0, heading]
     guide = StraightInsertion(CONFIG, start)
     courses = [guide.step(np.zeros(3)) for _ in range(600)]

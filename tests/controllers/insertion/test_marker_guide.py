@@ -88,7 +88,7 @@ def square(eyes: Eyes, guidance) -> float:
     return float(error @ np.linalg.solve(guidance.covariance, error))
 
 
-def test_told_pose_is_true_within_its_covariance(eyes):
+def test_reported_pose_is_consistent_with_its_covariance(eyes):
     squares, places = [], []
     offsets = [(0.0, 0.0), (0.006, 0.03), (-0.014, 0.03), (0.008, 0.03), (0.006, 0.02),
                (-0.01, 0.01), (0.004, -0.16), (0.0, -0.05)]  # fmt: skip
@@ -168,7 +168,7 @@ def test_frozen_camera_gives_no_pose_though_its_stamps_go_on(eyes):
     assert frozen.transform_slot_to_card is None
 
 
-def test_pair_is_told_of_once_and_none_is_told_of_never(eyes):
+def test_each_stereo_pair_gives_one_message_and_a_missing_pair_none(eyes):
     marker_guide = eyes.marker_guide()
     seen = eyes.observe(0.0, np.zeros((2, 492, 510), np.uint8))
     assert marker_guide.step(seen)[1] is not None
@@ -188,7 +188,7 @@ def test_camera_stays_without_a_plan_and_nothing_moves_without_joint_angles(eyes
     np.testing.assert_array_equal([*command.arm, *command.wheels], 0.0)
 
 
-def test_camera_goes_to_its_place_no_faster_than_allowed(eyes):
+def test_camera_moves_to_its_goal_no_faster_than_the_rate_limit(eyes):
     eyes.place((0.0, 0.0))
     goal = eyes.angles + [0.3, -0.1, 0.2, 0.05]
     made = eyes.marker_guide()

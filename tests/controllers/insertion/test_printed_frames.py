@@ -29,7 +29,7 @@ def apart(first: RigidTransform, second: RigidTransform) -> tuple[float, float]:
 
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 @pytest.mark.parametrize("turn", [-2.0, -0.4, 0.0, 0.3, 1.4])
-def test_turn_about_one_axis_is_told_exactly(axis, turn):
+def test_rotation_about_one_axis_is_recovered_exactly(axis, turn):
     if axis == "y" and abs(turn) > np.pi / 2:
         turn /= 2.0
     body = pose([0.1, -0.05, 0.6], **{axis: turn})

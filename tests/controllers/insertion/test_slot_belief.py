@@ -74,7 +74,7 @@ def test_posterior_is_that_of_a_batch_least_squares_fit():
     np.testing.assert_allclose(belief.covariance / scale, covariance / scale, atol=0.02)
 
 
-def test_errors_are_as_large_as_the_covariance_says():
+def test_errors_are_consistent_with_the_covariance():
     rng, squares = np.random.default_rng(1), []
     noise = np.diag([2e-3**2] * 3 + [4e-4**2] * 3)
     for _ in range(50):
@@ -94,7 +94,7 @@ def test_errors_are_as_large_as_the_covariance_says():
     assert np.mean(squares) == pytest.approx(6.0, abs=1.5)
 
 
-def test_late_look_counts_from_where_the_card_was_when_it_was_taken():
+def test_late_message_is_applied_at_the_card_pose_of_its_time_stamp():
     rng = np.random.default_rng(2)
     start = small(rng, 4e-3, 2e-3) * SLOT
     prompt, late = SlotBelief(start, PRIOR, STILL), SlotBelief(start, PRIOR, STILL)
@@ -131,7 +131,7 @@ def after(way: float, turned: float, period: float = 0.0) -> SlotBelief:
     return belief
 
 
-def test_place_grows_unsure_by_driving_and_turning_and_not_by_standing():
+def test_pose_covariance_grows_by_driving_and_turning_and_not_at_rest():
     beliefs = [after(way, 0.0) for way in (0.0, 0.2, 0.4)]
     still, driven, farther = (belief.deviation() for belief in beliefs)
     assert still < driven < farther
@@ -161,7 +161,7 @@ def test_drift_is_that_of_drawn_errors_of_dead_reckoning():
     assert belief.deviation() == pytest.approx(largest, rel=1e-6)
 
 
-def test_veer_and_bumps_of_the_way_add_to_turn_tilt_and_height():
+def test_veer_and_bumps_of_the_path_add_to_the_variances_of_turn_tilt_and_height():
     """About the robot itself, where no lever mixes them: rate^2 x way x stretch."""
     config = dataclasses.replace(STILL, drift=0.3, turn_drift=0.4, veer=0.5, bump=0.6)
     belief = SlotBelief(SLOT, np.zeros((6, 6)), config)
@@ -175,7 +175,7 @@ def test_veer_and_bumps_of_the_way_add_to_turn_tilt_and_height():
     np.testing.assert_allclose(belief.covariance, expected, atol=1e-15)
 
 
-def test_one_outlier_is_refused_and_a_persistent_one_believed():
+def test_one_outlier_is_rejected_and_a_persistent_one_accepted():
     belief = after(0.0, 0.0)
     card = RigidTransform.from_translation([0.0, 0.5, 0.3])
     noise = 1e-7 * np.eye(6)

@@ -144,7 +144,7 @@ def test_nothing_in_reach_rates_nothing_and_moves_nothing():
     np.testing.assert_array_equal(choice.angles, now)
 
 
-def test_of_views_as_good_the_arm_takes_the_nearest(watched):
+def test_among_equally_good_views_the_arm_chooses_the_nearest(watched):
     choice = best_angles(PLAN, watched[2], ARM, EYES, best_station(WIDTH).angles)
     again = best_angles(PLAN, watched[2], ARM, EYES, choice.angles)
     np.testing.assert_array_equal(again.angles, choice.angles)

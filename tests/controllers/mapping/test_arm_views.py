@@ -81,7 +81,7 @@ def test_no_reachable_view_is_an_error(views):
         views.draw(HOME, above(9.0), 5, np.random.default_rng(0))
 
 
-def test_best_view_looks_at_the_only_unknown_place(views):
+def test_best_view_is_aimed_at_the_only_unknown_region(views):
     states = np.full(GRID.states.shape, State.FREE, np.int8)
     drawn = views.draw(HOME, above(0.12), 30, np.random.default_rng(1))
     targets = [camera.apply([0.0, 0.0, 0.8]) for camera in views.cameras(drawn)]
@@ -112,7 +112,7 @@ def test_farther_of_two_equal_views_is_rated_lower(views):
     assert rated.information[0] == pytest.approx(rated.information[1])
 
 
-def test_raster_goes_column_by_column(views):
+def test_raster_proceeds_column_by_column(views):
     raster = views.raster()
     assert len(raster) > 20
     steps = np.diff(raster, axis=0)

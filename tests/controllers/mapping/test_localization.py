@@ -90,7 +90,7 @@ def test_prior_moves_with_what_is_shared_as_the_camera_truly_does(arm):
     np.testing.assert_allclose(moved.as_matrix(), true.as_matrix(), atol=2e-7)
 
 
-def test_target_that_stands_on_its_side_names_no_direction():
+def test_target_on_its_side_defines_no_direction():
     side = RigidTransform.from_rotation(Rotation.from_euler("y", np.pi / 2))
     with pytest.raises(ValueError, match="upright"):
         level_target(side)

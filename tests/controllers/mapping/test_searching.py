@@ -40,7 +40,7 @@ def off_axis(arm, angles, place):
     return np.arccos(seen[2] / np.linalg.norm(seen))
 
 
-def test_search_without_hints_looks_all_around_once_and_then_ends(arm):
+def test_search_without_hints_views_all_directions_once_and_then_ends(arm):
     search, view = searching(arm)
     views = []
     while view is not None:

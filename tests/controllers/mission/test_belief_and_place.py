@@ -62,7 +62,7 @@ def test_slot_is_drawn_where_a_rover_at_its_nominal_place_would_have_it(site: Si
     )
 
 
-def test_a_standing_and_the_drawing_tell_where_the_slot_is(site: SiteDrawing) -> None:
+def test_localization_and_the_site_drawing_give_the_slot_pose(site: SiteDrawing) -> None:
     level = RigidTransform.from_components([0.7, -0.4, 0.1], Rotation.from_euler("z", 1.4))
     to_level = level.inv() * site_panel(site)
     to_world = level_target(to_level)
@@ -88,7 +88,7 @@ def _map(target: TargetCad) -> SharedMap:
     return SharedMap(voxels, stereo_geometry(ROLES.master), target, 4, (0.25, 2.0))
 
 
-def test_a_leaning_rover_sees_the_slot_where_its_lean_puts_it(site: SiteDrawing) -> None:
+def test_slot_in_a_tilted_rover_is_moved_by_its_tilt(site: SiteDrawing) -> None:
     belief = master_of(site)
     tilt = np.array([0.06, -0.03])
     slot, _ = belief.slot_in_robot(tilt)
@@ -115,7 +115,9 @@ def drives(monkeypatch: pytest.MonkeyPatch) -> Drives:
     return drives
 
 
-def test_a_stand_is_gone_to_from_where_the_slot_is_seen(site: SiteDrawing, drives: Drives) -> None:
+def test_drive_goal_is_the_camera_station_in_the_robot_frame(
+    site: SiteDrawing, drives: Drives
+) -> None:
     belief = master_of(site)
     x, y, yaw = INITIAL_POSES[MASTER]
     PlaceCamera(belief, CameraStation((x, y, yaw), np.zeros(4), 0.5, 0.0))
@@ -143,7 +145,7 @@ def _with_map(site: SiteDrawing, points: np.ndarray) -> MissionBelief:
     return belief
 
 
-def test_the_master_does_not_stand_where_the_map_has_something(site: SiteDrawing) -> None:
+def test_camera_station_is_clear_of_mapped_obstacles(site: SiteDrawing) -> None:
     free = best_station(WIDTH)
     x, y, _ = free.place
     stake = np.array([[x + 0.1, y, z] for z in (0.15, 0.2, 0.25, 0.3)])
@@ -152,7 +154,7 @@ def test_the_master_does_not_stand_where_the_map_has_something(site: SiteDrawing
     assert math.dist(other.place[:2], (x + 0.1, y)) > 0.29
 
 
-def test_the_master_does_not_back_off_into_what_the_map_has(
+def test_the_master_does_not_back_off_into_mapped_obstacles(
     site: SiteDrawing, drives: Drives
 ) -> None:
     x, y, yaw = INITIAL_POSES[MASTER]
@@ -189,7 +191,7 @@ def test_what_the_map_has_before_the_slot_moves_the_camera(site: SiteDrawing) ->
     assert choose_station(_with_map(site, board)).place != free.place
 
 
-def test_an_inclinometer_that_is_gone_stops_the_mission_with_its_name() -> None:
+def test_a_missing_inclinometer_stops_the_mission_with_its_name() -> None:
     with pytest.raises(RobotError, match="inclinometer of rover1 is missing"):
         tilt_of(Observation(0.0), MASTER)
 
@@ -199,7 +201,7 @@ def site_panel(site: SiteDrawing) -> RigidTransform:
     return site.insertion.transform_slot_to_ground * site.transform_slot_to_panel.inv()
 
 
-def test_robot_takes_what_its_partner_has_found_out(site: SiteDrawing) -> None:
+def test_robot_adopts_the_estimates_of_its_partner(site: SiteDrawing) -> None:
     belief, exchange = master_of(site), Exchange({})
     drawn = belief.partner.transform_slot_to_robot
     belief.receive(exchange, SLAVE)

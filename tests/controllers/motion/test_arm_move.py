@@ -33,7 +33,7 @@ def test_a_pair_counts_only_from_rest_at_the_goal() -> None:
     assert move.sees(after)
 
 
-def test_an_arm_that_does_not_get_there_is_waited_for_no_longer_than_said() -> None:
+def test_an_arm_that_does_not_reach_its_goal_is_awaited_only_for_the_time_limit() -> None:
     move = ArmMove(GOAL, speed=1.0, rest=0.5, patience=2.0)
     move.command(seen_at(0.0, arm_angles=np.zeros(4)))
     assert not move.is_there(seen_at(2.5, arm_angles=0.8 * GOAL))
@@ -48,7 +48,7 @@ def test_nothing_moves_before_the_arm_is_known() -> None:
 
 
 @pytest.mark.parametrize("mode", [WheelMode.SPEED, WheelMode.DUTY])
-def test_wheels_stand_in_the_mode_that_is_asked_for(mode: WheelMode) -> None:
+def test_wheels_are_held_in_the_requested_mode(mode: WheelMode) -> None:
     command = ArmMove(GOAL, wheel_mode=mode).command(seen_at(0.0, arm_angles=np.zeros(4)))
     assert command.wheel_mode is mode
     assert np.all(command.wheels == 0.0)

@@ -53,7 +53,7 @@ def tilts(hanging):
         yield level.inv() * pose, known().tilt(arm.weight(angles, UP) - arm.weight(first, UP))
 
 
-def test_a_base_leans_as_its_springs_say(hanging):
+def test_a_base_tilts_by_its_spring_stiffness(hanging):
     pitches, rolls = [], []
     for moved, predicted in tilts(hanging):
         true = moved.rotation.as_euler("XYZ")
@@ -67,7 +67,7 @@ def test_a_base_leans_as_its_springs_say(hanging):
     assert np.abs(rolls).max() > np.radians(0.2)
 
 
-def test_what_stands_still_moves_in_the_robot_as_the_lean_says(hanging):
+def test_a_fixed_point_moves_in_the_robot_frame_by_the_inverse_of_the_tilt(hanging):
     ahead = np.array([0.0, 0.6, 0.1])
     moved, predicted = next(tilts(hanging))  # in pitch alone
     true = moved.inv().apply(ahead) - ahead
@@ -77,7 +77,7 @@ def test_what_stands_still_moves_in_the_robot_as_the_lean_says(hanging):
     )
 
 
-def test_the_line_about_which_it_leans_stays():
+def test_the_tilt_axis_is_a_fixed_line():
     pitch = TiltAxis(0.1, 2.0, 300.0, (0.14, 0.18))
     roll = TiltAxis(0.1, 2.0, 250.0, (0.03, 0.17))
     base = BaseTilt(pitch, roll, [0.01, 0.2, 0.1])
@@ -87,7 +87,7 @@ def test_the_line_about_which_it_leans_stays():
     np.testing.assert_allclose(base.motion([0.0, 0.02]).apply(line), line, atol=1e-15)
 
 
-def test_a_push_at_the_line_leans_nothing_and_one_above_it_by_its_lever():
+def test_a_force_at_the_tilt_axis_tilts_nothing_and_one_above_it_by_its_lever():
     pitch = TiltAxis(0.1, 2.0, 300.0, (0.0, 0.2))
     base = BaseTilt(pitch, pitch, np.zeros(3))
     # The arm is pushed forward by the rover, so the rover is pushed back, and nods up.

@@ -61,7 +61,7 @@ def test_zero_moment_point_of_an_accelerated_load_is_the_printed_a_5():
     np.testing.assert_allclose(point, [0.0, expected], atol=1e-12)
 
 
-def test_particles_and_pushes_balance_where_a_5_says():
+def test_particles_and_external_forces_balance_at_the_point_of_a_5():
     """A-5 with the outer forces' sign as in its denominator; as printed its y has the other."""
     rng = np.random.default_rng(2)
     masses, places = rng.uniform(0.5, 2.0, 4), rng.normal(size=(4, 3))
@@ -235,7 +235,7 @@ def test_level_is_worlds_up_by_pitch_about_x_and_roll_about_y():
     assert level_of(Observation(0.0)) is LEVEL
 
 
-def test_another_point_of_a_turning_base_feels_what_its_way_is_bent_by():
+def test_another_point_of_a_turning_base_has_its_centripetal_acceleration():
     omega, alpha, lever = np.array([[0.3, -0.5, 0.7], [1.0, 2.0, -1.5], [0.1, 0.2, -0.3]])
     start, step = np.array([0.5, -0.2, 9.9]), 1e-4
 

@@ -60,7 +60,9 @@ def drive(
         (0.05, -0.04, 0.0),
     ],
 )
-def test_a_rover_that_knows_its_slip_arrives(goal: tuple[float, float, float]) -> None:
+def test_a_rover_with_the_right_slip_model_reaches_its_goal(
+    goal: tuple[float, float, float],
+) -> None:
     ended = drive(DriveToPose(STEER, goal), SHARE)
     np.testing.assert_allclose(ended[:2], goal[:2], atol=0.01)
     assert math.remainder(ended[2] - goal[2], 2.0 * math.pi) == pytest.approx(0.0, abs=0.02)
@@ -122,7 +124,7 @@ def test_a_step_aside_is_made_by_backing_off_and_not_by_turning_on_the_spot() ->
     assert turned[True] < math.radians(80.0)
 
 
-def test_it_backs_off_along_the_heading_that_it_shall_have() -> None:
+def test_it_backs_off_along_its_goal_heading() -> None:
     asked: list[np.ndarray] = []
     DriveToPose(STEER, (0.09, 0.0, 0.14), free=lambda pose: (asked.append(pose), True)[1])
     (behind,) = asked
@@ -134,7 +136,7 @@ def test_it_backs_off_along_the_heading_that_it_shall_have() -> None:
 
 
 @pytest.mark.parametrize("goal", [(0.0, 0.5, 0.0), (0.4, 0.3, 1.0), (0.0, 0.0, 0.7)])
-def test_where_backing_off_saves_no_turns_it_goes_straight(goal) -> None:
+def test_where_backing_off_saves_no_turns_the_drive_is_straight(goal) -> None:
     asked: list[np.ndarray] = []
     DriveToPose(STEER, goal, free=lambda pose: (asked.append(pose), True)[1])
     assert not asked
@@ -175,7 +177,7 @@ def test_a_goal_within_a_quarter_turn_is_reached_forwards_and_others_backwards(d
     assert math.radians(115.0) < driver.odometry.turned < math.radians(180.0)
 
 
-def test_a_rover_that_believes_its_wheels_roll_goes_astray() -> None:
+def test_a_rover_that_neglects_wheel_slip_misses_its_goal() -> None:
     ended = drive(DriveToPose(SkidSteer(RADIUS, HALF_TRACK, 1.0), (0.4, 0.3, 0.0)), SHARE)
     assert math.dist(ended[:2], (0.4, 0.3)) > 0.05
 

@@ -106,7 +106,7 @@ def test_missing_speeds_move_nothing_and_missing_tilt_keeps_the_last():
     np.testing.assert_array_equal(odometry.tilt, [0.02, -0.01])
 
 
-def test_pose_leans_as_the_inclinometer_means():
+def test_pose_has_the_tilt_of_the_inclinometer():
     odometry = Odometry(STEER, (0.3, -0.2), 0.7)
     odometry.update(driving([0.0] * 4, 0.04, -0.06), PERIOD)
     c, s = math.cos(0.7), math.sin(0.7)

@@ -94,7 +94,7 @@ def test_arm_is_not_dropped_so_fast_that_the_wheels_lose_the_ground():
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.05])
-def test_motion_is_held_where_the_arm_could_not_stand(slope):
+def test_motion_is_held_where_the_robot_would_tip_over_at_rest(slope):
     rover = footing(3.0)
     still = at_rest([0.0, -np.sin(slope), np.cos(slope)])
     guard = OnlineGuard(rover, sweep(1.4, 0.0, 1.0).at)
@@ -121,7 +121,7 @@ def test_reference_within_a_tick_is_its_own_derivative_and_runs_on_to_the_next()
         end = guard.at(begin + TICK)
 
 
-def test_ground_that_begins_to_lean_during_the_motion_stops_it_sooner():
+def test_ground_that_begins_to_tilt_during_the_motion_stops_it_sooner():
     rover, slope = footing(3.0), 0.05
     guard = OnlineGuard(rover, sweep(1.4, 0.0, 1.5).at)
     passed(guard, 40)
@@ -133,7 +133,7 @@ def test_ground_that_begins_to_lean_during_the_motion_stops_it_sooner():
 
 
 @pytest.mark.parametrize("missing", [None, at_rest([np.nan, 0.0, 1.0])])
-def test_without_a_tilt_the_motion_comes_to_rest_and_goes_on_when_it_is_back(missing):
+def test_without_a_tilt_measurement_the_motion_stops_and_resumes_with_it(missing):
     guard = OnlineGuard(footing(0.5), sweep(1.2, 1.0, 1.0).at)
     guard.step(missing)
     assert guard.rate == 0.0 and guard.at(0.005)[1] == 0.0

@@ -44,7 +44,7 @@ def seen_points(pose, generator, deviation, sides=(0, 1)):
     return pose.to_world(np.concatenate(points))
 
 
-def test_fitted_pose_is_as_uncertain_as_its_covariance_says():
+def test_fitted_pose_is_consistent_with_its_covariance():
     generator = np.random.default_rng(1)
     prior_covariance = np.diag([0.1, 0.1, 0.1]) ** 2
     scores = []

@@ -61,7 +61,7 @@ def test_tilt_follows_from_the_wrench_when_the_inclinometer_is_lost():
     assert np.mean(ratios) < 1.5
 
 
-def test_good_sensors_are_believed_throughout():
+def test_good_sensors_are_accepted_throughout():
     run, robot = swing(), sensing()
     for seen in run.seen:
         state = robot.step(seen, PERIOD)
@@ -119,7 +119,7 @@ def test_spike_is_replaced_at_once_and_forgotten():
             assert not state.faults
 
 
-def test_sensor_that_agrees_again_is_believed_again():
+def test_sensor_that_agrees_again_is_accepted_again():
     run, robot = swing(), sensing()
     failed = {}
     for tick, seen in list(enumerate(run.seen))[FIRST : FAIL + 70]:

@@ -39,7 +39,7 @@ def test_rover_rests_on_a_slope_with_its_pressure_below_the_centre_of_all_masses
     assert scene.tilt < np.radians(1.5)
 
 
-def test_inclinometer_tells_the_slope():
+def test_inclinometer_measures_the_slope():
     scene = TipScene(0.5, FOLDED, SLOPE, FORWARD)
     simulation = Simulation(scene.model, [ROBOT], suite=IDEAL, data=scene.data)
     pitch, roll = simulation.robots[ROBOT].observe().inclinometer.value
@@ -48,7 +48,7 @@ def test_inclinometer_tells_the_slope():
     assert roll == pytest.approx(0.0, abs=np.radians(0.5))
 
 
-def test_all_ways_and_slopes_get_the_same_motion():
+def test_all_guards_and_slopes_get_the_same_motion():
     flat, steep = motions(1.0, 3, 0.0), motions(1.0, 3, 10.0)
     assert [trial.guard for trial in flat] == list(GUARDS)
     assert len({trial.target for trial in flat + steep}) == 1

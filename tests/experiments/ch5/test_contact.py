@@ -20,7 +20,7 @@ TILTS = {4: 0.38, 5: 0.22}
 
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("state", STATES)
-def test_mujoco_touches_where_geometry_says_and_the_hand_feels_it(state, side):
+def test_mujoco_contacts_agree_with_geometry_and_the_hand_senses_them(state, side):
     shape, bench = shape_of(MEDIUM), Bench(MEDIUM)
     pose = pose_in_state(shape, state, side, TILTS.get(state, 0.08), 0.008)
     contacts = contacts_of(shape, pose, state, side)

@@ -57,7 +57,7 @@ def placed():
     return model, data
 
 
-def test_slot_is_upright_and_the_card_goes_in_ahead(placed):
+def test_slot_is_upright_and_the_card_is_inserted_forward(placed):
     model, data = placed
     slot = transform(data, "slot")
     np.testing.assert_allclose(slot.translation, [0.0, 0.0, SLOT_HEIGHT], atol=1e-9)
@@ -68,7 +68,7 @@ def test_slot_is_upright_and_the_card_goes_in_ahead(placed):
     assert np.linalg.det(CARD_AXES) == pytest.approx(1.0)
 
 
-def test_card_sits_at_the_wrist_as_the_slave_believes(placed):
+def test_card_pose_at_the_wrist_agrees_with_the_slaves_model(placed):
     model, data = placed
     relative = transform(data, f"{SLAVE}/wrist").inv() * transform(data, f"{SLAVE}/card")
     np.testing.assert_allclose(relative.translation, [0.0, TIP, 0.0], atol=1e-9)
@@ -104,7 +104,7 @@ def test_nothing_touches_a_free_card_and_a_push_is_found(placed):
         np.testing.assert_allclose(contact_force(model, data), local, atol=0.05)
 
 
-def test_masters_camera_begins_where_the_map_says_it_sees_best():
+def test_masters_camera_starts_at_the_best_view_of_the_visibility_map():
     station = best_station(WIDTH)
     model = compile_insertion(InsertionScene(WIDTH, START, station.place, FLAT))
     before = settle(model, 0.2)

@@ -111,7 +111,7 @@ def test_controllers_stop_with_target_not_seen(blind):
     assert setting.team.master.marker_guide.fits == (None, None)
 
 
-def test_no_axis_is_ever_told_to_move(blind):
+def test_no_axis_is_ever_commanded_to_move(blind):
     recorder = blind[2]
     for robot in (MASTER, SLAVE):
         commands = [each[robot] for each in recorder.commands]

@@ -110,7 +110,7 @@ def test_person_finds_the_constants_of_the_boards_behind_wrong_ones():
     assert found.calibrated_on == datetime.date(2026, 12, 1)
 
 
-def test_silent_sensor_is_told_by_name():
+def test_silent_sensor_is_reported_by_name():
     scene = EmulatedScene(SceneConfig((RobotPlacement("rover1", stereo=False),), FIELD))
     rover = scene.rovers["rover1"]
     boards = DirectBoards(rover)
@@ -133,12 +133,12 @@ def test_silent_sensor_is_told_by_name():
         (["--robot", "serial:a,analogue=b,wrench=c", "--output", "no/x.toml"], "no folder no"),
     ],
 )
-def test_bad_options_are_told_in_one_line(words, message, capsys):
+def test_bad_options_are_reported_in_one_line(words, message, capsys):
     assert main(["calibrate", *words]) == 2
     assert message in capsys.readouterr().err
 
 
-def test_port_that_is_not_there_is_told_and_nothing_is_written(tmp_path, capsys):
+def test_missing_port_is_reported_and_nothing_is_written(tmp_path, capsys):
     words = ["--robot", "serial:/dev/no-port,analogue=b,wrench=127.0.0.1"]
     target = tmp_path / "new.toml"
     assert main(["calibrate", *words, "--output", str(target)]) == 1

@@ -17,7 +17,7 @@ def kept(request):
     return Path(request.config.getoption("--keep-results")).resolve()
 
 
-def test_every_result_stands_in_a_page_that_can_be_sent(kept):
+def test_report_contains_every_result_and_is_small_enough_to_send(kept):
     names = [result.name for result in read_results(kept)]
     path = write_report(kept)
     text = path.read_text()

@@ -101,7 +101,7 @@ def test_failure_gives_status_1_and_keeps_the_results_before_it(tmp_path, capsys
     assert (tmp_path / "tiny" / "metrics.json").read_text() == before
 
 
-def test_help_tells_units_and_ends_with_status_0(capsys):
+def test_help_lists_units_and_ends_with_status_0(capsys):
     with pytest.raises(SystemExit) as stop:
         call("tiny", "--help")
     assert stop.value.code == 0

@@ -23,7 +23,7 @@ def test_every_experiment_of_the_catalogue_keeps_the_contract():
         assert experiment.summary and experiment.thesis
 
 
-def test_nothing_is_in_place_before_the_end_and_old_figures_are_gone_after(output, tmp_path):
+def test_outputs_appear_only_at_the_end_and_replace_old_figures(output, tmp_path):
     output.figure("figure_1", Figure())
     assert not (output.directory / "figures").exists()
     output.finish()
@@ -34,7 +34,7 @@ def test_nothing_is_in_place_before_the_end_and_old_figures_are_gone_after(outpu
     assert [path.name for path in (output.directory / "figures").iterdir()] == ["figure_2.png"]
 
 
-def test_a_film_of_the_run_before_is_gone_and_what_is_not_of_a_run_stays(output, tmp_path):
+def test_a_film_of_the_previous_run_is_deleted_and_other_files_stay(output, tmp_path):
     output.file("film.gif").write_bytes(b"film")
     output.finish()
     (output.directory / "notes.txt").write_text("mine")

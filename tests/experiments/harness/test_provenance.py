@@ -16,7 +16,7 @@ def test_the_linear_algebra_that_numpy_has_loaded_is_named():
 
 
 @pytest.mark.parametrize("kernels", ["Haswell", "Sandybridge"])
-def test_chosen_kernels_are_told(kernels):
+def test_selected_kernels_are_reported(kernels):
     code = "import numpy, experiments.harness.provenance as p; print(p.linear_algebra())"
     printed = subprocess.run(
         [sys.executable, "-c", code],

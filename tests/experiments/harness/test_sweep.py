@@ -65,7 +65,7 @@ def test_resume_ignores_other_configurations_and_damaged_files(tmp_path):
     assert calls(tmp_path) - before == 3
 
 
-def test_resuming_results_of_another_shape_says_so_in_one_line(tmp_path, monkeypatch):
+def test_resuming_results_of_another_shape_is_reported_in_one_line(tmp_path, monkeypatch):
     go(tmp_path, configs(tmp_path, 1), jobs=1)
     for other in (Renamed, Part):
         monkeypatch.setitem(draw.__annotations__, "return", other)
@@ -94,7 +94,7 @@ def test_without_resume_every_job_runs_again(tmp_path):
     assert calls(tmp_path) == 4
 
 
-def test_missing_dask_is_told_in_one_error(tmp_path, monkeypatch):
+def test_missing_dask_is_reported_in_one_error(tmp_path, monkeypatch):
     def missing(name):
         raise ImportError(name)
 

@@ -56,7 +56,7 @@ def test_rovers_begin_within_the_stated_error_of_their_nominal_poses() -> None:
         )
 
 
-def test_the_drawing_is_off_by_about_what_it_says() -> None:
+def test_errors_of_the_drawing_are_consistent_with_its_covariance() -> None:
     scene = draw_scene(WIDTH, np.random.default_rng(0))
     exact = survey(scene, _Zeros())
     squares = []
@@ -85,7 +85,7 @@ def test_unknown_options_are_named_with_the_known_ones(bad: dict[str, object]) -
         Options(**bad)  # type: ignore[arg-type]
 
 
-def test_ablations_run_unless_it_is_quick_or_said_otherwise() -> None:
+def test_all_ablations_run_unless_the_run_is_quick_or_some_are_named() -> None:
     assert Options().ablations == ("identification", "mapping", "placement")
     assert Options(quick=True).ablations == ()
     assert Options(quick=True, without=("mapping",)).ablations == ("mapping",)

@@ -74,7 +74,7 @@ def test_centres_are_right_to_a_twentieth_of_a_pixel_and_no_surer_than_they_say(
 
 
 @pytest.mark.parametrize("name", DETECTORS)
-def test_card_and_slot_are_told_apart_and_placed(name):
+def test_card_and_slot_are_distinguished_and_located(name):
     rng = np.random.default_rng(2)
     places, nees, found = [], [], 0
     for distance, bodies in views(rng):
@@ -110,7 +110,7 @@ def test_two_discs_at_another_distance_are_no_card():
     assert find_bodies(pair(bodies, rng), HEAD, (other, SLOT), expected(0.5))[0] is None
 
 
-def test_upside_down_is_told_by_a_prior():
+def test_upside_down_is_resolved_by_a_prior():
     rng = np.random.default_rng(5)
     card = poses(0.5, 0.3, rng)[0]
     over = card * RigidTransform.from_rotation(Rotation.from_euler("z", np.pi))

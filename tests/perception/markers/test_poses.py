@@ -43,7 +43,7 @@ def error_of(fit, pose):
 
 
 @pytest.mark.parametrize("slant", [-0.8, 0.9])
-def test_a_slanted_body_is_as_far_off_as_its_covariance_says(slant):
+def test_pose_error_of_a_slanted_body_is_consistent_with_its_covariance(slant):
     rng = np.random.default_rng(0)
     pose = facing(slant, 0.4)
     nees, misfits = [], []
@@ -59,7 +59,7 @@ def test_a_slanted_body_is_as_far_off_as_its_covariance_says(slant):
     assert low < np.mean(misfits) < high
 
 
-def test_a_body_seen_head_on_may_lean_either_way_and_says_so():
+def test_pose_of_a_body_seen_head_on_is_ambiguous_within_its_covariance():
     """Both make ellipses alike: some fits end in the wrong one, and their deviation holds it."""
     rng = np.random.default_rng(1)
     slant = 0.2

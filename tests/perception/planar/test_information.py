@@ -95,7 +95,7 @@ def test_fan_histograms_agree_with_one_histogram_of_each_sector():
             assert found[heading] == pytest.approx(expected, rel=1e-9)
 
 
-def test_unknown_at_one_level_would_be_worthless_so_distance_spreads_it():
+def test_unknown_area_at_one_grey_level_has_no_entropy_so_levels_follow_distance():
     one_level = np.zeros((2, 32))
     one_level[1, 16] = 1.0
     assert histogram_entropy(one_level, 1.0) == 0.0

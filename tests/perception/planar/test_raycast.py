@@ -161,7 +161,7 @@ def test_sliding_sums_are_the_sums_of_each_sector(degrees):
         np.testing.assert_allclose(found[:, heading], sums[:, rays].sum(axis=1), rtol=1e-12)
 
 
-def test_expected_view_is_what_a_scan_then_sees_but_for_the_edge():
+def test_expected_view_agrees_with_a_scan_except_at_the_edge():
     occupied = scattered(6, share=0.03)
     expected = expected_view(occupied, (15, 16), 0.5, SENSOR.fov, fan(6.0, 0.5, 240))
     seen = scan(occupied, GRID, (15, 16), 0.5, SENSOR).passed

@@ -201,7 +201,7 @@ def test_fusing_equals_the_bundle_for_small_noise_and_a_known_pose():
     np.testing.assert_allclose(fused.covariances, estimate.covariances, rtol=0.02, atol=1e-13)
 
 
-def test_relative_pose_by_a_target_is_as_uncertain_as_it_says():
+def test_relative_pose_by_a_target_is_consistent_with_its_covariance():
     rng = np.random.default_rng(9)
     markers = np.array([[-0.13, -0.1, 0], [0.08, -0.07, 0], [-0.15, 0.03, 0], [0.16, 0.09, 0]])
     target = RigidTransform.from_translation(TARGET) * RigidTransform.from_exp_coords(

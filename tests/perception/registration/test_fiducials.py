@@ -42,7 +42,7 @@ def flat_but_right():
     return image
 
 
-def test_fiducials_are_spread_and_fix_a_motion():
+def test_fiducials_are_well_distributed_and_determine_a_motion():
     chosen = select_fiducials(texture(), grid(), HEAD, config=FiducialConfig(count=12))
     pixels = chosen.image_points[:, :2]
     apart = np.linalg.norm(pixels[:, None] - pixels, axis=-1) + 1e9 * np.eye(12)

@@ -104,12 +104,12 @@ def runs():
     return [run(seed) for seed in range(12)]
 
 
-def test_error_is_as_large_as_said_of_poses_fiducials_and_offsets(runs):
+def test_errors_of_poses_fiducials_and_offsets_are_consistent_with_their_covariances(runs):
     for key in ("arm", "observed", "fiducials", "offsets"):
         assert 0.8 < np.mean([np.mean(r[key]) for r in runs]) < 1.25, key
 
 
-def test_error_is_as_large_as_said_also_late_when_much_was_averaged(runs):
+def test_errors_are_consistent_with_the_covariance_after_many_views(runs):
     assert 0.8 < np.mean([r["observed"][-2:] for r in runs]) < 1.25
 
 
@@ -160,7 +160,7 @@ def whiten(covariance, values):
     return np.linalg.solve(np.linalg.cholesky(covariance), values)
 
 
-def test_no_number_of_looks_at_its_own_fiducials_tells_a_robot_where_it_stands():
+def test_no_number_of_views_of_its_own_fiducials_localizes_a_robot():
     rng = np.random.default_rng(2)
     fiducials, field = FiducialMap(HEAD, np.full(3, 0.03)), Field(rng)
     member = robot(rng, fiducials)
@@ -176,7 +176,7 @@ def test_no_number_of_looks_at_its_own_fiducials_tells_a_robot_where_it_stands()
     assert np.diag(fiducials.offset_covariance)[6:9].sum() < 0.7 * np.trace(MOUNT[:3, :3])
 
 
-def test_looks_one_by_one_give_what_weighted_least_squares_of_all_at_once_give():
+def test_sequential_views_agree_with_batch_weighted_least_squares():
     """With small errors all is linear, and the order does not matter."""
     tiny = 1e-3
     rng = np.random.default_rng(4)
@@ -244,7 +244,7 @@ def test_match_that_the_prior_allows_but_the_others_do_not_is_left_out():
     assert not observed.inliers[2] and observed.inliers.sum() == len(image) - 1
 
 
-def test_two_matches_that_contradict_each_other_are_not_believed():
+def test_two_matches_that_contradict_each_other_are_rejected():
     fiducials, prior, numbers, image, _ = second_look(6)
     image[1] += [2.5, -2.5, 0.0]
     expected, covariance = fiducials.expected(prior)
@@ -257,7 +257,7 @@ def test_two_matches_that_contradict_each_other_are_not_believed():
     np.testing.assert_array_equal(fiducials.positions, positions)
 
 
-def test_matches_of_looks_that_err_differently_are_all_believed():
+def test_matches_of_views_with_different_errors_are_all_accepted():
     """Three looks err each by its own several pixels; a fourth sees what all of them saw."""
     believed, count = 0, 0
     for seed in range(6):

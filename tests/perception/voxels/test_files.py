@@ -48,7 +48,7 @@ def same(a, b):
         np.testing.assert_array_equal(getattr(a.surface(), name), getattr(b.surface(), name))
 
 
-def test_a_loaded_map_is_the_same_and_goes_on_the_same(tmp_path):
+def test_a_loaded_map_is_equal_and_continues_equally(tmp_path):
     voxels = step_map()
     save(voxels, tmp_path / "map.npz")
     loaded = load(tmp_path / "map.npz")
@@ -209,7 +209,9 @@ def test_the_exported_mesh_encloses_the_occupied_voxels(tmp_path):
         export_mesh(step_map(scans=0), tmp_path / "none.stl")
 
 
-def test_a_mesh_is_written_as_its_ending_says_and_no_other_ending_is_taken(tmp_path, monkeypatch):
+def test_mesh_format_follows_the_file_extension_and_other_extensions_are_refused(
+    tmp_path, monkeypatch
+):
     box = trimesh.creation.box()
     monkeypatch.setattr(voxel_files, "surface_mesh", lambda voxels: box)
     for kind in MESHES:

@@ -37,7 +37,7 @@ def test_walls_within_three_deviations_are_one_surface_known_better():
 
 
 @pytest.mark.parametrize("gap", [0.003, 0.004])
-def test_walls_of_one_voxel_that_disagree_leave_it_as_unsure_as_both(gap):
+def test_disagreeing_walls_of_one_voxel_widen_its_variance(gap):
     means, variances, counts = walls(0.604, 0.604 + gap)
     assert counts.max() == 1
     assert np.median(means) == pytest.approx(0.604 + gap / 2, abs=2e-4)

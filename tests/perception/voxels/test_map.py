@@ -76,7 +76,7 @@ def test_free_space_is_what_brute_force_finds_before_the_depth_image():
     assert not np.any(states[np.abs(height) > 0.02] == State.OCCUPIED)
 
 
-def test_two_looks_make_space_free_for_collisions_and_unknown_space_never_is():
+def test_two_views_make_space_free_for_collisions_and_unknown_space_never_is():
     voxels = VoxelMap(GRID)
     high, under, beside = [0.0, 0.0, 0.3], [0.0, 0.0, -0.1], [0.55, 0.55, 0.5]
     insert_ground(voxels, look_down(0.7))
@@ -118,7 +118,7 @@ def test_merging_gaussians_is_their_product():
 
 
 @pytest.mark.parametrize("resolution", [0.02, 0.004])
-def test_fused_estimates_are_as_far_off_as_they_say(resolution):
+def test_fused_estimates_are_consistent_with_their_covariances(resolution):
     """Noise is 0.1 to 1 voxel of 2 cm, and up to 6 of 4 mm."""
     generator = np.random.default_rng(2)
     grid = VoxelGrid(resolution, (-0.32, -0.32, -0.064), (0.32, 0.32, 0.064))
@@ -133,7 +133,7 @@ def test_fused_estimates_are_as_far_off_as_they_say(resolution):
     assert len(error) > 300
 
 
-def test_surfaces_of_a_voxel_that_do_not_agree_make_one_estimate_as_unsure_as_both():
+def test_disagreeing_surfaces_of_a_voxel_make_one_estimate_with_a_wider_variance():
     """Six millimetres apart in a voxel of twenty, each known to within one: no surface moved."""
     voxels = VoxelMap(GRID)
     levels = (0.0037, 0.0097)
@@ -174,7 +174,7 @@ def test_points_that_share_an_error_count_as_one():
     assert found[0] < 0.6 * single
 
 
-def test_a_surface_that_goes_away_is_forgotten():
+def test_a_surface_that_is_removed_is_cleared():
     voxels = VoxelMap(GRID)
     insert_ground(voxels, look_down(0.75), level=0.2037)
     assert voxels.counts()[State.OCCUPIED] > 100
@@ -185,7 +185,7 @@ def test_a_surface_that_goes_away_is_forgotten():
     assert used[RECORDS] - used[FREE_RECORDS] >= len(voxels.surface().means)
 
 
-def test_a_pixel_without_a_point_tells_nothing():
+def test_a_pixel_without_a_point_gives_no_information():
     voxels = VoxelMap(GRID)
     pose = look_down(0.7)
     points, covariances = ground_cloud(pose)
@@ -195,7 +195,7 @@ def test_a_pixel_without_a_point_tells_nothing():
     assert voxels.states([[-0.1, 0.0, 0.2]])[0] == State.UNKNOWN
 
 
-def test_a_camera_may_stand_outside_of_the_box():
+def test_a_camera_may_be_outside_of_the_box():
     low = VoxelMap(VoxelGrid(0.02, (-0.3, -0.3, -0.1), (0.3, 0.3, 0.2)))
     high = VoxelMap(GRID)
     for voxels in (low, high):
@@ -246,7 +246,7 @@ def test_a_box_too_large_for_the_memory_is_refused():
         VoxelMap(VoxelGrid(0.001, (-8.0, -8.0, -8.0), (8.0, 8.0, 8.0)))
 
 
-def test_a_map_that_is_full_says_so_and_stays_valid():
+def test_a_full_map_is_an_error_and_stays_valid():
     fine = VoxelGrid(0.004, (-0.4, -0.4, -0.1), (0.4, 0.4, 0.7))
     voxels = VoxelMap(fine, VoxelMapConfig(memory_limit=3_000_000))
     with pytest.raises(MapFull, match="3 MB"):
@@ -266,7 +266,7 @@ def test_free_bricks_are_one_number():
     assert voxels.bricks.used[BLOCKS] < voxels.bricks.used[BRICKS]
 
 
-def test_a_coarse_map_knows_the_same_surface_and_nearly_the_same_free_space():
+def test_a_coarse_map_has_the_same_surface_and_nearly_the_same_free_space():
     fine = VoxelGrid(0.004, (-0.2, -0.2, -0.064), (0.2, 0.2, 0.256))
     maps = [VoxelMap(fine, VoxelMapConfig(coarse=coarse)) for coarse in (False, True)]
     for voxels, tilt in itertools.product(maps, (0.0, 0.2)):

@@ -159,7 +159,7 @@ def test_information_falls_with_the_free_path_whatever_the_voxels():
         assert found.information == pytest.approx(expected, rel=1e-3)
 
 
-def test_known_space_tells_nothing_and_a_wall_hides_what_is_behind():
+def test_known_space_has_no_information_and_a_wall_occludes_the_space_behind():
     states = np.full(GRID.shape, State.FREE)
     pose = pose_looking_along_x(0.0)
     found = view_counts(known_map(states), pose, VIEW)

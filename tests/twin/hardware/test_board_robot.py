@@ -36,7 +36,7 @@ def bench():
     return Bench()
 
 
-def test_unconfigured_robot_says_so_and_sends_nothing(bench):
+def test_unconfigured_robot_raises_an_error_and_sends_nothing(bench):
     for call in (bench.robot.observe, bench.robot.activate, lambda: bench.robot.home(np.zeros(4))):
         with pytest.raises(RobotError, match="robot 'rover1' is unconfigured"):
             call()
@@ -131,7 +131,7 @@ def test_wheels_turn_on_evenly_while_their_counters_wrap(bench, start, step):
     assert bench.robot.lifecycle is Lifecycle.ACTIVE
 
 
-def test_arm_angle_goes_on_through_a_wrap_at_homing_and_at_activation():
+def test_arm_angle_is_continuous_through_a_counter_wrap_at_homing_and_at_activation():
     shoulder = dataclasses.replace(CALIBRATION.drive.shoulder, zero_counts=2**31 - 10)
     drive = dataclasses.replace(CALIBRATION.drive, shoulder=shoulder)
     bench = Bench(dataclasses.replace(CALIBRATION, drive=drive)).homed((0.0, 0.5, 0.0, 0.0))

@@ -67,7 +67,7 @@ def test_battery_out_of_range_stops_the_robot_within_a_round_of_all_boards(bench
     assert f"has a battery of {volts} V" in bench.robot.fault
 
 
-def test_error_lasts_until_it_is_activated_again_and_says_why(bench):
+def test_error_persists_with_its_reason_until_reactivation(bench):
     bench.active()
     bench.boards.statuses[0x81] = Status.E_STOP
     bench.cycles_until_error()

@@ -70,7 +70,7 @@ def test_misfit_is_the_squared_deviation_from_tails_and_lattice(tails):
     np.testing.assert_allclose(got, expected, rtol=1e-5)
 
 
-def test_walk_returns_the_word_of_the_cost_that_it_says(tails):
+def test_walk_returns_the_word_whose_cost_it_reports(tails):
     shape, rng = ARM.tail_shape, np.random.default_rng(4)
     for target in targets(20, 3, 5):
         head = rng.integers(0, 8, 14)

@@ -38,7 +38,7 @@ def test_over_a_change_each_leg_that_differs_is_heated_once_in_its_direction(at_
     np.testing.assert_array_equal(total[..., RETRACT], falls)
 
 
-def test_the_tip_goes_before_the_base_and_nothing_is_heated_while_cooling():
+def test_the_tip_is_switched_before_the_base_and_nothing_is_heated_while_cooling():
     drive = WireDrive(np.zeros(4, dtype=int))
     drive.change(np.array([7, 0, 0, 7]))
     assert np.flatnonzero(drive.levels(0.1).any(axis=(1, 2))).tolist() == [3]

@@ -48,7 +48,7 @@ def test_correcting_decoders_move_no_wrong_actuator_when_a_flag_is_missed():
 
 
 @pytest.mark.parametrize("kind", ["missed", "extra"])
-def test_thesis_protocol_goes_wrong_by_one_pulse_and_does_not_know(kind):
+def test_one_pulse_error_gives_an_undetected_wrong_word_in_the_thesis_protocol(kind):
     for word, outcome in outcomes("thesis", kind, START, GOAL):
         wrong = np.flatnonzero(word != GOAL)
         # The right actuator is skipped, and its neighbour toggled if there is one.

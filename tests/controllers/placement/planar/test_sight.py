@@ -86,7 +86,7 @@ def test_occluders_of_a_map_hold_all_its_occupied_cells():
     assert np.all(np.any(held, axis=0))
 
 
-def test_what_stands_free_in_a_room_is_not_covered_by_the_hull_of_its_wall():
+def test_target_inside_a_walled_room_is_not_covered_by_the_hull_of_the_wall():
     occupied = np.zeros((40, 40), dtype=bool)
     occupied[[5, -5], 5:-4] = occupied[5:-4, [5, -5]] = True
     space = KnownSpace(np.where(occupied, 0.9, 0.02), 0.25)

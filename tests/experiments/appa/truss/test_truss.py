@@ -32,7 +32,7 @@ def test_grips_carry_the_segments_weight_and_nothing_else(bench):
     assert not bench.contact().any()
 
 
-def test_sensor_under_the_arm_tells_what_the_gripper_puts_on_the_segment(bench):
+def test_sensor_under_the_arm_measures_the_wrench_of_the_gripper_on_the_segment(bench):
     simulation = Simulation(bench.model, list(ROBOTS), suite=IDEAL, data=bench.data)
     mount = (ROVER.arm_mount[1], ROVER.arm_mount[2])
     true = bench.grips()
@@ -45,7 +45,7 @@ def test_sensor_under_the_arm_tells_what_the_gripper_puts_on_the_segment(bench):
     simulation.close()
 
 
-def test_unknown_way_is_refused():
+def test_unknown_method_is_refused():
     with pytest.raises(ValueError, match="expected one of hybrid, position_only, unguided"):
         run_truss(TrussTrial("both", 1.0, 1))
 

@@ -78,13 +78,13 @@ def test_same_seed_gives_the_same_faults():
     assert len({address for address, _, _, _ in drawn()}) > 1
 
 
-def test_damaged_line_gives_no_wrong_value_and_says_what_failed():
+def test_damaged_line_gives_no_wrong_value_and_its_failures_are_counted():
     result = call_damaged(0.3, 200, SEED)
     assert result.wrong == 0 and result.damaged > 40 and result.retries > 20
     assert result.call_ms.shape == (200,)
 
 
-def test_client_that_believes_all_is_found_out(monkeypatch):
+def test_wrong_values_of_a_client_without_checksums_are_counted(monkeypatch):
     """Without checksums, damaged encoders come through."""
     monkeypatch.setattr(
         "twin.hardware.roboclaw.client.codec.decode_reply",

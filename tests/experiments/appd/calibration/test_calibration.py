@@ -80,7 +80,7 @@ def test_sag_under_the_weight_is_what_the_springs_of_the_rover_give(table):
     assert abs(sag[1]) < 0.01 * DEGREE
 
 
-def test_turning_the_table_leaves_the_rover_where_it_stands(table):
+def test_turning_the_table_does_not_move_the_rover(table):
     data = table._simulation.data
     table.turn(np.array([15.0, 0.0]) * DEGREE, 1.0)
     table.wait(1.0)

@@ -47,7 +47,7 @@ def test_hosts_that_poll_slow_the_handshake_but_not_the_frames():
         assert low < slow.goodput / fast.goodput < high
 
 
-def test_rovers_hear_of_each_other_over_a_clean_radio():
+def test_rovers_receive_each_others_messages_over_a_clean_radio():
     result = converse(ModemConfig(), 1.5, seed=1)
     for name, other in zip(ROBOTS, reversed(ROBOTS)):
         sent, heard = result.rovers[name].sent, result.rovers[other].received

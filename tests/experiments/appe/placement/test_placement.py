@@ -50,7 +50,7 @@ def test_a_target_that_nothing_hides_is_seen_whole_from_home(scene):
     assert pixels > 500.0
 
 
-def test_settings_stand_clear_of_the_rover_and_before_the_target():
+def test_obstacles_are_clear_of_the_rover_and_before_the_target():
     rng = np.random.default_rng(0)
     for _ in range(50):
         setting = draw_setting(rng)
@@ -60,7 +60,7 @@ def test_settings_stand_clear_of_the_rover_and_before_the_target():
 
 
 @pytest.mark.slow
-def test_a_hidden_target_is_seen_after_braid_has_gone_to_its_word():
+def test_a_hidden_target_is_seen_after_braid_has_moved_to_its_word():
     result = run_placement(PlacementTrial(seed=2968811710, stages=5))
     assert result.home < 1.0
     assert result.placed is not None

@@ -42,7 +42,7 @@ def test_same_seed_same_errors():
     assert first.errors == second.errors
 
 
-def test_one_robot_errs_in_depth_as_equation_3_6_says(drawn):
+def test_depth_error_of_one_robot_agrees_with_equation_3_6(drawn):
     depth = 1.1**2 / (677.34 * 0.038) * 1000.0  # [mm/px]
     assert median(drawn["0.25px"], "single") == pytest.approx(0.25 * depth, rel=0.25)
 

@@ -142,7 +142,7 @@ def test_converter_and_wrench_saturate_instead_of_wrapping():
     assert ROVER1.force_torque.counts([0, 0, 1e9, 0, 0, 0])[2] == -(2**31)
 
 
-def test_sensor_that_tells_the_load_reads_a_carried_weight_as_upward():
+def test_sensor_that_reports_the_load_gives_an_upward_force_for_a_carried_weight():
     sensor = ROVER1.force_torque
     down = np.array([0, 0, -7.4556, 0, 0, 0]) * sensor.counts_per_newton
     assert sensor.wrench(down)[2] == pytest.approx(7.4556)

@@ -41,7 +41,7 @@ def pairs(target, cycles, turn=0.0, **options):
     return seen
 
 
-def test_emulated_robot_sees_the_quantised_one_s_pairs_bit_for_bit_and_the_simulation_s_first():
+def test_emulated_robot_has_the_quantised_ones_pairs_and_the_first_of_the_simulation():
     """Noise included. Later pairs of the simulation differ: its motors get finer voltages."""
     stereo = StereoConfig(rate=4.0)
     emulated, quantised, plain = (
@@ -85,7 +85,7 @@ def test_camera_that_is_frozen_or_unplugged_stops_the_robot_with_one_clear_error
             assert robot.observe().stereo.stamp == pytest.approx(last + 2.0)
 
 
-def test_scene_is_the_same_after_its_way_into_another_process():
+def test_scene_config_is_unchanged_by_its_json_form():
     panel = PanelConfig((0.1, 0.2), 0.3, markers=(PanelMarker(0.0, 0.01),))
     scene = SceneConfig(
         (RobotPlacement("a", (0.1 / 3.0, 1.0), payload=PayloadConfig(0.2)), RobotPlacement("b")),
@@ -166,7 +166,7 @@ def test_only_the_pairs_that_the_host_reads_are_drawn_each_once_in_any_order(tmp
     assert drawn == [7, 2, 9]
 
 
-def test_pair_that_is_too_old_or_whose_emulator_is_gone_is_an_error_of_the_robot(tmp_path):
+def test_pair_that_is_too_old_or_of_a_closed_emulator_is_an_error_of_the_robot(tmp_path):
     writer = FrameWriter(tmp_path / "a.frames", 3, 4)
     capture, pairs = StereoCapture(tmp_path / "a.frames", scene_time=True), []
     for level in range(17):

@@ -85,7 +85,7 @@ def configured(**changes):
 
 
 @pytest.mark.parametrize("faults", [0.0, 0.03])
-def test_controller_sees_and_does_the_same_on_quantised_and_emulated_boards(faults):
+def test_observations_and_commands_are_equal_on_quantised_and_emulated_boards(faults):
     config = configured(**SHORT)
     plain, _, _ = identified("quantised", config)
     wired, damage, _ = identified("emulated", config, lines=LineConfig(faults))
@@ -338,7 +338,7 @@ def test_ill_words_of_a_target_give_one_clear_sentence(words, message):
     assert "\n" not in str(caught.value)
 
 
-def test_unknown_fault_is_refused_and_the_emulator_goes_on(emulator):
+def test_unknown_fault_is_refused_and_the_emulator_continues(emulator):
     for wrong in ({"kind": "earthquake"}, {"kind": "e_stop", "address": 0x99}):
         with pytest.raises(LinkError, match="no such fault"):
             emulator.inject(ROBOT, **wrong)
@@ -407,7 +407,7 @@ def test_fault_of_nothing_that_is_there_is_named(wrong, message):
         Emulator(SceneConfig(), 0.0, [{"time": 1.0, "kind": "e_stop", **wrong}])
 
 
-def test_quantised_rover_sees_what_the_simulated_one_sees():
+def test_quantised_rover_has_the_images_of_the_simulated_one():
     pairs = []
     for target in ("sim", "quantised"):
         with connect(target, stereo=StereoConfig(noise_db=None), seed=3) as link:
@@ -429,7 +429,7 @@ def test_payload_is_carried_on_emulated_boards_as_on_quantised_ones():
     assert np.abs(wrenches["quantised", box] - wrenches["quantised", None]).max() > 0.5
 
 
-def test_wired_robot_sees_with_the_captures_that_are_named(emulator, tmp_path):
+def test_wired_robot_reads_the_named_captures(emulator, tmp_path):
     names = []
     for side, level in (("left", 40), ("right", 160)):
         for k in range(3):

@@ -305,7 +305,7 @@ def test_stream_ends_with_its_count(load):
     np.testing.assert_allclose(steps, 7, atol=1)
 
 
-def test_stream_stops_when_told_and_never_bursts(load):
+def test_stream_stops_on_request_and_never_bursts(load):
     sensor = NetFT(load)
     sensor.answer(ft.encode_request(ft.START_REALTIME, 0), "host", 0.0)
     assert len(sensor.due(100.0)) <= 101

@@ -50,7 +50,7 @@ def test_handshake_carries_any_bytes_over_a_clean_line(message):
     assert confirmations == [Outcome(1, True)]
 
 
-def test_handshake_sends_what_the_thesis_says():
+def test_handshake_sends_the_byte_sequence_of_the_thesis():
     wire = Wire()
     link = HandshakeLink(wire)
     link.send(b"ab")

@@ -15,7 +15,7 @@ from twin.hardware.serial_link import LinkError, SerialLink
 pytestmark = pytest.mark.virtual_time
 
 
-def test_modem_paces_delays_and_hits_as_it_is_told():
+def test_modem_has_the_configured_rate_delay_and_byte_errors():
     line = Line(ModemConfig(delay=0.01), np.random.default_rng(0))
     line.put(bytes(96), 1.0)
     assert line.next_arrival() == pytest.approx(1.0 + 1 / 960 + 0.01)
@@ -93,7 +93,7 @@ def test_real_ports_at_the_real_pace_agree_with_virtual_time(kind):
 
 
 @pytest.mark.real_time
-def test_port_that_is_gone_is_one_clear_error():
+def test_disconnected_port_is_one_clear_error():
     with pty_modems(ModemConfig(), np.random.default_rng(0)) as paths:
         port = SerialLink(paths[0], 9600)
         link = FramedLink(SerialChannel(port), np.random.default_rng(0))

@@ -97,7 +97,7 @@ def test_acknowledgement_of_before_a_restart_confirms_nothing():
     assert restarted.pending == 1
 
 
-def test_restarted_receiver_goes_on_from_the_oldest_on_the_way():
+def test_restarted_receiver_resumes_at_the_oldest_message_in_transit():
     (first, there), (second, back) = framed(1), framed(2)
     for index in range(5):
         first.send(bytes([index]))
@@ -124,7 +124,7 @@ def test_restarted_receiver_goes_on_from_the_oldest_on_the_way():
     assert first.pending == 0
 
 
-def test_what_cannot_be_delivered_is_said_and_the_link_recovers():
+def test_undelivered_messages_are_reported_and_the_link_recovers():
     (first, there), (second, back) = framed(1, deliver_within=1.0), framed(2)
     tickets = [first.send(bytes([index])) for index in range(12)]
     confirmed = []

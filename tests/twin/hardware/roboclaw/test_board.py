@@ -135,7 +135,7 @@ def clean(number):
     return (0x10203041 + number).to_bytes(4, "big")
 
 
-def test_each_kind_of_damage_is_what_it_says():
+def test_each_line_fault_has_its_effect():
     heard, out, _ = damaged(LineFault.FLIP_REQUEST)
     assert {bits(data, b"abcdefgh") for data in heard} == {1, 2, 3}
     heard, out, _ = damaged(LineFault.FLIP_REPLY)

@@ -94,7 +94,7 @@ def test_what_does_not_fit_is_refused_before_the_wire(bench, command):
 CLEAR = [(None, 0)]  # The first exchange of a fresh bus sees the line clear.
 
 
-def test_lost_acknowledgement_is_asked_for_again_where_twice_is_once(bench):
+def test_idempotent_write_is_repeated_after_a_lost_acknowledgement(bench):
     line, _, trial = bench
     line.script = [*CLEAR, (LineFault.LOSE_REPLY, 0)]
     trial.bus.write(NEW, BoardCommand.DUTY_BOTH, 100, -100)
@@ -149,7 +149,7 @@ def test_late_acknowledgement_is_not_taken_for_the_next_ones(bench):
         line.script = []
 
 
-def test_old_answer_that_comes_again_before_the_new_one_is_not_believed(bench):
+def test_repeated_old_reply_before_the_new_one_is_rejected(bench):
     line, _, trial = bench
     board = trial.boards[0]
     board.motors.counts = [1, 2]
@@ -211,7 +211,7 @@ def test_stray_bytes_before_a_call_are_drained_and_counted(bench):
     assert trial.bus.statistics.stray == sum(range(51))
 
 
-def test_stray_answer_to_the_same_question_is_not_believed(bench):
+def test_stray_reply_to_the_same_command_is_rejected(bench):
     _, link, trial = bench
     trial.boards[0].motors.counts = [7, 8]
     trial.bus.read(NEW, BoardCommand.GET_ENCODERS)
@@ -270,7 +270,7 @@ class Slow:
 
 
 @pytest.mark.parametrize("command", [BoardCommand.GET_LOGIC_VOLTAGE, BoardCommand.GET_ENCODERS])
-def test_answers_that_take_longer_than_a_call_are_never_believed_later(command):
+def test_replies_that_take_longer_than_a_call_are_never_accepted_later(command):
     for delay in np.arange(0.0065, 0.12, 0.0005).tolist():
         line, link, trial = virtual_trial(lambda device, d=delay: Slow(device, d))
         with virtual_time(link):

@@ -262,7 +262,7 @@ def test_old_status_bit_means_the_same_as_the_present_one(place, name):
     assert codec.encode_status(Status[name], old_layout=True) == old
 
 
-def test_both_layouts_are_told_apart_by_length_and_checksum():
+def test_both_layouts_are_distinguished_by_length_and_checksum():
     new, old = bytes.fromhex("00002001 917b"), bytes.fromhex("0084 953b")
     read = codec.decode_status_reply(0x80, new)
     assert read == Status.CURRENT_ERROR_2 | Status.E_STOP
@@ -319,7 +319,7 @@ def test_present_status_is_kept_whole(word):
 
 
 @given(st.integers(-(2**40), 2**40), st.integers(-(2**31), 2**31 - 1))
-def test_difference_of_wrapped_counters_is_the_shorter_way(count, step):
+def test_difference_of_wrapped_counters_is_the_smallest(count, step):
     def wrapped(value):
         return (value + 2**31) % 2**32 - 2**31
 

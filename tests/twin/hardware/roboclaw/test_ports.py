@@ -85,7 +85,7 @@ def test_port_that_takes_nothing_cannot_hold_a_call(waiting_time):
     port.close()
 
 
-def test_port_that_is_gone_is_a_link_error(waiting_time):
+def test_disconnected_port_is_a_link_error(waiting_time):
     port = PseudoTerminal()
     bus = RoboClawBus(SerialLink(port.name, BAUD))
     port.close()
