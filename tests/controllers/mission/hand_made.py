@@ -1,0 +1,156 @@
+"""A site, estimates, a radio and rovers made by hand, for the stages of a mission."""
+
+import math
+import typing
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.insertion.guidance import Guidance, GuidanceLink
+from controllers.mission.belief import MissionBelief
+from controllers.mission.exchange import Exchange
+from controllers.mission.site import SiteDrawing
+from experiments.ch5.insertion_scene import insertion_drawing
+from models.clutter import PanelConfig
+from models.datasheets import CARD_AND_SLOT
+from perception.registration.target import TargetCad
+from tests.controllers.motion.seen import PAIR, seen_at
+from twin.describe import describe_rover
+from twin.robot import Command, Observation
+
+MASTER, SLAVE = "rover1", "rover2"
+ROVERS = {MASTER: describe_rover(MASTER), SLAVE: describe_rover(SLAVE, card=True)}
+POSES = {MASTER: (0.80, -0.40, math.pi / 2), SLAVE: (0.0, -0.90, 0.0)}
+"""Initial poses of the rovers: x, y [m] and yaw [rad], ground frame."""
+TICK = 0.01
+"""Servo tick [s]."""
+TILT = np.array([0.03, -0.02])
+"""Pitch and roll that each rover measures [rad]."""
+HOME = typing.cast(typing.Any, ROVERS[SLAVE].arm).home
+
+
+def site() -> SiteDrawing:
+    """Return a drawing whose panel is half a metre aside of the slot."""
+    panel = PanelConfig()
+    cad = TargetCad(panel.marker_points, panel.markers[0].radius, panel.markers[0].dark)
+    aside = RigidTransform.from_components([0.1, -0.5, 0.2], Rotation.from_euler("z", 0.4))
+    drawing = insertion_drawing(CARD_AND_SLOT.slot_widths[-1])
+    return SiteDrawing(drawing, cad, aside, 1e-6 * np.eye(6), POSES, (0.06, 0.1))
+
+
+SITE = site()
+
+
+def belief_of(name: str) -> MissionBelief:
+    """Return the estimates of a rover at the start."""
+    other = SLAVE if name == MASTER else MASTER
+    return MissionBelief.initial(ROVERS[name], ROVERS[other], SITE)
+
+
+def transform_robot_to_ground(name: str) -> RigidTransform:
+    """Return the pose of a level rover at its initial pose."""
+    x, y, yaw = POSES[name]
+    height = ROVERS[name].centre_height
+    return RigidTransform.from_components([x, y, height], Rotation.from_euler("z", yaw))
+
+
+def planar_pose(x: float, y: float, yaw: float) -> RigidTransform:
+    """Return a pose on the level ground."""
+    return RigidTransform.from_components([x, y, 0.0], Rotation.from_euler("z", yaw))
+
+
+class HandLink:
+    """An end of the radio that loses and delays nothing.
+
+    Attributes:
+        incoming: Guidance that has arrived.
+        sent: What was sent in each tick; None without guidance.
+    """
+
+    def __init__(self) -> None:
+        self.incoming: list[Guidance] = []
+        self.sent: list[Guidance | None] = []
+
+    def receive(self) -> list[Guidance]:
+        """Return the guidance received since the last call."""
+        views, self.incoming = self.incoming, []
+        return views
+
+    def send(self, guidance: Guidance | None) -> None:
+        """Note what is sent."""
+        self.sent.append(guidance)
+
+
+def exchange_with(*names: str) -> tuple[Exchange, dict[str, HandLink]]:
+    """Return an exchange, and each robot's end of its radio."""
+    exchange, links = Exchange({}), {name: HandLink() for name in names}
+    exchange.guidance.update(typing.cast(dict[str, GuidanceLink], links))
+    return exchange, links
+
+
+class Stage(typing.Protocol):
+    """A stage of a mission."""
+
+    def step(self, seen: Observation) -> Command | None:
+        """Return the command of a tick."""
+        ...
+
+
+class KinematicRover:
+    """A rover whose wheels and joints do what was commanded, one tick later.
+
+    Args:
+        name: Name of the rover.
+        angles: (4,) initial joint angles [rad].
+        left: Turn to the left over that of rolling wheels.
+        right: Turn to the right over that of rolling wheels.
+
+    Attributes:
+        seen: Latest observation.
+        command: Latest command.
+        pose: Transform from the rover to where it began.
+        rolled: Turn of rolling wheels [rad].
+        turned: Sum of all turns, left and right [rad].
+        driven: Distance driven [m].
+    """
+
+    def __init__(
+        self, name: str, angles: np.ndarray = HOME, left: float = 1.0, right: float = 1.0
+    ) -> None:
+        self._robot, self._share = ROVERS[name], (right, left)
+        self.pose = RigidTransform.identity()
+        self.rolled = self.turned = self.driven = 0.0
+        self.ticks = 0
+        self.seen = seen_at(0.0)
+        self.command = Command(np.zeros(4), np.array(angles, dtype=float))
+
+    @property
+    def yaw(self) -> float:
+        """Yaw since the start [rad]."""
+        return float(self.pose.rotation.as_euler("ZYX")[0])
+
+    def step(self, stage: Stage) -> Command:
+        """Move by the last command for a tick, and step the stage."""
+        wheels, angles = self.command.wheels, self.command.arm
+        left, right = (wheels[0] + wheels[2]) / 2, (wheels[1] + wheels[3]) / 2
+        radius, track = self._robot.wheel_radius, 2.0 * self._robot.half_track
+        turn, ahead = TICK * radius * (right - left) / track, TICK * radius * (left + right) / 2
+        self.rolled += turn
+        turn *= self._share[int(turn > 0.0)]
+        self.turned += abs(turn)
+        self.driven += abs(ahead)
+        half = ahead * np.array([-math.sin(turn / 2), math.cos(turn / 2)])
+        self.pose = self.pose * planar_pose(half[0], half[1], turn)
+        time = TICK * self.ticks
+        seen = seen_at(time, wheels, angles, PAIR, time)
+        self.seen = seen._replace(inclinometer=seen.inclinometer._replace(value=TILT))
+        self.ticks += 1
+        command = stage.step(self.seen)
+        assert command is not None
+        self.command = command
+        return command
+
+    @property
+    def drives(self) -> bool:
+        """Whether a wheel is commanded to turn."""
+        return bool(np.any(self.command.wheels))
