@@ -196,7 +196,8 @@ def _spot(
     if not (smallest <= major <= largest and minor >= FLATNESS * major):
         return None
     area = cv2.contourArea(contour.reshape(-1, 1, 2)) + len(contour) / 2.0 + 1.0
-    if not ROUNDNESS <= (area / (np.pi / 4.0 * minor * major)) <= 1.0 / ROUNDNESS:
+    filled = area / (np.pi / 4.0 * minor * major)
+    if not ROUNDNESS <= filled <= 1.0 / ROUNDNESS:
         return None
     wide = (axes[0] + 1.0) / 2.0, (axes[1] + 1.0) / 2.0
     scales = np.linspace(1.35, 0.8 / cad.dark, 3)
@@ -281,7 +282,8 @@ def _assignments(
     between: FloatArray, apart: FloatArray, allowed: FloatArray, matches: list[tuple[int, int]]
 ) -> Iterator[list[tuple[int, int]]]:
     """Yield all ways to match markers in order with points whose distances agree."""
-    for marker in range(matches[-1][0] + 1 if matches else 0, len(between)):
+    first = matches[-1][0] + 1 if matches else 0
+    for marker in range(first, len(between)):
         for point in range(len(apart)):
             if all(
                 point != other
