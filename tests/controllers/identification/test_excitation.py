@@ -266,3 +266,20 @@ def test_noise_is_a_tenth_of_the_greatest_value():
     assert noise_bound(outputs)[20] == pytest.approx(
         0.1 * max(np.abs(samples[:, 20]).max() for samples in outputs.values())
     )
+
+
+def test_floor_of_an_inertia_is_a_tenth_of_the_mean_mass():
+    parameters = np.zeros(COUNT)
+    parameters[1:4] = [0.9, 0.2, 0.1]
+    np.testing.assert_allclose(parameter_scale(parameters)[4:7], 0.04)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_one_step_of_a_plan_is_at_most_half_of_the_bounds(sign):
+    planner, bounds = Planner(CRITERIA["information"], ARMS, LIMITS), LIMITS.bounds()
+    start = {"x": Excitation(*bounds[:, 0 if sign > 0 else 1].tolist())}
+    moved = planner._moved(start, np.array([0.3, 3.0, 0.5]) * sign)["x"]
+    span = np.ptp(bounds, axis=1)
+    np.testing.assert_allclose(
+        np.subtract(moved, start["x"]) / span, sign * np.array([0.3, 0.5, 0.5])
+    )

@@ -9,6 +9,7 @@ import pytest
 
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
+from controllers.mapping.localization import tilt_to_level
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from models import datasheets
 from tests.controllers.insertion.kinematic import Slave
@@ -242,6 +243,29 @@ def test_slot_is_where_it_was_while_the_arm_has_not_moved_since_the_hand_over():
     slot = inserter.belief.slot_in_start
     inserter._hand_over(slot)
     np.testing.assert_allclose(inserter._slot_now(), slot, atol=1e-12)
+
+
+def test_weight_at_the_hand_over_is_that_of_the_tilted_arm():
+    slave, inserter = approaching()
+    tilt = np.array([0.12, -0.08])
+    seen = slave.observe()
+    seen = seen._replace(inclinometer=seen.inclinometer._replace(value=tilt))
+    command = inserter.step(seen, [])
+    inserter._hand_over(inserter.belief.slot_in_start)
+    up = tilt_to_level(tilt).inv().apply([0.0, 0.0, 1.0])
+    expected = slave.arm.weight(command.arm, up)
+    np.testing.assert_allclose(inserter._weight, expected, atol=1e-9)
+    assert np.abs(expected - slave.arm.weight(command.arm, [0.0, 0.0, 1.0])).max() > 0.5
+
+
+def test_robot_that_begins_too_near_turns_onto_the_line_as_it_backs():
+    _, commands, slave, inserter = approach((0.01, -0.35, 0.15))
+    motions = np.array([inserter._steer.motion(command.wheels) for command in commands[1:-1]])
+    assert motions[:, 0].min() == pytest.approx(-inserter.config.speed)
+    # Backwards too, it turns towards the slot's heading.
+    assert motions[0, 1] < 0.0 and abs(slave.place[2]) < 0.1
+    gap = -slave.place[1] - inserter.config.reach - inserter.config.stand_off
+    assert abs(gap) < 2 * inserter.config.near
 
 
 def test_arm_stays_where_it_is_measured_after_a_failure():

@@ -11,6 +11,7 @@ from controllers.insertion.cooperation import (
     Grip,
     HybridConfig,
     HybridGrip,
+    _solve,
     decode,
     encode,
 )
@@ -211,3 +212,10 @@ def test_planar_arm_of_one_straight_line():
     arm = PlanarArm((0.1, 0.2), (0.3, 0.2, 0.1))
     np.testing.assert_allclose(arm.task([0.0, 0.0, 0.0]), [0.7, 0.2, 0.0])
     np.testing.assert_allclose(arm.task([np.pi / 2, 0.0, 0.0]), [0.1, 0.8, np.pi / 2])
+
+
+def test_joints_of_a_stretched_arm_are_damped_by_a_thousandth():
+    # One singular value s gives s / (s^2 + 1e-6) of the motion.
+    for small, gain in ((1e-3, 500.0), (1e-4, 99.0), (0.0, 0.0)):
+        solved = _solve(np.diag([1.0, 1.0, small]), np.ones(3))
+        np.testing.assert_allclose(solved, [1.0, 1.0, gain], rtol=1e-3)

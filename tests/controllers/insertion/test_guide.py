@@ -119,6 +119,19 @@ def test_force_beyond_the_limit_draws_back_and_at_last_gives_up():
     assert (guide.phase, guide.reason) == (Phase.FAILED, "force")
 
 
+def test_card_is_drawn_back_8_mm_from_where_it_jammed_in_the_slot():
+    guide = InsertionGuide(CONFIG, INSIDE)
+    held(guide, np.zeros(3), 50)
+    held(guide, np.array([0.0, -6.0, 0.0]), 3)
+    assert guide.phase is Phase.RETREAT
+    before = guide.command[1]
+    while guide.phase is Phase.RETREAT:
+        guide.step(np.zeros(3))
+    step = CONFIG.speed * CONFIG.period
+    # The hand had bent by 3 mm.
+    assert 0.008 <= before - guide.command[1] <= 0.008 + 6.0 / CONFIG.stiffness + 2 * step
+
+
 def test_card_that_is_drawn_back_gives_way_to_the_side_it_is_pushed_to():
     guide = InsertionGuide(CONFIG, INSIDE)
     held(guide, np.array([4.0, -6.0, 0.0]), 3)

@@ -201,7 +201,10 @@ def test_camera_moves_to_its_goal_no_faster_than_the_rate_limit(eyes):
     for _ in range(3):
         np.testing.assert_array_equal(marker_guide.step(blind)[0].arm, eyes.angles)
     seen = eyes.observe()
-    wanted = [marker_guide.step(seen)[0].arm for _ in range(70)]
+    commands = [marker_guide.step(seen)[0] for _ in range(70)]
+    wanted = [command.arm for command in commands]
+    rates = [command.arm_rates for command in commands[1:]]
+    np.testing.assert_allclose(rates, np.diff(wanted, axis=0) / 0.01, atol=1e-9)
     np.testing.assert_allclose(wanted[-1], goal)
     steps = np.abs(np.diff(wanted, axis=0))
     assert steps.max() < 0.5 * 0.01 + 1e-12
@@ -228,6 +231,7 @@ def test_camera_leaves_its_place_only_for_one_that_is_clearly_better(
     guide.step(eyes.observe(0.0))
     for tick in range(3):
         command, _ = guide.step(eyes.observe(2.0 + tick))
-    assert (guide.moves > 0) == bool(moves)
+    # It chooses at most once a second, here in each of four steps.
+    assert guide.moves == 4 * moves
     assert np.any(command.arm != eyes.angles) == bool(moves)
     assert np.abs(command.arm_rates).max() <= config.rate + 1e-9

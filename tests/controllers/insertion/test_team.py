@@ -7,7 +7,14 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance, GuidanceLink
-from controllers.insertion.team import InsertionMaster, InsertionSlave, InsertionTeam
+from controllers.insertion.team import (
+    InsertionMaster,
+    InsertionSlave,
+    InsertionTeam,
+    surrogate_sensing,
+)
+from controllers.motion.base_tilt import drawn_springs
+from twin.describe import describe_rover
 from twin.hardware.emulator.modem import virtual_links
 from twin.robot import Command, Observation
 
@@ -52,3 +59,14 @@ def test_look_arrives_by_radio():
 
 def test_look_that_no_message_can_tell_is_left_out():
     assert heard_of(0.8) == []
+
+
+def test_lost_sensors_are_replaced_up_to_1_n_and_5_degrees():
+    rover = describe_rover(SLAVE, card=True)
+    sensing = surrogate_sensing(rover, 0.2, drawn_springs(rover))
+    limits = {name: monitor.limits for name, monitor in sensing._monitors.items()}
+    wrench, tilt = limits["arm_base_wrench"], limits["inclinometer"]
+    np.testing.assert_allclose(wrench.largest, [1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
+    np.testing.assert_allclose(np.degrees(tilt.largest), [5.0, 5.0])
+    # Tilt changes slower than force.
+    assert tilt.longest > wrench.longest

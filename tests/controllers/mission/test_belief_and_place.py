@@ -15,7 +15,7 @@ from controllers.mission.belief import MissionBelief, tilt_of
 from controllers.mission.exchange import Exchange, SlotPose, TurnShare
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import SiteDrawing
-from controllers.mission.stages.find import VOXEL
+from controllers.mission.stages.find import VOXEL, FindPanel
 from controllers.mission.stages.place import PlaceCamera, choose_station, mapped_ground
 from controllers.mission.stages.rest import Rest
 from controllers.motion.drive_to_pose import DriveToPose
@@ -199,6 +199,22 @@ def test_a_missing_inclinometer_stops_the_mission_with_its_name() -> None:
 def site_panel(site: SiteDrawing) -> RigidTransform:
     """Return the panel in the ground frame, as drawn."""
     return site.insertion.transform_slot_to_ground * site.transform_slot_to_panel.inv()
+
+
+def test_map_of_the_master_holds_the_site_from_the_ground_to_above_the_slot(
+    site: SiteDrawing,
+) -> None:
+    stage = FindPanel(master_of(site), 4, np.random.default_rng(0))
+    grid = stage.mapper.shared.voxels.grid
+    # The map is level, and its origin is the panel.
+    height = site_panel(site).translation[2]
+    slot = site.insertion.transform_slot_to_ground.translation[2]
+    assert grid.lower[2] < 0.0 - height and slot + 0.3 - height < grid.upper[2]
+    places = [*site.initial_poses.values(), (0.0, 0.0, 0.0)]
+    far = max(
+        np.hypot(*(np.array(place[:2]) - site_panel(site).translation[:2])) for place in places
+    )
+    assert np.all(np.array(grid.lower[:2]) < -far) and np.all(np.array(grid.upper[:2]) > far)
 
 
 def test_robot_adopts_the_estimates_of_its_partner(site: SiteDrawing) -> None:

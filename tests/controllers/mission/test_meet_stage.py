@@ -301,3 +301,15 @@ def test_master_centres_a_detected_card_before_it_sends_guidance(guides: Guides)
     assert np.abs(rover.command.arm - before).max() > 0.02
     # At rest at its new goal it sends each view.
     assert sent[-1] is guides.view and sent[0] is None
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_master_searches_within_the_limits_of_its_joints(guides: Guides, end: int) -> None:
+    slave, _ = guided_slave()
+    stage, rover = FindCard(slave), KinematicRover(MASTER)
+    rover.step(stage)
+    stage._ahead = CAMERA_ARM.limits[:, end] * [1.0, 0.0, 0.0, 1.0] + HOME * [0.0, 1.0, 1.0, 0.0]
+    low, high = CAMERA_ARM.limits.T
+    while rover.seen.time < 20.0:
+        rover.step(stage)
+        assert np.all(rover.command.arm >= low) and np.all(rover.command.arm <= high)

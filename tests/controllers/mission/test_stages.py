@@ -13,6 +13,7 @@ from controllers.insertion.camera_station import CameraStation, camera_arm
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.marker_guide import MarkerGuide
+from controllers.insertion.team import ARM_REACH
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
 from controllers.mission.belief import MissionBelief
@@ -247,6 +248,10 @@ def test_slave_inserts_once_its_arm_is_home_and_the_master_is_ready() -> None:
     exchange, links = exchange_with(SLAVE)
     stage = InsertCard(belief, MASTER, exchange)
     real, taken = stage.slave.inserter, []
+    # The card's support is the pitching base, by the springs of its wheels.
+    wheels = np.array([(wheel.spring, wheel.centre[1]) for wheel in ROVERS[SLAVE].wheels])
+    stiffness = wheels[:, 0] @ wheels[:, 1] ** 2 / ARM_REACH**2
+    assert real.config.guide.stiffness == pytest.approx(stiffness)
     assert not stage.done
     inserter = types.SimpleNamespace(over=False)
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from controllers.placement.spatial.field import free_caps
-from controllers.placement.spatial.occluders import expand, occluders_of_voxels
+from controllers.placement.spatial.occluders import before_plane, expand, occluders_of_voxels
 from controllers.placement.task import Occluder, PlacementError, Target
 from tests.controllers.placement.spatial.scenes import box, disc_target
 
@@ -109,3 +109,10 @@ def test_voxels_apart_are_two_occluders_and_none_are_none():
     assert occluders_of_voxels(np.empty((0, 3)), 0.01) == []
     with pytest.raises(ValueError, match="map: centres"):
         occluders_of_voxels(np.zeros((4, 2)), 0.01, name="map")
+
+
+def test_points_before_the_plane_are_higher_than_its_own_voxels():
+    target = disc_target(position=[0.1, 0.2, 0.3], normal=[0.0, 0.0, -1.0])
+    heights = np.array([-0.5, 0.0, 0.019, 0.021, 0.4])
+    points = target.position + np.outer(heights, target.normal) + [0.3, -0.2, 0.0]
+    np.testing.assert_array_equal(before_plane(target, points, 0.02), points[3:])

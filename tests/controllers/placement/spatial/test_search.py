@@ -126,6 +126,28 @@ def test_wall_at_sixty_degrees_gives_five_inch_zero_and_sixty_degrees():
     assert view.free_cap == pytest.approx(np.pi / 3, abs=2e-3)
 
 
+def test_refined_view_of_an_unhidden_target_is_straight_above_it():
+    field = expand(disc_target(), [])
+    best = best_view(SpatialTask([field], LENS, config=dataclasses.replace(COARSE, refine=True)))
+    distance, _, elevation = spherical(field, best.position)
+    # RF rises with the elevation and falls with the distance.
+    assert distance == pytest.approx(LENS.near, abs=1e-4)
+    assert np.rad2deg(elevation) == pytest.approx(90.0, abs=0.1)
+
+
+def test_refined_view_is_as_near_as_is_free_between_two_rings():
+    field = expand(disc_target(), [])
+    rings = np.geomspace(LENS.near, LENS.far, COARSE.rings)
+    nearest = 0.8 * rings[2] + 0.2 * rings[3]
+
+    def occupancy(points):
+        return np.where(np.linalg.norm(points, axis=1) < nearest, np.nan, 0.0)
+
+    config = dataclasses.replace(COARSE, refine=True)
+    best = best_view(SpatialTask([field], LENS, occupancy, config))
+    assert best.distance == pytest.approx(nearest, abs=5e-4)
+
+
 def test_views_are_offered_best_first_until_one_is_accepted():
     field = random_fields(np.random.default_rng(7))
     offered = []
