@@ -123,3 +123,14 @@ def test_unknown_robot_and_hinge_beside_its_body_are_refused():
     model.jnt_pos[model.joint(f"{ROBOT}/elbow_joint").id] = [0.0, 0.01, 0.0]
     with pytest.raises(ValueError, match="elbow of rover1: not a hinge"):
         describe(model, ROBOT)
+
+
+def test_each_wheel_has_the_spring_and_damper_of_its_own_strut():
+    model = make_model(FLAT, [RobotPlacement(ROBOT), RobotPlacement("rover2", (2.0, 0.0))])
+    struts = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE)
+    stiffness = 100.0 + np.arange(len(struts))
+    model.jnt_stiffness[struts] = stiffness
+    model.dof_damping[model.jnt_dofadr[struts]] = stiffness / 10.0
+    wheels = [wheel for name in (ROBOT, "rover2") for wheel in describe(model, name).wheels]
+    np.testing.assert_array_equal([wheel.spring for wheel in wheels], stiffness)
+    np.testing.assert_allclose([wheel.damper for wheel in wheels], stiffness / 10.0)

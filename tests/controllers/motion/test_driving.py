@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from controllers.mapping.localization import tilt_to_level
-from controllers.motion.driving import Odometry, SkidSteer, identify_turn_share
+from controllers.motion.driving import Odometry, SkidSteer, TurnShareDrive, identify_turn_share
 from experiments.ch5.insertion_identify import ROBOT, identify_slip
 from models.compose import RobotPlacement
 from tests.models.scenes import make_scene
@@ -163,3 +163,15 @@ def test_bad_input_is_named():
         identify_turn_share(STEER, straight, np.zeros(100), PERIOD)
     with pytest.raises(ValueError, match="as many"):
         identify_turn_share(STEER, straight, np.zeros(99), PERIOD)
+
+
+def test_identification_drive_curves_to_the_left_and_then_to_the_right_in_equal_parts():
+    drive = TurnShareDrive(ROBOT, STEER, PERIOD)
+    turns = []
+    for _ in range(600):
+        seen = driving([0.0] * 4)._replace(arm_angles=measured(0.1, 0.2), heading=measured(0.0))
+        command = drive.step({ROBOT: seen})[ROBOT]
+        forward, turn = STEER.motion(command.wheels)
+        assert forward == pytest.approx(0.06)
+        turns.append(turn)
+    np.testing.assert_allclose(turns, np.repeat([0.25, -0.25, 0.25, -0.25], 150))

@@ -1,0 +1,62 @@
+"""Which excitation the identifier swings in each window, and what it compares with rest."""
+
+import numpy as np
+import pytest
+
+from controllers.identification.arm_motion import CONSTANT, Excitation
+from controllers.identification.rover_identifier import (
+    RoverIdentifier,
+    RoverIdentifierConfig,
+    SwingingArm,
+)
+from twin.robot import Channel, Observation, Validity
+
+ROBOT = "rover1"
+ARM = SwingingArm(0.56, 0.0107, (0.31, 0.015), (0.0, 0.06))
+PLANNED = Excitation(0.7, 0.3, 5.0)
+REST = np.array([0.1, -0.2, 10.0, 3.0, 0.0, 0.0])
+
+
+def swing(excitation: str, monkeypatch: pytest.MonkeyPatch) -> RoverIdentifier:
+    """Let an identifier swing for three windows of 0.4 s, with its plans and fits replaced."""
+    config = RoverIdentifierConfig(ROBOT, ARM, excitation)
+    identifier = RoverIdentifier(config, np.random.default_rng(0))
+    monkeypatch.setattr(identifier, "_plan", lambda: PLANNED)
+    monkeypatch.setattr(identifier, "_estimate", lambda iterations=30: None)
+    period = config.sensors.period
+    for tick in range(round((config.approach + config.rest + 1.2) / period)):
+        time = tick * period
+        rests = time < config.approach + config.rest - 0.5 * period
+        pushed = REST + (0.0 if rests else 1.0)
+        seen = Observation(
+            time,
+            arm_angles=Channel(np.zeros(4), time, Validity.MEASURED),
+            arm_base_wrench=Channel(pushed, time, Validity.MEASURED),
+            inclinometer=Channel(np.array([0.02, 0.0]) + (not rests), time, Validity.MEASURED),
+        )
+        identifier.step({ROBOT: seen})
+    return identifier
+
+
+@pytest.mark.parametrize(
+    ("excitation", "expected"),
+    [("constant", [CONSTANT] * 3), ("information", [PLANNED] * 3), ("d_optimal", [PLANNED] * 3)],
+)
+def test_excitation_is_planned_by_a_criterion_and_else_constant(
+    monkeypatch: pytest.MonkeyPatch, excitation: str, expected: list[Excitation]
+) -> None:
+    identifier = swing(excitation, monkeypatch)
+    assert identifier.log.excitations == expected
+    assert len(identifier.log.estimates) == 3
+
+
+def test_random_excitation_differs_from_window_to_window(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = swing("random", monkeypatch).log.excitations
+    assert len(set(drawn)) == 3 and PLANNED not in drawn and CONSTANT not in drawn
+
+
+def test_readings_are_deviations_from_those_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = swing("constant", monkeypatch).log
+    np.testing.assert_allclose(log.wrench, 1.0)
+    np.testing.assert_allclose(log.tilt, 1.0)
+    assert log.tilt_indices == list(range(len(log.times)))
