@@ -132,7 +132,7 @@ def test_refined_view_of_an_unhidden_target_is_straight_above_it():
     distance, _, elevation = spherical(field, best.position)
     # RF rises with the elevation and falls with the distance.
     assert distance == pytest.approx(LENS.near, abs=1e-4)
-    assert np.rad2deg(elevation) == pytest.approx(90.0, abs=0.1)
+    assert np.rad2deg(elevation) == pytest.approx(90.0, abs=0.005)
 
 
 def test_refined_view_is_as_near_as_is_free_between_two_rings():
