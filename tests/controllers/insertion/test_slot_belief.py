@@ -111,6 +111,21 @@ def test_late_message_is_applied_at_the_card_pose_of_its_time_stamp():
     np.testing.assert_allclose(late.covariance, prompt.covariance, atol=1e-16)
 
 
+def test_belief_that_refused_too_often_takes_the_error_into_its_covariance():
+    config = dataclasses.replace(STILL, refusals=2)
+    belief, card = SlotBelief(SLOT, PRIOR, config), cards(np.random.default_rng(0), 1)[0]
+    noise, error = 1e-6 * np.eye(6), np.array([0.02, -0.03, 0.02, 0.03, 0.05, -0.04])
+    guidance = look(0.0, card, RigidTransform.from_exp_coords(error) * SLOT, noise)
+    belief.note(0.0, card.as_matrix(), 0.0, 0.0, 0.01)
+    assert [belief.take(guidance) for _ in range(3)] == [False, False, True]
+    own = np.diag(np.repeat(np.square(config.card), 3))
+    measured = adjoint(card) @ (noise + own) @ adjoint(card).T
+    prior = PRIOR + np.outer(error, error)
+    posterior = np.linalg.inv(np.linalg.inv(prior) + np.linalg.inv(measured))
+    np.testing.assert_allclose(belief.covariance, posterior, rtol=1e-5, atol=1e-12)
+    assert belief.refused == 0
+
+
 def test_look_older_than_memory_is_not_used():
     belief = SlotBelief(SLOT, PRIOR, STILL)
     card = cards(np.random.default_rng(0), 1)[0]

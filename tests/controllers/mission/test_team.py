@@ -14,6 +14,7 @@ from controllers.mission.exchange import Exchange
 from controllers.mission.site import MissionRoles
 from controllers.mission.team import MissionConfig
 from tests.controllers.mission.hand_made import MASTER, ROVERS, SLAVE, HandLink, belief_of
+from twin.robot import Command, Observation
 
 ALL = ["identify", "find", "meet", "map", "place", "insert"]
 LEFT_OUT = {
@@ -54,3 +55,29 @@ def test_both_robots_have_the_same_stages_less_what_is_left_out(
     assert next(holding, None) is None
     expected = [name for name in ALL if name not in LEFT_OUT[without]]
     assert names == [(name, name) for name in expected]
+
+
+class Part:
+    """One robot's part, which notes in what order it is called."""
+
+    def __init__(self, name: str, calls: list[str], command: Command | None) -> None:
+        self.name, self.over, self._calls, self._command = name, False, calls, command
+        self.ended = [("one", 1.0 if name == MASTER else 2.0)]
+
+    def report(self, seen: Observation) -> None:
+        self._calls.append(f"{self.name} reports {seen.time}")
+
+    def step(self, seen: Observation) -> Command | None:
+        self._calls.append(f"{self.name} steps {seen.time}")
+        return self._command
+
+
+def test_both_robots_report_before_either_steps() -> None:
+    both, calls, command = team.MissionTeam.__new__(team.MissionTeam), [], Command()
+    both.master = typing.cast(typing.Any, Part(MASTER, calls, command))
+    both.slave = typing.cast(typing.Any, Part(SLAVE, calls, None))
+    assert both.step({MASTER: Observation(1.0), SLAVE: Observation(2.0)}) == {MASTER: command}
+    assert set(calls[:2]) == {f"{MASTER} reports 1.0", f"{SLAVE} reports 2.0"}
+    assert set(calls[2:]) == {f"{MASTER} steps 1.0", f"{SLAVE} steps 2.0"}
+    # A stage has ended when both have ended it.
+    assert both.ended == [("one", 2.0)] and not both.over

@@ -54,7 +54,7 @@ def test_a_point_as_uncertain_as_its_height_over_the_limit_is_no_obstacle():
 def test_nothing_mapped_is_free_everywhere_and_paths_are_straight():
     for mapped in (None, surface(np.zeros((0, 3)))):
         ground = MappedGround(mapped, LEVEL)
-        assert ground.is_free([0.0, 0.0])
+        assert ground.is_free([0.0, 0.0]) and not len(ground.points)
         assert ground.occluders(np.zeros(3), np.array([1.0, 0.0, 0.0])) == []
         paths = ground.paths_from([1.0, 0.5])
         assert paths.path_to([-3.2, 0.5]) is None
