@@ -140,9 +140,10 @@ def test_windows_that_come_after_a_fit_add_to_it():
         np.testing.assert_allclose(*ends, rtol=0.1, atol=1e-4)
 
 
-def test_step_is_cut_to_one_of_its_greatest_coordinate():
+@pytest.mark.parametrize("greatest", [5.0, -5.0])
+def test_step_is_cut_to_one_of_its_greatest_coordinate(greatest):
     here, step = Prior().mean(), np.zeros(COUNT)
-    step[-2:] = 5.0, -2.5
+    step[-2:] = greatest, -2.5
     held = OutputError(ARMS)._held(here, here + step)
     np.testing.assert_allclose(held, here + step / 5.0)
     np.testing.assert_allclose(OutputError(ARMS)._held(here, here + 0.1 * step), here + 0.1 * step)

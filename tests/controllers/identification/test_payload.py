@@ -16,6 +16,8 @@ from controllers.identification.payload import (
     PayloadIdentifier,
     PayloadIdentifierConfig,
     SwingConfig,
+    _solve,
+    parameter_scales,
     physical_parameters,
     pseudo_inertia,
     swing_targets,
@@ -117,6 +119,17 @@ def test_covariance_and_chi_squared_are_calibrated(arm):
         chi_squared.append(estimate.chi_squared)
     assert np.mean(chi_squared) == pytest.approx(1.0, abs=0.2)
     assert 0.3 < np.mean(np.square(errors)) < 2.5
+
+
+def test_chi_squared_is_that_of_the_equations_less_the_ten_parameters(arm):
+    config, rng = PayloadIdentifierConfig(arm), np.random.default_rng(0)
+    scales = parameter_scales(*config.scales)
+    rows, errors = 1e3 * rng.normal(size=(24, 10)) / scales, rng.normal(size=24)
+    right = rows @ inertial_parameters(BOX) + errors
+    # What least squares leaves is the part of the errors across the columns.
+    across = errors - rows @ np.linalg.solve(rows.T @ rows, rows.T @ errors)
+    estimate = _solve(rows, right, np.zeros(4), config)
+    assert estimate.chi_squared == pytest.approx(across @ across / 14.0, rel=1e-6)
 
 
 def test_resting_arm_hides_inertias_by_name_and_shows_the_mass(arm):
