@@ -134,3 +134,13 @@ def test_each_wheel_has_the_spring_and_damper_of_its_own_strut():
     wheels = [wheel for name in (ROBOT, "rover2") for wheel in describe(model, name).wheels]
     np.testing.assert_array_equal([wheel.spring for wheel in wheels], stiffness)
     np.testing.assert_allclose([wheel.damper for wheel in wheels], stiffness / 10.0)
+
+
+def test_track_is_across_and_wheelbase_along_the_rover():
+    rover = describe_rover(ROBOT)
+    wheels = tuple(
+        dataclasses.replace(wheel, centre=wheel.centre * [2.0, 3.0, 1.0]) for wheel in rover.wheels
+    )
+    stretched = dataclasses.replace(rover, wheels=wheels)
+    assert stretched.half_track == pytest.approx(2.0 * ROVER.half_track)
+    assert stretched.half_wheelbase == pytest.approx(3.0 * ROVER.half_wheelbase)

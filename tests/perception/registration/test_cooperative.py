@@ -14,8 +14,9 @@ from perception.registration.cooperative import (
     relative_pose_by_target,
     triangulate_together,
 )
+from perception.registration.likelihood import solve
 from perception.registration.motion import RegistrationError
-from perception.registration.reprojection import Sighting
+from perception.registration.reprojection import Pose, Sighting
 from perception.stereo.geometry import StereoGeometry
 
 HEAD = StereoGeometry(510, 492, 677.34, 871.25, 254.5, 245.5, 0.038)
@@ -268,3 +269,20 @@ def test_measurements_that_are_none_are_refused():
         fuse_views(points, 0.0 * covariances, points, 0.0 * covariances, pose)
     with pytest.raises(RegistrationError, match="pose covariance of shape"):
         fuse_views(points, covariances, points, covariances, RelativePose(across(), np.eye(3)))
+
+
+def test_fit_from_half_a_radian_off_ends_where_that_from_the_truth_does():
+    """Far from the optimum a full Gauss-Newton step overshoots in one of four fits."""
+    rng = np.random.default_rng(3)
+    _, one, two = drawn(rng, 12, [0.2, 0.2, 0.3])
+    best, known, ended = solve(Pose.of(across()), one.known(), two), one.known(), 0
+    for _ in range(40):
+        off = RigidTransform.from_exp_coords(rng.normal(size=6) * np.repeat([0.5, 0.15], 3))
+        try:
+            found = solve(Pose.of(off * across()), known, two)
+        except RegistrationError:
+            continue  # A point lies behind the camera.
+        ended += 1
+        assert found.cost == pytest.approx(best.cost, rel=1e-6)
+        np.testing.assert_allclose(found.pose.rotation, best.pose.rotation, atol=1e-6)
+    assert ended > 30

@@ -13,6 +13,7 @@ from perception.voxels.fusion import merge_gaussians
 from perception.voxels.grid import MapError, VoxelGrid
 from perception.voxels.map import MapFull, VoxelMap, VoxelMapConfig
 from perception.voxels.occupancy import State, UpdateModel
+from tests.perception.voxels import wall_views
 
 VIEW = Frustum(80, 60, 80.0, 80.0, 39.5, 29.5, near=0.1, far=1.5)
 HEAD = StereoGeometry(80, 60, 80.0, 80.0, 39.5, 29.5, 0.038)
@@ -282,3 +283,17 @@ def test_configurations_that_make_no_sense_are_refused():
         VoxelMapConfig(correlated_points=0.5)
     with pytest.raises(MapError, match="margins"):
         VoxelMapConfig(margin_voxels=-1.0)
+
+
+def test_a_smaller_box_holds_the_same_cells_up_to_its_faces():
+    small = VoxelMap(VoxelGrid(0.01, (0.0, 0.0, 0.6), (0.16, 0.16, 0.68)))
+    large = VoxelMap(wall_views.GRID)
+    for _ in range(2):
+        pose, points, covariances = wall_views.wall_scan()
+        for voxels in (small, large):
+            voxels.insert(pose, wall_views.FRUSTUM, points, covariances)
+    layers = [small.grid.centres(small.occupied_cells()[0])]
+    layers.append(large.grid.centres(large.occupied_cells()[0]))
+    inside = np.all((layers[1] > small.grid.lower) & (layers[1] < small.grid.upper), axis=1)
+    found, expected = (set(map(tuple, np.round(c, 6))) for c in (layers[0], layers[1][inside]))
+    assert len(expected) == 256 and found == expected
