@@ -85,6 +85,7 @@ def agree(ours: str, shown: str) -> bool:
 EXAMPLES = [each for page in PAGES for each in examples(page, (ROOT / page).read_text())]
 
 
+@pytest.mark.chosen_seed
 @pytest.mark.parametrize("example", EXAMPLES, ids=str)
 def test_example_prints_what_the_page_shows(example, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # One of them writes results.

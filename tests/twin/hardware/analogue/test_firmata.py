@@ -239,6 +239,7 @@ def faulted_calls(board, calls, rate, seed, waiting_time):
     return readings, wrong, max(durations), wire.faults
 
 
+@pytest.mark.chosen_seed  # It shows every kind of damage.
 @pytest.mark.parametrize("rate", [0.05, 0.3])
 def test_damaged_link_gives_no_wrong_and_no_stale_value(board, rate, waiting_time):
     readings, wrong, longest, faults = faulted_calls(board, 400, rate, 5, waiting_time)

@@ -41,6 +41,7 @@ def pairs(target, cycles, turn=0.0, **options):
     return seen
 
 
+@pytest.mark.chosen_seed  # The same as in the process of the boards, where nothing shifts it.
 def test_emulated_robot_has_the_quantised_ones_pairs_and_the_first_of_the_simulation():
     """Noise included. Later pairs of the simulation differ: its motors get finer voltages."""
     stereo = StereoConfig(rate=4.0)

@@ -84,6 +84,7 @@ def configured(**changes):
     return RoverIdentifierConfig(ROBOT, known_swinging_arm(), "information", **changes)
 
 
+@pytest.mark.chosen_seed  # The same as in the process of the boards, where nothing shifts it.
 @pytest.mark.parametrize("faults", [0.0, 0.03])
 def test_observations_and_commands_are_equal_on_quantised_and_emulated_boards(faults):
     config = configured(**SHORT)
@@ -102,6 +103,7 @@ def identification():
     return config, plain
 
 
+@pytest.mark.chosen_seed  # The same as in the process of the boards, where nothing shifts it.
 @pytest.mark.slow
 @pytest.mark.parametrize("faults", [0.0, 0.03])
 def test_whole_identification_is_the_same_bit_for_bit(identification, faults):
@@ -418,6 +420,7 @@ def test_quantised_rover_has_the_images_of_the_simulated_one():
     np.testing.assert_array_equal(*pairs)
 
 
+@pytest.mark.chosen_seed  # The same as in the process of the boards, where nothing shifts it.
 def test_payload_is_carried_on_emulated_boards_as_on_quantised_ones():
     box = PayloadConfig(0.3, (0.01, 0.02, 0.03))
     wrenches = {}
