@@ -88,7 +88,7 @@ def run(
             for name, robot in robots.items():
                 observations[name] = robot.observe()
                 if robot.lifecycle is _ERROR:
-                    raise RobotError(f"robot {name!r} is in error")
+                    raise RobotError(f"robot {name!r} is in error: {robot.fault}")
             applied: dict[str, Command] = {}
             for controller in controllers:
                 for name, command in controller.step(observations).items():

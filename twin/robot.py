@@ -24,7 +24,7 @@ AXES = (*WHEELS, *ARM_JOINTS)
 
 
 class RobotError(RuntimeError):
-    """A robot could not follow a request; its axes were zeroed before this was raised."""
+    """A robot could not follow a request and was stopped, as far as its message says."""
 
 
 class Validity(enum.Enum):
@@ -219,13 +219,19 @@ class Command:
         arm_mode: ArmMode = ArmMode.DUTY,
         arm_rates: FloatArray = NOTHING,
     ) -> None:
-        """Refuse numbers that no robot could follow.
+        """Refuse what no robot could follow; the arrays are copied, and the copies read-only.
 
         Raises:
-            ValueError: If an array is not one-dimensional or holds a NaN or an infinity.
+            ValueError: If an array is not one-dimensional or holds a NaN or an infinity, or a mode
+                is none.
         """
         # Every tick makes one for each robot, with cold caches: as few steps as possible.
-        if not _surely_finite(wheels, arm):
+        if type(wheel_mode) is not WheelMode or type(arm_mode) is not ArmMode:
+            _refuse_modes(wheel_mode, arm_mode)
+        if _surely_finite(wheels, arm):
+            wheels, arm = wheels.copy(), arm.copy()
+            wheels.flags.writeable = arm.flags.writeable = False
+        else:
             wheels, arm = _finite_row("wheels", wheels), _finite_row("arm", arm)
         if arm_rates is not NOTHING:
             arm_rates = _finite_row("arm_rates", arm_rates)
@@ -262,13 +268,27 @@ def _surely_finite(wheels: FloatArray, arm: FloatArray) -> bool:
 
 
 def _finite_row(name: str, values: FloatArray) -> FloatArray:
-    """Return finite numbers in a row, or refuse."""
-    values = np.asarray(values, dtype=float)
+    """Return a read-only copy of finite numbers in a row, or refuse."""
+    try:
+        values = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ValueError(f"command {name}: {values!r} are no numbers") from None
     if values.ndim != 1:
         raise ValueError(f"command {name}: expected numbers in a row, got shape {values.shape}")
     if not all(map(math.isfinite, values.tolist())):
         raise ValueError(f"command {name}: {values} is not finite; nothing was sent")
+    values.flags.writeable = False
     return values
+
+
+def _refuse_modes(wheel_mode: object, arm_mode: object) -> None:
+    for name, mode, kind in (
+        ("wheel_mode", wheel_mode, WheelMode),
+        ("arm_mode", arm_mode, ArmMode),
+    ):
+        if type(mode) is not kind:
+            there = ", ".join(f"{kind.__name__}.{each.name}" for each in kind)
+            raise ValueError(f"command {name}: {mode!r}; expected one of {there}")
 
 
 class Robot(Protocol):
@@ -277,10 +297,12 @@ class Robot(Protocol):
     Attributes:
         name: Name of the robot.
         description: The robot as drawn; readable in every state.
+        fault: Reason for the state ERROR; empty in the other states.
     """
 
     name: str
     description: RobotDescription
+    fault: str
 
     @property
     def lifecycle(self) -> Lifecycle:
@@ -302,6 +324,8 @@ class Robot(Protocol):
     def command(self, command: Command) -> Command:
         """Drive, and return the duty that was applied, after limits.
 
+        Whatever is raised, the robot was stopped first, and is in ERROR if it was ACTIVE.
+
         Raises:
             RobotError: If the robot is not ACTIVE.
             ValueError: If the robot has another number of wheels or joints than the command.
@@ -309,7 +333,11 @@ class Robot(Protocol):
         ...
 
     def deactivate(self) -> None:
-        """Zero all axes and go to INACTIVE."""
+        """Zero all axes and go to INACTIVE.
+
+        Raises:
+            RobotError: If it is not known that all axes are zero; the robot is in ERROR.
+        """
         ...
 
 

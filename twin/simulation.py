@@ -39,6 +39,7 @@ class RobotState:
     """Complete state of a `SimRobot` beside the physics."""
 
     lifecycle: Lifecycle
+    fault: str
     bank: SavedBank
     servo: FloatArray
     held: Command
@@ -51,6 +52,7 @@ class SimRobot:
     """One rover of a scene; made by `Simulation`, which steps it.
 
     Attributes:
+        fault: Reason for the state ERROR; empty in the other states.
         sensors: Sensors of the robot, whose wires may be broken.
     """
 
@@ -80,6 +82,7 @@ class SimRobot:
         prefix = f"{description.name}/"
         # Read by anybody, set by the robot alone: a property takes long in a loop.
         self.lifecycle = Lifecycle.UNCONFIGURED
+        self.fault = ""
         axes = self._axes = np.array(
             [named_index(model, "actuator", prefix + axis) for axis in description.axes]
         )
@@ -125,6 +128,7 @@ class SimRobot:
             raise RobotError(f"robot {self.name!r} is unconfigured; it cannot be activated")
         if self.lifecycle is not Lifecycle.ACTIVE:
             self._zero()
+            self.fault = ""
             self.lifecycle = Lifecycle.ACTIVE
 
     def deactivate(self) -> None:
@@ -146,18 +150,19 @@ class SimRobot:
     def command(self, command: Command) -> Command:
         """Drive until the next command, and return what is applied, as duty, after limits.
 
+        Whatever is raised, all axes are at zero first, and an ACTIVE robot is in ERROR.
+
         Args:
             command: Desired duty, effort, rate or position.
 
         Raises:
-            RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable;
-                then it is in ERROR.
-            ValueError: If the command has another number of axes than the robot, or a duty is
-                not a number; all axes are zeroed.
+            RobotError: If the robot is not ACTIVE, or a channel that the mode needs is not usable.
+            ValueError: If the command has another number of axes than the robot.
         """
         if self.lifecycle is not _ACTIVE:
             self._zero()
-            raise RobotError(f"robot {self.name!r} is {self.lifecycle.value}, not active")
+            reason = f": {self.fault}" if self.fault else ""
+            raise RobotError(f"robot {self.name!r} is {self.lifecycle.value}, not active{reason}")
         self._held = command
         self._apply()
         return applied_command(*self._duty)
@@ -166,7 +171,8 @@ class SimRobot:
         """Zero all axes, go to ERROR, and return the error to raise."""
         self._zero()
         self.lifecycle = Lifecycle.ERROR
-        return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
+        self.fault = reason
+        return RobotError(f"robot {self.name!r}: {reason}; all axes are at zero")
 
     def drive(self) -> None:
         """Apply the present command to the motors for one servo tick; the owner calls it.
@@ -192,6 +198,7 @@ class SimRobot:
         """Return the complete state beside the physics."""
         return RobotState(
             self.lifecycle,
+            self.fault,
             self.sensors.save(),
             self._servo.save(),
             self._held,
@@ -202,7 +209,7 @@ class SimRobot:
 
     def restore(self, state: RobotState) -> None:
         """Go back to a saved state."""
-        self.lifecycle = state.lifecycle
+        self.lifecycle, self.fault = state.lifecycle, state.fault
         self.sensors.restore(state.bank)
         self._servo.restore(state.servo)
         self._held, self._duty = state.held, state.duty
@@ -214,8 +221,8 @@ class SimRobot:
             self._duty = self._servo.drive(self._held, self._observation)
         except RobotError as error:
             raise self.fail(str(error)) from error
-        except ValueError:
-            self._zero()
+        except BaseException as error:
+            self.fail(f"{type(error).__name__}: {error}")
             raise
         if self._scattered:
             self._ctrl[self._axes] = self._servo.motors

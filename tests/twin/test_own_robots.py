@@ -88,11 +88,12 @@ def test_motors_of_a_brought_robot_have_the_lines_of_its_file(tmp_path):
 def test_command_of_another_size_is_refused_before_it_moves_anything(tmp_path):
     with connect("sim", robots=[placed(six_wheels, tmp_path)], field=FIELD) as connection:
         robot = connection.robots["mine"]
-        robot.activate()
         for command in (Command(np.ones(4)), Command(np.ones(6), np.ones(4))):
+            robot.activate()
             with pytest.raises(ValueError, match="the robot has 6 wheels and 0 joints"):
                 robot.command(command)
             assert not connection.simulation.data.ctrl.any()
+        robot.activate()
         applied = robot.command(Command())
         assert applied.wheels.shape == (6,) and not applied.wheels.any()
 

@@ -16,6 +16,7 @@ from twin.robot import (
     RobotError,
     Validity,
     WheelMode,
+    applied_command,
 )
 from twin.sensors import IDEAL
 from twin.servo import Servo, ServoConfig
@@ -137,8 +138,7 @@ def test_duties_are_read_only_and_outlive_later_ones():
 def test_duty_that_is_no_number_leaves_the_motors_without_voltage():
     servo = Servo(ROVER_SERVO, PERIOD)
     servo.drive(Command(np.full(4, 0.5)), Observation(0.0))
-    command = Command(np.zeros(4))
-    command.wheels[1] = np.nan
+    command = applied_command(np.array([0.0, np.nan, 0.0, 0.0]), np.zeros(4))
     with pytest.raises(ValueError, match="nan.*nothing was sent"):
         servo.drive(command, Observation(0.0))
     np.testing.assert_array_equal(servo.motors, np.zeros(8))

@@ -12,6 +12,7 @@ from twin.robot import (
     RobotError,
     Validity,
     WheelMode,
+    applied_command,
 )
 from twin.sensor_bank import tilt
 from twin.sensors import DATASHEET, IDEAL
@@ -199,11 +200,9 @@ def test_duty_that_is_no_number_leaves_scattered_motors_without_voltage_too():
     robot.activate()
     robot.command(Command(np.full(4, 0.5)))
     assert np.count_nonzero(simulation.data.ctrl) == 4
-    command = Command(np.zeros(4))
-    command.wheels[1] = np.nan
     with pytest.raises(ValueError, match="nan.*nothing was sent"):
-        robot.command(command)
-    assert not np.any(simulation.data.ctrl)
+        robot.command(applied_command(np.array([0.0, np.nan, 0.0, 0.0]), np.zeros(4)))
+    assert not np.any(simulation.data.ctrl) and robot.lifecycle is Lifecycle.ERROR
 
 
 def test_lifecycle_follows_the_contract():
@@ -277,11 +276,14 @@ def test_command_of_another_shape_is_refused_by_name(shape):
 def test_command_of_another_length_is_refused_by_the_robot(count):
     simulation = make()
     robot = simulation.robots["rover1"]
-    robot.activate()
     for part in ("wheels", "arm", "arm_rates"):
+        robot.activate()
+        robot.command(Command(np.full(4, 0.5)))
         with pytest.raises(ValueError, match="the robot has 4 wheels and 4 joints"):
             robot.command(Command(**{part: np.ones(count)}))
-        assert not np.any(simulation.data.ctrl)
+        assert not np.any(simulation.data.ctrl) and robot.lifecycle is Lifecycle.ERROR
+        with pytest.raises(RobotError, match="not active: ValueError: command with"):
+            robot.command(Command())
 
 
 @pytest.mark.parametrize("four", [[0, 1, 0, 1], np.array([0, 1, 0, 1]), np.float32([0, 1, 0, 1])])
@@ -300,10 +302,39 @@ def test_nan_is_refused_before_the_motors():
 @pytest.mark.parametrize("part", ["wheels", "arm", "arm_rates"])
 def test_what_is_not_finite_is_refused_by_name_beside_finite_numbers(part, wrong):
     numbers = {"wheels": np.full(4, 1e308), "arm": np.full(4, 1e308), "arm_rates": np.zeros(4)}
-    assert Command(**numbers).arm is numbers["arm"]
+    np.testing.assert_array_equal(Command(**numbers).arm, numbers["arm"])
     numbers[part] = np.array([0.0, 0.0, wrong, -wrong])
     with pytest.raises(ValueError, match=f"command {part}: .*not finite"):
         Command(**numbers)
+
+
+@pytest.mark.parametrize("part", ["wheels", "arm", "arm_rates"])
+@pytest.mark.parametrize("scale", [1.0, 1e308])
+def test_command_holds_its_own_numbers_which_nobody_changes(part, scale):
+    given = {name: np.full(4, scale) for name in ("wheels", "arm", "arm_rates")}
+    command = Command(**given)
+    given[part][2] = np.inf
+    np.testing.assert_array_equal(getattr(command, part), np.full(4, scale))
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(command, part)[2] = np.inf
+
+
+@pytest.mark.parametrize("wrong", ["duty", None, 1, WheelMode, "arm"])
+def test_mode_of_another_type_is_refused_with_those_that_there_are(wrong):
+    wheel = ArmMode.DUTY if wrong == "arm" else wrong
+    with pytest.raises(ValueError, match=r"wheel_mode: .*WheelMode\.DUTY, WheelMode\.EFFORT"):
+        Command(np.zeros(4), wheel_mode=wheel)
+    arm = WheelMode.DUTY if wrong == "arm" else wrong
+    with pytest.raises(ValueError, match=r"arm_mode: .*ArmMode\.RATE, ArmMode\.POSITION"):
+        Command(np.zeros(4), arm_mode=arm)
+
+
+@pytest.mark.parametrize(
+    "wrong", ["1234", [None] * 4, [object()] * 4, np.ones((2, 2)), [[1], [2, 3]]]
+)
+def test_what_is_no_row_of_numbers_is_refused_by_name(wrong):
+    with pytest.raises(ValueError, match="command arm: "):
+        Command(np.zeros(4), wrong)
 
 
 def test_unknown_robot_is_named_with_what_there_is():

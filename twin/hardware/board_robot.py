@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import logging
 import math
 import threading
 import time
@@ -9,17 +10,26 @@ from collections.abc import Callable
 
 import numpy as np
 
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import FloatArray, IntArray
 from twin.description import RobotDescription
 from twin.hardware.board_samples import BoardSamples, SamplingConfig, SamplingStatistics
-from twin.hardware.board_set import BoardSet
+from twin.hardware.board_set import BoardSet, StopReport
 from twin.hardware.calibration.calibration import Calibration
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Status
 from twin.hardware.serial_link import LinkError, at_rest
-from twin.robot import AXES, NOTHING, Command, Lifecycle, Observation, RobotError
+from twin.robot import (
+    AXES,
+    NOTHING,
+    Command,
+    Lifecycle,
+    Observation,
+    RobotError,
+    applied_command,
+)
 from twin.servo import Servo, ServoConfig
 
+_LOG = logging.getLogger(__name__)
 # The boards do not stop on a battery voltage warning; the robot does.
 _STOPPING = Status(0xFFFF) | Status.MAIN_VOLTAGE_LOW_WARNING | Status.MAIN_VOLTAGE_HIGH_WARNING
 _STILL = 2
@@ -57,7 +67,7 @@ class BoardRobot:
         description: Nominal description of the robot.
         boards: Boards of the robot.
         calibration: Constants of the boards.
-        fault: Reason for the state ERROR; empty in the other states.
+        fault: Reason for the state ERROR, and what is known of the stop; empty in the other states.
         seconds: Wall time spent in `observe` and `command` so far [s].
     """
 
@@ -89,8 +99,6 @@ class BoardRobot:
         self._servo = Servo(ServoConfig.of(description), self._config.period)
         self._lifecycle = Lifecycle.UNCONFIGURED
         self._homed = False
-        # Whether all boards acknowledged the last command to stop.
-        self._zeroed = True
         self._unheard = 0
         # The watchdog runs in another thread.
         self._lock = threading.RLock()
@@ -108,10 +116,10 @@ class BoardRobot:
         return self._samples.statistics
 
     def configure(self) -> None:
-        """Set the boards up, stop all axes, take the first sample and go to INACTIVE.
+        """Stop all axes, set the boards up, take the first sample and go to INACTIVE.
 
         Raises:
-            RobotError: If a motor board does not answer.
+            RobotError: If a motor board does not answer; all boards were sent zero duty.
         """
         with self._lock:
             self._homed = False
@@ -119,7 +127,7 @@ class BoardRobot:
             try:
                 at_rest(self._set_up)
             except LinkError as error:
-                raise RobotError(f"robot {self.name!r}: {error}") from error
+                raise RobotError(f"robot {self.name!r}: {error}; {self._stop()}") from error
             self._warm()
             self._lifecycle = Lifecycle.INACTIVE
 
@@ -162,14 +170,16 @@ class BoardRobot:
                 at_rest(self._wake)
             except (LinkError, RobotError) as error:
                 raise self._fail(str(error)) from error
-            self._servo.reset()
             self._unheard = 0
             self.fault = ""
+            self.boards.resume()
             self._commanded = self._clock()
             self._lifecycle = Lifecycle.ACTIVE
 
     def observe(self) -> Observation:
         """Return the latest observation; the boards are read once per servo tick.
+
+        After a stop that a board did not confirm, no motor board is read: its samples turn stale.
 
         Raises:
             RobotError: If the robot is not configured.
@@ -180,7 +190,7 @@ class BoardRobot:
             if self._clock() - self._sampled > 0.5 * self._config.period:
                 begin = time.perf_counter()
                 self._sampled = self._clock()
-                self._samples.sample()
+                self._samples.sample(self._config.lost_time)
                 self._observation = self._samples.observation(self._homed)
                 self._judge()
                 self.seconds += time.perf_counter() - begin
@@ -189,15 +199,18 @@ class BoardRobot:
     def command(self, command: Command) -> Command:
         """Apply a command until the next one, and return the limited duties that were sent.
 
+        Whatever is raised while the robot is ACTIVE, it is stopped first and in ERROR.
+
         Args:
             command: Requested efforts, speeds or positions.
 
         Raises:
-            RobotError: If the robot is not ACTIVE, a channel that the mode needs is not usable, or
-                a board is silent; the robot is then in ERROR and all axes are zeroed.
-            ValueError: If a duty is NaN; all axes are zeroed.
+            RobotError: If the robot is not ACTIVE, the command is too late, a channel that the mode
+                needs is not usable, or a board is silent.
+            ValueError: If the command has another number of axes than the robot.
         """
         with self._lock:
+            self.guard()
             if self._lifecycle is not Lifecycle.ACTIVE:
                 reason = f": {self.fault}" if self.fault else ""
                 raise RobotError(
@@ -205,50 +218,54 @@ class BoardRobot:
                 )
             begin = time.perf_counter()
             try:
-                duty = self._within_range(self._servo.duty(command, self._observation))
+                codes = self._send(command)
             except RobotError as error:
                 raise self._fail(str(error)) from error
-            except ValueError:
-                self._stop()
+            except BaseException as error:
+                self._fail(f"{type(error).__name__}: {error}")
                 raise
-            codes = self.calibration.drive.duty_codes(duty)
-            try:
-                self.boards.drive(codes)
-                self._unheard = 0
-            except LinkError as error:
-                # A few cycles without an answer are tolerated; the encoders of this one were read.
-                self._unheard += 1
-                cycles = max(self._unheard, 1 + max(self._samples.lost.values()))
-                if cycles >= self._config.lost_cycles or self._lost_for_long():
-                    raise self._fail(str(error)) from error
-                self.statistics.lost_boards += 1
             self._commanded = self._clock()
             self.seconds += time.perf_counter() - begin
             applied = self.calibration.drive.duties(codes)
-            return Command(applied[:4], applied[4:])
+            return applied_command(applied[:4], applied[4:])
+
+    def _send(self, command: Command) -> IntArray:
+        """Send the duties that a command asks for, and return their codes (8,)."""
+        duty = self._within_range(self._servo.duty(command, self._observation))
+        codes = self.calibration.drive.duty_codes(duty)
+        try:
+            self.boards.drive(codes)
+            self._unheard = 0
+        except LinkError as error:
+            # A few cycles without an answer are tolerated; the encoders of this one were read.
+            self._unheard += 1
+            cycles = max(self._unheard, 1 + max(self._samples.lost.values()))
+            if cycles >= self._config.lost_cycles or self._lost_for_long():
+                raise RobotError(str(error)) from error
+            self.statistics.lost_boards += 1
+        return codes
 
     def deactivate(self) -> None:
-        """Zero all axes and go to INACTIVE; ERROR persists until `activate`.
+        """Stop all axes and go to INACTIVE; ERROR persists until `activate`.
 
         Raises:
-            RobotError: If a board does not acknowledge; its serial timeout then stops it.
+            RobotError: If a board does not confirm; the robot is in ERROR.
         """
         with self._lock:
-            if self._lifecycle is Lifecycle.UNCONFIGURED:
+            if self._lifecycle in (Lifecycle.UNCONFIGURED, Lifecycle.ERROR):
                 return
-            self._servo.reset()
-            try:
-                self._zero()
-            except LinkError as error:
-                raise self._fail(str(error)) from error
-            if self._lifecycle is Lifecycle.ACTIVE:
-                self._lifecycle = Lifecycle.INACTIVE
+            report = self._stop()
+            if not report.complete:
+                raise self._enter_error("not all boards answer", report)
+            self._lifecycle = Lifecycle.INACTIVE
 
     def close(self) -> None:
-        """Zero the axes of all boards that answer, and close the ports."""
+        """Stop all axes, and close the ports; what no board confirmed is logged as a warning."""
         with self._lock:
-            if self._lifecycle is not Lifecycle.UNCONFIGURED:
-                self._stop()
+            if self._lifecycle in (Lifecycle.INACTIVE, Lifecycle.ACTIVE):
+                report = self._stop()
+                if not report.complete:
+                    _LOG.warning("robot %r is closed; %s", self.name, report)
             self._lifecycle = Lifecycle.UNCONFIGURED
             self.boards.close()
 
@@ -260,8 +277,8 @@ class BoardRobot:
                 self._fail(f"no command for {late:.2f} s")
 
     def _set_up(self) -> None:
-        self.boards.configure()
         self._zero()
+        self.boards.configure()
         self._begin()
 
     def _set_counters(self, angles: FloatArray) -> None:
@@ -279,8 +296,8 @@ class BoardRobot:
         self._begin()
 
     def _wake(self) -> None:
-        self.boards.reset_e_stop()
         self._zero()
+        self.boards.reset_e_stop()
         for address in self.boards.addresses:
             self._check_board(address)
         self._begin()
@@ -300,9 +317,6 @@ class BoardRobot:
     def _judge(self) -> None:
         """Check boards, counters and sensors; go to ERROR on a fault."""
         self.guard()
-        if self._lifecycle is Lifecycle.ERROR and not self._zeroed:
-            # Requests reset the serial timeout of a board that is reachable again: zero it.
-            self._stop()
         if self._lifecycle is not Lifecycle.ACTIVE:
             return
         most = 1 if self._lost_for_long() else self._config.lost_cycles
@@ -371,21 +385,21 @@ class BoardRobot:
         return np.concatenate([duty[:4], arm])
 
     def _fail(self, reason: str) -> RobotError:
-        """Zero all axes, go to ERROR, and return the error to raise."""
-        self._stop()
+        """Stop all axes, go to ERROR, and return the error to raise."""
+        return self._enter_error(reason, self._stop())
+
+    def _enter_error(self, reason: str, report: StopReport) -> RobotError:
         self._lifecycle = Lifecycle.ERROR
-        self.fault = reason
-        return RobotError(f"robot {self.name!r}: {reason}; all axes are zeroed")
+        self.fault = f"{reason}; {report}"
+        return RobotError(f"robot {self.name!r}: {self.fault}")
 
     def _zero(self) -> None:
-        self._zeroed = False
-        self.boards.drive(np.zeros(8, dtype=np.int64))
-        self._zeroed = True
+        """Stop all axes of a robot at rest, and raise a LinkError unless all boards confirm."""
+        self.boards.resume()
+        report = self._stop()
+        if not report.complete:
+            raise LinkError("a motor board does not confirm zero duty")
 
-    def _stop(self) -> None:
+    def _stop(self) -> StopReport:
         self._servo.reset()
-        try:
-            self._zero()
-        except LinkError:
-            # A board out of reach stops by its serial timeout.
-            self.statistics.lost_boards += 1
+        return self.boards.stop()

@@ -113,14 +113,20 @@ class BoardSamples:
         self._read_wrench()
         self._stereo = self._boards.stereo(self._clock()) or self._stereo
 
-    def sample(self) -> None:
-        """Read what is due in this cycle; what does not answer is counted."""
+    def sample(self, patience: float) -> None:
+        """Read what is due in this cycle; what does not answer is counted.
+
+        Args:
+            patience: Silence of a board after which no other board is asked in this cycle [s].
+        """
         for address in self._boards.addresses:
             try:
                 pair = self._boards.encoders(address)
             except LinkError:
                 self.lost[address] += 1
                 self.statistics.lost_boards += 1
+                if self.silence > patience:
+                    break
             else:
                 self.lost[address] = 0
                 self._take(address, pair)

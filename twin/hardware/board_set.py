@@ -44,6 +44,43 @@ class BoardState:
     timeout: float
 
 
+@dataclasses.dataclass(frozen=True)
+class StopReport:
+    """What is known of the motor boards after a stop.
+
+    Attributes:
+        confirmed: Addresses of the boards that answered with zero duty.
+        sent: Addresses of the boards to which zero duty was sent without an answer.
+        unreached: Addresses of the boards whose port took nothing.
+        timeout: Serial timeout that stops boards by themselves [s]; 0 if it is not known to be set.
+    """
+
+    confirmed: tuple[int, ...]
+    sent: tuple[int, ...] = ()
+    unreached: tuple[int, ...] = ()
+    timeout: float = 0.0
+
+    @property
+    def complete(self) -> bool:
+        """True when all boards confirmed zero duty."""
+        return not (self.sent or self.unreached)
+
+    def __str__(self) -> str:
+        """Say it in words, for people."""
+        groups = (
+            (self.confirmed, "zero confirmed"),
+            (self.sent, "sent, not answered"),
+            (self.unreached, "not reached"),
+        )
+        parts = [f"{', '.join(map(hex, group))}: {words}" for group, words in groups if group]
+        if not self.complete:
+            several = len(self.sent + self.unreached) > 1
+            own = "stop by their own" if several else "stops by its own"
+            own += f" timeout of {1e3 * self.timeout:.0f} ms"
+            parts.append(own if self.timeout else "no timeout is set; cut the motors' power")
+        return f"boards {'; '.join(parts)}"
+
+
 class BoardSet(Protocol):
     """Interface of the boards to `BoardRobot`; axes are in the order of `twin.robot.AXES`.
 
@@ -87,8 +124,19 @@ class BoardSet(Protocol):
         """Set the duty codes (8,) of all axes.
 
         Raises:
-            LinkError: If a board does not acknowledge; the others are commanded nevertheless.
+            LinkError: If a board does not acknowledge, or after a stop; the other boards are
+                commanded nevertheless.
         """
+
+    def stop(self) -> StopReport:
+        """Zero all axes, whether or not a board answers; then nothing drives before `resume`.
+
+        Unless all boards confirm, nothing at all is sent to them, so that their timeout acts.
+        """
+        ...
+
+    def resume(self) -> None:
+        """Allow to drive after a stop, once boards that did not confirm it have stopped."""
 
     def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
         """Return the converter codes of analogue inputs; None for an input without a reading."""
@@ -137,6 +185,7 @@ class WiredBoards:
         analogue: AnalogueBoard | None = None,
         force_torque: NetForceTorque | None = None,
         camera: StereoCapture | None = None,
+        slow_down: float = 1.0,
     ) -> None:
         """Initialize from open clients, which `close` closes.
 
@@ -146,6 +195,7 @@ class WiredBoards:
             analogue: Board of potentiometer and inclinometer; None if not fitted.
             force_torque: Force/torque sensor under the arm; None if not fitted.
             camera: Stereo head; None if not fitted.
+            slow_down: Wall-clock time over the boards' time.
         """
         self.bus = bus
         self.analogue_board = analogue
@@ -159,12 +209,15 @@ class WiredBoards:
         self._drive = calibration.drive
         self.addresses = tuple(self._drive.boards)
         self._silent: set[int] = set()
+        self._slow_down = slow_down
+        self._timed: set[int] = set()  # Boards whose timeout is set.
 
     def configure(self) -> None:
         """Set timeouts and current limits, and read the limits back."""
         steps = round(self._limits.serial_timeout / _TIMEOUT_UNIT)
         for address in self.addresses:
             self.bus.write(address, BoardCommand.SET_TIMEOUT, steps)
+            self._timed.add(address)
         for axis in self._drive.axes:
             units = round(axis.current_limit / _CURRENT_UNIT)
             self.bus.write(axis.address, _SET_LIMIT[axis.channel], units, 0)
@@ -177,7 +230,9 @@ class WiredBoards:
 
     def encoders(self, address: int) -> tuple[int, int]:
         """Return both counters of a board."""
+        self._silent.add(address)  # Unless it answers.
         one, two = self.bus.read(address, BoardCommand.GET_ENCODERS)
+        self._silent.discard(address)
         return one, two
 
     def set_encoder(self, axis: int, count: int) -> None:
@@ -197,17 +252,41 @@ class WiredBoards:
         """Set the duty codes of all axes."""
         failed: LinkError | None = None
         codes = np.clip(codes, -codec.FULL_DUTY, codec.FULL_DUTY)
-        # Boards that were silent the last time come last, so that they do not delay the others.
-        for address in sorted(self.addresses, key=self._silent.__contains__):
+        for address in self._silent_last():
+            duties = self._drive.at_board(address, codes).tolist()
+            if failed is not None:  # To wait for each board of a dead line would delay a stop.
+                self.bus.send(address, BoardCommand.DUTY_BOTH, *duties)
+                continue
+            self._silent.add(address)  # Unless it answers.
             try:
-                duties = self._drive.at_board(address, codes).tolist()
                 self.bus.write(address, BoardCommand.DUTY_BOTH, *duties)
                 self._silent.discard(address)
             except LinkError as error:
-                self._silent.add(address)
-                failed = failed or error
+                failed = error
         if failed is not None:
             raise failed
+
+    def stop(self) -> StopReport:
+        """Zero all axes, whether or not a board answers."""
+        timeout = self._limits.serial_timeout
+        halt = self.bus.halt(self._silent_last(), timeout * self._slow_down)
+        confirmed = tuple(each for each in self.addresses if each in halt.confirmed)
+        others = tuple(each for each in self.addresses if each not in halt.confirmed)
+        known = timeout if self._timed.issuperset(others) else 0.0
+        if halt.sent:
+            return StopReport(confirmed, sent=others, timeout=known)
+        return StopReport(confirmed, unreached=others, timeout=known)
+
+    def _silent_last(self) -> list[int]:
+        """Return the boards' addresses, those last that were silent the last time.
+
+        So they do not delay the others.
+        """
+        return sorted(self.addresses, key=self._silent.__contains__)
+
+    def resume(self) -> None:
+        """Allow to drive after a stop."""
+        self.bus.resume()
 
     def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
         """Return the converter codes of analogue inputs."""

@@ -172,7 +172,7 @@ def open_boards(wiring: Wiring, calibration: Calibration) -> WiredBoards:
         LinkError: If one cannot be opened.
         ValueError: If the captures make no pair.
     """
-    timing = BusTiming(call=_PATIENCE) if wiring.patient else BusTiming()
+    timing = BusTiming(call=_PATIENCE, ask=_PATIENCE) if wiring.patient else BusTiming()
     with contextlib.ExitStack() as opened:
         bus = RoboClawBus(SerialLink(wiring.bus, BUS_BAUD), timing)
         opened.callback(bus.close)
@@ -194,7 +194,7 @@ def open_boards(wiring: Wiring, calibration: Calibration) -> WiredBoards:
         if wiring.stereo:
             camera = _camera(wiring)
         opened.pop_all()
-    return WiredBoards(bus, calibration, analogue, force_torque, camera)
+    return WiredBoards(bus, calibration, analogue, force_torque, camera, wiring.slow_down)
 
 
 def _camera(wiring: Wiring) -> StereoCapture:

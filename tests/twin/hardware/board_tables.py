@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot, BoardRobotConfig
-from twin.hardware.board_set import BoardState
+from twin.hardware.board_set import BoardState, StopReport
 from twin.hardware.calibration.calibration import calibration_path, read_calibration
 from twin.hardware.roboclaw.codec import Status
 from twin.hardware.serial_link import LinkError
@@ -41,9 +41,12 @@ class Boards:
         self.asked, self.driven = [], []
         self.pair = None
         self.closed = False
+        self.halted = self.mute = False
         self.held_up = 0  # Questions that come to nothing from now on.
 
     def _hear(self, what, address):
+        if self.mute:
+            raise LinkError("halted")
         self.asked.append((what, address))
         late = self.held_up > 0
         self.held_up -= late
@@ -69,9 +72,21 @@ class Boards:
         self.counters[axis] = count
 
     def drive(self, codes):
+        if self.halted:
+            raise LinkError("halted")
         self.driven.append(codes.copy())
         if self.silent | self.deaf:
             raise LinkError("DUTY_BOTH: no valid answer")
+
+    def stop(self):
+        self.driven.append(np.zeros(8, dtype=np.int64))
+        lost = tuple(sorted(self.silent | self.deaf))
+        rest = tuple(each for each in self.addresses if each not in lost)
+        self.halted, self.mute = True, bool(lost)
+        return StopReport(rest, sent=lost, timeout=0.2)
+
+    def resume(self):
+        self.halted = self.mute = False
 
     def analogue(self, pins):
         self.asked += [("pin", pin) for pin in pins]

@@ -88,7 +88,7 @@ def test_robot_whose_board_is_silent_when_it_is_set_up_stays_unconfigured(bench,
     if before is Lifecycle.ACTIVE:
         bench.active()
     bench.boards.silent = {0x82}
-    with pytest.raises(RobotError, match="robot 'rover1': configure of board 0x82"):
+    with pytest.raises(RobotError, match="0x80, 0x81, 0x83: zero confirmed; 0x82: sent"):
         bench.robot.configure()
     assert bench.robot.lifecycle is Lifecycle.UNCONFIGURED
 
@@ -105,16 +105,55 @@ def test_duty_beyond_full_is_clamped_and_what_is_applied_is_returned(bench):
 
 @pytest.mark.parametrize("mode", WheelMode)
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
-def test_nan_never_comes_to_the_wire_even_where_it_is_written_after_the_check(bench, mode, wrong):
+def test_what_is_not_finite_never_comes_to_the_wire(bench, mode, wrong):
     bench.active().cycle()
     sent = len(bench.boards.driven)
     with pytest.raises(ValueError, match="nothing was sent"):
         Command(np.array([0.0, wrong, 0.0, 0.0]), wheel_mode=mode)
-    command = Command(np.zeros(4), wheel_mode=mode)
-    command.wheels[1] = math.nan
-    with pytest.raises(ValueError, match="nan"):
-        bench.robot.command(command)
+    wheels = np.zeros(4)
+    command = Command(wheels, wheel_mode=mode)
+    wheels[1] = wrong  # After the check: the command has its own.
+    bench.robot.command(command)
+    with pytest.raises(ValueError, match="read-only"):
+        command.wheels[1] = wrong
     assert len(bench.boards.driven) == sent + 1 and not np.any(bench.boards.taken())
+
+
+class Failing(Exception):
+    """Whatever may go wrong between a command and the wire."""
+
+
+@pytest.mark.parametrize("error", [KeyError, ValueError, MemoryError, KeyboardInterrupt, Failing])
+def test_any_failure_between_a_command_and_the_wire_stops_the_robot(bench, error, monkeypatch):
+    bench.active().cycle()
+    assert np.all(bench.boards.taken() != 0)
+
+    def fail(*_):
+        raise error("amid a command")
+
+    monkeypatch.setattr(type(bench.robot.calibration.drive), "duty_codes", fail)
+    with pytest.raises(error, match="amid a command"):
+        bench.robot.command(Command())
+    assert not np.any(bench.boards.taken()) and bench.robot.lifecycle is Lifecycle.ERROR
+    assert f"{error.__name__}: " in bench.robot.fault
+    assert bench.robot.fault.endswith("; boards 0x80, 0x81, 0x82, 0x83: zero confirmed")
+
+
+@pytest.mark.parametrize("part", ["wheels", "arm", "arm_rates"])
+def test_command_of_another_size_stops_the_robot(bench, part):
+    bench.active().cycle()
+    with pytest.raises(ValueError, match="the robot has 4 wheels and 4 joints"):
+        bench.robot.command(Command(**{part: np.ones(3)}))
+    assert not np.any(bench.boards.taken()) and bench.robot.lifecycle is Lifecycle.ERROR
+
+
+def test_command_that_comes_late_drives_nothing(bench):
+    """As after a pause of the whole process, when nobody knows what the world does."""
+    bench.active().cycle()
+    bench.time += 0.151
+    with pytest.raises(RobotError, match="no command for 0.15 s; boards 0x80.*zero confirmed"):
+        bench.robot.command(Command(np.ones(4)))
+    assert not np.any(bench.boards.taken())
 
 
 @pytest.mark.parametrize("step", [30, -30])

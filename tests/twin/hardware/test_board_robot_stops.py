@@ -87,7 +87,7 @@ def test_activation_is_refused_while_the_fault_lasts(bench):
     bench.active()
     bench.boards.statuses[0x83] = Status.CURRENT_ERROR_2
     bench.cycles_until_error()
-    with pytest.raises(RobotError, match="0x83 reports current_error_2; all axes are zeroed"):
+    with pytest.raises(RobotError, match="0x83 reports current_error_2; boards 0x80.*: zero conf"):
         bench.robot.activate()
     assert bench.robot.lifecycle is Lifecycle.ERROR
 
@@ -96,7 +96,7 @@ def test_board_that_was_reset_is_seen_by_its_timeout_and_wants_to_be_homed(bench
     bench.active()
     bench.boards.timeouts[0x82] = 0.0
     assert bench.cycles_until_error() <= 16
-    assert bench.robot.fault == "motor board 0x82 was reset; configure and home the robot"
+    assert "motor board 0x82 was reset; configure and home the robot; b" in bench.robot.fault
     with pytest.raises(RobotError, match="does not know where its arm is"):
         bench.robot.activate()
     bench.homed().robot.activate()
@@ -180,6 +180,9 @@ def test_board_that_was_silent_is_driven_last():
             if address == 0x80:
                 raise LinkError("silent")
 
+        def send(self, address, command, *values):
+            stopped.append(address)
+
     boards = WiredBoards(Bus(), CALIBRATION)
     for order in ([0x80, 0x81, 0x82, 0x83], [0x81, 0x82, 0x83, 0x80]):
         stopped.clear()
@@ -188,19 +191,50 @@ def test_board_that_was_silent_is_driven_last():
         assert stopped == order
 
 
-def test_zeros_that_no_board_heard_are_sent_until_it_does(bench):
-    """Questions keep a board's own watchdog quiet: it would drive on with its last duty."""
+def test_after_a_stop_that_a_board_does_not_confirm_no_board_is_asked_before_activation(bench):
+    """Questions would feed the board's own timeout: it would drive on with its last duty."""
     bench.active().cycle()
     bench.boards.silent = {0x81}
     bench.cycles_until_error()
-    sent = len(bench.boards.driven)
-    bench.cycle()
-    assert len(bench.boards.driven) == sent + 1
+    said = "boards 0x80, 0x82, 0x83: zero confirmed; 0x81: sent, not answered; stops by its own"
+    assert f"{said} timeout of 200 ms" in bench.robot.fault
+    asked, sent = len(bench.boards.asked), len(bench.boards.driven)
+    for _ in range(15):
+        seen = bench.cycle()
+    assert [kind for kind, _ in bench.boards.asked[asked:] if kind not in ("pin", "wrench")] == []
+    assert seen.wheel_speeds.validity is Validity.STALE
+    assert seen.inclinometer.validity is Validity.MEASURED
+    bench.robot.deactivate()
+    assert len(bench.boards.driven) == sent and bench.robot.lifecycle is Lifecycle.ERROR
     bench.boards.silent = set()
-    bench.cycle()
-    assert len(bench.boards.driven) == sent + 2 and not np.any(bench.boards.taken())
-    bench.cycle()
-    assert len(bench.boards.driven) == sent + 2
+    bench.robot.activate()
+    assert bench.cycles_until_error(16) is None
+
+
+def test_nothing_drives_between_a_stop_and_the_next_activation(bench):
+    bench.active().cycle()
+    bench.robot.deactivate()
+    with pytest.raises(LinkError, match="halted"):
+        bench.boards.drive(np.ones(8, dtype=np.int64))  # As a second thread would.
+    bench.robot.activate()
+    bench.robot.command(Command(np.ones(4)))
+    assert np.any(bench.boards.taken())
+
+
+@pytest.mark.parametrize("end", ["deactivate", "close"])
+def test_end_that_a_board_does_not_confirm_is_told(bench, end, caplog):
+    bench.active().cycle()
+    bench.boards.silent = {0x80, 0x83}
+    said = "0x81, 0x82: zero confirmed; 0x80, 0x83: sent, not answered; stop by their own timeout"
+    if end == "close":
+        bench.robot.close()
+        assert said in caplog.text and bench.boards.closed
+    else:
+        with pytest.raises(RobotError, match=said):
+            bench.robot.deactivate()
+        assert bench.robot.lifecycle is Lifecycle.ERROR
+        bench.robot.close()
+        assert not caplog.text  # Not twice.
 
 
 def test_board_that_answers_and_takes_no_command_stops_the_robot(bench):
@@ -223,7 +257,7 @@ def test_sensor_that_falls_silent_stops_the_robot_when_its_sample_is_stale(
     else:
         bench.boards.counts = None
     cycles = bench.cycles_until_error()
-    assert bench.robot.fault == f"{channel} is stale"
+    assert bench.robot.fault.startswith(f"{channel} is stale; boards")
     last = age / PERIOD
     assert last + 1 - period < cycles <= last + 1
     with pytest.raises(RobotError, match=f"{channel} is"):
@@ -233,7 +267,7 @@ def test_sensor_that_falls_silent_stops_the_robot_when_its_sample_is_stale(
 def test_robot_does_not_start_without_a_sensor_that_it_should_have(bench):
     bench.boards.pins[1] = None
     bench.homed()
-    with pytest.raises(RobotError, match="inclinometer is missing; all axes are zeroed"):
+    with pytest.raises(RobotError, match="inclinometer is missing; boards 0x80.*: zero confirmed"):
         bench.robot.activate()
     assert bench.robot.lifecycle is Lifecycle.ERROR
 
@@ -267,7 +301,7 @@ def test_watchdog_stops_a_robot_that_is_not_commanded(bench):
     bench.time += 0.002
     bench.robot.guard()
     assert bench.robot.lifecycle is Lifecycle.ERROR and not np.any(bench.boards.taken())
-    assert bench.robot.fault == "no command for 0.15 s"
+    assert bench.robot.fault.startswith("no command for 0.15 s; boards")
 
 
 def test_controller_that_observes_and_never_commands_is_stopped_too(bench):

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from perception.geometry.arrays import IntArray
-from twin.hardware.board_set import BoardState
+from twin.hardware.board_set import BoardState, StopReport
 from twin.hardware.emulator.rover import EmulatedRover
 from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.codec import Status
@@ -46,6 +46,14 @@ class DirectBoards:
         """Set the duty codes of all axes."""
         self._rover.codes = codes.copy()
 
+    def stop(self) -> StopReport:
+        """Zero all axes."""
+        self._rover.codes = np.zeros(8, dtype=np.int64)
+        return StopReport(self.addresses)
+
+    def resume(self) -> None:
+        """Do nothing: there is no line that a stop would silence."""
+
     def analogue(self, pins: Sequence[int]) -> Mapping[int, int | None]:
         """Return the converter codes of analogue inputs."""
         return {pin: self._rover.analogue(pin) for pin in pins}
@@ -73,4 +81,4 @@ class DirectBoards:
 
     def close(self) -> None:
         """Stop the motors."""
-        self._rover.codes = np.zeros(8, dtype=np.int64)
+        self.stop()

@@ -6,10 +6,12 @@ read encoders as unsigned. Here a value is valid only if its checksum matches, a
 within `BusTiming.call`.
 """
 
+import contextlib
 import dataclasses
 import itertools
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 from typing import TypeVar
 
 from twin.hardware.roboclaw import codec
@@ -42,11 +44,13 @@ class BusTiming:
         quiet: Silence after a failure; longer than `codec.PACKET_GAP`, so that the boards discard
             a partial packet.
         call: Time from the start of a call to its end, including all retries.
+        ask: Time for which `halt` asks one board whether its motors are at zero duty.
     """
 
     reply: float = 0.006
     quiet: float = 0.0115
     call: float = 0.045
+    ask: float = 0.03
 
 
 @dataclasses.dataclass
@@ -70,8 +74,24 @@ class BusStatistics:
     failures: int = 0
 
 
+@dataclasses.dataclass(frozen=True)
+class Halt:
+    """What is known of boards after `RoboClawBus.halt`.
+
+    Attributes:
+        confirmed: Addresses of the boards that answered with zero duty.
+        sent: Whether the port took zero duty for all boards at least once.
+    """
+
+    confirmed: frozenset[int]
+    sent: bool
+
+
 class RoboClawBus:
-    """Boards at several addresses behind one port."""
+    """Boards at several addresses behind one port.
+
+    Any thread may call `halt`; all else is for one thread at a time.
+    """
 
     def __init__(self, link: SerialLink, timing: BusTiming | None = None) -> None:
         """Initialize from an open port.
@@ -87,6 +107,10 @@ class RoboClawBus:
         self._suspect = True
         self._probes = itertools.cycle(_PROBES)
         self._status_length: dict[int, int] = {}
+        self._sending = threading.Lock()
+        self._halted = False
+        # Until when nothing at all is sent, on the clock of `time.monotonic` [s]; None for no ban.
+        self._mute_until: float | None = None
 
     def read(self, address: int, command: BoardCommand) -> tuple[int, ...]:
         """Send a read command, and return the values of the reply.
@@ -98,13 +122,7 @@ class RoboClawBus:
         Raises:
             LinkError: If no valid answer came in time.
         """
-        length = codec.reply_length(command)
-
-        def exchange(deadline: float) -> tuple[int, ...] | None:
-            reply = self._ask(address, command, length, deadline)
-            return self._judge(reply, length, codec.decode_reply(address, command, reply))
-
-        return self._call(f"{command.name} of board {address:#x}", address, command, exchange)
+        return self._read(address, command)
 
     def write(self, address: int, command: BoardCommand, *values: int) -> None:
         """Send a write command, and wait for the acknowledgement.
@@ -121,7 +139,7 @@ class RoboClawBus:
         packet = codec.encode_write(address, command, *values)
 
         def exchange(deadline: float) -> bool | None:
-            self._link.write(packet)
+            self._send(packet, drives=command in codec.DRIVES)
             reply = self._link.read(1, deadline)
             return self._judge(reply, 1, reply == bytes((codec.ACKNOWLEDGE,)) or None)
 
@@ -156,7 +174,7 @@ class RoboClawBus:
         command = BoardCommand.GET_VERSION
 
         def exchange(deadline: float) -> str | None:
-            self._link.write(codec.encode_read(address, command))
+            self._send(codec.encode_read(address, command))
             reply = b""
             while not reply.endswith(codec.VERSION_END) and len(reply) < codec.LONGEST_VERSION:
                 byte = self._link.read(1, deadline)
@@ -170,12 +188,102 @@ class RoboClawBus:
 
         return self._call(f"version of board {address:#x}", address, command, exchange)
 
+    def send(self, address: int, command: BoardCommand, *values: int) -> None:
+        """Send a write command, and do not wait for the acknowledgement.
+
+        Raises:
+            ValueError: As `write`.
+            LinkError: If the port does not take it; the board may have executed it all the same.
+        """
+        self._suspect = True
+        self._send(codec.encode_write(address, command, *values), command in codec.DRIVES)
+
+    def halt(self, addresses: Sequence[int], timeout: float) -> Halt:
+        """Stop all motors, whether or not any board answers.
+
+        Zero duty is sent to all boards at once and again for longer than their serial timeout, and
+        read back. If a board does not confirm it, nothing at all is sent from then on: questions
+        would feed the timeout that is to stop the board. Motors are not driven before `resume`.
+
+        Args:
+            addresses: Addresses of the boards, those that are probably dead last.
+            timeout: Serial timeout of the boards, on the wall clock [s].
+        """
+        with self._sending:
+            self._halted, self._mute_until = True, None
+        begin = time.monotonic()
+        confirmed: set[int] = set()
+        sent = False
+        while self._send_zeros(addresses):
+            sent = True
+            for address in [each for each in addresses if each not in confirmed]:
+                if time.monotonic() < begin + len(addresses) * self._timing.ask:
+                    confirmed |= {address} if self._at_zero(address) else set()
+            if confirmed.issuperset(addresses):
+                return Halt(frozenset(confirmed), sent)
+            if time.monotonic() > begin + timeout + self._timing.call:
+                break
+            self._wait(self._timing.quiet)
+        with self._sending:
+            self._mute_until = time.monotonic() + timeout + self._timing.call
+        return Halt(frozenset(confirmed), sent)
+
+    def resume(self) -> None:
+        """Allow motors to be driven again, once boards that did not confirm a halt have stopped."""
+        if self._mute_until is not None:
+            self._wait(self._mute_until - time.monotonic())
+        with self._sending:
+            self._halted, self._mute_until = False, None
+
     def close(self) -> None:
         """Close the port."""
         self._link.close()
 
+    def _send(self, data: bytes, drives: bool = False) -> None:
+        """Send bytes, unless a halt forbids it; no thread can come in between."""
+        with self._sending:
+            if self._mute_until is not None or (drives and self._halted):
+                raise LinkError(f"{self._link.port}: halted; nothing is sent before activation")
+            self._link.write(data)
+
+    def _send_zeros(self, addresses: Collection[int]) -> bool:
+        """Send zero duty to all boards, and return whether the port took it."""
+        self._suspect = True
+        packets = [codec.encode_write(a, BoardCommand.DUTY_BOTH, 0, 0) for a in addresses]
+        with contextlib.suppress(LinkError), self._sending:
+            self._link.write(b"".join(packets))
+            return True
+        return False
+
+    def _at_zero(self, address: int) -> bool:
+        """Send zero duty to a board, and return whether it answers that both duties are zero."""
+        # Not only among those for all: a board may drop what follows a packet to one that is gone.
+        self._send_zeros([address])
+        with contextlib.suppress(LinkError):
+            return self._read(address, BoardCommand.GET_DUTIES, self._timing.ask) == (0, 0)
+        return False
+
+    def _wait(self, duration: float) -> None:
+        """Wait, and discard what comes meanwhile; a port that is gone is not waited for."""
+        with contextlib.suppress(LinkError):
+            end = time.monotonic() + duration
+            while time.monotonic() < end:
+                self.statistics.stray += self._link.drain(end - time.monotonic(), duration)
+
+    def _read(
+        self, address: int, command: BoardCommand, most: float | None = None
+    ) -> tuple[int, ...]:
+        """Return the values of a reply within `most` [s], or the usual time of a call."""
+        length = codec.reply_length(command)
+
+        def exchange(deadline: float) -> tuple[int, ...] | None:
+            reply = self._ask(address, command, length, deadline)
+            return self._judge(reply, length, codec.decode_reply(address, command, reply))
+
+        return self._call(f"{command.name} of board {address:#x}", address, command, exchange, most)
+
     def _ask(self, address: int, command: BoardCommand, length: int, deadline: float) -> bytes:
-        self._link.write(codec.encode_read(address, command))
+        self._send(codec.encode_read(address, command))
         return self._link.read(length, deadline)
 
     def _judge(self, reply: bytes, length: int, value: T | None) -> T | None:
@@ -193,9 +301,10 @@ class RoboClawBus:
         address: int,
         command: BoardCommand,
         exchange: Callable[[float], T | None],
+        most: float | None = None,
     ) -> T:
-        """Repeat an exchange until a reply is valid or the call's time is over."""
-        end = time.monotonic() + self._timing.call
+        """Repeat an exchange until a reply is valid or the call's time, `most` [s], is over."""
+        end = time.monotonic() + (most or self._timing.call)
         self.statistics.transactions += 1
         tries = 0
         while time.monotonic() + self._timing.reply < end:
@@ -244,7 +353,7 @@ class RoboClawBus:
     def _probe(self, address: int, question: BoardCommand, end: float) -> bool:
         """Send a read command, and discard all bytes before its reply."""
         deadline = min(time.monotonic() + self._timing.reply, end)
-        self._link.write(codec.encode_read(address, question))
+        self._send(codec.encode_read(address, question))
         length, tail = codec.reply_length(question), b""
         # A faulty board may send without end.
         while time.monotonic() < deadline and (byte := self._link.read(1, deadline)):

@@ -63,8 +63,8 @@ class BoardCommand(enum.IntEnum):
     RESET_E_STOP = 200
 
 
-# Payload layouts for `struct`; other commands are not supported. An encoder or speed is followed by
-# a status byte: 1 underflow, 2 backward, 4 overflow.
+# Payload layouts for `struct`; other commands are not supported. An encoder is followed by a status
+# byte, `EncoderStatus`, a speed by 1 if it is backward.
 WRITES: dict[BoardCommand, str] = {
     BoardCommand.SET_TIMEOUT: ">B",
     BoardCommand.RESET_ENCODERS: ">",
@@ -105,6 +105,10 @@ READS: dict[BoardCommand, str] = {
     BoardCommand.GET_CURRENT_LIMIT_2: ">II",
     BoardCommand.GET_PWM_MODE: ">B",
 }
+# Commands that may make a motor turn.
+DRIVES = frozenset(
+    command for command in WRITES if command.name.startswith(("DUTY", "SPEED", "POSITION"))
+)
 # Not idempotent: not sent again after a lost acknowledgement.
 NOT_REPEATABLE = frozenset(
     {
@@ -114,6 +118,16 @@ NOT_REPEATABLE = frozenset(
         BoardCommand.RESET_E_STOP,
     }
 )
+
+
+class EncoderStatus(enum.IntFlag):
+    """Status bits of one encoder, whose counter has the range 0 to 2**32 - 1."""
+
+    UNDERFLOW = 0x1
+    """The counter fell below 0 since this status was read last."""
+    BACKWARD = 0x2
+    OVERFLOW = 0x4
+    """The counter rose above 2**32 - 1 since this status was read last."""
 
 
 class Status(enum.IntFlag):
