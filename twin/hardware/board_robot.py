@@ -21,6 +21,7 @@ from twin.hardware.serial_link import LinkError, at_rest
 from twin.robot import (
     AXES,
     NOTHING,
+    ArmMode,
     Command,
     Lifecycle,
     Observation,
@@ -32,6 +33,8 @@ from twin.servo import Servo, ServoConfig
 _LOG = logging.getLogger(__name__)
 # The boards do not stop on a battery voltage warning; the robot does.
 _STOPPING = Status(0xFFFF) | Status.MAIN_VOLTAGE_LOW_WARNING | Status.MAIN_VOLTAGE_HIGH_WARNING
+_END_GAIN = 8.0
+"""Rate at which a joint may approach the end of its range, per distance [1/s]."""
 _STILL = 2
 """Largest change of the counter of an axis at rest between two readings [counts]."""
 
@@ -96,7 +99,14 @@ class BoardRobot:
         self._config = config or BoardRobotConfig()
         self._clock = clock
         self._samples = BoardSamples(boards, calibration, clock, self._config.sampling)
-        self._servo = Servo(ServoConfig.of(description), self._config.period)
+        config = ServoConfig.of(description)
+        self._servo = Servo(config, self._config.period)
+        # What would hold each joint at either end of its range.
+        slow = dataclasses.replace(config, position_gain=_END_GAIN)
+        self._ends = [
+            (Servo(slow, self._config.period), end, limit)
+            for end, limit in zip(calibration.drive.ranges.T, (np.maximum, np.minimum), strict=True)
+        ]
         self._lifecycle = Lifecycle.UNCONFIGURED
         self._homed = False
         self._unheard = 0
@@ -375,14 +385,18 @@ class BoardRobot:
             raise RobotError(f"motor board {address:#x} has a battery of {state.battery:.1f} V")
 
     def _within_range(self, duty: FloatArray) -> FloatArray:
-        """Remove duty that moves a joint further out of its range."""
-        angles = self._observation.arm_angles
-        if not angles.usable:
+        """Limit the duty of each joint to what brakes it before the end of its range."""
+        angles, rates = self._observation.arm_angles, self._observation.arm_rates
+        if not (angles.usable and rates.usable):
             return duty
-        lower, upper = self.calibration.drive.ranges.T
-        arm = np.where(angles.value <= lower, np.maximum(duty[4:], 0.0), duty[4:])
-        arm = np.where(angles.value >= upper, np.minimum(arm, 0.0), arm)
-        return np.concatenate([duty[:4], arm])
+        for servo, end, limit in self._ends:
+            held = Command(arm=end, arm_mode=ArmMode.POSITION)
+            limited = limit(duty, servo.duty(held, self._observation))
+            limited[:4] = duty[:4]
+            # Only what limits is integrated.
+            servo.restore(np.where(limited == duty, 0.0, servo.save()))
+            duty = limited
+        return duty
 
     def _fail(self, reason: str) -> RobotError:
         """Stop all axes, go to ERROR, and return the error to raise."""
@@ -401,5 +415,6 @@ class BoardRobot:
             raise LinkError("a motor board does not confirm zero duty")
 
     def _stop(self) -> StopReport:
-        self._servo.reset()
+        for servo in (self._servo, *(servo for servo, _, _ in self._ends)):
+            servo.reset()
         return self.boards.stop()
