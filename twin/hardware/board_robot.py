@@ -99,10 +99,10 @@ class BoardRobot:
         self._config = config or BoardRobotConfig()
         self._clock = clock
         self._samples = BoardSamples(boards, calibration, clock, self._config.sampling)
-        config = ServoConfig.of(description)
-        self._servo = Servo(config, self._config.period)
+        gains = ServoConfig.of(description)
+        self._servo = Servo(gains, self._config.period)
         # What would hold each joint at either end of its range.
-        slow = dataclasses.replace(config, position_gain=_END_GAIN)
+        slow = dataclasses.replace(gains, position_gain=_END_GAIN)
         self._ends = [
             (Servo(slow, self._config.period), end, limit)
             for end, limit in zip(calibration.drive.ranges.T, (np.maximum, np.minimum), strict=True)

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 
 from twin.hardware.roboclaw import codec
-from twin.hardware.roboclaw.codec import BoardCommand, Status
+from twin.hardware.roboclaw.codec import BoardCommand, EncoderStatus, Status
 
 VERSION = "USB Roboclaw 2x15a v4.3.6\n\0"
 _FIXED_POINT = 65536
@@ -35,6 +35,8 @@ class MotorChannel:
     target_speed: float | None = None
     target_position: tuple[int, int] | None = None  # position, most speed
     offset: int = 0
+    wrapped: EncoderStatus = EncoderStatus(0)
+    turn: int = 0
     rate: float = 0.0
     last_count: int = 0
     integral: float = 0.0
@@ -67,6 +69,20 @@ class MotorChannel:
     def set_current_limit(self, values: Sequence[int]) -> None:
         """Set the largest current, the first of the values."""
         self.current_limit = values[0]
+
+    def notice_wrap(self, count: int) -> None:
+        """Note that the counter of 32 bits left its range."""
+        turn = (count + self.offset) >> 32
+        if turn != self.turn:
+            up = turn > self.turn
+            self.wrapped |= EncoderStatus.OVERFLOW if up else EncoderStatus.UNDERFLOW
+            self.turn = turn
+
+    def take_status(self) -> EncoderStatus:
+        """Return the encoder's status, which forgets its wraps by that."""
+        status = self.wrapped | (EncoderStatus.BACKWARD if round(self.rate) < 0 else 0)
+        self.wrapped = EncoderStatus(0)
+        return EncoderStatus(status)
 
     def regulate(self, count: int, period: float) -> None:
         """Set the duty if speed or position is controlled."""
@@ -140,6 +156,7 @@ class RoboClawBoard:
         for channel, count in zip(self.channels, self.motors.counts, strict=True):
             channel.rate = codec.signed_difference(count, channel.last_count) / period
             channel.last_count = count
+            channel.notice_wrap(count)
             channel.regulate(count + channel.offset, period)
         for number, current in enumerate(self.motors.currents):
             if abs(current) > 0.01 * self.channels[number].current_limit:
@@ -168,6 +185,12 @@ class RoboClawBoard:
             low = self.motors.voltage < 10.0
             warning = Status.MAIN_VOLTAGE_LOW_WARNING if low else Status.NORMAL
             return codec.encode_status(self.status | warning, self.old_firmware)
+        if command in (BoardCommand.GET_ENCODER_1, BoardCommand.GET_ENCODER_2):
+            number = command - BoardCommand.GET_ENCODER_1
+            channel = self.channels[number]
+            channel.notice_wrap(self.motors.counts[number])
+            status = channel.take_status()
+            return struct.pack(codec.READS[command], self.encoders()[number], status)
         return struct.pack(codec.READS[command], *self._values(command))
 
     def _values(self, command: BoardCommand) -> Sequence[int]:
@@ -176,8 +199,6 @@ class RoboClawBoard:
         speeds = round(one.rate), round(two.rate)
         values: Mapping[BoardCommand, Sequence[int]] = {
             BoardCommand.GET_TIMEOUT: (self.timeout,),
-            BoardCommand.GET_ENCODER_1: (encoders[0], 2 * (speeds[0] < 0)),
-            BoardCommand.GET_ENCODER_2: (encoders[1], 2 * (speeds[1] < 0)),
             BoardCommand.GET_SPEED_1: (speeds[0], int(speeds[0] < 0)),
             BoardCommand.GET_SPEED_2: (speeds[1], int(speeds[1] < 0)),
             BoardCommand.GET_MAIN_VOLTAGE: (round(10 * self.motors.voltage),),
@@ -217,7 +238,8 @@ class RoboClawBoard:
                     _CHANNEL_WRITES[kind](channel, values[number * share :])
 
     def _set_encoder(self, number: int, count: int) -> None:
-        self.channels[number].offset = count - self.motors.counts[number]
+        channel = self.channels[number]
+        channel.offset, channel.turn = count - self.motors.counts[number], count >> 32
 
 
 class RoboClawLine:

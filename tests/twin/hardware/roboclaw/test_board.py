@@ -86,6 +86,36 @@ def test_encoder_wraps_at_32_bits_and_counts_from_reset():
     assert board.encoders() == (0, 0)
 
 
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("read_between", [False, True])
+def test_encoder_tells_once_that_its_counter_left_the_range_of_32_bits(number, read_between):
+    """The maker's manual: 0 to 4,294,967,295; bit 0 underflow, 1 backward, 2 overflow."""
+    motors = StillMotors()
+    board = RoboClawBoard(0x80, motors)
+    command = (BoardCommand.GET_ENCODER_1, BoardCommand.GET_ENCODER_2)[number]
+
+    def status(*path):
+        for step, count in enumerate(path):
+            motors.counts[number] = count
+            board.tick(0.01 * step, 0.01)
+            if read_between:
+                board.answer(BoardCommand.GET_ENCODERS)  # Which tells no status, and clears none.
+        return board.answer(command)[4]
+
+    assert status(0, 40, 80) == 0
+    assert status(40) == 2
+    assert status(-1) == 1 | 2
+    assert status(-1) == 0
+    assert status(3, 4) == 4
+    assert status(5, -5, -6, 5, 6) == 1 | 4
+    assert status(6) == 0
+    assert status(2**31 - 1, 2**31 + 1) == 0  # Where a signed reading wraps, the counter does not.
+    assert status(2**32 - 1, 2**32, 2**32 + 1) == 4
+    board.obey((BoardCommand.SET_ENCODER_1, BoardCommand.SET_ENCODER_2)[number], (-3,))
+    assert status(2**32 + 1) == 0
+    assert status(2**32 + 4) == 4
+
+
 def test_speed_command_reaches_its_speed_and_position_command_its_position():
     (board,), line = boards_on_a_line()
     speed = 0.0

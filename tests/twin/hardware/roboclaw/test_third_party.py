@@ -72,7 +72,7 @@ def set_counts(board, one, two):
     """Let the encoders stand somewhere, as after many ticks."""
     board.motors.counts = [one, two]
     for channel, count in zip(board.channels, board.motors.counts, strict=True):
-        channel.offset, channel.last_count = 0, count
+        channel.offset, channel.last_count, channel.turn = 0, count, count >> 32
 
 
 def pairs(values):

@@ -66,6 +66,7 @@ def scramble(board, rng):
     gains, limits = rng.integers(0, 2**32, (2, 4)).tolist(), rng.integers(0, 2**32, 2).tolist()
     for number, channel in enumerate(board.channels):
         channel.offset, channel.rate = 0, float(rates[number])
+        channel.turn = motors.counts[number] >> 32
         channel.duty, channel.gains = int(duties[number]), tuple(gains[number])
         channel.current_limit = limits[number]
         channel.target_speed = channel.target_position = None
