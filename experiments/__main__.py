@@ -1,5 +1,6 @@
 """Command line: ``python -m experiments [NAME [options]]``."""
 
+import contextlib
 import difflib
 import importlib
 import os
@@ -16,6 +17,7 @@ from experiments.harness.catalogue import Experiment
 from experiments.harness.command_line import BAD_OPTIONS, complain, parse
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.output import Output
+from experiments.harness.storage import disk_errors
 from experiments.harness.summary import print_summary
 
 FAILURE = 1
@@ -68,14 +70,16 @@ def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
 
     Raises:
         OptionError: If the options are bad.
-        ExperimentError: If the experiment reports that it is no success; its results are written.
+        ExperimentError: If the experiment reports that it is no success, and its results are
+            written; if another run has the folder, or the disk refuses to write.
         Exception: What the experiment raised.
     """
     options_type, run = experiment.load()
     options = parse(options_type, experiment.name, experiment.summary, arguments)
     output = Output(experiment.name, options, arguments)
-    run(options, output)
-    output.finish()
+    with contextlib.closing(output), disk_errors(output.directory):
+        run(options, output)
+        output.finish()
     print_summary(experiment, output)
     if output.failure:
         raise ExperimentError(output.failure)

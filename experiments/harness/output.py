@@ -3,10 +3,12 @@
 import csv
 import dataclasses
 import enum
+import hashlib
 import json
 import os
 import re
 import shutil
+import tempfile
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.harness import provenance
-from experiments.harness.contract import Options
+from experiments.harness import provenance, storage
+from experiments.harness.contract import OptionError, Options
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,11 +27,11 @@ REPLACED = ("metrics.json", "config.json", "run.json", "run.rrd", "figures", "ta
 
 
 class Output:
-    """The result folder OUT/NAME/ of one run.
+    """The result folder OUT/NAME/, which one run has for itself until `finish` or `close`.
 
-    All is written to a hidden folder first and moved into place by `finish`, metrics.json last:
-    a folder with a metrics.json is complete and from one run, and a run that fails leaves the
-    results of the run before it.
+    All is written to a hidden folder of this run first and moved into place by `finish`,
+    metrics.json last: a folder with a metrics.json is complete and from one run, and a run that
+    fails leaves the results of the run before it.
 
     Attributes:
         directory: OUT/NAME.
@@ -43,20 +45,33 @@ class Output:
             name: Name of the experiment.
             options: Options of the run.
             arguments: Words of the command line that gave these options.
+
+        Raises:
+            OptionError: If OUT/NAME is no folder to write to.
+            ExperimentError: If another run has it, or the disk is full.
         """
         self.directory = Path(options.out) / name
         self.failure = ""
         self._name = name
         self._options = options
         self._command = [name, *arguments]
-        self._staging = self.directory / ".partial"
         self._measured: dict[str, Any] = {}
         self._thesis: dict[str, Any] = {}
         self._checks: list[dict[str, Any]] = []
         self._jobs_ready = False
         self._start = time.monotonic()
-        shutil.rmtree(self._staging, ignore_errors=True)
-        self._staging.mkdir(parents=True)
+        try:
+            with storage.disk_errors(self.directory, storage.FULL):
+                self.directory.mkdir(parents=True, exist_ok=True)
+                self._lock = storage.lock(self.directory)
+                for left in self.directory.glob(".partial-*"):  # by runs that were killed
+                    shutil.rmtree(left, ignore_errors=True)
+                self._staging = Path(tempfile.mkdtemp(prefix=".partial-", dir=self.directory))
+        except OSError as error:
+            raise OptionError(
+                f"--out: {error.filename or self.directory}: {error.strerror}; "
+                "choose a folder that can be written to"
+            ) from None
 
     def measure(self, key: str, value: Any, thesis: Any = None) -> None:
         """Store a result, and beside it what the thesis reports.
@@ -147,6 +162,9 @@ class Output:
         if not self._jobs_ready and not self._options.resume:
             shutil.rmtree(directory, ignore_errors=True)
         directory.mkdir(parents=True, exist_ok=True)
+        if not self._jobs_ready:
+            for left in directory.glob(".*.partial"):  # by runs that were killed
+                left.unlink()
         self._jobs_ready = True
         return directory
 
@@ -155,24 +173,40 @@ class Output:
         return {"measured": self._measured, "thesis": self._thesis, "checks": self._checks}
 
     def finish(self) -> None:
-        """Write metrics.json, config.json and run.json and move all results into place."""
+        """Write metrics.json, config.json and run.json, move all into place, and close."""
         names = {entry.name for entry in self._staging.iterdir()}
         run = provenance.describe_run(time.monotonic() - self._start)
-        contents = {
-            "config.json": {"experiment": self._name, **plain(self._options)},
-            "run.json": {"command": self._command, **run},
-            "metrics.json": self.metrics(),
-        }
-        contents["run.json"]["files"] = sorted(names | set(contents))
-        for name, value in contents.items():
-            self.file(name).write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", "utf-8")
-        for name in dict.fromkeys((*REPLACED, *_files_of(self.directory / "run.json"))):
+        metrics = _json(self.metrics())
+        run["files"] = sorted(names | {"config.json", "metrics.json", "run.json"})
+        run["metrics_sha256"] = hashlib.sha256(metrics).hexdigest()
+        self.file("config.json").write_bytes(
+            _json({"experiment": self._name, **plain(self._options)})
+        )
+        self.file("run.json").write_bytes(_json({"command": self._command, **run}))
+        self.file("metrics.json").write_bytes(metrics)
+        for path in self._staging.rglob("*"):
+            storage.sync(path)
+        self._publish()
+        self.close()
+
+    def close(self) -> None:
+        """Release the folder; what `finish` has not moved into place is deleted."""
+        shutil.rmtree(self._staging, ignore_errors=True)
+        self._lock.close()
+
+    def _publish(self) -> None:
+        """Replace the files of the run before.
+
+        A run may be killed at any moment of this. As long as there are files of a run, there is
+        also a run.json that names them, so the next run can take them away.
+        """
+        known = _files_of(self.directory / "run.json")
+        new = [entry.name for entry in self._staging.iterdir()]
+        for name in sorted({*REPLACED, *known, *new}, key=_deletion_order):
             _remove(self.directory / name)
-        for entry in sorted(self._staging.iterdir(), key=lambda path: path.name == "metrics.json"):
-            target = self.directory / entry.name
-            _remove(target)
-            os.replace(entry, target)
-        self._staging.rmdir()
+        for name in sorted(new, key=_deletion_order, reverse=True):
+            os.replace(self._staging / name, self.directory / name)
+            storage.sync(self.directory)
 
 
 def plain(value: Any) -> Any:
@@ -201,11 +235,13 @@ def plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no form in JSON: {value!r}")
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file that no reader finds half written."""
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_bytes(content)
-    os.replace(partial, path)
+def _json(value: Any) -> bytes:
+    return (json.dumps(value, indent=2, allow_nan=False) + "\n").encode()
+
+
+def _deletion_order(name: str) -> int:
+    """Return when a file goes: metrics.json, which says that all is there, first; run.json last."""
+    return {"metrics.json": 0, "run.json": 2}.get(name, 1)
 
 
 def _files_of(run: Path) -> list[str]:

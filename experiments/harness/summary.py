@@ -52,5 +52,5 @@ def print_summary(experiment: Experiment, output: Output) -> None:
         line = escape(f"{check['name']}: {format_number(check['value'])} (bound {check['bound']})")
         console.print(f"{mark} {line}")
     for path in sorted(output.directory.rglob("*")):
-        if path.is_file() and "jobs" not in path.parts:
+        if path.is_file() and path.name != ".lock" and "jobs" not in path.parts:
             console.print(str(path), highlight=False, soft_wrap=True)

@@ -7,8 +7,8 @@ import hashlib
 import importlib
 import io
 import json
+import sys
 import types
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from experiments.harness.contract import ExperimentError, Options
-from experiments.harness.output import Output, plain, write_whole
+from experiments.harness.output import Output, plain
+from experiments.harness.storage import read_checked, write_checked
 
 Config = TypeVar("Config")
 Result = TypeVar("Result")
@@ -39,8 +40,8 @@ def sweep(
     """Run a function over all configurations and return the results in the same order.
 
     Every result is written to OUT/NAME/jobs/ when it arrives, so an interrupted sweep keeps what
-    it has; with ``--resume`` the jobs whose function and configuration are found there are not
-    run again. Workers are fresh processes (never forked), each with one BLAS thread.
+    it has; with ``--resume`` the jobs whose function and configuration are found there, undamaged,
+    are not run again. Workers are fresh processes (never forked), each with one BLAS thread.
 
     Args:
         function: A function of a module (workers import it). Its return annotation says what a
@@ -63,6 +64,8 @@ def sweep(
     keys = [_job_key(function, config) for config in configs]
     paths = {key: directory / f"{key}.npz" for key in keys}
     pending = {key: config for key, config in zip(keys, configs) if _read(paths[key], kind) is None}
+    for damaged in (paths[key] for key in pending if paths[key].exists()):
+        print(f"{damaged}: damaged, so its job runs again", file=sys.stderr)
     with _progress() as progress:
         task = progress.add_task(label, total=len(paths), completed=len(paths) - len(pending))
         for key, result in _results(function, pending, options):
@@ -159,23 +162,24 @@ def _job_key(function: Callable[..., Any], config: Any) -> str:
 
 
 def _write(path: Path, config: Any, result: Any) -> None:
-    """Write one job: its arrays as they are, all else as JSON text; never half written."""
+    """Write one job: its arrays as they are, all else as JSON text."""
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"config": plain(config), "result": _stored(result, arrays)})
     stream = io.BytesIO()
     np.savez(stream, allow_pickle=False, json=np.array(text), **arrays)
-    write_whole(path, stream.getvalue())
+    write_checked(path, stream.getvalue())
 
 
 def _read(path: Path, kind: Any) -> tuple[Any] | None:
     """Read one job's result (in a tuple, as it may be None); None if missing or damaged."""
+    content = read_checked(path)
+    if content is None:
+        return None
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with np.load(io.BytesIO(content), allow_pickle=False) as stored:
             result = json.loads(str(stored["json"]))["result"]
             return (_restored(result, kind, {name: stored[name] for name in stored.files}),)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return None
-    except TypeError as error:
+    except (TypeError, ValueError, KeyError) as error:
         raise ExperimentError(
             f"{path}: of a version with other results ({error}); run again without --resume"
         ) from None

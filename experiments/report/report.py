@@ -7,7 +7,7 @@ from pathlib import Path
 from experiments.harness import catalogue
 from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError
-from experiments.harness.output import write_whole
+from experiments.harness.storage import write_whole
 from experiments.report.page import page
 from experiments.report.results import read_results
 

@@ -1,6 +1,7 @@
 """Result folders as the report reads them."""
 
 import dataclasses
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -50,9 +51,14 @@ def read_result(folder: Path) -> Result:
     """
     entry = catalogue.EXPERIMENTS.get(folder.name)
     contents = {name: _read_json(folder / f"{name}.json") for name in ("metrics", "config", "run")}
+    path = folder / "metrics.json"
+    # Runs of earlier versions have no digest.
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    if contents["run"].get("metrics_sha256", digest) != digest:
+        raise ExperimentError(f"{path}: not as its run has written it; run the experiment again")
     for part, kind in (("measured", dict), ("thesis", dict), ("checks", list)):
         if not isinstance(contents["metrics"].get(part), kind):
-            raise ExperimentError(f"{folder / 'metrics.json'}: {part!r} is missing or no {kind}")
+            raise ExperimentError(f"{path}: {part!r} is missing or no {kind}")
     return Result(
         name=folder.name,
         title=entry.summary if entry else folder.name,

@@ -1,6 +1,10 @@
+import errno
 import json
+import os
+import resource
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -40,7 +44,7 @@ def test_process_leaves_all_files_and_status_0(tmp_path):
     assert (folder / "figures" / "figure_2-4.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "tables" / "table_2-1.csv").read_text().startswith("mass [kg],error [%]\n")
     assert (folder / "run.rrd").read_bytes() == b"recording"
-    assert not (folder / ".partial").exists()
+    assert not list(folder.glob(".partial*"))
     assert "error is small" in done.stdout and "figure_2-4.png" in done.stdout
 
 
@@ -99,6 +103,65 @@ def test_failure_gives_status_1_and_keeps_the_results_before_it(tmp_path, capsys
     assert "Traceback" in error and error.splitlines()[-1].startswith("error: tiny failed: KeyErr")
     assert call("tiny", "--out", tmp_path, "--fault", "interrupt") == 130
     assert (tmp_path / "tiny" / "metrics.json").read_text() == before
+
+
+@pytest.mark.parametrize("inside", ["", "folder"])
+def test_a_file_as_folder_of_results_gives_one_line_and_status_2(tmp_path, capsys, inside):
+    (tmp_path / "file").write_text("mine")
+    assert call("tiny", "--out", tmp_path / "file" / inside) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and f"{tmp_path / 'file'}" in error and "choose a folder" in error
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_folder_without_write_permission_gives_one_line_and_status_2(tmp_path, capsys):
+    (tmp_path / "theirs").mkdir(0o555)
+    user = os.geteuid()
+    if user == 0:  # Permissions do not bind root.
+        os.seteuid(65534)
+    try:
+        assert call("tiny", "--out", tmp_path / "theirs") == 2
+    finally:
+        os.seteuid(user)
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and f"{tmp_path / 'theirs'}" in error
+    assert "Permission denied" in error
+
+
+@pytest.mark.parametrize(
+    ("refusal", "status"), [(errno.EROFS, 2), (errno.EDQUOT, 1), (errno.ENOSPC, 1)]
+)
+def test_a_disk_that_refuses_at_the_start_gives_one_line(
+    tmp_path, capsys, monkeypatch, refusal, status
+):
+    def refuse(path, *_, **__):
+        raise OSError(refusal, os.strerror(refusal), str(path))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    assert call("tiny", "--out", tmp_path) == status
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"{tmp_path / 'tiny'}: {os.strerror(refusal)}; " in error
+
+
+def test_a_disk_that_fills_gives_one_line_and_leaves_the_results_before(tmp_path):
+    assert call("tiny", "--out", tmp_path, "--seed", "1") == 0
+    folder = tmp_path / "tiny"
+    before = {path: path.read_bytes() for path in folder.rglob("*.*") if path.is_file()}
+    words = ["tiny", "--out", str(tmp_path), "--seed", "2"]
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.experiments.harness.tiny", *words],
+        check=False,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000)),  # noqa: PLW1509
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1 and f"{folder}" in done.stderr
+    assert "File too large; what was recorded before is kept" in done.stderr
+    del before[folder / ".lock"]
+    assert {path: path.read_bytes() for path in before} == before
+    assert not list(folder.glob(".partial*"))
 
 
 def test_help_lists_units_and_ends_with_status_0(capsys):

@@ -1,12 +1,14 @@
 import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from experiments.harness import output as output_module
 from experiments.harness.catalogue import EXPERIMENTS
-from experiments.harness.contract import Options
+from experiments.harness.contract import ExperimentError, Options
 from experiments.harness.output import Output, plain
 from experiments.harness.summary import print_summary
 
@@ -45,6 +47,103 @@ def test_a_film_of_the_previous_run_is_deleted_and_other_files_stay(output, tmp_
     assert (output.directory / "notes.txt").read_text() == "mine"
     (output.directory / "run.json").write_text('{"files": 3}')
     Output("tiny", Options(out=tmp_path)).finish()
+
+
+class Killed(BaseException):
+    """Stands for the end of the process."""
+
+
+def count_down(function, steps):
+    """Return a function that works until the steps are used up; then the process is dead."""
+
+    def step(*words):
+        if next(steps, None) is None:
+            raise Killed
+        return function(*words)
+
+    return step
+
+
+def write_run(out, seed):
+    """Publish a run with a file that only this seed has."""
+    output = Output("tiny", Options(out=out, seed=seed))
+    output.measure("seed", seed)
+    output.table(f"table_{seed}", ["a"], [[seed]])
+    output.file(f"film_{seed}.gif").write_bytes(b"film")
+    try:
+        output.finish()
+    except Killed:
+        output._lock.close()  # as the kernel does
+        raise
+
+
+def test_a_run_that_is_killed_while_it_publishes_leaves_nothing_in_the_next(tmp_path, monkeypatch):
+    remove, replace = output_module._remove, os.replace
+    write_run(tmp_path, 0)
+    for moment in range(1000):
+        steps = iter(range(moment))
+        monkeypatch.setattr(output_module, "_remove", count_down(remove, steps))
+        monkeypatch.setattr(os, "replace", count_down(replace, steps))
+        try:
+            write_run(tmp_path, 1)
+            whole = True
+        except Killed:
+            whole = False
+        monkeypatch.undo()
+        folder = tmp_path / "tiny"
+        if (folder / "metrics.json").exists():
+            seed = json.loads((folder / "metrics.json").read_text())["measured"]["seed"]
+            assert names(folder) == expected_names(seed)
+        write_run(tmp_path, 2)
+        assert names(folder) == expected_names(2)
+        if whole:
+            break
+    assert moment > 10
+
+
+def names(folder):
+    """Return the files of a folder that are not hidden, or hidden in a hidden folder."""
+    paths = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
+    return {str(path.relative_to(folder)) for path in paths if ".partial" not in str(path)}
+
+
+def expected_names(seed):
+    own = {f"film_{seed}.gif", f"tables/table_{seed}.csv"}
+    return {"metrics.json", "config.json", "run.json", *own}
+
+
+def test_a_folder_is_one_run_s_until_it_ends(output, tmp_path):
+    with pytest.raises(ExperimentError, match="tiny: in use by process"):
+        Output("tiny", Options(out=tmp_path))
+    output.file("film.gif").write_bytes(b"film")
+    output.close()
+    assert names(output.directory) == set()
+    again = Output("tiny", Options(out=tmp_path))
+    again.finish()
+    assert [path.name for path in output.directory.glob(".*")] == [".lock"]
+
+
+def test_two_runs_never_write_to_the_same_temporary_file(output, tmp_path):
+    first = output.file("run.rrd")
+    output.close()
+    assert Output("tiny", Options(out=tmp_path)).file("run.rrd") != first
+
+
+def test_all_is_on_the_disk_before_the_old_results_go(output, monkeypatch):
+    output.figure("figure_1", Figure())
+    synced, remove, fsync = set(), output_module._remove, os.fsync
+
+    def note(descriptor):
+        synced.add(Path(os.readlink(f"/proc/self/fd/{descriptor}")).name)
+        fsync(descriptor)
+
+    def check(path):
+        assert {"figure_1.png", "figures", "config.json", "run.json", "metrics.json"} <= synced
+        remove(path)
+
+    monkeypatch.setattr(os, "fsync", note)
+    monkeypatch.setattr(output_module, "_remove", check)
+    output.finish()
 
 
 def test_what_is_not_a_number_becomes_null(output):

@@ -1,5 +1,8 @@
+import contextlib
 import dataclasses
+import errno
 import importlib
+import os
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +23,8 @@ def configs(folder, count, fatal=-1):
 
 def go(folder, jobs_list, **options):
     run = Options(out=folder, **options)
-    return sweep(draw, jobs_list, run, Output("tiny", run))
+    with contextlib.closing(Output("tiny", run)) as output:
+        return sweep(draw, jobs_list, run, output)
 
 
 def calls(folder):
@@ -51,18 +55,75 @@ def test_interrupted_sweep_keeps_what_it_has_and_resumes(tmp_path):
     assert len(results) == 6 and calls(tmp_path) - before == 2
 
 
-def test_resume_ignores_other_configurations_and_damaged_files(tmp_path):
+def test_resume_ignores_other_configurations(tmp_path):
     go(tmp_path, configs(tmp_path, 3), jobs=1)
     changed = [{**config, "seed": 99} for config in configs(tmp_path, 1)]
     before = calls(tmp_path)
     results = go(tmp_path, [*changed, *configs(tmp_path, 3)], jobs=1, resume=True)
     assert calls(tmp_path) - before == 1
     assert not np.array_equal(results[0].numbers, results[1].numbers)
-    for path in (tmp_path / "tiny" / "jobs").iterdir():
-        path.write_bytes(path.read_bytes()[:50])
+
+
+@pytest.mark.parametrize("damage", ["empty", "short", "long", "flipped"])
+def test_resume_runs_damaged_jobs_anew_and_names_their_files(tmp_path, capsys, damage):
+    first = go(tmp_path, configs(tmp_path, 3), jobs=1)
+    paths = sorted((tmp_path / "tiny" / "jobs").iterdir())
+    for path in paths[:2]:
+        whole = path.read_bytes()
+        middle = len(whole) // 2
+        flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
+        path.write_bytes(
+            {"empty": b"", "short": whole[:-1], "long": whole + b"x", "flipped": flipped}[damage]
+        )
     before = calls(tmp_path)
-    go(tmp_path, configs(tmp_path, 3), jobs=1, resume=True)
-    assert calls(tmp_path) - before == 3
+    capsys.readouterr()
+    again = go(tmp_path, configs(tmp_path, 3), jobs=1, resume=True)
+    assert calls(tmp_path) - before == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "damaged" in line]
+    assert sorted(lines) == [f"{path}: damaged, so its job runs again" for path in paths[:2]]
+    for a, b in zip(first, again):
+        assert np.array_equal(a.numbers, b.numbers) and a.sum == b.sum
+
+
+def test_a_full_disk_keeps_the_jobs_before_and_names_the_file(tmp_path, monkeypatch):
+    expected = go(tmp_path / "other", configs(tmp_path, 4), jobs=1)
+    fsync, left = os.fsync, iter(range(2))
+
+    def full(descriptor):
+        if next(left, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ExperimentError, match=r"[0-9a-f]{20}\.npz: No space left on device; "):
+        go(tmp_path, configs(tmp_path, 4), jobs=1)
+    monkeypatch.undo()
+    assert len(list((tmp_path / "tiny" / "jobs").iterdir())) == 2
+    before = calls(tmp_path)
+    results = go(tmp_path, configs(tmp_path, 4), jobs=1, resume=True)
+    assert calls(tmp_path) - before == 2
+    assert [each.sum for each in results] == [each.sum for each in expected]
+
+
+def test_what_a_killed_run_was_writing_is_taken_away(tmp_path):
+    go(tmp_path, configs(tmp_path, 1), jobs=1)
+    jobs = tmp_path / "tiny" / "jobs"
+    (jobs / ".1234.npz.77.partial").write_bytes(b"half")
+    go(tmp_path, configs(tmp_path, 1), jobs=1, resume=True)
+    assert [path.suffix for path in jobs.iterdir()] == [".npz"]
+
+
+def test_a_job_that_wrote_a_file_for_its_run_runs_again_for_the_next(tmp_path):
+    for _ in range(2):
+        run = Options(out=tmp_path, jobs=1, resume=True)
+        output = Output("tiny", run)
+        sweep(write_file, [str(output.file("run.rrd"))], run, output)
+        output.finish()
+        assert (tmp_path / "tiny" / "run.rrd").read_text() == "film"
+
+
+def write_file(path) -> int:
+    return Path(path).write_text("film")
 
 
 def test_resuming_results_of_another_shape_is_reported_in_one_line(tmp_path, monkeypatch):

@@ -96,6 +96,7 @@ def run(options, output):
     figure.add_subplot().plot([1, 2])
     output.figure("figure_2-4", figure)
     output.table("table_2-1", ["mass [kg]", "error [%]"], [[1.0, 2], [options.mass, 3]])
+    output.file(f"only_of_seed_{options.seed}.txt").write_text("x")
     output.file("run.rrd").write_bytes(b"recording" if options.record else b"")
 
 

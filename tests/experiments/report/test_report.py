@@ -45,6 +45,18 @@ def test_damaged_result_is_named(tmp_path):
         write_report(tmp_path)
 
 
+def test_a_changed_digit_is_noticed_and_runs_without_a_digest_are_taken(tmp_path):
+    assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
+    metrics, run = tmp_path / "tiny" / "metrics.json", tmp_path / "tiny" / "run.json"
+    metrics.write_text(metrics.read_text().replace("12.5", "13.5"))
+    with pytest.raises(ExperimentError, match=r"metrics\.json: not as its run has written it"):
+        write_report(tmp_path)
+    contents = json.loads(run.read_text())
+    del contents["metrics_sha256"]
+    run.write_text(json.dumps(contents))
+    assert "13.5" in write_report(tmp_path).read_text()
+
+
 @pytest.mark.parametrize("name", ["figures/figure_2-4.png", "tables/table_2-1.csv"])
 def test_damaged_picture_or_table_is_named(tmp_path, name):
     assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
