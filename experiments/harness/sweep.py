@@ -1,12 +1,15 @@
 """One function run over many configurations, in parallel, each result kept as it arrives."""
 
 import contextlib
+import ctypes
 import dataclasses
 import enum
 import hashlib
 import importlib
 import io
 import json
+import os
+import signal
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,6 +30,7 @@ Config = TypeVar("Config")
 Result = TypeVar("Result")
 
 CONNECT_TIMEOUT = 10.0  # [s] to reach a Dask scheduler
+PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 def sweep(
@@ -41,7 +45,8 @@ def sweep(
 
     Every result is written to OUT/NAME/jobs/ when it arrives, so an interrupted sweep keeps what
     it has; with ``--resume`` the jobs whose function and configuration are found there, undamaged,
-    are not run again. Workers are fresh processes (never forked), each with one BLAS thread.
+    are not run again. Workers are fresh processes (never forked), each with one BLAS thread; on
+    Linux they end with the process, and the thread, that called this.
 
     Args:
         function: A function of a module (workers import it). Its return annotation says what a
@@ -133,7 +138,12 @@ def _job(function: Callable[[Config], Result], key: str, config: Config) -> tupl
 @contextlib.contextmanager
 def _backend(options: Options) -> Iterator[None]:
     if options.backend == "loky":
-        with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
+        with joblib.parallel_config(
+            backend="loky",
+            inner_max_num_threads=1,
+            initializer=_end_with_parent,
+            initargs=(os.getpid(),),
+        ):
             yield
         return
     try:
@@ -148,6 +158,18 @@ def _backend(options: Options) -> Iterator[None]:
         raise ExperimentError(f"--scheduler {options.scheduler}: {error}") from None
     with client, joblib.parallel_config(backend="dask"):
         yield
+
+
+def _end_with_parent(parent: int) -> None:
+    """Have the kernel end this process when its parent dies; in the worker.
+
+    A worker would finish its job for nobody, and then wait for minutes. A thread that watches the
+    parent would not do: compiled code may keep the interpreter's lock from it.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+        if os.getppid() != parent:  # It died before.
+            os._exit(1)
 
 
 def _progress() -> Progress:

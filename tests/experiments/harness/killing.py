@@ -1,4 +1,4 @@
-"""Experiments that are killed at a random time, and what is left of them."""
+"""Experiments that are killed, run twice at once or damaged, and what is left of them."""
 
 import contextlib
 import dataclasses
@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -41,16 +42,7 @@ def run(words, out, after=None):
         after: Signal, whether all of its processes get it, and a function that decides from the
             seconds since the start when to send it; None lets the run end.
     """
-    process = subprocess.Popen(
-        [sys.executable, "-m", *words, "--out", str(out)],
-        start_new_session=True,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        # A shell lets what it starts in the background ignore Ctrl-C, and that is inherited.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
-    )
-    try:
+    with started(words, out) as process:
         if after is not None:
             number, everyone, when = after
             start = time.monotonic()
@@ -59,10 +51,52 @@ def run(words, out, after=None):
             if process.poll() is None:
                 (os.killpg if everyone else os.kill)(process.pid, number)
         return process.wait(PATIENCE)
-    finally:  # nothing of it outlives its trial
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+
+
+@contextlib.contextmanager
+def started(words, out, errors=subprocess.DEVNULL):
+    """Start ``python -m WORDS --out OUT`` in a session of its own, which ends with the block.
+
+    Args:
+        words: Module and arguments.
+        out: Folder of results.
+        errors: Receives what it prints as errors.
+    """
+    with subprocess.Popen(
+        [sys.executable, "-m", *words, "--out", str(out)],
+        start_new_session=True,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=errors,
+        text=True,
+        # A shell lets what it starts in the background ignore Ctrl-C, and that is inherited.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
+    ) as process:
+        try:
+            yield process
+        finally:  # nothing of it outlives its trial
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+
+def living(session):
+    """Return the processes of a session that live, by number; Linux only."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, own = path.read_text().rpartition(")")[2].split()[:4]
+            if int(own) == session and state != "Z":
+                found.append(int(path.parent.name))
+    return found
+
+
+def wait_until(condition):
+    """Wait for a condition and return how long it took [s]."""
+    start = time.monotonic()
+    while not condition():
+        assert time.monotonic() - start < PATIENCE
+        time.sleep(0.01)
+    return time.monotonic() - start
 
 
 def kill_and_resume(words, name, out, after):

@@ -3,7 +3,15 @@ import signal
 import numpy as np
 import pytest
 
-from tests.experiments.harness.killing import draw, finished, kill_and_resume, run
+from tests.experiments.harness.killing import (
+    draw,
+    finished,
+    kill_and_resume,
+    living,
+    run,
+    started,
+    wait_until,
+)
 
 WORDS = ["tests.experiments.harness.tiny", "tiny", "--sweep", "12"]
 SPAN = 4.0
@@ -30,3 +38,14 @@ def test_an_interrupted_run_ends_with_status_130_and_keeps_what_it_has(tmp_path)
     trial = kill_and_resume(words, "tiny", tmp_path, (signal.SIGINT, True, some))
     assert trial.status == 130  # noqa: PLR2004
     assert 3 <= trial.finished < 30 and trial.lost == 0  # noqa: PLR2004
+
+
+@pytest.mark.slow
+def test_the_workers_of_a_killed_sweep_end_with_it(tmp_path):
+    words = [*WORDS[:-1], "90", "--jobs", "2"]
+    with started(words, tmp_path) as process:
+        wait_until(lambda: finished(tmp_path / "tiny") >= 1)
+        assert len(living(process.pid)) > 2  # noqa: PLR2004
+        process.kill()
+        process.wait()
+        assert wait_until(lambda: not living(process.pid)) < 5  # noqa: PLR2004
