@@ -160,7 +160,7 @@ class Output:
         """Return OUT/NAME/jobs, emptied on first use unless the run resumes another."""
         directory = self.directory / "jobs"
         if not self._jobs_ready and not self._options.resume:
-            shutil.rmtree(directory, ignore_errors=True)
+            _remove(directory)
         directory.mkdir(parents=True, exist_ok=True)
         if not self._jobs_ready:
             for left in directory.glob(".*.partial"):  # by runs that were killed

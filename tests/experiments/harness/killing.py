@@ -2,18 +2,28 @@
 
 import contextlib
 import dataclasses
-import io
+import hashlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
+from experiments.__main__ import main
+from experiments.harness.contract import Options
+from experiments.harness.output import Output, plain
+from experiments.harness.storage import read_checked
+from experiments.harness.sweep import sweep
+from tests.experiments.harness import tiny
 
+WORDS = ["tests.experiments.harness.tiny", "tiny", "--sweep", "12"]
+SPAN = 4.0
+"""From before the first job until after the last, on most machines [s]."""
 PATIENCE = 300.0  # [s] for one run
+DIFFERENT = ("out", "resume", "jobs")  # options that change no result
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,13 +34,13 @@ class Trial:
         status: Exit status of the killed run, as `subprocess` reports it.
         finished: Jobs whose results were stored when it died.
         lost: Finished jobs that are gone, damaged or were repeated by the resumed run.
-        metrics: metrics.json of the resumed run.
+        published: What the resumed run published, see `published`.
     """
 
     status: int
     finished: int
     lost: int
-    metrics: dict
+    published: dict
 
 
 def run(words, out, after=None):
@@ -112,14 +122,94 @@ def kill_and_resume(words, name, out, after):
     before = _jobs(out / name)
     # A folder that holds metrics.json is complete.
     if (out / name / "metrics.json").exists():
-        json.loads((out / name / "metrics.json").read_text())
+        published(out / name)
     resumed = run([*words, "--resume"], out)
     assert resumed == 0, f"the resumed run ended with status {resumed}"
     after_it = _jobs(out / name)
     lost = sum(after_it.get(job) != kept for job, kept in before.items())
-    lost += sum(not _readable(data) for _, data in before.values())
-    metrics = json.loads((out / name / "metrics.json").read_text())
-    return Trial(status, len(before), lost, metrics)
+    lost += sum(read_checked(out / name / "jobs" / job) is None for job in before)
+    return Trial(status, len(before), lost, published(out / name))
+
+
+def undisturbed(out, seed=0):
+    """Return what an undisturbed run of `WORDS` publishes, see `published`."""
+    words = [*WORDS[1:], "--jobs", "1", "--seed", str(seed), "--out", str(out)]
+    assert main(words, tiny.CATALOGUE) == 0
+    return published(out / "tiny")
+
+
+def run_two(words, seeds, out, delay):
+    """Start a second run with another seed into the folder of a first one.
+
+    Args:
+        words: Module and arguments.
+        seeds: Seed of either run.
+        out: Folder of results.
+        delay: Function that waits until the second run is to start.
+
+    Returns:
+        Exit status of either run, what either printed as errors, and the first one's process.
+    """
+    with tempfile.TemporaryFile("w+") as one, tempfile.TemporaryFile("w+") as two:
+        with started([*words, "--seed", str(seeds[0])], out, one) as first:
+            delay()
+            with started([*words, "--seed", str(seeds[1])], out, two) as second:
+                statuses = first.wait(PATIENCE), second.wait(PATIENCE)
+        one.seek(0)
+        two.seek(0)
+        return statuses, (one.read(), two.read()), first.pid
+
+
+def published(folder):
+    """Return each file of a complete result folder, without what differs between equal runs."""
+    paths = {str(path.relative_to(folder)): path for path in folder.rglob("*") if path.is_file()}
+    shown = {
+        name: path.read_bytes()
+        for name, path in paths.items()
+        if not name.startswith((".", "jobs/"))
+    }
+    config, run = json.loads(shown["config.json"]), json.loads(shown["run.json"])
+    assert run["metrics_sha256"] == hashlib.sha256(shown["metrics.json"]).hexdigest()
+    shown["config.json"] = {key: config[key] for key in config if key not in DIFFERENT}
+    shown["run.json"] = run["files"]
+    return shown
+
+
+def damage_and_resume(folder, count, rng):
+    """Flip a random bit of a job file and resume the sweep, again and again.
+
+    Args:
+        folder: Empty folder of results.
+        count: Number of flipped bits.
+        rng: Random generator for files and bits.
+
+    Returns:
+        How often the damage was noticed, how often the results were the undisturbed ones, and
+        how often the job file was afterwards as before.
+    """
+    configs = [{"folder": str(folder), "index": i, "fatal": -1, "seed": i} for i in range(3)]
+    first = _swept(configs, folder, False)
+    paths = sorted((folder / "tiny" / "jobs").glob("*.npz"))
+    calls = folder / "calls"
+    noticed = right = mended = 0
+    for _ in range(count):
+        path = paths[rng.integers(len(paths))]
+        whole, before = path.read_bytes(), calls.stat().st_size
+        bit = int(rng.integers(8 * len(whole)))
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        right += _swept(configs, folder, True) == first
+        noticed += calls.stat().st_size == before + 1
+        mended += path.read_bytes() == whole
+    return noticed, right, mended
+
+
+def _swept(configs, folder, resume):
+    """Return the results of a sweep as plain values."""
+    options = Options(out=folder, jobs=1, resume=resume)
+    with contextlib.closing(Output("tiny", options)) as output:
+        return plain(sweep(tiny.draw, configs, options, output))
 
 
 def duration(words, out):
@@ -149,8 +239,3 @@ def _jobs(folder):
     """Return time and contents of each job that is kept."""
     paths = (folder / "jobs").glob("*.npz") if (folder / "jobs").exists() else ()
     return {path.name: (path.stat().st_mtime_ns, path.read_bytes()) for path in paths}
-
-
-def _readable(data):
-    with np.load(io.BytesIO(data), allow_pickle=False) as stored:
-        return "result" in json.loads(str(stored["json"]))

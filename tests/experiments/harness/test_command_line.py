@@ -46,6 +46,7 @@ def test_process_leaves_all_files_and_status_0(tmp_path):
     assert (folder / "run.rrd").read_bytes() == b"recording"
     assert not list(folder.glob(".partial*"))
     assert "error is small" in done.stdout and "figure_2-4.png" in done.stdout
+    assert "/." not in done.stdout  # no hidden file
 
 
 def test_same_seed_gives_same_metrics(tmp_path):

@@ -3,32 +3,32 @@ import signal
 import numpy as np
 import pytest
 
+from experiments.__main__ import main
 from tests.experiments.harness.killing import (
+    PATIENCE,
+    SPAN,
+    WORDS,
+    damage_and_resume,
     draw,
     finished,
     kill_and_resume,
     living,
-    run,
+    published,
     started,
+    undisturbed,
     wait_until,
 )
-
-WORDS = ["tests.experiments.harness.tiny", "tiny", "--sweep", "12"]
-SPAN = 4.0
-"""From before the first job until after the last, on most machines [s]."""
+from tests.experiments.harness.tiny import CATALOGUE
 
 
 @pytest.mark.slow
 def test_a_killed_run_loses_no_finished_job_and_resumes_to_the_same_metrics(tmp_path):
     rng = np.random.default_rng(8)
-    assert run([*WORDS, "--jobs", "1"], tmp_path / "whole") == 0
-    whole = (tmp_path / "whole" / "tiny" / "metrics.json").read_text()
-    for index, workers in enumerate((1, 2)):
-        out = tmp_path / str(index)
+    for workers in (1, 2):
         words = [*WORDS, "--jobs", str(workers)]
-        trial = kill_and_resume(words, "tiny", out, draw(rng, SPAN))
+        trial = kill_and_resume(words, "tiny", tmp_path / str(workers), draw(rng, SPAN))
         assert trial.lost == 0
-        assert (out / "tiny" / "metrics.json").read_text() == whole
+        assert trial.published == undisturbed(tmp_path / "whole")
 
 
 @pytest.mark.slow
@@ -49,3 +49,24 @@ def test_the_workers_of_a_killed_sweep_end_with_it(tmp_path):
         process.kill()
         process.wait()
         assert wait_until(lambda: not living(process.pid)) < 5  # noqa: PLR2004
+
+
+@pytest.mark.slow
+def test_a_second_run_into_a_folder_is_refused_and_the_first_goes_on(tmp_path, capsys):
+    words = [*WORDS, "--jobs", "1"]
+    folder = tmp_path / "tiny"
+    with started([*words, "--seed", "1"], tmp_path) as first:
+        wait_until(lambda: finished(folder) >= 1)
+        assert main([*words[1:], "--seed", "2", "--out", str(tmp_path)], CATALOGUE) == 1
+        assert first.wait(PATIENCE) == 0
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith(f"error: {folder}: in use by process {first.pid} on ")
+    assert "only_of_seed_1.txt" in published(folder)
+    assert "only_of_seed_2.txt" not in published(folder)
+
+
+@pytest.mark.chosen_seed  # One draw of a bit for each damaged file.
+def test_a_flipped_bit_of_a_job_file_is_noticed_and_its_job_runs_again(tmp_path):
+    """`check_killing.py` flips more of them."""
+    assert damage_and_resume(tmp_path, 50, np.random.default_rng(0)) == (50, 50, 50)

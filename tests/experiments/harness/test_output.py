@@ -7,6 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from experiments.harness import output as output_module
+from experiments.harness import provenance
 from experiments.harness.catalogue import EXPERIMENTS
 from experiments.harness.contract import ExperimentError, Options
 from experiments.harness.output import Output, plain
@@ -79,23 +80,24 @@ def write_run(out, seed):
 
 def test_a_run_that_is_killed_while_it_publishes_leaves_nothing_in_the_next(tmp_path, monkeypatch):
     remove, replace = output_module._remove, os.replace
+    monkeypatch.setattr(provenance, "describe_run", lambda _: {})  # asks git
     write_run(tmp_path, 0)
     for moment in range(1000):
         steps = iter(range(moment))
-        monkeypatch.setattr(output_module, "_remove", count_down(remove, steps))
-        monkeypatch.setattr(os, "replace", count_down(replace, steps))
-        try:
-            write_run(tmp_path, 1)
-            whole = True
-        except Killed:
-            whole = False
-        monkeypatch.undo()
+        with monkeypatch.context() as dying:
+            dying.setattr(output_module, "_remove", count_down(remove, steps))
+            dying.setattr(os, "replace", count_down(replace, steps))
+            try:
+                write_run(tmp_path, 1)
+                whole = True
+            except Killed:
+                whole = False
         folder = tmp_path / "tiny"
         if (folder / "metrics.json").exists():
             seed = json.loads((folder / "metrics.json").read_text())["measured"]["seed"]
             assert names(folder) == expected_names(seed)
         write_run(tmp_path, 2)
-        assert names(folder) == expected_names(2)
+        assert names(folder) == expected_names(2) and not list(folder.glob(".partial-*"))
         if whole:
             break
     assert moment > 10
@@ -144,6 +146,7 @@ def test_all_is_on_the_disk_before_the_old_results_go(output, monkeypatch):
     monkeypatch.setattr(os, "fsync", note)
     monkeypatch.setattr(output_module, "_remove", check)
     output.finish()
+    assert "tiny" in synced  # the folder itself: its new names
 
 
 def test_what_is_not_a_number_becomes_null(output):

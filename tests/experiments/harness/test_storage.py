@@ -40,7 +40,7 @@ def test_a_folder_in_use_names_process_host_and_time_and_is_free_when_its_owner_
 
 def test_every_flipped_bit_and_every_missing_end_is_noticed(tmp_path):
     path = tmp_path / "file"
-    content = np.random.default_rng(0).bytes(40)
+    content = np.random.default_rng(0).bytes(8)
     write_checked(path, content)
     whole = path.read_bytes()
     assert read_checked(path) == content and list(tmp_path.iterdir()) == [path]
@@ -49,7 +49,7 @@ def test_every_flipped_bit_and_every_missing_end_is_noticed(tmp_path):
         damaged[bit // 8] ^= 1 << bit % 8
         path.write_bytes(damaged)
         assert read_checked(path) is None
-    for damaged in (*(whole[:size] for size in range(len(whole))), whole + b"\0", bytes(72)):
+    for damaged in (*(whole[:size] for size in range(len(whole))), whole + b"\0", bytes(40)):
         path.write_bytes(damaged)
         assert read_checked(path) is None
     path.unlink()
