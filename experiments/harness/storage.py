@@ -7,6 +7,7 @@ import fcntl
 import hashlib
 import os
 import platform
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TextIO
@@ -33,21 +34,29 @@ def lock(folder: Path) -> TextIO:
         ExperimentError: If another run has it.
         OSError: If the lock file cannot be written.
     """
-    stream = (folder / ".lock").open("a+", encoding="utf-8")
+    path = folder / ".lock"
+    stream = path.open("a", encoding="utf-8")
     try:
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        with stream:
-            stream.seek(0)
-            owner = stream.read() or "another run"
+        stream.close()
         raise ExperimentError(
-            f"{folder}: in use by {owner}; wait for its end or choose another --out"
+            f"{folder}: in use by {_owner(path)}; wait for its end or choose another --out"
         ) from None
     since = datetime.datetime.now().astimezone().isoformat(" ", "seconds")
     stream.truncate(0)
     stream.write(f"process {os.getpid()} on {platform.node()} since {since}")
     stream.flush()
     return stream
+
+
+def _owner(path: Path) -> str:
+    """Return what a lock file says of its owner, who may be about to write it."""
+    for _ in range(100):
+        if words := path.read_text(encoding="utf-8"):
+            return words
+        time.sleep(0.01)
+    return "another run"
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -36,6 +37,20 @@ def test_a_folder_in_use_names_process_host_and_time_and_is_free_when_its_owner_
         with pytest.raises(ExperimentError, match=f"in use by process {os.getpid()} on"):
             storage.lock(tmp_path)
     storage.lock(tmp_path).close()
+
+
+def test_an_owner_who_is_about_to_say_who_it_is_is_waited_for(tmp_path, monkeypatch):
+    with storage.lock(tmp_path):
+        path = tmp_path / ".lock"
+        words = path.read_text()
+        path.write_text("")
+        monkeypatch.setattr(time, "sleep", lambda _: path.write_text(words))
+        with pytest.raises(ExperimentError, match=f"in use by process {os.getpid()} on"):
+            storage.lock(tmp_path)
+        monkeypatch.setattr(time, "sleep", lambda _: path.write_text(""))
+        path.write_text("")
+        with pytest.raises(ExperimentError, match="in use by another run; "):
+            storage.lock(tmp_path)
 
 
 def test_every_flipped_bit_and_every_missing_end_is_noticed(tmp_path):
