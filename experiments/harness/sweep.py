@@ -1,7 +1,6 @@
 """One function run over many configurations, in parallel, each result kept as it arrives."""
 
 import contextlib
-import ctypes
 import dataclasses
 import enum
 import hashlib
@@ -9,7 +8,6 @@ import importlib
 import io
 import json
 import os
-import signal
 import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,12 +23,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from experiments.harness.contract import ExperimentError, Options
 from experiments.harness.output import Output, plain
 from experiments.harness.storage import read_checked, write_checked
+from twin.hardware.background import end_with_parent
 
 Config = TypeVar("Config")
 Result = TypeVar("Result")
 
 CONNECT_TIMEOUT = 10.0  # [s] to reach a Dask scheduler
-PR_SET_PDEATHSIG = 1  # prctl(2)
 
 
 def sweep(
@@ -141,7 +139,7 @@ def _backend(options: Options) -> Iterator[None]:
         with joblib.parallel_config(
             backend="loky",
             inner_max_num_threads=1,
-            initializer=_end_with_parent,
+            initializer=end_with_parent,  # Else workers finish their jobs for nobody.
             initargs=(os.getpid(),),
         ):
             yield
@@ -158,18 +156,6 @@ def _backend(options: Options) -> Iterator[None]:
         raise ExperimentError(f"--scheduler {options.scheduler}: {error}") from None
     with client, joblib.parallel_config(backend="dask"):
         yield
-
-
-def _end_with_parent(parent: int) -> None:
-    """Have the kernel end this process when its parent dies; in the worker.
-
-    A worker would finish its job for nobody, and then wait for minutes. A thread that watches the
-    parent would not do: compiled code may keep the interpreter's lock from it.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
-        if os.getppid() != parent:  # It died before.
-            os._exit(1)
 
 
 def _progress() -> Progress:

@@ -1,8 +1,29 @@
-"""Threads that repeat a step beside the main one."""
+"""Threads and processes beside the main one."""
 
 import contextlib
+import ctypes
+import os
+import signal
+import sys
 import threading
 from collections.abc import Callable, Generator
+
+PR_SET_PDEATHSIG = 1  # prctl(2)
+
+
+def end_with_parent(parent: int) -> None:
+    """Have the kernel end this process when its parent dies, on Linux.
+
+    A thread that watches the parent would not do: compiled code may keep the interpreter's lock
+    from it.
+
+    Args:
+        parent: Process whose present thread started this one.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+        if os.getppid() != parent:  # It died before.
+            os._exit(1)
 
 
 @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 Without ``--realtime`` the physics stand still until a line on the standard input says
 ``{"do": "tick"}``: time passes out of band, never by a command on the bus, which a retry would
-repeat. Every line is answered by one line.
+repeat. Every line is answered by one line; one that is no order changes nothing.
 """
 
 import contextlib
@@ -16,7 +16,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import Annotated, TextIO, cast
 
 import mujoco
 import numpy as np
@@ -25,11 +25,10 @@ import tyro
 from models.compose import RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig, camera_pose
+from twin.hardware.background import end_with_parent
 from twin.hardware.emulator.drawing import DrawingProcess
-from twin.hardware.emulator.faults import CameraFault, LineFaultConfig, RobotFault, ScheduledFault
+from twin.hardware.emulator.faults import FaultEntry, LineFaultConfig
 from twin.hardware.emulator.messages import (
-    FaultEntry,
-    Order,
     PoseTable,
     Refusal,
     RobotTruth,
@@ -40,6 +39,9 @@ from twin.hardware.emulator.modem import ModemConfig, pty_modems
 from twin.hardware.emulator.ports import PseudoTerminal
 from twin.hardware.emulator.rig import EmulatedRig
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
+
+LONGEST_ORDER = 4096
+"""Longest line on the control line [bytes]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Options:
         faults: File with scheduled faults: a JSON list of {"robot", "time" [s], "kind",
             "duration" [s], "address"}.
         scene: JSON of a `SceneConfig`, for programs; overrides robots and seed.
+        parent: Process that started this one and whose death ends it, for programs; 0 for none.
         frames: Folder for the rovers' stereo pairs, which `serial:` reads as
             stereo=FOLDER/ROBOT.frames. With --realtime they are drawn by a process of their own.
     """
@@ -67,6 +70,7 @@ class Options:
     line_faults: float = 0.0
     faults: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     scene: Annotated[str, tyro.conf.arg(metavar="JSON")] = ""
+    parent: int = 0
     frames: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
 
 
@@ -77,7 +81,7 @@ class Emulator:
         self,
         scene: SceneConfig,
         line_faults: float,
-        faults: Sequence[FaultEntry],
+        faults: Sequence[object],
         frames: Path | None = None,
     ) -> None:
         """Build the scene and power the boards on.
@@ -85,29 +89,31 @@ class Emulator:
         Args:
             scene: Robots, ground and cameras.
             line_faults: Share of damaged exchanges.
-            faults: Scheduled faults.
+            faults: Scheduled faults, each as `FaultEntry`.
             frames: Folder for stereo pairs; None for none.
 
         Raises:
-            ValueError: If a fault names an unknown robot, board or kind.
+            ValueError: If a fault is malformed, or names an unknown robot, board or kind.
             CalibrationError: If a robot's calibration cannot be used.
         """
         self._drawing: DrawingProcess | None = None
         self.scene = EmulatedScene(scene)
         names = list(self.scene.rovers)
-        for entry in faults:
-            robot = entry.get("robot", names[0])
-            if robot not in names:
-                raise ValueError(f"fault of robot {robot!r}: there are {', '.join(names)}")
+        schedule = [FaultEntry.parse(entry) for entry in faults]
+        for entry in schedule:
+            if entry.robot not in ("", *names):
+                raise ValueError(f"fault of robot {entry.robot!r}: there are {', '.join(names)}")
         config = LineFaultConfig(line_faults)
         sources = np.random.default_rng([scene.seed, 5]).spawn(len(names))
         self.rigs: dict[str, EmulatedRig] = {}
         for (name, rover), source in zip(self.scene.rovers.items(), sources, strict=True):
-            own = [_fault(entry) for entry in faults if entry.get("robot", name) == name]
+            own = [entry.fault() for entry in schedule if entry.robot in ("", name)]
             self.rigs[name] = EmulatedRig(rover, config, own, source, frames)
         self._ports: list[PseudoTerminal | socket.socket | TextIO] = [
             port for rig in self.rigs.values() for port in (rig.bus, rig.analogue, rig.wrench)
         ]
+        self._heard = b""  # Of a line that is not over yet.
+        self._overlong = False
 
     def draw_apart(self) -> None:
         """Have stereo pairs drawn in a process of their own from now on."""
@@ -139,25 +145,41 @@ class Emulator:
     def _obey(self) -> bool:
         """Carry out the orders on the control line; return False when it was closed."""
         data = os.read(sys.stdin.fileno(), 65536)
-        if not data:
-            return False
-        for line in data.splitlines():
-            print(json.dumps(self._answer(json.loads(line))), flush=True)
-        return True
+        *lines, self._heard = (self._heard + data).split(b"\n")
+        if not data and self._heard:
+            lines.append(self._heard)  # It was closed amid a line.
+        for line in lines:
+            if not self._overlong:  # Else it was answered already.
+                print(json.dumps(self._answer(line)), flush=True)
+            self._overlong = False
+        if len(self._heard) > LONGEST_ORDER:
+            if not self._overlong:
+                print(json.dumps(self._answer(self._heard)), flush=True)
+            self._heard, self._overlong = b"", True
+        return bool(data)
 
-    def _answer(self, order: Order) -> SceneTime | Refusal | dict[str, RobotTruth]:
-        match order["do"]:
-            case "tick":
+    def _answer(self, line: bytes) -> SceneTime | Refusal | dict[str, RobotTruth]:
+        """Carry out an order, and return the answer."""
+        if len(line) > LONGEST_ORDER:
+            return {"error": f"an order of more than {LONGEST_ORDER} bytes"}
+        try:
+            order = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            return {"error": f"no JSON: {error}"}
+        match order:
+            case {"do": "tick"}:
                 self.tick()
-            case "fault":
+            case {"do": "fault"}:
                 try:
-                    self.rigs[order.get("robot", "")].inject(_fault(order))
+                    entry = FaultEntry.parse(order)
+                    self.rigs[entry.robot].inject(entry.fault())
                 except (KeyError, ValueError) as error:
                     return {"error": f"no such fault: {error}"}
-            case "state":
+            case {"do": "state"}:
                 return {name: self._state(name) for name in self.rigs}
             case other:
-                return {"error": f"unknown order {other!r}"}
+                words = json.dumps(other)[:40]
+                return {"error": f"unknown order {words}; expected do: tick, fault or state"}
         return {"time": self.scene.time}
 
     def _state(self, name: str) -> RobotTruth:
@@ -195,21 +217,19 @@ def _pose_table(rotation: FloatArray, translation: FloatArray) -> PoseTable:
     return {"rotation": rotation.tolist(), "translation": translation.tolist()}
 
 
-def _fault(entry: FaultEntry) -> ScheduledFault:
-    """Return a fault from its entry in a file or an order.
+def _schedule(path: Path) -> list[object]:
+    """Return the entries of a file of faults.
 
     Raises:
-        ValueError: Naming the missing or unknown key, and the valid kinds.
+        ValueError: If it is no JSON list.
     """
-    kinds = {kind.value: kind for kind in (*RobotFault, *CameraFault)}
-    word = entry.get("kind", "")
-    if word not in kinds:
-        raise ValueError(f"kind {word!r}; expected one of {', '.join(kinds)}")
-    if "time" not in entry:
-        raise ValueError(f"{word} has no time")
-    duration = entry.get("duration", ScheduledFault.duration)
-    address = entry.get("address", ScheduledFault.address)
-    return ScheduledFault(entry["time"], kinds[word], duration, address)
+    try:
+        entries = json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: no JSON ({error})") from None
+    if not isinstance(entries, list):
+        raise ValueError(f"{path}: expected a list of faults")
+    return cast("list[object]", entries)
 
 
 def _scene(options: Options) -> SceneConfig:
@@ -233,10 +253,10 @@ def _modems(options: Options) -> contextlib.AbstractContextManager[tuple[str, st
 def main() -> int:
     """Serve until the control line is closed or the process is interrupted."""
     options = tyro.cli(Options, description=__doc__)
-    faults: list[FaultEntry] = []
+    if options.parent:
+        end_with_parent(options.parent)
     try:
-        if options.faults:
-            faults = json.loads(options.faults.read_text())
+        faults = _schedule(options.faults) if options.faults else []
         emulator = Emulator(_scene(options), options.line_faults, faults, options.frames)
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
@@ -255,7 +275,8 @@ def main() -> int:
         emulator.listen()
         wall = period * options.slow_down
         due, serving = time.monotonic() + wall, True
-        running.enter_context(contextlib.suppress(KeyboardInterrupt))
+        # The second where nobody takes the answers any more.
+        running.enter_context(contextlib.suppress(KeyboardInterrupt, BrokenPipeError))
         while serving:
             wait = max(0.0, due - time.monotonic()) if options.realtime else 0.002
             serving = emulator.serve(wait)

@@ -1,11 +1,13 @@
 """Stereo pairs drawn by a process of their own, so that emulated boards answer meanwhile."""
 
 import multiprocessing
+import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 
 from perception.geometry.arrays import FloatArray, ImageArray
 from twin.camera import StereoHead
+from twin.hardware.background import end_with_parent
 
 _HEADS: dict[str, StereoHead] = {}
 """In the drawing process: the robots' stereo heads."""
@@ -21,7 +23,7 @@ class DrawingProcess:
     def __init__(self, heads: Mapping[str, StereoHead]) -> None:
         self._heads = heads
         spawn = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, spawn, _take_heads, (dict(heads),))
+        self._pool = ProcessPoolExecutor(1, spawn, _take_heads, (dict(heads), os.getpid()))
         for name in heads:
             # The first picture takes a second; nobody has time for it later.
             self.newest(name)().result()
@@ -40,7 +42,8 @@ class DrawingProcess:
         self._pool.shutdown(cancel_futures=True)
 
 
-def _take_heads(heads: dict[str, StereoHead]) -> None:
+def _take_heads(heads: dict[str, StereoHead], parent: int) -> None:
+    end_with_parent(parent)
     _HEADS.update(heads)
 
 

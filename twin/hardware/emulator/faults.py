@@ -3,9 +3,14 @@
 import collections
 import dataclasses
 import enum
+import json
+import math
+from collections.abc import Collection
+from typing import cast
 
 import numpy as np
 
+from twin.hardware.calibration.section import from_table
 from twin.hardware.emulator.roboclaw_board import RoboClawLine
 
 
@@ -47,12 +52,30 @@ class LineFaultConfig:
             raise ValueError(f"line fault rate: got {self.rate}, needs 0 to 1")
 
 
+class BusFault(enum.Enum):
+    """Faults that a whole line has for a while."""
+
+    REQUESTS_CUT = "requests_cut"
+    REPLIES_CUT = "replies_cut"
+    GARBAGE = "bus_garbage"
+    LATE = "bus_late"
+    REPEATED = "bus_repeated"
+    BOARD_DEAD = "board_dead"
+    UNPLUGGED = "bus_unplugged"
+
+
+_LATE = (0.02, 0.06)  # [s]
+_NOISE = 16
+"""Most bytes of noise that come unasked at once."""
+
+
 class FaultyLine:
     """A device behind a line that damages what it carries; bytes keep their order.
 
     Attributes:
         counts: Number of damaged exchanges by kind.
         silent: True while nothing gets through at all.
+        present: Faults of the whole line at present.
     """
 
     def __init__(
@@ -67,6 +90,7 @@ class FaultyLine:
         """
         self.counts: collections.Counter[LineFault] = collections.Counter()
         self.silent = False
+        self.present: Collection[BusFault] = ()
         self._device = device
         self._config = config
         self._rng = rng
@@ -75,9 +99,15 @@ class FaultyLine:
 
     def feed(self, data: bytes, now: float) -> bytes:
         """Take what came at `now` [s], and return what gets out by then."""
-        if data and not self.silent:
+        noisy = BusFault.GARBAGE in self.present
+        if noisy:
+            data = self._rng.bytes(len(data))
+        if data and not (self.silent or BusFault.REQUESTS_CUT in self.present):
             self._exchange(data, now)
-        return self.due(now)
+        out = self.due(now)
+        if noisy:
+            out = self._rng.bytes(len(out) + int(self._rng.integers(_NOISE)))
+        return b"" if BusFault.REPLIES_CUT in self.present else out
 
     def due(self, now: float) -> bytes:
         """Return what is on its way and gets out by `now` [s]."""
@@ -88,7 +118,9 @@ class FaultyLine:
 
     def _exchange(self, request: bytes, now: float) -> None:
         kind, delay = None, 0.0
-        if self._rng.random() < self._config.rate:
+        if BusFault.REPEATED in self.present:
+            kind = LineFault.MERGED
+        elif self._rng.random() < self._config.rate:
             kind = self._config.kinds[self._rng.integers(len(self._config.kinds))]
         sent = request
         if kind is LineFault.FLIP_REQUEST:
@@ -104,6 +136,8 @@ class FaultyLine:
             delay = float(self._rng.uniform(0.2, 1.0)) * self._config.latest
         elif reply:
             reply = self._damaged(reply, kind)
+        if BusFault.LATE in self.present:
+            delay = float(self._rng.uniform(*_LATE))
         # What has no reply cannot lose one: only damage that was done is counted.
         lost = kind is LineFault.LOSE_REQUEST
         if kind is not None and (lost or delay or request != sent or reply != clean):
@@ -170,6 +204,53 @@ class ScheduledFault:
     """
 
     time: float
-    kind: RobotFault | CameraFault
+    kind: RobotFault | BusFault | CameraFault
     duration: float = 1e9
     address: int = 0x80
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultEntry:
+    """A fault as an entry of a file, or an order on the control line, describes it.
+
+    Attributes:
+        time: When it begins [s].
+        kind: Value of a `RobotFault`, a `BusFault` or a `CameraFault`.
+        robot: Name of the robot; empty for every robot.
+        duration: Duration [s].
+        address: Address of the motor board that it happens to.
+    """
+
+    time: float
+    kind: str
+    robot: str = ""
+    duration: float = ScheduledFault.duration
+    address: int = ScheduledFault.address
+
+    @classmethod
+    def parse(cls, entry: object) -> "FaultEntry":
+        """Return a checked entry.
+
+        Args:
+            entry: Decoded JSON; its "do" is for the caller.
+
+        Raises:
+            ValueError: If a key is missing, unknown or of a wrong type, with those that there are.
+        """
+        if not isinstance(entry, dict):
+            raise ValueError(f"{json.dumps(entry)[:40]} is no table with time and kind")
+        table = cast("dict[str, object]", entry)
+        found = from_table(cls, {name: value for name, value in table.items() if name != "do"})
+        for name in ("time", "duration"):
+            if not 0.0 <= getattr(found, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(found, name)}, needs seconds, 0 or more")
+        if found.kind not in _KINDS:
+            raise ValueError(f"kind {found.kind!r}; expected one of {', '.join(_KINDS)}")
+        return found
+
+    def fault(self) -> ScheduledFault:
+        """Return the fault."""
+        return ScheduledFault(self.time, _KINDS[self.kind], self.duration, self.address)
+
+
+_KINDS = {kind.value: kind for kind in (*RobotFault, *BusFault, *CameraFault)}

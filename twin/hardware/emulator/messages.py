@@ -4,7 +4,7 @@ The emulator begins with a `Started`. Every `Order` is answered by a `SceneTime`
 robot name, the `RobotTruth`.
 """
 
-from typing import NotRequired, TypedDict
+from typing import NotRequired, Required, TypedDict
 
 
 class Ports(TypedDict):
@@ -57,32 +57,19 @@ class Refusal(TypedDict):
     error: str
 
 
-class FaultEntry(TypedDict, total=False):
-    """A scheduled fault; see `twin.hardware.emulator.faults.ScheduledFault` for what is left out.
+class Order(TypedDict, total=False):
+    """An order on the control line.
 
     Attributes:
-        robot: Name of the robot; every robot if left out.
-        time: Time at which it begins [s].
-        kind: Value of a `RobotFault` or a `CameraFault`.
-        duration: Duration [s].
-        address: Address of the motor board concerned.
+        do: Either "tick", "state", or "fault" with the fields of a `faults.FaultEntry`.
     """
 
+    do: Required[str]
     robot: str
     time: float
     kind: str
     duration: float
     address: int
-
-
-class Order(FaultEntry):
-    """An order on the control line.
-
-    Attributes:
-        do: Either "tick", "state", or "fault" with the keys of a `FaultEntry`.
-    """
-
-    do: str
 
 
 class PoseTable(TypedDict):

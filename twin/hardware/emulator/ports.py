@@ -33,6 +33,11 @@ class PseudoTerminal:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, data)
 
+    def unplug(self) -> None:
+        """Take the port away from the host, for good; the device no longer hears anything."""
+        self.close()
+        self._master, self._slave = pty.openpty()
+
     def close(self) -> None:
         """Take the port away."""
         os.close(self._master)

@@ -2,6 +2,8 @@
 
 import contextlib
 import json
+import os
+import select
 import subprocess
 import sys
 import tempfile
@@ -27,6 +29,7 @@ class EmulatorProcess:
         line_faults: float = 0.0,
         realtime: bool = False,
         slow_down: float = 1.0,
+        patience: float = 60.0,
     ) -> None:
         """Start the process and wait until its boards have power.
 
@@ -35,13 +38,15 @@ class EmulatorProcess:
             line_faults: Share of the exchanges with the motor boards that are damaged.
             realtime: Whether the emulator runs on the wall clock rather than on request.
             slow_down: Wall-clock time over the emulator's time, with `realtime`.
+            patience: Longest wait for any answer [s].
 
         Raises:
-            LinkError: If it does not start.
+            LinkError: If it does not start in time.
         """
         command = [sys.executable, "-m", "twin.hardware.emulator", "--scene", scene.to_json()]
-        command += ["--line-faults", str(line_faults)]
+        command += ["--line-faults", str(line_faults), "--parent", str(os.getpid())]
         command += ["--realtime", "--slow-down", str(slow_down)] if realtime else []
+        self._patience = patience
         self._frames = contextlib.ExitStack()
         if scene.stereo is not None:
             folder = self._frames.enter_context(tempfile.TemporaryDirectory(prefix="fieldtwin-"))
@@ -62,7 +67,7 @@ class EmulatorProcess:
         """Advance by one servo tick.
 
         Raises:
-            LinkError: If the process is gone.
+            LinkError: If the process is gone, or does not answer in time.
         """
         self.time = self._ask({"do": "tick"})["time"]
 
@@ -106,7 +111,11 @@ class EmulatorProcess:
         return self._read()
 
     def _read(self) -> Any:
-        line = cast("IO[str]", self._process.stdout).readline()
+        stream = cast("IO[str]", self._process.stdout)
+        # One answer at a time, so that none can wait in the stream's own buffer.
+        if not select.select([stream], [], [], self._patience)[0]:
+            raise LinkError(f"the emulator did not answer within {self._patience:g} s")
+        line = stream.readline()
         if not line:
             raise LinkError("the emulator ended; its own message is above")
         answer = json.loads(line)

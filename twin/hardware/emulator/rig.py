@@ -12,6 +12,7 @@ import numpy as np
 from perception.geometry.arrays import ImageArray
 from twin.hardware.cameras.frames import SUFFIX, FrameWriter
 from twin.hardware.emulator.faults import (
+    BusFault,
     CameraFault,
     FaultyLine,
     LineFaultConfig,
@@ -31,7 +32,7 @@ _SLACK = 1e-9  # [s]
 _LOW_BATTERY = 9.0  # [V]
 _PRESET = 2**31 - 50
 """Fifty counts before an encoder wraps."""
-_LATCHED: Mapping[RobotFault | CameraFault, Status] = {
+_LATCHED: Mapping[RobotFault | BusFault | CameraFault, Status] = {
     RobotFault.E_STOP: Status.E_STOP,
     RobotFault.OVER_CURRENT: Status.CURRENT_ERROR_1,
     RobotFault.DRIVER_FAULT: Status.DRIVER_FAULT_1,
@@ -185,6 +186,12 @@ class EmulatedRig:
         lasting = (*self._active, *due)
         self._active = [each for each in lasting if each.time + each.duration > time + _SLACK]
         self._present = {fault.kind for fault in self._active}
+        self.bus_line.present = {kind for kind in self._present if isinstance(kind, BusFault)}
+        if BusFault.UNPLUGGED in {fault.kind for fault in due}:
+            self.bus.unplug()
+        dead = {each.address for each in self._active if each.kind is BusFault.BOARD_DEAD}
+        for address, board in self.boards.boards.items():
+            board.dead = address in dead
         self.bus_line.silent = RobotFault.BUS_SILENT in self._present
         browned_out = RobotFault.BROWN_OUT in self._present
         self._rover.battery = _LOW_BATTERY if browned_out else self._full_battery

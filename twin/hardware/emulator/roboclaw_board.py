@@ -116,6 +116,9 @@ class RoboClawBoard:
 
     Speed and position commands run in the board, once a servo tick, with proportional and integral
     gains; position commands go straight, without the board's acceleration ramps.
+
+    Attributes:
+        dead: Whether it has no power: it neither hears nor drives.
     """
 
     def __init__(self, address: int, motors: Motors, old_firmware: bool = False) -> None:
@@ -129,6 +132,7 @@ class RoboClawBoard:
         self.address = address
         self.motors = motors
         self.old_firmware = old_firmware
+        self.dead = False
         self.reset()
 
     def reset(self) -> None:
@@ -142,7 +146,7 @@ class RoboClawBoard:
 
     def duties(self) -> tuple[int, int]:
         """Return both duty codes that drive the motors; zero while an error is latched."""
-        if self.status.errors:
+        if self.dead or self.status.errors:
             return 0, 0
         return self.channels[0].duty, self.channels[1].duty
 
@@ -286,7 +290,7 @@ class RoboClawLine:
             command = BoardCommand(number)
         except ValueError:
             command = None
-        if board is None or command is None:
+        if board is None or board.dead or command is None:
             # An unknown address or command: it is dropped with all that follows it.
             return len(self._buffer), b""
         if command not in codec.WRITES:
