@@ -102,8 +102,16 @@ def _box(*sides: tuple[float, float]) -> FloatArray:
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
+def place_insertion(scene: InsertionScene) -> tuple[FieldConfig, tuple[RobotPlacement, ...]]:
+    """Return the field with the slot, and the robots, of which the master alone has cameras."""
+    field = dataclasses.replace(scene.field, slot_width=scene.width, shadows=False)
+    master = RobotPlacement(MASTER, scene.master[:2], scene.master[2], stereo=True)
+    slave = RobotPlacement(SLAVE, scene.slave[:2], scene.slave[2], stereo=False, card=True)
+    return field, (master, slave)
+
+
 def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:
-    """Compile a scene in which the master alone has cameras.
+    """Compile a scene.
 
     Args:
         scene: Poses of the robots, slot and ground.
@@ -111,10 +119,7 @@ def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:
     Raises:
         ValueError: If the slot's width or a start is impossible.
     """
-    field = dataclasses.replace(scene.field, slot_width=scene.width, shadows=False)
-    master = RobotPlacement(MASTER, scene.master[:2], scene.master[2], stereo=True)
-    slave = RobotPlacement(SLAVE, scene.slave[:2], scene.slave[2], stereo=False, card=True)
-    return make_model(field, [master, slave])
+    return make_model(*place_insertion(scene))
 
 
 def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:

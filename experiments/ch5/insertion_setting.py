@@ -87,6 +87,7 @@ class Setting:
 
     Attributes:
         trial: Settings of the trial.
+        scene: Poses of the robots, slot and ground.
         simulation: Simulation of the scene.
         robots: Robots as the controllers meet them, with the trial's fault.
         team: Controllers of both robots.
@@ -94,6 +95,7 @@ class Setting:
     """
 
     trial: InsertionTrial
+    scene: InsertionScene
     simulation: Simulation
     robots: Mapping[str, Robot]
     team: InsertionTeam
@@ -159,7 +161,7 @@ def prepare(trial: InsertionTrial) -> Setting:
         InsertionMaster(MASTER, guide, GuidanceLink(links[MASTER])),
         InsertionSlave(SLAVE, inserter, sensing, GuidanceLink(links[SLAVE])),
     )
-    return Setting(trial, simulation, robots, team, station)
+    return Setting(trial, scene, simulation, robots, team, station)
 
 
 def _mapped_slot(

@@ -266,6 +266,8 @@ class BoardRobot:
                 return
             report = self._stop()
             if not report.complete:
+                report = self._stop()  # It is not urgent any more: a slow answer may come.
+            if not report.complete:
                 raise self._enter_error("not all boards answer", report)
             self._lifecycle = Lifecycle.INACTIVE
 
@@ -280,8 +282,12 @@ class BoardRobot:
             self.boards.close()
 
     def guard(self) -> None:
-        """Go to ERROR if ACTIVE and the last command is too old; called by the watchdog thread."""
+        """Go to ERROR if ACTIVE and the last command is too old; called by the watchdog thread.
+
+        The zeros of a stop that is not confirmed are repeated.
+        """
         with self._lock:
+            self.boards.keep_stopped()
             late = self._clock() - self._commanded
             if self._lifecycle is Lifecycle.ACTIVE and late > self._config.watchdog:
                 self._fail(f"no command for {late:.2f} s")

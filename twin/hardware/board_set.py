@@ -131,9 +131,12 @@ class BoardSet(Protocol):
     def stop(self) -> StopReport:
         """Zero all axes, whether or not a board answers; then nothing drives before `resume`.
 
-        Unless all boards confirm, nothing at all is sent to them, so that their timeout acts.
+        Unless all boards confirm, nothing but zeros by `keep_stopped` is sent to them.
         """
         ...
+
+    def keep_stopped(self) -> None:
+        """Repeat the zeros of a stop that is not confirmed, for longer than the boards' timeout."""
 
     def resume(self) -> None:
         """Allow to drive after a stop, once boards that did not confirm it have stopped."""
@@ -276,6 +279,10 @@ class WiredBoards:
         if halt.sent:
             return StopReport(confirmed, sent=others, timeout=known)
         return StopReport(confirmed, unreached=others, timeout=known)
+
+    def keep_stopped(self) -> None:
+        """Repeat the zeros of a stop that is not confirmed."""
+        self.bus.keep_halted()
 
     def _silent_last(self) -> list[int]:
         """Return the boards' addresses, those last that were silent the last time.

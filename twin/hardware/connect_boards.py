@@ -172,7 +172,7 @@ def open_boards(wiring: Wiring, calibration: Calibration) -> WiredBoards:
         LinkError: If one cannot be opened.
         ValueError: If the captures make no pair.
     """
-    timing = BusTiming(call=_PATIENCE, ask=_PATIENCE) if wiring.patient else BusTiming()
+    timing = BusTiming(call=_PATIENCE, ask=4.0 * _PATIENCE) if wiring.patient else BusTiming()
     with contextlib.ExitStack() as opened:
         bus = RoboClawBus(SerialLink(wiring.bus, BUS_BAUD), timing)
         opened.callback(bus.close)

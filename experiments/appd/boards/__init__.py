@@ -2,6 +2,8 @@
 
 - `boards`: the experiment ``appd-boards``: options, metrics and checks.
 - `trial`: one fault injected into a rover in motion.
+- `matrix`: every fault in every state, with boards on their own clock.
+- `host`: the program that drives the robot in the matrix, and is killed.
 - `line`: calls over a line that damages exchanges.
 - `live`: boards compared with the rover without wires, and the loop in real time.
 - `figures`: the figures.

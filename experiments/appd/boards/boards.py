@@ -29,6 +29,15 @@ from experiments.appd.boards.live import (
     keep_bare_pace,
     keep_pace,
 )
+from experiments.appd.boards.matrix import (
+    BOARD_SIGNALS,
+    MATRIX,
+    TRANSIENTS,
+    WITHIN,
+    MatrixResult,
+    deal_matrix,
+    run_matrix_trial,
+)
 from experiments.appd.boards.trial import (
     KINDS,
     PERIOD,
@@ -59,6 +68,7 @@ MOTION = (
 )
 """Approach, rest and duration of the identification [s], in full and with --quick."""
 STOP_BOUND = TIMEOUT + PERIOD
+PARTS = ("trials", "matrix")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,16 +77,23 @@ class Options(contract.Options):
 
     Attributes:
         robot: Which boards: emulated.
+        parts: Parts to run: trials (faults while time stands still between ticks, damaged lines,
+            the pace on the wall clock), matrix (every fault in every state on boards with their own
+            clock; half an hour on two cores).
     """
 
     robot: str = "emulated"
+    parts: tuple[str, ...] = ("trials",)
 
     def __post_init__(self) -> None:
-        """Refuse boards that nobody should break on purpose.
+        """Refuse unknown parts, and boards that nobody should break on purpose.
 
         Raises:
-            OptionError: If they are not emulated.
+            OptionError: If a part is unknown, or the boards are not emulated.
         """
+        for part in self.parts:
+            if part not in PARTS:
+                raise OptionError(f"--parts {part}: expected some of {', '.join(PARTS)}")
         super().__post_init__()
         if self.robot != "emulated":
             raise OptionError(
@@ -90,8 +107,18 @@ def run(options: Options, output: Output) -> None:
     Args:
         options: ``quick`` does 24 fault trials instead of 200, and shortens all else.
         output: Receives ``stopped_fraction``, ``stop_time/<fault>``, ``worst_call_ms``,
-            ``wrong_values``, ``miss_fraction``, ``adapter_ms`` and ``identical_cycles/<line>``.
+            ``wrong_values``, ``miss_fraction``, ``adapter_ms`` and ``identical_cycles/<line>``;
+            of the matrix ``matrix_zero_fraction``, ``matrix_zero_ms``,
+            ``matrix_message_true_fraction`` and ``matrix_orphans``.
     """
+    if "trials" in options.parts:
+        _run_trials(options, output)
+    if "matrix" in options.parts:
+        trials = deal_matrix(options.job_seeds(5, 1), options.quick)
+        _measure_matrix(sweep(run_matrix_trial, trials, options, output, label="faults"), output)
+
+
+def _run_trials(options: Options, output: Output) -> None:
     seeds = options.job_seeds(8, 2)
     # What is timed comes first, while nothing else of ours runs.
     pace = keep_pace(PACE[options.quick], seeds[0] % 2**31)
@@ -220,6 +247,55 @@ def _measure_identity(name: str, result: BoardComparison, least: int, output: Ou
         f">= {least}",
         identical >= least,
     )
+
+
+def _measure_matrix(results: Sequence[MatrixResult], output: Output) -> None:
+    """Store how soon all duties were zero, and whether the robot's words were true."""
+    stops = [each for each in results if each.trial.fault in MATRIX]
+    lost = [each for each in results if each.trial.fault in BOARD_SIGNALS]
+    rides = [each for each in results if each.trial.fault in TRANSIENTS]
+    worst = max(each.zero for each in stops)
+    late, false = sum(each.zero > WITHIN for each in stops), sum(not each.true for each in results)
+    orphans, leaked = (sum(values) for values in zip(*((r.orphans, r.leaked) for r in results)))
+    told = max(each.told for each in lost)
+    again = max(each.zero for each in lost)
+    output.measure("matrix_zero_fraction", fraction(len(stops) - late, len(stops)))
+    output.measure("matrix_zero_ms", 1e3 * worst)
+    output.measure("matrix_message_true_fraction", fraction(len(results) - false, len(results)))
+    output.measure("matrix_orphans", orphans)
+    output.measure("matrix_leaked", leaked)
+    output.measure("matrix_told_ms/boards_lost", 1e3 * told)
+    output.measure("matrix_went_on", fraction(sum(e.active for e in rides), len(rides)))
+    output.measure("matrix_cycles_done", distribution([each.cycles for each in rides]))
+    output.check(
+        f"zero duty at all boards after the fault, longest of {len(stops)}, in ms",
+        1e3 * worst,
+        f"<= {1e3 * WITHIN:g}",
+        worst <= WITHIN,
+    )
+    output.check(f"wrong words of the robot, in {len(results)} trials", false, "== 0", not false)
+    output.check("processes and open files left", orphans + leaked, "== 0", orphans + leaked == 0)
+    output.check(
+        "boards whose process is killed or stopped are told lost, longest, in ms",
+        1e3 * told,
+        f"<= {1e3 * WITHIN:g}",
+        told <= WITHIN,
+    )
+    output.check("drive after the boards' process goes on, in s", again, "== 0", again == 0.0)
+    share = sum(each.active for each in rides) / len(rides)
+    output.check("robots that go on after short faults", share, ">= 0.95", share >= 0.95)
+    cycles = float(np.mean([each.cycles for each in rides]))
+    output.check("cycles done, one short fault a second", cycles, ">= 0.95", cycles >= 0.95)
+    rows: list[list[Any]] = []
+    for cell in dict.fromkeys((each.trial.fault, each.trial.state) for each in results):
+        chosen = [each for each in results if (each.trial.fault, each.trial.state) == cell]
+        zero, told = (
+            max(1e3 * getattr(each, name) for each in chosen) for name in ("zero", "told")
+        )
+        words = next((each.words for each in chosen if each.words), "")
+        rows.append([*cell, len(chosen), zero, told, sum(e.true for e in chosen), words])
+    columns = ("fault", "state", "trials", "zero after [ms]", "told after [ms]", "true")
+    output.table("matrix", (*columns, "what the robot says, for instance"), rows)
 
 
 def _measure_amplifier(output: Output) -> None:

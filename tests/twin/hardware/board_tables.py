@@ -42,6 +42,7 @@ class Boards:
         self.pair = None
         self.closed = False
         self.halted = self.mute = False
+        self.repeated = 0
         self.held_up = 0  # Questions that come to nothing from now on.
 
     def _hear(self, what, address):
@@ -84,6 +85,9 @@ class Boards:
         rest = tuple(each for each in self.addresses if each not in lost)
         self.halted, self.mute = True, bool(lost)
         return StopReport(rest, sent=lost, timeout=0.2)
+
+    def keep_stopped(self):
+        self.repeated += self.mute
 
     def resume(self):
         self.halted = self.mute = False

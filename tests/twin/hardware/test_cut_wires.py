@@ -13,6 +13,7 @@ from tests.twin.hardware.roboclaw.wire import VirtualLink, boards_on_a_line, vir
 from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.board_set import WiredBoards
+from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
 from twin.hardware.roboclaw.codec import BoardCommand
 from twin.hardware.serial_link import LinkError
@@ -22,6 +23,12 @@ pytestmark = pytest.mark.virtual_time
 
 WITHIN = 0.25  # [s] from the cut to zero duty at all boards.
 ADDRESSES = (0x80, 0x81, 0x82, 0x83)
+
+
+def stops_all(data):
+    """Whether these bytes are zero duty for every board, in any order."""
+    packets = {data[n : n + 8] for n in range(0, len(data), 8)}
+    return packets == {codec.encode_write(a, BoardCommand.DUTY_BOTH, 0, 0) for a in ADDRESSES}
 
 
 class Wires:
@@ -94,7 +101,7 @@ class Rig:
         assert not self.confirmed(said) & self.driven()
         last = self.wires.cut_at
         sent = len(self.link.sent)
-        for _ in range(60):
+        for _ in range(90):
             if self.driven():
                 last = self.link.now
             try:
@@ -102,7 +109,9 @@ class Rig:
             except RobotError:  # Not configured: there is nothing to observe.
                 self.wires.run(self.link.now)
         if "not answered" in said:
-            assert len(self.link.sent) == sent  # Else a board's own timeout would never act.
+            # Else a board's own timeout would never act.
+            assert all(map(stops_all, (data for _, data in self.link.sent[sent:])))
+            assert self.link.sent[-1][0] < self.link.now - 0.2
         return said, last - self.wires.cut_at
 
     def confirmed(self, said):
@@ -213,11 +222,17 @@ def test_port_that_is_gone_is_told_and_not_waited_for(rig, monkeypatch):
 def test_zeros_are_sent_for_longer_than_the_boards_wait_and_then_nothing(rig):
     rig.start().cycle()
     rig.wires.left, rig.wires.cut = 0, {"replies"}
+    rig.link.now += 0.16
     begin, before = rig.link.now, len(rig.link.sent)
-    rig.robot.boards.stop()
-    zeros = [time for time, data in rig.link.sent[before:] if len(data) == 4 * 8]
+    rig.robot.guard()
+    assert "no command" in rig.robot.fault
+    assert rig.link.now - begin < 0.06  # What is known is told soon.
+    for _ in range(60):
+        rig.link.now += PERIOD
+        rig.robot.guard()  # As its thread does.
+    zeros = [time for time, data in rig.link.sent[before:] if stops_all(data)]
     assert zeros[0] == begin
-    assert max(np.diff(zeros)) < 0.2 < zeros[-1] - begin
+    assert max(np.diff(zeros)) < 0.05 and 0.2 < zeros[-1] - begin < 0.4
     for call in (
         lambda: rig.bus.read(0x80, BoardCommand.GET_ENCODERS),
         lambda: rig.bus.write(0x80, BoardCommand.SET_ENCODER_1, 0),

@@ -1,8 +1,9 @@
 """``python -m twin.hardware.emulator``: boards to connect to, with the physics behind them.
 
 Without ``--realtime`` the physics stand still until a line on the standard input says
-``{"do": "tick"}``: time passes out of band, never by a command on the bus, which a retry would
-repeat. Every line is answered by one line; one that is no order changes nothing.
+``{"do": "tick"}``, or ``{"do": "run"}`` for time that passes by itself from then on. Time passes
+out of band, never by a command on the bus, which a retry would repeat. Every line is answered by
+one line; one that is no order changes nothing.
 """
 
 import contextlib
@@ -58,6 +59,8 @@ class Options:
         faults: File with scheduled faults: a JSON list of {"robot", "time" [s], "kind",
             "duration" [s], "address"}.
         scene: JSON of a `SceneConfig`, for programs; overrides robots and seed.
+        state: File of a state of the physics to begin with, as `numpy.save` writes
+            `SavedRun.physics` of the same scene.
         parent: Process that started this one and whose death ends it, for programs; 0 for none.
         frames: Folder for the rovers' stereo pairs, which `serial:` reads as
             stereo=FOLDER/ROBOT.frames. With --realtime they are drawn by a process of their own.
@@ -70,6 +73,7 @@ class Options:
     line_faults: float = 0.0
     faults: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     scene: Annotated[str, tyro.conf.arg(metavar="JSON")] = ""
+    state: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     parent: int = 0
     frames: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
 
@@ -83,6 +87,7 @@ class Emulator:
         line_faults: float,
         faults: Sequence[object],
         frames: Path | None = None,
+        state: FloatArray | None = None,
     ) -> None:
         """Build the scene and power the boards on.
 
@@ -91,13 +96,17 @@ class Emulator:
             line_faults: Share of damaged exchanges.
             faults: Scheduled faults, each as `FaultEntry`.
             frames: Folder for stereo pairs; None for none.
+            state: State of the physics to begin with; None for the scene at rest.
 
         Raises:
-            ValueError: If a fault is malformed, or names an unknown robot, board or kind.
+            ValueError: If the state is of another scene, a fault is malformed, or it names an
+                unknown robot, board or kind.
             CalibrationError: If a robot's calibration cannot be used.
         """
         self._drawing: DrawingProcess | None = None
         self.scene = EmulatedScene(scene)
+        if state is not None:
+            self.scene.begin_at(state)
         names = list(self.scene.rovers)
         schedule = [FaultEntry.parse(entry) for entry in faults]
         for entry in schedule:
@@ -112,6 +121,7 @@ class Emulator:
         self._ports: list[PseudoTerminal | socket.socket | TextIO] = [
             port for rig in self.rigs.values() for port in (rig.bus, rig.analogue, rig.wrench)
         ]
+        self.runs = False
         self._heard = b""  # Of a line that is not over yet.
         self._overlong = False
 
@@ -169,6 +179,8 @@ class Emulator:
         match order:
             case {"do": "tick"}:
                 self.tick()
+            case {"do": "run"}:
+                self.runs = True
             case {"do": "fault"}:
                 try:
                     entry = FaultEntry.parse(order)
@@ -179,7 +191,7 @@ class Emulator:
                 return {name: self._state(name) for name in self.rigs}
             case other:
                 words = json.dumps(other)[:40]
-                return {"error": f"unknown order {words}; expected do: tick, fault or state"}
+                return {"error": f"unknown order {words}; expected do: tick, run, fault or state"}
         return {"time": self.scene.time}
 
     def _state(self, name: str) -> RobotTruth:
@@ -199,6 +211,8 @@ class Emulator:
             "arm_angles": rover.angles()[4:].tolist(),
             "angles": rover.angles().tolist(),
             "codes": rover.codes.tolist(),
+            "driven": {hex(address): when for address, when in rig.driven.items()},
+            "time": self.scene.time,
             "damage": {kind.value: count for kind, count in rig.bus_line.counts.items()},
             "camera": camera,
             "bodies": bodies,
@@ -257,7 +271,9 @@ def main() -> int:
         end_with_parent(options.parent)
     try:
         faults = _schedule(options.faults) if options.faults else []
-        emulator = Emulator(_scene(options), options.line_faults, faults, options.frames)
+        scene = _scene(options)
+        state = None if options.state is None else np.load(options.state, allow_pickle=False)
+        emulator = Emulator(scene, options.line_faults, faults, options.frames, state)
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2
@@ -274,13 +290,16 @@ def main() -> int:
         print(json.dumps(started), flush=True)
         emulator.listen()
         wall = period * options.slow_down
+        emulator.runs = options.realtime
         due, serving = time.monotonic() + wall, True
         # The second where nobody takes the answers any more.
         running.enter_context(contextlib.suppress(KeyboardInterrupt, BrokenPipeError))
         while serving:
-            wait = max(0.0, due - time.monotonic()) if options.realtime else 0.002
+            wait = max(0.0, due - time.monotonic()) if emulator.runs else 0.002
             serving = emulator.serve(wait)
-            if options.realtime and time.monotonic() >= due:
+            if not emulator.runs:
+                due = time.monotonic() + wall
+            elif time.monotonic() >= due:
                 emulator.tick()
                 due += wall
     return 0

@@ -51,6 +51,9 @@ class DirectBoards:
         self._rover.codes = np.zeros(8, dtype=np.int64)
         return StopReport(self.addresses)
 
+    def keep_stopped(self) -> None:
+        """Do nothing: a stop is always confirmed."""
+
     def resume(self) -> None:
         """Do nothing: there is no line that a stop would silence."""
 

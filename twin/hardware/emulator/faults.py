@@ -76,6 +76,7 @@ class FaultyLine:
         counts: Number of damaged exchanges by kind.
         silent: True while nothing gets through at all.
         present: Faults of the whole line at present.
+        once: Damage to the next exchanges, one each.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class FaultyLine:
         self.counts: collections.Counter[LineFault] = collections.Counter()
         self.silent = False
         self.present: Collection[BusFault] = ()
+        self.once: list[LineFault] = []
         self._device = device
         self._config = config
         self._rng = rng
@@ -118,7 +120,9 @@ class FaultyLine:
 
     def _exchange(self, request: bytes, now: float) -> None:
         kind, delay = None, 0.0
-        if BusFault.REPEATED in self.present:
+        if self.once:
+            kind = self.once.pop(0)
+        elif BusFault.REPEATED in self.present:
             kind = LineFault.MERGED
         elif self._rng.random() < self._config.rate:
             kind = self._config.kinds[self._rng.integers(len(self._config.kinds))]
@@ -204,7 +208,7 @@ class ScheduledFault:
     """
 
     time: float
-    kind: RobotFault | BusFault | CameraFault
+    kind: RobotFault | BusFault | LineFault | CameraFault
     duration: float = 1e9
     address: int = 0x80
 
@@ -215,7 +219,8 @@ class FaultEntry:
 
     Attributes:
         time: When it begins [s].
-        kind: Value of a `RobotFault`, a `BusFault` or a `CameraFault`.
+        kind: Value of a `RobotFault`, a `BusFault`, a `CameraFault` or, for one exchange on the
+            motor boards' line, a `LineFault`.
         robot: Name of the robot; empty for every robot.
         duration: Duration [s].
         address: Address of the motor board that it happens to.
@@ -253,4 +258,4 @@ class FaultEntry:
         return ScheduledFault(self.time, _KINDS[self.kind], self.duration, self.address)
 
 
-_KINDS = {kind.value: kind for kind in (*RobotFault, *BusFault, *CameraFault)}
+_KINDS = {kind.value: kind for kind in (*RobotFault, *BusFault, *CameraFault, *LineFault)}

@@ -61,7 +61,8 @@ class Order(TypedDict, total=False):
     """An order on the control line.
 
     Attributes:
-        do: Either "tick", "state", or "fault" with the fields of a `faults.FaultEntry`.
+        do: Either "tick", "run" (time passes by itself from now on), "state", or "fault" with the
+            fields of a `faults.FaultEntry`.
     """
 
     do: Required[str]
@@ -91,6 +92,9 @@ class RobotTruth(TypedDict):
         arm_angles: Joint angles (4,) [rad].
         angles: Angles (8,) of wheels and joints [rad].
         codes: Duty codes (8,) that drive the motors.
+        driven: Latest time at which each motor board drove a motor [s], by address (as "0x80"); -1
+            for never.
+        time: Time of the scene [s].
         damage: Number of damaged exchanges with the motor boards, by kind of damage.
         camera: Pose of the left camera in the world; None without cameras.
         bodies: Poses of "chassis", "card" and "slot" in the world, as far as the scene has them.
@@ -99,6 +103,8 @@ class RobotTruth(TypedDict):
     arm_angles: list[float]
     angles: list[float]
     codes: list[int]
+    driven: dict[str, float]
+    time: float
     damage: dict[str, int]
     camera: PoseTable | None
     bodies: dict[str, PoseTable]

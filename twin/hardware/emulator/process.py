@@ -7,6 +7,7 @@ import select
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 from typing import IO, Any, cast
 
 from twin.hardware.emulator.messages import Order, RobotTruth, Started
@@ -18,6 +19,7 @@ class EmulatorProcess:
     """A running emulator; time passes by `tick`, or by itself if it runs in real time.
 
     Attributes:
+        process: Number of the process.
         ports: Ports at which a host finds the boards, by robot name.
         period: Servo tick [s].
         time: Time of the last tick [s].
@@ -29,6 +31,7 @@ class EmulatorProcess:
         line_faults: float = 0.0,
         realtime: bool = False,
         slow_down: float = 1.0,
+        state: Path | None = None,
         patience: float = 60.0,
     ) -> None:
         """Start the process and wait until its boards have power.
@@ -38,6 +41,7 @@ class EmulatorProcess:
             line_faults: Share of the exchanges with the motor boards that are damaged.
             realtime: Whether the emulator runs on the wall clock rather than on request.
             slow_down: Wall-clock time over the emulator's time, with `realtime`.
+            state: File of a state of the physics to begin with; None for the scene at rest.
             patience: Longest wait for any answer [s].
 
         Raises:
@@ -46,6 +50,7 @@ class EmulatorProcess:
         command = [sys.executable, "-m", "twin.hardware.emulator", "--scene", scene.to_json()]
         command += ["--line-faults", str(line_faults), "--parent", str(os.getpid())]
         command += ["--realtime", "--slow-down", str(slow_down)] if realtime else []
+        command += ["--state", str(state)] if state else []
         self._patience = patience
         self._frames = contextlib.ExitStack()
         if scene.stereo is not None:
@@ -59,6 +64,7 @@ class EmulatorProcess:
         except BaseException:
             self.close()
             raise
+        self.process = self._process.pid
         self.ports = started["ports"]
         self.period = started["period"]
         self.time = started["time"]
@@ -81,7 +87,11 @@ class EmulatorProcess:
             address: Address of the motor board concerned.
         """
         order: Order = {"do": "fault", "robot": robot, "time": self.time, "kind": kind}
-        self._ask({**order, "duration": duration, "address": address})
+        self.time = self._ask({**order, "duration": duration, "address": address})["time"]
+
+    def run(self) -> None:
+        """Let time pass by itself from now on."""
+        self._ask({"do": "run"})
 
     def state(self) -> dict[str, RobotTruth]:
         """Return, by robot, what a person beside it could measure."""

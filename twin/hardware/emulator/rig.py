@@ -15,6 +15,7 @@ from twin.hardware.emulator.faults import (
     BusFault,
     CameraFault,
     FaultyLine,
+    LineFault,
     LineFaultConfig,
     RobotFault,
     ScheduledFault,
@@ -59,6 +60,7 @@ class EmulatedRig:
         boards: Motor boards on their line.
         bus_line: Line of the motor boards with its injected damage.
         frames: File of its stereo pairs; None if it has none.
+        driven: Latest time at which each motor board drove a motor, by address [s].
         newest: Returns a function that draws the newest pair, at once or in another process.
 
     Raises:
@@ -87,6 +89,7 @@ class EmulatedRig:
         self.wrench = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.wrench.bind((LOOPBACK, 0))
         self.wrench.setblocking(False)
+        self.driven = dict.fromkeys(self._motors, -1.0)
         self._active: list[ScheduledFault] = []
         self._full_battery = rover.battery
         self._shown = -np.inf
@@ -119,6 +122,8 @@ class EmulatedRig:
             for axis, code in zip(axes, board.duties(), strict=True):
                 if axis >= 0:
                     self._rover.codes[axis] = code
+                if code:
+                    self.driven[address] = time
 
     def after_tick(self) -> None:
         """Read the motors, and announce a new stereo pair in its file, if there is one."""
@@ -200,7 +205,10 @@ class EmulatedRig:
             self.frames.unplug(CameraFault.UNPLUGGED in self._present)
 
     def _strike(self, fault: ScheduledFault) -> None:
-        """Do to a motor board what a fault does at once."""
+        """Do to a motor board, or to its line, what a fault does at once."""
+        if isinstance(fault.kind, LineFault):
+            self.bus_line.once.append(fault.kind)
+            return
         board = self.boards.boards[fault.address]
         match fault.kind:
             case RobotFault.BOARD_RESET:

@@ -10,6 +10,7 @@ from models.compose import (
     make_model,
     settle,
 )
+from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig
 from twin.describe import describe_placement
 from twin.hardware.calibration.calibration import calibration_path, load_calibration
@@ -102,6 +103,23 @@ class EmulatedScene:
     def period(self) -> float:
         """Servo tick [s]."""
         return self.simulation.period
+
+    def begin_at(self, state: FloatArray) -> None:
+        """Go to a state of the physics, and to its time.
+
+        Args:
+            state: `SavedRun.physics` of the same scene.
+
+        Raises:
+            ValueError: If it is of another scene.
+        """
+        saved = self.simulation.save()
+        if state.shape != saved.physics.shape:
+            raise ValueError(
+                f"the state has {state.size} numbers, the scene {saved.physics.size}: "
+                "it is of another scene"
+            )
+        self.simulation.restore(dataclasses.replace(saved, physics=state))
 
     def tick(self) -> None:
         """Advance by one servo tick, with the motors as the boards drive them.

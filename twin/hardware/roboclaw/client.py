@@ -44,7 +44,7 @@ class BusTiming:
         quiet: Silence after a failure; longer than `codec.PACKET_GAP`, so that the boards discard
             a partial packet.
         call: Time from the start of a call to its end, including all retries.
-        ask: Time for which `halt` asks one board whether its motors are at zero duty.
+        ask: Time for which `halt` asks again whether the motors are at zero duty.
     """
 
     reply: float = 0.006
@@ -109,7 +109,10 @@ class RoboClawBus:
         self._status_length: dict[int, int] = {}
         self._sending = threading.Lock()
         self._halted = False
-        # Until when nothing at all is sent, on the clock of `time.monotonic` [s]; None for no ban.
+        # Boards to which zeros are repeated, and until when, on the clock of `time.monotonic` [s].
+        self._repeated: tuple[int, ...] = ()
+        self._repeat_until = 0.0
+        # Until when nothing else is sent; None for no ban.
         self._mute_until: float | None = None
 
     def read(self, address: int, command: BoardCommand) -> tuple[int, ...]:
@@ -122,7 +125,13 @@ class RoboClawBus:
         Raises:
             LinkError: If no valid answer came in time.
         """
-        return self._read(address, command)
+        length = codec.reply_length(command)
+
+        def exchange(deadline: float) -> tuple[int, ...] | None:
+            reply = self._ask(address, command, length, deadline)
+            return self._judge(reply, length, codec.decode_reply(address, command, reply))
+
+        return self._call(f"{command.name} of board {address:#x}", address, command, exchange)
 
     def write(self, address: int, command: BoardCommand, *values: int) -> None:
         """Send a write command, and wait for the acknowledgement.
@@ -201,39 +210,46 @@ class RoboClawBus:
     def halt(self, addresses: Sequence[int], timeout: float) -> Halt:
         """Stop all motors, whether or not any board answers.
 
-        Zero duty is sent to all boards at once and again for longer than their serial timeout, and
-        read back. If a board does not confirm it, nothing at all is sent from then on: questions
-        would feed the timeout that is to stop the board. Motors are not driven before `resume`.
+        Zero duty is sent to all boards at once, and read back. If a board does not confirm it,
+        nothing is sent from then on but zero duty by `keep_halted`: questions would feed the
+        timeout that is to stop the board. Motors are not driven before `resume`.
 
         Args:
             addresses: Addresses of the boards, those that are probably dead last.
             timeout: Serial timeout of the boards, on the wall clock [s].
         """
         with self._sending:
-            self._halted, self._mute_until = True, None
-        begin = time.monotonic()
+            self._halted, self._repeated, self._mute_until = True, (), None
+        end = time.monotonic() + self._timing.ask
         confirmed: set[int] = set()
         sent = False
         while self._send_zeros(addresses):
             sent = True
-            for address in [each for each in addresses if each not in confirmed]:
-                if time.monotonic() < begin + len(addresses) * self._timing.ask:
-                    confirmed |= {address} if self._at_zero(address) else set()
+            confirmed |= {a for a in addresses if a not in confirmed and self._at_zero(a)}
             if confirmed.issuperset(addresses):
                 return Halt(frozenset(confirmed), sent)
-            if time.monotonic() > begin + timeout + self._timing.call:
+            if time.monotonic() >= end:
                 break
-            self._wait(self._timing.quiet)
         with self._sending:
-            self._mute_until = time.monotonic() + timeout + self._timing.call
+            self._repeated = tuple(addresses)
+            self._repeat_until = time.monotonic() + timeout + self._timing.call
+            self._mute_until = self._repeat_until + timeout + self._timing.call
         return Halt(frozenset(confirmed), sent)
+
+    def keep_halted(self) -> None:
+        """Send zero duty again after a halt that is not confirmed.
+
+        It does so for longer than the boards' timeout, then nothing, so that the timeout acts.
+        """
+        if self._repeated and time.monotonic() < self._repeat_until:
+            self._send_zeros(self._repeated)
 
     def resume(self) -> None:
         """Allow motors to be driven again, once boards that did not confirm a halt have stopped."""
         if self._mute_until is not None:
             self._wait(self._mute_until - time.monotonic())
         with self._sending:
-            self._halted, self._mute_until = False, None
+            self._halted, self._repeated, self._mute_until = False, (), None
 
     def close(self) -> None:
         """Close the port."""
@@ -256,11 +272,15 @@ class RoboClawBus:
         return False
 
     def _at_zero(self, address: int) -> bool:
-        """Send zero duty to a board, and return whether it answers that both duties are zero."""
+        """Send zero duty to a board, and return whether it answers that both duties are zero.
+
+        A late answer to an earlier question of the same halt will do: zero was sent before it.
+        """
         # Not only among those for all: a board may drop what follows a packet to one that is gone.
         self._send_zeros([address])
         with contextlib.suppress(LinkError):
-            return self._read(address, BoardCommand.GET_DUTIES, self._timing.ask) == (0, 0)
+            deadline = time.monotonic() + self._timing.reply
+            return self._find(address, BoardCommand.GET_DUTIES, deadline) == (0, 0)
         return False
 
     def _wait(self, duration: float) -> None:
@@ -269,18 +289,6 @@ class RoboClawBus:
             end = time.monotonic() + duration
             while time.monotonic() < end:
                 self.statistics.stray += self._link.drain(end - time.monotonic(), duration)
-
-    def _read(
-        self, address: int, command: BoardCommand, most: float | None = None
-    ) -> tuple[int, ...]:
-        """Return the values of a reply within `most` [s], or the usual time of a call."""
-        length = codec.reply_length(command)
-
-        def exchange(deadline: float) -> tuple[int, ...] | None:
-            reply = self._ask(address, command, length, deadline)
-            return self._judge(reply, length, codec.decode_reply(address, command, reply))
-
-        return self._call(f"{command.name} of board {address:#x}", address, command, exchange, most)
 
     def _ask(self, address: int, command: BoardCommand, length: int, deadline: float) -> bytes:
         self._send(codec.encode_read(address, command))
@@ -301,10 +309,9 @@ class RoboClawBus:
         address: int,
         command: BoardCommand,
         exchange: Callable[[float], T | None],
-        most: float | None = None,
     ) -> T:
-        """Repeat an exchange until a reply is valid or the call's time, `most` [s], is over."""
-        end = time.monotonic() + (most or self._timing.call)
+        """Repeat an exchange until a reply is valid or the call's time is over."""
+        end = time.monotonic() + self._timing.call
         self.statistics.transactions += 1
         tries = 0
         while time.monotonic() + self._timing.reply < end:
@@ -347,17 +354,20 @@ class RoboClawBus:
         if time.monotonic() < end:
             # A probe must differ from the command itself.
             question = next(probe for probe in self._probes if probe is not command)
-            self._suspect = not self._probe(address, question, end)
+            deadline = min(time.monotonic() + self._timing.reply, end)
+            self._suspect = self._find(address, question, deadline) is None
         return not self._suspect
 
-    def _probe(self, address: int, question: BoardCommand, end: float) -> bool:
-        """Send a read command, and discard all bytes before its reply."""
-        deadline = min(time.monotonic() + self._timing.reply, end)
+    def _find(
+        self, address: int, question: BoardCommand, deadline: float
+    ) -> tuple[int, ...] | None:
+        """Send a read command, and return the values of its reply amid all bytes that come."""
         self._send(codec.encode_read(address, question))
         length, tail = codec.reply_length(question), b""
         # A faulty board may send without end.
         while time.monotonic() < deadline and (byte := self._link.read(1, deadline)):
             tail = (tail + byte)[-length:]
-            if codec.decode_reply(address, question, tail) is not None:
-                return True
-        return False
+            values = codec.decode_reply(address, question, tail)
+            if values is not None:
+                return values
+        return None
