@@ -111,12 +111,12 @@ def main() -> None:
             robot = wired_robot(wiring, lambda: clock.time)
             opened.callback(robot.close)
             robot.home(np.array(order.angles))
+            opened.enter_context(watched(robot))
+            opened.enter_context(without_pauses())
             robot.activate()
         except (LinkError, RobotError) as error:
             _say(refused=str(error))
             return
-        opened.enter_context(watched(robot))
-        opened.enter_context(without_pauses())
         _say(active=True)
         _drive_until_told(robot, clock, order)
     _say(leaked=len(os.listdir("/proc/self/fd")) - before)

@@ -65,7 +65,7 @@ LEAD = (0.4, 0.8)  # [s] of motion before the fault
 AFTER = 0.8  # [s] looked at after the fault
 PAUSE, RIDES = 1.0, 4
 _PATIENCE, _ENDING = 30.0, 5.0  # [s]
-_TRIES = 3
+_TRIES = 10
 _DEPTH = 0.5  # share of the slot's depth at which an insertion is stored
 _TURN_SHARE = 0.6
 """Share of a turn that skidding leaves; it matters little where the rover is near the slot."""
