@@ -1,6 +1,6 @@
-"""Images and points to geometry: NumPy, SciPy, OpenCV and numba; nothing else of ours.
+"""Images and points to geometry: NumPy, SciPy, OpenCV, Pillow and numba; nothing else of ours.
 
-- `geometry`: rigid motions, pinhole cameras, gravity; every room may import it.
+- `geometry`: rigid motions, pinhole cameras, gravity, limits of files; every room may import it.
 - `stereo`: a rectified pair to points with covariance (thesis section 3.2.3).
 - `registration`: camera motion and localization from fiducials (sections 3.2.2, 3.2.5, 6.2 (a)).
 - `voxels`: maps of space, and the expected information of views (section 3.2.4 in 3-D).

@@ -121,9 +121,9 @@ def connect(
         LinkError: If a port cannot be opened.
         RobotError: If a board does not answer.
     """
-    word, colon, wiring = target.partition(":")
-    if word == "serial" and colon:
-        return _connect_wires(Wiring.parse_all(wiring))
+    wirings = wirings_of(target)
+    if wirings:
+        return _connect_wires(wirings)
     scene = SceneConfig(tuple(robots), field, seed, stereo=stereo)
     lines = lines or LineConfig()
     if target != "sim" and any(robot.model for robot in scene.robots):
@@ -134,14 +134,29 @@ def connect(
         bare = _connect_emulated(scene, lines.bus_faults)
     elif target == "quantised":
         bare = _connect_quantised(scene)
-    elif target == "sim":
+    else:
         simulation = simulate(scene, suite)
         bare = Connection(simulation.robots, simulation, simulation)
-    else:
-        raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
     radio_rng = lines.radio_rng or np.random.default_rng([seed, 6])
     links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, lines.modems)
     return dataclasses.replace(bare, links=links)
+
+
+def wirings_of(target: str) -> tuple[Wiring, ...]:
+    """Return where a target's real boards are, robot by robot; nothing if it has none.
+
+    Args:
+        target: One of `TARGETS`.
+
+    Raises:
+        ValueError: If it is unknown or misspelt.
+    """
+    word, colon, words = target.partition(":")
+    if word == "serial" and colon:
+        return Wiring.parse_all(words)
+    if target not in TARGETS:
+        raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
+    return ()
 
 
 def _connect_quantised(config: SceneConfig) -> Connection:

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import datetime
+import math
 import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
@@ -12,9 +13,9 @@ import numpy as np
 import tyro
 from rich.progress import track
 
-from experiments.doctor.robot import wiring_of
 from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError, OptionError
+from experiments.robot_option import wiring_of
 from twin.clock import Clock, WallClock
 from twin.describe import describe_rover
 from twin.hardware.background import repeating
@@ -23,7 +24,7 @@ from twin.hardware.calibration.calibration import (
     CalibrationError,
     calibration_path,
     calibration_text,
-    read_calibration,
+    load_calibration,
     write_calibration,
 )
 from twin.hardware.calibration.procedure import (
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str]) -> int:
     """Lead a person through the weighings, and write the file.
 
     Raises:
-        OptionError: If the options are bad.
+        OptionError: If the options are bad, or the calibration is damaged or another robot's.
         ExperimentError: If robot or readings do not allow it; the file is as it was.
     """
     options = parse(Options, "calibrate", SUMMARY, arguments)
@@ -86,7 +87,10 @@ def main(arguments: Sequence[str]) -> int:
     path = wiring.calibration or calibration_path(wiring.robot)
     try:
         # Its age does not matter: it is made new.
-        calibration = read_calibration(path)
+        calibration = load_calibration(path, wiring.robot, datetime.date.today(), math.inf)
+    except CalibrationError as error:
+        raise OptionError(f"--robot: {error}") from None
+    try:
         with contextlib.closing(open_boards(wiring, calibration)) as boards:
             robot = BoardRobot(describe_rover(wiring.robot), boards, calibration, time.monotonic)
             robot.configure()

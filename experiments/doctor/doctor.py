@@ -12,12 +12,16 @@ import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from experiments.doctor.findings import Finding
-from experiments.doctor.robot import examine_robot, wiring_of
+from experiments.doctor.robot import examine_robot
 from experiments.harness import provenance
 from experiments.harness.command_line import parse
 from experiments.harness.contract import OptionError
+from experiments.robot_option import wiring_of
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 PROBE_TIMEOUT = 60.0  # [s]
@@ -42,7 +46,7 @@ class DoctorOptions:
         patience: Longest wait for a person at the e-stop [s].
     """
 
-    robot: str = ""
+    robot: Annotated[str | None, tyro.conf.arg(metavar="TARGET")] = None
     patience: float = 30.0
 
     def __post_init__(self) -> None:
@@ -53,8 +57,8 @@ class DoctorOptions:
         """
         if not 0.0 < self.patience <= 3600.0:
             raise OptionError(f"--patience: expected 0 to 3600 s, got {self.patience}")
-        if self.robot not in ("", "emulated"):
-            wiring_of(self.robot)
+        if self.robot not in (None, "emulated"):
+            wiring_of(self.robot, ("emulated", "serial"))
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -73,7 +77,7 @@ def _findings(options: DoctorOptions) -> Iterator[Finding]:
     yield from examine_python()
     yield from examine_packages(pins(CHECKOUT))
     yield from examine_rendering()
-    if options.robot:
+    if options.robot is not None:
         yield from examine_robot(options.robot, options.patience)
 
 

@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from experiments.doctor.findings import Finding
-from experiments.harness.contract import OptionError
+from experiments.robot_option import wiring_of
 from twin.clock import WallClock
-from twin.connect import TARGETS
 from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.board_set import WiredBoards
@@ -61,25 +60,6 @@ def examine_robot(target: str, patience: float) -> Iterator[Finding]:
         yield from _examine_emulated(patience)
     else:
         yield from _examine(wiring_of(target), _ask_person, patience)
-
-
-def wiring_of(target: str) -> Wiring:
-    """Return the ports of a real robot's boards.
-
-    Args:
-        target: ``serial:PORT[,NAME=VALUE...]``.
-
-    Raises:
-        OptionError: If it is something else.
-    """
-    word, colon, wiring = target.partition(":")
-    if word != "serial" or not colon:
-        boards = ", ".join(name for name in TARGETS if name.startswith("serial"))
-        raise OptionError(f"--robot {target}: no real boards; expected {boards}")
-    try:
-        return Wiring.parse(wiring)
-    except ValueError as error:
-        raise OptionError(f"--robot {error}") from None
 
 
 def _ask_person() -> None:

@@ -30,8 +30,8 @@ from experiments.mission.results import (
     stages_of,
 )
 from experiments.mission.trial import MissionResult, MissionTrial, run_mission
+from experiments.robot_option import check_calibrations, check_robot
 
-ROBOTS = ("sim", "quantised", "emulated")
 WANTED = 0.9
 _SLIP_STAGE = "identification"
 """Part whose omission degrades dead reckoning."""
@@ -60,10 +60,9 @@ class Options(contract.Options):
             OptionError: Naming it and the known ones.
         """
         super().__post_init__()
-        wired = self.robot.startswith("serial:")
-        if self.robot not in ROBOTS and not wired:
-            raise OptionError(f"--robot {self.robot}: expected one of {', '.join(ROBOTS)}, serial:")
-        if wired and len(self.job_seeds(20, 1)) * (1 + len(self.ablations)) > 1:
+        check_robot(self.robot)
+        missions = len(self.job_seeds(20, 1)) * (1 + len(self.ablations))
+        if self.robot.startswith("serial:") and missions > 1:
             raise OptionError("--robot serial: one mission at a time, with --quick")
         known = (*OMITTABLE, "none")
         if unknown := set(self.without) - set(known):
@@ -90,6 +89,7 @@ def run(options: Options, output: Output) -> None:
             ``card_off_middle_more_by_mm/without_<stage>`` (where both inserted),
             ``wall_over_sim_time`` and the errors of the estimates after each stage.
     """
+    check_calibrations(options.robot)
     seeds = options.job_seeds(20, 1)
     kinds = ("", *options.ablations)
     jobs = [

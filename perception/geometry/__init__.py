@@ -4,4 +4,5 @@
 - `pinhole`: intrinsics of cameras, lens distortion, field of view.
 - `gravity`: the acceleration of free fall.
 - `arrays`: names of array types; `checks`: checks of configurations.
+- `files`: limits of files that are read; files that are written whole or not at all.
 """

@@ -3,13 +3,11 @@
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 # pyright: reportUnknownArgumentType=false
 
-import contextlib
 import dataclasses
+import math
 import os
-import secrets
 import tokenize
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any
 
@@ -18,6 +16,7 @@ import trimesh
 from numpy.typing import NDArray
 from trimesh.exchange.ply import export_ply
 
+from perception.geometry.files import MAP, check_size, replace_file
 from perception.voxels.bricks import (
     BLOCKS,
     BRICKS,
@@ -25,6 +24,7 @@ from perception.voxels.bricks import (
     FREE_RECORDS,
     POINTS,
     RECORDS,
+    SIDE,
     Bricks,
 )
 from perception.voxels.grid import MapError, VoxelGrid
@@ -37,6 +37,7 @@ MESHES = ("ply", "stl", "obj", "glb")
 # An archive whose flags are damaged needs a password, or what no reader can do.
 _UNREADABLE = (
     OSError, ValueError, KeyError, EOFError, AttributeError, RuntimeError, zipfile.BadZipFile,
+    MemoryError,  # An array's header may say any size.
     SyntaxError, tokenize.TokenError,  # NumPy reads an array's header as Python.
 )  # fmt: skip
 _STORES = {
@@ -48,34 +49,6 @@ _STORES = {
     "free_records": FREE_RECORDS,
 }
 """Entry of `Bricks.used` that counts the used rows of each array."""
-
-
-def replace_file(path: Path | str, write: Callable[[IO[bytes]], None]) -> None:
-    """Write a file that is either complete or not there: an older one stays until then.
-
-    Args:
-        path: Path of the file.
-        write: Writes the content to the open file that it is given.
-    """
-    target = Path(path)
-    # Not a temporary file of the library's: nobody else could read those.
-    partial = target.with_name(f".{target.name}.{secrets.token_hex(8)}")
-    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-    try:
-        with os.fdopen(descriptor, "wb") as stream:
-            write(stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(partial, target)
-    except BaseException:
-        with contextlib.suppress(FileNotFoundError):
-            os.unlink(partial)
-        raise
-    folder = os.open(target.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)  # so that the new name survives a power cut too
-    finally:
-        os.close(folder)
 
 
 def save(voxels: VoxelMap, path: Path | str) -> None:
@@ -106,7 +79,9 @@ def load(path: Path | str) -> VoxelMap:
         FileNotFoundError: If there is no file.
     """
     try:
+        check_size(path, MAP)
         with np.load(Path(path), allow_pickle=False) as file:
+            _check_archive(file.zip, os.path.getsize(path))
             found: dict[str, Any] = {name: file[name] for name in file.files}
         if str(found["format"]) != FORMAT:
             raise ValueError("another format")
@@ -114,13 +89,21 @@ def load(path: Path | str) -> VoxelMap:
     except FileNotFoundError:
         raise
     except _UNREADABLE as error:
-        raise MapError(f"{path}: no voxel map, or a damaged one: {error}") from error
+        reason = getattr(error, "strerror", None) or error
+        raise MapError(f"{path}: no voxel map, or a damaged one: {reason}") from error
     if version != VERSION:
         raise MapError(f"{path}: voxel map of version {version}, this program reads {VERSION}")
     try:
         return _rebuilt(found)
-    except (ValueError, KeyError, TypeError, IndexError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, OverflowError) as error:
         raise MapError(f"{path}: a damaged voxel map: {error}") from error
+
+
+def _check_archive(archive: zipfile.ZipFile, size: int) -> None:
+    """Refuse an archive that holds more than its own bytes: `save` does not compress."""
+    inside = sum(entry.file_size for entry in archive.infolist())
+    if inside > size:
+        raise ValueError(f"{inside:,} bytes in a file of {size:,}")
 
 
 def _fields(kind: type) -> list[str]:
@@ -133,7 +116,11 @@ def _rebuilt(found: dict[str, Any]) -> VoxelMap:
     config = VoxelMapConfig(model, deviations, margin, correlated, bool(coarse), int(limit))
     resolution, *corners = found["grid"].tolist()
     x0, y0, z0, x1, y1, z1 = corners
-    voxels = VoxelMap(VoxelGrid(resolution, (x0, y0, z0), (x1, y1, z1)), config)
+    grid = VoxelGrid(resolution, (x0, y0, z0), (x1, y1, z1))
+    # Before memory is taken for a grid of any size.
+    if found["index"].size * SIDE**3 != math.prod(grid.shape):
+        raise ValueError(f"index: {found['index'].shape}")
+    voxels = VoxelMap(grid, config)
     empty = voxels.bricks
     arrays = {"index": found["index"], "used": found["used"]}
     arrays |= {name: found[name] for name in _STORES}

@@ -31,6 +31,7 @@ from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from experiments.robot_option import check_calibrations, check_robot
 from models.compose import RobotPlacement
 from models.datasheets import (
     TABLE_2_2_AVERAGE_ERROR,
@@ -67,12 +68,13 @@ class Options(contract.Options):
     duration: float = 10.0
 
     def __post_init__(self) -> None:
-        """Refuse unknown excitations and durations that hold no window.
+        """Refuse robots that cannot be, unknown excitations, and durations that hold no window.
 
         Raises:
             OptionError: Naming the option.
         """
         super().__post_init__()
+        check_robot(self.robot)
         for name in self.excitations:
             if name not in EXCITATIONS:
                 raise OptionError(
@@ -90,6 +92,7 @@ class Options(contract.Options):
 
 def run(options: Options, output: Output) -> None:
     """Run every excitation over the seeds and compare with the laboratory's values."""
+    check_calibrations(options.robot)
     truth = laboratory_values()
     trials = [
         RoverTrial(options.robot, excitation, seed, options.duration)

@@ -12,7 +12,6 @@ from perception.voxels.files import (
     export_mesh,
     export_points,
     load,
-    replace_file,
     save,
     surface_mesh,
 )
@@ -80,24 +79,6 @@ def test_a_crash_while_saving_leaves_the_old_file(tmp_path, monkeypatch):
         save(step_map(scans=1), path)
     assert path.read_bytes() == old
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_file_is_put_in_place_only_when_it_is_on_the_disk(tmp_path, monkeypatch):
-    calls = []
-    real_sync, real_replace = voxel_files.os.fsync, voxel_files.os.replace
-    monkeypatch.setattr(voxel_files.os, "fsync", lambda f: (calls.append("sync"), real_sync(f)))
-    monkeypatch.setattr(
-        voxel_files.os, "replace", lambda a, b: (calls.append("replace"), real_replace(a, b))
-    )
-    replace_file(tmp_path / "x", lambda stream: stream.write(b"abc"))
-    assert calls == ["sync", "replace", "sync"]
-    assert (tmp_path / "x").read_bytes() == b"abc"
-
-
-def test_a_file_may_be_read_by_whoever_may_read_others(tmp_path):
-    (tmp_path / "other").write_bytes(b"abc")
-    replace_file(tmp_path / "x", lambda stream: stream.write(b"abc"))
-    assert (tmp_path / "x").stat().st_mode == (tmp_path / "other").stat().st_mode
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])

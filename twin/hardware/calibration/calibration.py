@@ -9,14 +9,14 @@ import dataclasses
 import datetime
 import json
 import math
-import os
-import tomllib
+import reprlib
 import types
 import typing
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from perception.geometry.files import SETTINGS, read_toml, replace_file
 from twin.hardware.calibration.motors import AxisCalibration, DriveCalibration, JointCalibration
 from twin.hardware.calibration.section import CalibrationError, Section, from_table, require
 from twin.hardware.calibration.sensors import (
@@ -129,7 +129,7 @@ def calibration_path(robot: str) -> Path:
 
 
 def load_calibration(
-    path: Path, robot: str, today: datetime.date | None, most_days: int = MOST_DAYS
+    path: Path, robot: str, today: datetime.date | None, most_days: float = MOST_DAYS
 ) -> Calibration:
     """Read the calibration of a given robot, and check its age.
 
@@ -137,7 +137,7 @@ def load_calibration(
         path: TOML file.
         robot: Name of the robot.
         today: Current date; None to accept any age, as for emulated boards.
-        most_days: Largest age [days].
+        most_days: Largest age [days]; `math.inf` for any but the future.
 
     Raises:
         CalibrationError: If the file is unreadable, invalid, stale or of another robot.
@@ -145,8 +145,8 @@ def load_calibration(
     calibration = read_calibration(path)
     if calibration.robot != robot:
         raise CalibrationError(
-            f"{path}: robot is {calibration.robot!r}, wanted {robot!r}; give the file of that "
-            f"robot, as {calibration_path(robot)}, or calibrate it"
+            f"{path}: robot is {reprlib.repr(calibration.robot)}, wanted {robot!r}; give that "
+            f"robot's file, as {calibration_path(robot)}, or calibrate it"
         )
     if today is not None:
         try:
@@ -156,7 +156,7 @@ def load_calibration(
     return calibration
 
 
-def check_age(calibration: Calibration, today: datetime.date, most_days: int = MOST_DAYS) -> None:
+def check_age(calibration: Calibration, today: datetime.date, most_days: float = MOST_DAYS) -> None:
     """Reject a calibration with a section that is too old or dated in the future.
 
     Raises:
@@ -183,18 +183,18 @@ def read_calibration(path: Path) -> Calibration:
         CalibrationError: If it is unreadable or invalid, naming file, key and value.
     """
     try:
-        with path.open("rb") as stream:
-            table = tomllib.load(stream)
+        table = read_toml(path, SETTINGS)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read ({error.strerror})") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise CalibrationError(f"{path}: is not TOML ({error})") from None
     schema = table.pop("schema", None)
     if schema != SCHEMA:
-        raise CalibrationError(f"{path}: schema is {schema!r}, this version reads {SCHEMA}")
+        shown = reprlib.repr(schema)
+        raise CalibrationError(f"{path}: schema is {shown}, this version reads {SCHEMA}")
     try:
         return from_table(Calibration, table)
-    except CalibrationError as error:
+    except ValueError as error:  # Also for an int of too many digits to be shown.
         raise CalibrationError(f"{path}: {error}") from None
 
 
@@ -202,11 +202,10 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration as commented TOML; the file is replaced atomically.
 
     Raises:
-        OSError: If the folder cannot be written to.
+        OSError: If it cannot be written; the file before it stays.
     """
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(calibration_text(calibration), encoding="utf-8")
-    os.replace(partial, path)
+    text = calibration_text(calibration)
+    replace_file(path, lambda stream: stream.write(text.encode()))
 
 
 _HEADER = """\

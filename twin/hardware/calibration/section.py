@@ -3,6 +3,7 @@
 import dataclasses
 import datetime
 import math
+import reprlib
 import types
 import typing
 from collections.abc import Mapping
@@ -14,6 +15,8 @@ from numpy.typing import ArrayLike
 from perception.geometry.arrays import FloatArray
 
 T = TypeVar("T")
+LONGEST = 80
+"""Characters of an unknown key that an error shows."""
 
 
 class CalibrationError(ValueError):
@@ -40,7 +43,7 @@ def require(condition: bool, key: str, value: object, valid: str) -> None:
         CalibrationError: Naming the key, its value and the valid values.
     """
     if not condition:
-        raise CalibrationError(f"{key} is {value!r}, needs {valid}")
+        raise CalibrationError(f"{key} is {reprlib.repr(value)}, needs {valid}")
 
 
 def require_positive(key: str, value: float, unit: str) -> None:
@@ -75,7 +78,7 @@ def from_table(kind: type[T], table: Mapping[str, object], where: str = "") -> T
     unknown = [name for name in table if name not in fields]
     if unknown:
         raise CalibrationError(
-            f"{where}{unknown[0]} is unknown (value {table[unknown[0]]!r}); "
+            f"{where}{unknown[0][:LONGEST]} is unknown (value {reprlib.repr(table[unknown[0]])}); "
             f"valid keys are {', '.join(fields)}"
         )
     for name, field in fields.items():
@@ -96,7 +99,8 @@ def _value(hint: Any, value: Any, key: str) -> Any:
         require(isinstance(value, dict), key, value, "a table")
         return from_table(typing.cast("type[Any]", hint), value, f"{key}.")
     if hint is float:
-        number = isinstance(value, int | float) and not isinstance(value, bool)
+        # A bool is an int too, and not every int is a float.
+        number = isinstance(value, float) or (type(value) is int and value.bit_length() < 1024)
         require(number, key, value, "a number")
         return float(value)
     if typing.get_origin(hint) is tuple:

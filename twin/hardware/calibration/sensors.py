@@ -136,7 +136,8 @@ class ForceTorqueCalibration(Section):
         square = len(self.rotation) == 3 and all(len(row) == 3 for row in self.rotation)
         require(square, "rotation", self.rotation, "three rows of three numbers")
         matrix = np.array(self.rotation)
-        proper = np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-6)
+        with np.errstate(over="ignore", invalid="ignore"):
+            proper = np.allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-6)
         proper = proper and np.linalg.det(matrix) > 0.0
         require(bool(proper), "rotation", self.rotation, "a right-handed rotation matrix")
         finite = len(self.bias) == 6 and all(math.isfinite(value) for value in self.bias)
