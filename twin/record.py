@@ -5,11 +5,13 @@ interrupted run loses half a second at most. ``python -m twin.record screenshot 
 makes a picture of one.
 """
 
+import contextlib
+import errno
 import socket
 import sys
 import time
 import types
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -22,6 +24,7 @@ import tyro
 from rerun.experimental import ViewerClient
 
 from perception.geometry.arrays import FloatArray, ImageArray
+from perception.geometry.files import RECORDING, check_size
 from twin.description import RobotDescription
 from twin.layout import default_blueprint
 from twin.loop import LoopRecorder, Tick
@@ -47,6 +50,8 @@ _BODY_RATE = 25.0  # Poses of bodies per second [Hz].
 _IMAGE_RATE = 4.0  # Stereo pairs per second, at most [Hz].
 _JPEG = [int(cv2.IMWRITE_JPEG_QUALITY), 60]
 _FLUSH_PERIOD = 0.5  # Robot time between writes [s].
+_LONGEST_FLUSH = 30.0  # Wall time [s].
+_BEGINNING = 2**20  # More than the layout and the meshes of a scene take [byte].
 _SLACK = 1e-9
 _POINT = 0.003  # Radius of a point in space [m].
 _MARK = (230, 60, 40)
@@ -84,11 +89,17 @@ class Recorder(LoopRecorder):
             robots: Robots that are recorded, by name.
             simulation: Scene whose bodies are recorded; None for real robots.
             blueprint: Layout of the viewer; None for `default_blueprint`.
+
+        Raises:
+            OSError: If the file cannot be written.
         """
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = rr.RecordingStream("fieldtwin")
-        self._stream.save(self.path, default_blueprint=blueprint or default_blueprint(list(robots)))
+        layout = blueprint or default_blueprint(list(robots))
+        _check_room(self.path)
+        with self._writing():
+            self._stream.save(self.path, default_blueprint=layout)
         # Samples of each curve that are not written yet: step, time and values.
         self._curves: dict[str, list[tuple[int, float, FloatArray]]] = {}
         self._widths: dict[str, int] = {}
@@ -218,14 +229,34 @@ class Recorder(LoopRecorder):
         self._stream.send_columns(path, self._now(), columns)
 
     def flush(self) -> None:
-        """Write everything recorded so far to the file."""
-        self._write_curves()
-        self._stream.flush()
+        """Write everything recorded so far to the file.
+
+        Raises:
+            OSError: If it cannot be written, as on a full disk; then what came since is lost.
+        """
+        with self._writing():
+            self._write_curves()
+            self._stream.flush(timeout_sec=_LONGEST_FLUSH)
 
     def close(self) -> None:
-        """Write the rest and close the file."""
-        self.flush()
-        self._stream.disconnect()
+        """Write the rest and close the file.
+
+        Raises:
+            OSError: As `flush`.
+        """
+        try:
+            self.flush()
+        finally:
+            self._stream.disconnect()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Generator[None]:
+        """Name the file in errors of the SDK, which have no type of their own."""
+        try:
+            yield
+        except RuntimeError as error:
+            reason = f"the recording cannot be written ({error})"
+            raise OSError(errno.EIO, reason, str(self.path)) from None
 
     def _append(
         self,
@@ -292,6 +323,19 @@ class Recorder(LoopRecorder):
         ]
 
 
+def _check_room(path: Path) -> None:
+    """Refuse a full disk: the SDK waits for ever if it fills up while a file is begun.
+
+    Raises:
+        OSError: If the beginning of a recording cannot be written.
+    """
+    try:
+        with path.open("wb") as stream:
+            stream.write(bytes(_BEGINNING))
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
 def _components(robot: RobotDescription) -> dict[str, Sequence[str]]:
     """Return the names of the values of each curve of a robot, by entity below the robot."""
     wheels, joints = robot.wheel_names, robot.joint_names
@@ -349,11 +393,13 @@ def screenshot(run: Path, out: Path, at: float | None = None, patience: float = 
         patience: Wall time after which to give up [s].
 
     Raises:
-        FileNotFoundError: If there is no such recording.
+        OSError: If there is no such recording, it is larger than the viewer should load, or the
+            picture cannot be written.
         RuntimeError: If the viewer cannot start or show it.
     """
     if not run.is_file():
         raise FileNotFoundError(f"no recording {run}")
+    check_size(run, RECORDING)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.unlink(missing_ok=True)
     deadline = time.monotonic() + patience

@@ -289,6 +289,45 @@ def test_half_written_screenshot_is_waited_for(tmp_path):
     _wait_for(out, time.monotonic())
 
 
+@pytest.mark.parametrize(
+    ("path", "reason"),
+    [
+        ("/dev/full", "No space left on device"),
+        ("/proc/run.rrd", "No such file"),
+        ("/dev/null/run.rrd", "exists"),
+    ],
+)
+def test_recording_that_cannot_be_written_is_named(path, reason):
+    with pytest.raises(OSError, match=reason) as caught, Recorder(path) as recorder:
+        recorder.log_text("notes", "lost")
+    assert caught.value.filename in (path, "/dev/null")
+
+
+@pytest.mark.parametrize("limit", [20_000, 2_000_000])
+def test_disk_that_fills_up_ends_a_recording_with_its_name(tmp_path, limit):
+    """It is full from the start, or fills up; the SDK alone waits for ever in the first case."""
+    path = tmp_path / "run.rrd"
+    program = (
+        "import os, resource, sys; from twin.record import Recorder\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
+        "try:\n"
+        "    with Recorder(sys.argv[1]) as recorder:\n"
+        "        for _ in range(100): recorder.log_text('notes', os.urandom(25_000).hex())\n"
+        "except OSError as error: print(error.filename)"
+    )
+    words = [sys.executable, "-c", program, str(path)]
+    done = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True, timeout=60)
+    assert done.stdout == f"{path}\n"
+
+
+def test_recording_larger_than_the_viewer_should_load_is_refused(tmp_path):
+    path = tmp_path / "run.rrd"
+    with path.open("wb") as stream:
+        stream.truncate(2**32 + 1)  # Takes no place on the disk.
+    with pytest.raises(OSError, match="4,294,967,297 bytes, the limit is 4,294,967,296"):
+        screenshot(path, tmp_path / "out.png")
+
+
 def test_screenshot_of_nothing_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"no recording .*none\.rrd"):
         screenshot(tmp_path / "none.rrd", tmp_path / "out.png")
