@@ -3,6 +3,7 @@
 - `datasheets`: every number with its source.
 - `rover`, `arm`, `stereo_head`, `field`: MJCF of the robot and of the ground below it.
 - `configuration`: what may be asked of a scene; `compose`: the scene from it.
+- `mjcf`: MJCF files, read within limits.
 - `terrain`, `materials`, `clutter`: ground, textures, blocks and a panel with markers.
 - `card_and_slot`: the card and its slot (thesis chapter 5).
 - `compliant_base`: the plant of the simulation study (thesis chapter 2).

@@ -25,6 +25,7 @@ from models.configuration import (
     check_robots,
 )
 from models.materials import add_materials
+from models.mjcf import read_spec
 
 __all__ = [
     "ARM_JOINTS",
@@ -72,8 +73,8 @@ def load_part(name: str) -> mujoco.MjSpec:
         known = sorted(p.parent.name for p in FOLDER.glob("*/*.xml") if p.stem == p.parent.name)
         raise ValueError(f"no model part {name!r}; there are {', '.join(known)}")
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, RuntimeError) as error:
+        spec = read_spec(path)
+    except (OSError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ValueError(f"model part {name!r} is not valid MJCF ({path}): {reason}") from error
     for key in list(spec.keys):
@@ -106,12 +107,13 @@ def load_robot(path: str) -> OwnRobot:
         path: The file.
 
     Raises:
-        ValueError: If it cannot be read or compiled, or has no free body ``chassis``.
+        ValueError: If it cannot be read or compiled, it or what it names is too large, or it has no
+            free body ``chassis``.
     """
     try:
-        spec = mujoco.MjSpec.from_file(path)
+        spec = read_spec(path)
         model = spec.compile()
-    except (ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         raise ValueError(f"robot model {path}: {' '.join(str(error).split())}") from error
     chassis = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "chassis")
     if chassis < 0 or model.body_dofnum[chassis] != 6:  # noqa: PLR2004

@@ -1,7 +1,6 @@
 """``python -m experiments bench-table``: the table of docs/benchmarks.md, from metrics.json."""
 
 import dataclasses
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.summary import format_metric
 from experiments.report.results import Result, read_result
+from perception.geometry.files import RESULTS, read_text, replace_file
 
 BEGIN, END = "<!-- bench-table -->", "<!-- end of bench-table -->"
 
@@ -173,19 +173,21 @@ def write_between_marks(path: Path, table: str) -> None:
     """Replace what a file has between the marks of the table.
 
     Raises:
-        OptionError: If the file cannot be read or has not both marks, once each.
+        OptionError: If the file cannot be read or written, or has not both marks, once each.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, RESULTS)
+    except (OSError, ValueError) as error:
         raise OptionError(f"--write {path}: {error}") from None
     if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
         raise OptionError(f"--write {path}: expected one {BEGIN!r} and after it one {END!r}")
     before, rest = text.split(BEGIN)
     after = rest.split(END)[1]
-    partial = path.with_name(f".{path.name}.partial")
-    partial.write_text(f"{before}{BEGIN}\n\n{table}\n\n{END}{after}", encoding="utf-8")
-    os.replace(partial, path)
+    text = f"{before}{BEGIN}\n\n{table}\n\n{END}{after}"
+    try:
+        replace_file(path, lambda stream: stream.write(text.encode()))
+    except OSError as error:
+        raise OptionError(f"--write {path}: {error.strerror}") from None
 
 
 def _value(row: Row, measured: Mapping[str, Any]) -> str:

@@ -163,7 +163,7 @@ class Output:
             _remove(directory)
         directory.mkdir(parents=True, exist_ok=True)
         if not self._jobs_ready:
-            for left in directory.glob(".*.partial"):  # by runs that were killed
+            for left in directory.glob(".*"):  # by runs that were killed
                 left.unlink()
         self._jobs_ready = True
         return directory

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TextIO
 
 from experiments.harness.contract import ExperimentError
+from perception.geometry.files import replace_file
 
 DIGEST_SIZE = hashlib.sha256().digest_size
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
@@ -92,14 +93,8 @@ def write_whole(path: Path, content: bytes) -> None:
     Raises:
         ExperimentError: If the disk refuses; a file that existed is as it was.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     with disk_errors(path):
-        try:
-            partial.write_bytes(content)
-            sync(partial)
-            os.replace(partial, path)
-        finally:
-            partial.unlink(missing_ok=True)
+        replace_file(path, lambda stream: stream.write(content))
 
 
 def write_checked(path: Path, content: bytes) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from perception.geometry.files import check_picture
+
 WIDTH = 1600  # [px] Wider ones are reduced: twice the widest column of the page.
 QUALITY = 85
 
@@ -33,8 +35,11 @@ def embed(path: Path) -> Embedded:
         path: PNG file.
 
     Raises:
-        OSError: If it is no picture.
+        OSError: If it is no picture, or a larger one than is read.
+        ValueError: If it is damaged.
+        SyntaxError: If it is damaged.
     """
+    check_picture(path)
     raw = path.read_bytes()
     with Image.open(io.BytesIO(raw)) as picture:
         small = _on_white(picture)

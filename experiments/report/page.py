@@ -1,6 +1,7 @@
 """The HTML of the report: plain HTML and CSS, every picture inside, no scripts."""
 
 import csv
+import io
 from collections.abc import Collection, Sequence
 from html import escape
 from pathlib import Path
@@ -15,6 +16,7 @@ from experiments.report.html import anchor, check_cells, command, folded, link, 
 from experiments.report.images import embed
 from experiments.report.results import Result
 from experiments.report.style import STYLE
+from perception.geometry.files import RESULTS, read_text
 
 FEW = 10  # checks that are not folded
 ROWS_SHOWN = 60  # of a CSV table; the file has them all
@@ -142,7 +144,7 @@ def figures(result: Result, thesis: Sequence[Element]) -> str:
 def _figure(result: Result, path: Path, caption: str) -> str:
     try:
         picture = embed(path)
-    except OSError as error:
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow's, of damaged files.
         raise ExperimentError(f"{path}: no picture ({error})") from None
     text = caption or path.stem.replace("_", " ")
     return (
@@ -155,8 +157,8 @@ def _figure(result: Result, path: Path, caption: str) -> str:
 def table_file(result: Result, path: Path, thesis: Sequence[Element]) -> str:
     """Return a CSV table, folded unless it is one of the thesis; long ones are cut, and say so."""
     try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            headings, *rows = list(csv.reader(stream)) or [[]]
+        lines = io.StringIO(read_text(path, RESULTS), newline="")
+        headings, *rows = list(csv.reader(lines)) or [[]]
     except (OSError, ValueError, csv.Error) as error:
         raise ExperimentError(f"{path}: no table ({error})") from None
     body = "".join(

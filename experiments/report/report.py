@@ -7,9 +7,9 @@ from pathlib import Path
 from experiments.harness import catalogue
 from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError
-from experiments.harness.storage import write_whole
 from experiments.report.page import page
 from experiments.report.results import read_results
+from perception.geometry.files import replace_file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,11 +38,14 @@ def write_report(out: Path) -> Path:
     """Write OUT/report.html and return its path.
 
     Raises:
-        ExperimentError: If there are no results, or one cannot be read.
+        ExperimentError: If there are no results, one cannot be read, or the page not written.
     """
     results = read_results(out)
     if not results:
         raise ExperimentError(f"no results in {out}: run an experiment first")
-    path = out / "report.html"
-    write_whole(path, page(results, catalogue.EXPERIMENTS).encode())
+    path, text = out / "report.html", page(results, catalogue.EXPERIMENTS)
+    try:
+        replace_file(path, lambda stream: stream.write(text.encode()))
+    except OSError as error:
+        raise ExperimentError(f"{path}: {error.strerror}") from None
     return path

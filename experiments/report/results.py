@@ -2,12 +2,12 @@
 
 import dataclasses
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
 from experiments.harness import catalogue
 from experiments.harness.contract import ExperimentError
+from perception.geometry.files import RESULTS, read_json
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +73,7 @@ def read_result(folder: Path) -> Result:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        contents = json.loads(path.read_text(encoding="utf-8"))
+        contents = read_json(path, RESULTS)
     except (OSError, ValueError) as error:
         raise ExperimentError(f"{path}: cannot be read ({error})") from None
     if not isinstance(contents, dict):

@@ -1,7 +1,5 @@
 """True parameter sets of the simplified plant: Table 2-1's, a user's own, or random ones."""
 
-import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +19,7 @@ from controllers.identification.parameters import (
 from experiments.harness.contract import OptionError
 from models.datasheets import TABLE_2_1_TRUTH
 from perception.geometry.arrays import FloatArray
+from perception.geometry.files import SETTINGS, read_json, read_toml
 
 Truth = tuple[float, ...]
 
@@ -57,10 +56,10 @@ def load_truth(path: Path) -> Truth:
         OptionError: If the file cannot be read, or if no body on springs can have its values.
     """
     try:
-        content = _read(path)
+        content = (read_toml if _kind(path) == "TOML" else read_json)(path, SETTINGS)
     except OSError as error:
         raise OptionError(f"--truth {path}: {error.strerror or error}") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise OptionError(f"--truth {path}: not valid {_kind(path)}: {error}") from None
     if isinstance(content, dict) and set(content) == {"truth"}:
         content = content["truth"]
@@ -84,11 +83,6 @@ def _kind(path: Path) -> str:
 
 def _type(value: Any) -> str:
     return {"str": "text", "NoneType": "null"}.get(type(value).__name__, type(value).__name__)
-
-
-def _read(path: Path) -> Any:
-    text = path.read_text(encoding="utf-8")
-    return tomllib.loads(text) if _kind(path) == "TOML" else json.loads(text)
 
 
 def random_truth(generator: np.random.Generator) -> Truth:

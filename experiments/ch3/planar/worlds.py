@@ -10,6 +10,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from experiments.harness.contract import OptionError
 from perception.geometry.arrays import BoolArray
+from perception.geometry.files import check_picture
 from perception.planar.map import Grid
 
 UNSTRUCTURED_OBSTACLES = (22, 30)
@@ -207,15 +208,17 @@ def image_world(path: Path, seed: int, cell: float = 0.5) -> World:
     """Read a floor plan: dark is obstacle, a pixel is a cell, larger pictures are shrunk.
 
     Args:
-        path: Picture in any format that OpenCV reads; its top is the world's far side.
+        path: Picture, such as PNG or JPEG; its top is the world's far side.
         seed: Seed of the start.
         cell: Side of a cell [m].
 
     Raises:
-        OptionError: If it cannot be read, is too small, or leaves no free start.
+        OptionError: If it cannot be read, is too small or too large, or leaves no free start.
     """
-    if not path.is_file():
-        raise OptionError(f"--world {path}: no such file")
+    try:
+        check_picture(path)
+    except OSError as error:
+        raise OptionError(f"--world {path}: {error.strerror}") from None
     picture = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if picture is None:
         raise OptionError(f"--world {path}: not a picture that can be read")

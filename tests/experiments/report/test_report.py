@@ -15,6 +15,7 @@ from experiments.report.results import read_result
 from tests.experiments.harness.tiny import CATALOGUE
 from tests.experiments.report import browser
 from tests.experiments.report.browser_report import sound_pictures
+from tests.hostile_files import png_of_zeros
 
 
 def test_report_holds_everything_and_what_falls_short_first(tmp_path):
@@ -64,6 +65,40 @@ def test_damaged_picture_or_table_is_named(tmp_path, name):
     with pytest.raises(ExperimentError, match=name):
         write_report(tmp_path)
     assert not (tmp_path / "report.html").exists()
+
+
+HOSTILE = {
+    "metrics.json": (b"[" * 10**6, r"metrics\.json: cannot be read \(nested too deeply"),
+    "run.json": (b" " * (2**24 + 1), r"run\.json: .*16,777,217 bytes, the limit is 16,777,216"),
+    "tables/table_2-1.csv": (b"," * (2**24 + 1), r"table_2-1\.csv: .*the limit is 16,777,216"),
+    "figures/figure_2-4.png": (png_of_zeros(12_000, 12_000), r"figure_2-4\.png: .*144,000,000"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_result_that_is_larger_than_any_is_named(tmp_path, name):
+    assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
+    content, reason = HOSTILE[name]
+    (tmp_path / "tiny" / name).write_bytes(content)
+    with pytest.raises(ExperimentError, match=reason):
+        write_report(tmp_path)
+
+
+def test_picture_damaged_behind_its_header_is_named(tmp_path):
+    assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
+    path = tmp_path / "tiny" / "figures" / "figure_2-4.png"
+    whole = path.read_bytes()
+    for damaged in (whole[: len(whole) // 2], whole.replace(b"IDAT", b"IDA\0", 1)):
+        path.write_bytes(damaged)
+        with pytest.raises(ExperimentError, match=r"figure_2-4\.png: no picture"):
+            write_report(tmp_path)
+
+
+def test_report_that_cannot_be_written_is_one_line(tmp_path, capsys):
+    assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
+    (tmp_path / "report.html").mkdir()
+    assert main(["report", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"error: {tmp_path / 'report.html'}: Is a directory\n"
 
 
 def test_pictures_of_the_thesis_are_found_from_its_elements(tmp_path):

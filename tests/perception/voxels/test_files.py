@@ -1,10 +1,14 @@
 """Maps on disk: nothing is lost, and nothing half written is ever found."""
 
+import tracemalloc
+import zipfile
+
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from perception.geometry.files import MAP
 from perception.geometry.pinhole import Frustum
 from perception.voxels import files as voxel_files
 from perception.voxels.files import (
@@ -137,6 +141,66 @@ def test_a_file_that_is_no_such_map_is_refused(tmp_path, change, named):
         arrays = {name: file[name] for name in file.files}
     np.savez(path, **(arrays | change))
     with pytest.raises(MapError, match=named):
+        load(path)
+
+
+def saved_arrays(path):
+    save(step_map(scans=0), path)
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
+
+
+def assert_refused_in_little_memory(path, reason):
+    tracemalloc.start()
+    try:
+        with pytest.raises(MapError, match=reason):
+            load(path)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_an_archive_that_unpacks_to_more_than_its_file_is_refused(tmp_path):
+    path = tmp_path / "map.npz"
+    np.savez_compressed(path, **saved_arrays(path), more=np.zeros(10**8, dtype=np.int8))
+    assert path.stat().st_size < 200_000
+    assert_refused_in_little_memory(path, r"map.npz: no voxel map, .* bytes in a file of")
+
+
+def test_a_grid_of_other_size_than_its_index_is_refused_before_memory_is_taken(tmp_path):
+    path = tmp_path / "map.npz"
+    arrays = saved_arrays(path)
+    arrays["grid"] = arrays["grid"] * [1e-2, 1, 1, 1, 1, 1, 1]
+    np.savez(path, **arrays)
+    assert_refused_in_little_memory(path, r"map.npz: a damaged voxel map: index")
+
+
+def test_an_array_that_is_shorter_than_its_header_says_is_refused(tmp_path):
+    path = tmp_path / "map.npz"
+    arrays = saved_arrays(path)
+    for count in (b"9" * 10, b"9" * 17):
+        with zipfile.ZipFile(path, "w") as archive:
+            for name in arrays:
+                header = b"{'descr': '<i8', 'fortran_order': False, 'shape': (" + count + b",)}\n"
+                length = len(header).to_bytes(2, "little")
+                archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + length + header + bytes(8))
+        with pytest.raises(MapError, match=r"map.npz: no voxel map"):
+            load(path)
+
+
+def test_a_limit_of_memory_that_is_no_number_is_refused(tmp_path):
+    path = tmp_path / "map.npz"
+    arrays = saved_arrays(path)
+    np.savez(path, **(arrays | {"config": np.full(5, np.inf)}))
+    with pytest.raises(MapError, match="damaged voxel map"):
+        load(path)
+
+
+def test_a_file_larger_than_any_map_is_refused(tmp_path):
+    path = tmp_path / "map.npz"
+    with path.open("wb") as stream:
+        stream.truncate(MAP + 1)  # Takes no place on the disk.
+    with pytest.raises(MapError, match="too large: 2,147,483,649 bytes, the limit is"):
         load(path)
 
 

@@ -5,7 +5,10 @@ camera is unplugged) and the control loop must not; the newest pair is kept. Fil
 rate. Images are as the cameras give them: rectification is not done here.
 """
 
+import contextlib
 import functools
+import glob
+import re
 import threading
 import time
 from pathlib import Path
@@ -14,13 +17,16 @@ from typing import Any, TypeAlias
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import UnidentifiedImageError
 
 from perception.geometry.arrays import ImageArray
+from perception.geometry.files import check_picture, check_pixels
 from twin.hardware.cameras import frames
 from twin.hardware.serial_link import LinkError
 from twin.robot import Channel, ImageChannel, Validity
 
 Source: TypeAlias = int | str | Path
+_SIDES = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 _STOP_TIME = 2.0  # [s] A capture that hangs is left behind after this.
 
 
@@ -254,13 +260,33 @@ class _DeviceFeed:
 
 
 def _opened(source: Source, name: str) -> cv2.VideoCapture:
+    """Open a capture whose images are no larger than may be read.
+
+    Raises:
+        LinkError: If it cannot be opened, or its images are larger.
+    """
     try:
+        # OpenCV decodes a first image when it opens a file; of pictures, the header says enough.
+        for path in [] if isinstance(source, int) else _pictures(source):
+            with contextlib.suppress(UnidentifiedImageError):  # A video.
+                check_picture(path)
         capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
+        if not capture.isOpened():
+            raise LinkError(f"{name}: cannot be opened")
+        width, height = (capture.get(side) for side in _SIDES)
+        check_pixels(name, int(width), int(height))
     except cv2.error as error:
         raise LinkError(f"{name}: cannot be opened ({error.err})") from None
-    if not capture.isOpened():
-        raise LinkError(f"{name}: cannot be opened")
+    except OSError as error:
+        raise LinkError(f"{error.filename}: {error.strerror}") from None
     return capture
+
+
+def _pictures(source: str | Path) -> list[Path]:
+    """Return the files that a source names: one, or those of a sequence; none of a network's."""
+    path = Path(str(source))
+    pattern = re.sub(r"%\d*d", "*", glob.escape(path.name))
+    return sorted(each for each in path.parent.glob(pattern) if each.is_file())
 
 
 def _grey(retrieved: tuple[bool, cv2.typing.MatLike], name: str) -> ImageArray:

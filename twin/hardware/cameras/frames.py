@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from perception.geometry.arrays import ImageArray
+from perception.geometry.files import check_pixels
 from twin.hardware.serial_link import LinkError
 from twin.robot import RobotError
 
@@ -152,6 +153,10 @@ class FrameReader:
         known = bytes(head["magic"]) == _MAGIC and head["version"] == _VERSION
         if not known or raw.size != _HEADER.itemsize + 2 * height * width:
             raise LinkError(f"{path}: no stereo pairs of an emulator")
+        try:
+            check_pixels(path, width, height)
+        except OSError as error:
+            raise LinkError(f"{path}: {error.strerror}") from None
         self._header, self._images = _parts(raw, height, width)
         self._count = 0
 

@@ -63,6 +63,8 @@ def test_truth_is_read_from_json_and_toml_in_any_order(tmp_path):
     "content, message",
     [
         ("{broken", "not valid JSON"),
+        ("[" * 30_000, "nested too deeply"),
+        ("[" * 10**6, "too large: 1,000,000 bytes, the limit is 32,768"),
         ("\ufeff", "not valid JSON"),
         ("[1, 2]", "got a list"),
         ({**VALUES, "mass": -3.0}, "mass = -3.0: must be positive"),

@@ -17,6 +17,7 @@ from experiments.ch3.planar.worlds import image_world, indoor_world, make_world,
 from experiments.harness.contract import OptionError
 from perception.planar.raycast import RangeSensor, scan
 from perception.voxels.occupancy import State
+from tests.hostile_files import png_of_zeros, run_and_weigh
 
 NARROW = {"fov_deg": 75.0, "depth": 10.0}
 
@@ -139,11 +140,23 @@ def test_pictures_that_cannot_be_mapped_are_refused(tmp_path, pixels, message):
 
 
 def test_files_that_are_no_picture_are_refused(tmp_path):
-    with pytest.raises(OptionError, match="no such file"):
+    with pytest.raises(OptionError, match="No such file"):
         image_world(tmp_path / "none.png", 1)
     (tmp_path / "text.png").write_text("not a picture")
     with pytest.raises(OptionError, match="not a picture"):
         image_world(tmp_path / "text.png", 1)
+
+
+def test_picture_of_many_pixels_is_refused_before_it_takes_their_memory(tmp_path):
+    path = tmp_path / "bomb.png"
+    path.write_bytes(png_of_zeros(12_000, 12_000))
+    said, grown = run_and_weigh(
+        "from pathlib import Path\nfrom experiments.ch3.planar.worlds import image_world",
+        f"try: image_world(Path({str(path)!r}), 1)\nexcept ValueError as error: print(error)",
+    )
+    size = "144,000,000 pixels (12000 x 12000), the limit is 33,554,432"
+    assert said == f"--world {path}: too large: {size}"
+    assert grown < 50.0  # Decoded it takes 991 MB.
 
 
 def test_bad_options_are_refused():
@@ -206,4 +219,4 @@ def test_a_picture_is_mapped_from_the_command_line(tmp_path):
 def test_a_missing_picture_ends_with_status_2(tmp_path, capsys):
     words = ["ch3-planar", "--world", str(tmp_path / "none.png"), "--out", str(tmp_path)]
     assert main(words) == 2
-    assert "no such file" in capsys.readouterr().err
+    assert "No such file" in capsys.readouterr().err

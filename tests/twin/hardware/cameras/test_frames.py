@@ -256,3 +256,10 @@ def test_file_that_is_no_emulator_s_is_named(content, tmp_path):
         path.write_bytes(content)
     with pytest.raises(LinkError, match=r"other.frames: (cannot be opened|no stereo pairs)"):
         StereoCapture(path)
+
+
+def test_file_of_pairs_larger_than_any_cameras_is_refused(tmp_path):
+    path = tmp_path / "large.frames"
+    FrameWriter(path, 5800, 5800)
+    with pytest.raises(LinkError, match=r"large.frames: too large: 33,640,000 pixels \(5800 x"):
+        StereoCapture(path)

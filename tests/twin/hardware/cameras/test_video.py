@@ -1,10 +1,13 @@
 import threading
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from perception.geometry import files
+from tests.hostile_files import png_of_zeros, run_and_weigh
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import StereoConfig
 from twin.hardware.cameras import camera
@@ -239,6 +242,37 @@ def test_what_cannot_be_opened_is_named(tmp_path):
     text.write_text("no video")
     with pytest.raises(LinkError, match="text.avi"):
         StereoCapture(text)
+
+
+def test_picture_of_many_pixels_anywhere_in_a_sequence_is_refused(tmp_path):
+    names = sequence(tmp_path, "left", [flat(9), flat(9)])
+    bomb = tmp_path / "left_0002.png"
+    bomb.write_bytes(png_of_zeros(12_000, 12_000))
+    for source in (names, str(bomb)):
+        said, grown = run_and_weigh(
+            "from twin.hardware.cameras.camera import LinkError, StereoCapture",
+            f"try: StereoCapture({source!r}, rate=10.0)\nexcept LinkError as error: print(error)",
+        )
+        size = "144,000,000 pixels (12000 x 12000), the limit is 33,554,432"
+        assert said == f"{bomb}: too large: {size}"
+        assert grown < 50.0  # Decoded it takes 969 MB.
+
+
+def test_video_of_large_images_is_refused(tmp_path, monkeypatch):
+    path = written(tmp_path / "large.avi", [flat(9)])
+    monkeypatch.setattr(files, "PIXELS", WIDTH * HEIGHT)
+    StereoCapture(path).close()
+    monkeypatch.setattr(files, "PIXELS", WIDTH * HEIGHT - 1)
+    with pytest.raises(LinkError, match=r"large.avi: too large: 3,072 pixels \(64 x 48\)"):
+        StereoCapture(path)
+
+
+def test_folder_with_signs_of_a_pattern_in_its_name_plays(tmp_path):
+    folder = tmp_path / "run [1] 50%d"
+    folder.mkdir()
+    path = written(folder / "both[1].avi", [flat(9)])
+    assert camera._pictures(path) == [Path(path)]
+    assert camera._pictures("rtsp://host/stream") == []
 
 
 def test_unusable_arguments_are_named():
