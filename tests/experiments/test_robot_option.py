@@ -6,8 +6,10 @@ import datetime
 import pytest
 
 from experiments.__main__ import main
+from experiments.doctor.doctor import DoctorOptions
 from experiments.doctor.robot import examine_robot
 from experiments.harness import catalogue
+from experiments.harness.contract import OptionError
 from twin.connect import TARGETS
 from twin.hardware.calibration.calibration import (
     Calibration,
@@ -48,6 +50,13 @@ def test_commands_on_any_robot_list_every_target(name, capsys):
     # A target's long form is broken into lines at its commas.
     listed = one_line(capsys).replace(", ", ",")
     assert all(target in listed for target in TARGETS)
+
+
+def test_doctor_says_which_robots_it_can_examine():
+    with pytest.raises(OptionError) as caught:
+        DoctorOptions(robot="sim")
+    assert "available: emulated, serial:PORT" in str(caught.value)
+    assert str(caught.value).endswith("not available here: sim, quantised")
 
 
 def replaced(old: str, new: str) -> bytes:
