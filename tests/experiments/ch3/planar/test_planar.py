@@ -156,7 +156,7 @@ def test_picture_of_many_pixels_is_refused_before_it_takes_their_memory(tmp_path
     )
     size = "144,000,000 pixels (12000 x 12000), the limit is 33,554,432"
     assert said == f"--world {path}: too large: {size}"
-    assert grown < 50.0  # Decoded it takes 991 MB.
+    assert grown < 50.0  # Decoded it takes 826 MB.
 
 
 def test_bad_options_are_refused():
