@@ -15,7 +15,7 @@ from rich.progress import track
 
 from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError, OptionError
-from experiments.robot_option import wiring_of
+from experiments.harness.robot_option import wiring_of
 from twin.clock import Clock, WallClock
 from twin.describe import describe_rover
 from twin.hardware.background import repeating

@@ -21,7 +21,7 @@ from experiments.doctor.robot import examine_robot
 from experiments.harness import provenance
 from experiments.harness.command_line import parse
 from experiments.harness.contract import OptionError
-from experiments.robot_option import wiring_of
+from experiments.harness.robot_option import wiring_of
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 PROBE_TIMEOUT = 60.0  # [s]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from experiments.doctor.findings import Finding
-from experiments.robot_option import wiring_of
+from experiments.harness.robot_option import wiring_of
 from twin.clock import WallClock
 from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot

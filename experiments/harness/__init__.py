@@ -2,7 +2,7 @@
 
 - `contract`: options and errors.
 - `catalogue`: all experiments and commands by name.
-- `command_line`: options from the command line.
+- `command_line`: options from the command line; `robot_option`: `--robot`.
 - `output`: metrics, checks, figures and tables of a run.
 - `sweep`: one function over many configurations, in parallel and resumable.
 - `intervals`: medians and fractions with their 95 % intervals.

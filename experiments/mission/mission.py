@@ -19,6 +19,7 @@ from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
 from experiments.harness.output import Output
+from experiments.harness.robot_option import check_calibrations, check_robot
 from experiments.harness.sweep import sweep
 from experiments.mission.figures import draw_knowledge, draw_steps, draw_worth
 from experiments.mission.film import film_mission
@@ -30,7 +31,6 @@ from experiments.mission.results import (
     stages_of,
 )
 from experiments.mission.trial import MissionResult, MissionTrial, run_mission
-from experiments.robot_option import check_calibrations, check_robot
 
 WANTED = 0.9
 _SLIP_STAGE = "identification"

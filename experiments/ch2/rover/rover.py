@@ -30,8 +30,8 @@ from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
+from experiments.harness.robot_option import check_calibrations, check_robot
 from experiments.harness.sweep import sweep
-from experiments.robot_option import check_calibrations, check_robot
 from models.compose import RobotPlacement
 from models.datasheets import (
     TABLE_2_2_AVERAGE_ERROR,

@@ -94,7 +94,7 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda *words: (order.append("fsync"), fsync(*words)))
     monkeypatch.setattr(os, "replace", lambda *words: (order.append("replace"), replace(*words)))
     write_whole(tmp_path / "file", b"x")
-    assert order == ["fsync", "replace"]
+    assert order == ["fsync", "replace", "fsync"]  # The file, and then the folder.
 
 
 def test_other_errors_of_the_system_come_as_they_are(tmp_path):

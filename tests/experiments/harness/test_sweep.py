@@ -87,7 +87,7 @@ def test_resume_runs_damaged_jobs_anew_and_names_their_files(tmp_path, capsys, d
 
 def test_a_full_disk_keeps_the_jobs_before_and_names_the_file(tmp_path, monkeypatch):
     expected = go(tmp_path / "other", configs(tmp_path, 4), jobs=1)
-    fsync, left = os.fsync, iter(range(2))
+    fsync, left = os.fsync, iter(range(4))  # Two of each job: its file and its folder.
 
     def full(descriptor):
         if next(left, None) is None:

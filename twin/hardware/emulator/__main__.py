@@ -25,6 +25,7 @@ import tyro
 
 from models.compose import RobotPlacement
 from perception.geometry.arrays import FloatArray
+from perception.geometry.files import MODEL, SETTINGS, check_size, read_json
 from twin.camera import StereoConfig, camera_pose
 from twin.hardware.background import end_with_parent
 from twin.hardware.emulator.drawing import DrawingProcess
@@ -235,11 +236,12 @@ def _schedule(path: Path) -> list[object]:
     """Return the entries of a file of faults.
 
     Raises:
+        OSError: If it cannot be read, or is too large.
         ValueError: If it is no JSON list.
     """
     try:
-        entries = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
+        entries = read_json(path, SETTINGS)
+    except ValueError as error:
         raise ValueError(f"{path}: no JSON ({error})") from None
     if not isinstance(entries, list):
         raise ValueError(f"{path}: expected a list of faults")
@@ -272,7 +274,10 @@ def main() -> int:
     try:
         faults = _schedule(options.faults) if options.faults else []
         scene = _scene(options)
-        state = None if options.state is None else np.load(options.state, allow_pickle=False)
+        state = None
+        if options.state is not None:
+            check_size(options.state, MODEL)
+            state = np.load(options.state, allow_pickle=False)
         emulator = Emulator(scene, options.line_faults, faults, options.frames, state)
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
