@@ -185,12 +185,12 @@ class _Bench:
         self._input.write(json.dumps(dataclasses.asdict(order)) + "\n")
         started = self._hear(_PATIENCE)
         if started is None or "active" not in started:
-            raise ExperimentError(f"the robot of a matrix trial does not start: {started}")
+            self._said.append(started or {"refused": "no answer"})
         self._emulator.run()
 
     @property
     def stopped(self) -> str:
-        """What the host said of a stop so far; empty for nothing."""
+        """What the host said of a start that failed or a stop so far; empty for nothing."""
         return str(self._said[0]) if self._said else ""
 
     def _truth(self) -> RobotTruth:
