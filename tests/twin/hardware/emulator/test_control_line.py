@@ -46,7 +46,7 @@ GARBAGE = {
     b"[" * 3000 + b"\n": "no JSON",
     b"17\n": "unknown order 17",
     b"[]\n": "unknown order",
-    b'{"tick": 1}\n': "expected do: tick, fault or state",
+    b'{"tick": 1}\n': "expected do: tick, run, fault or state",
     b'{"do": ["tick"]}\n': "unknown order",
     b'{"do": "tock"}\n': "unknown order",
     b'{"do": "tick"' + b" " * LONGEST_ORDER + b"}\n": f"more than {LONGEST_ORDER} bytes",
