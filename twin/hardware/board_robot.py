@@ -227,6 +227,8 @@ class BoardRobot:
                     f"robot {self.name!r} is {self._lifecycle.value}, not active{reason}"
                 )
             begin = time.perf_counter()
+            # Not the end: a pause of the process amid the call must not go unnoticed.
+            self._commanded = self._clock()
             try:
                 codes = self._send(command)
             except RobotError as error:
@@ -234,7 +236,6 @@ class BoardRobot:
             except BaseException as error:
                 self._fail(f"{type(error).__name__}: {error}")
                 raise
-            self._commanded = self._clock()
             self.seconds += time.perf_counter() - begin
             applied = self.calibration.drive.duties(codes)
             return applied_command(applied[:4], applied[4:])

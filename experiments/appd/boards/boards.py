@@ -281,7 +281,7 @@ def _measure_matrix(results: Sequence[MatrixResult], output: Output) -> None:
         f"<= {1e3 * WITHIN:g}",
         told <= WITHIN,
     )
-    output.check("drive after the boards' process goes on, in s", again, "== 0", again == 0.0)
+    output.check("drive after the boards' process goes on, in s", again, "<= 1e-6", again <= 1e-6)
     share = sum(each.active for each in rides) / len(rides)
     output.check("robots that go on after short faults", share, ">= 0.95", share >= 0.95)
     cycles = float(np.mean([each.cycles for each in rides]))

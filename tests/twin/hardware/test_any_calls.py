@@ -148,6 +148,6 @@ class AnyCalls(RuleBasedStateMachine):
             assert not self.rig.driven()
 
 
-AnyCalls.TestCase.settings = settings(max_examples=80, stateful_step_count=30, deadline=None)
+AnyCalls.TestCase.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
 TestAnyCalls = AnyCalls.TestCase
 TestAnyCalls.pytestmark = [pytest.mark.virtual_time]

@@ -148,6 +148,21 @@ def test_command_of_another_size_stops_the_robot(bench, part):
     assert not np.any(bench.boards.taken()) and bench.robot.lifecycle is Lifecycle.ERROR
 
 
+def test_pause_of_the_process_amid_a_command_stops_the_robot(bench, monkeypatch):
+    bench.active().cycle()
+    drive = bench.boards.drive
+
+    def pause(codes):
+        bench.time += 0.8
+        drive(codes)
+
+    monkeypatch.setattr(bench.boards, "drive", pause)
+    bench.robot.command(Command(np.ones(4)))
+    bench.robot.observe()
+    assert bench.robot.fault.startswith("no command for 0.80 s")
+    assert not np.any(bench.boards.taken())
+
+
 def test_command_that_comes_late_drives_nothing(bench):
     """As after a pause of the whole process, when nobody knows what the world does."""
     bench.active().cycle()

@@ -145,7 +145,7 @@ CUTS = [{"requests"}, {"replies"}, {"requests", "replies"}]
 
 @pytest.mark.parametrize("cut", CUTS, ids="+".join)
 @pytest.mark.parametrize("state", DISTURBED)
-@pytest.mark.parametrize("exchange", range(0, 40, 3))
+@pytest.mark.parametrize("exchange", range(0, 40, 5))
 def test_cut_wire_stops_all_motors_and_nothing_is_said_that_is_not_so(rig, state, cut, exchange):
     rig.start()
     for _ in range(5):
@@ -162,7 +162,7 @@ def test_cut_wire_stops_all_motors_and_nothing_is_said_that_is_not_so(rig, state
 
 
 @pytest.mark.parametrize("cut", CUTS, ids="+".join)
-@pytest.mark.parametrize("exchange", range(0, 60, 3))
+@pytest.mark.parametrize("exchange", range(0, 60, 6))
 @pytest.mark.parametrize("before", ["configured", "active"])
 def test_cut_wire_while_a_robot_starts_leaves_no_motor_driven(rig, cut, exchange, before):
     """Also motors that a program before this one left driven."""
