@@ -176,6 +176,8 @@ class RoverIdentifier:
         self._generator = generator
         self._window = round(REPLAN_PERIOD / config.sensors.period)
         self.reset()
+        self._rehearse()
+        self.reset()
 
     def reset(self) -> None:
         """Forget all data and start again with the approach."""
@@ -274,6 +276,15 @@ class RoverIdentifier:
     def _swing(self, excitation: Excitation) -> tuple[Trajectory, ArmState]:
         period = self.config.sensors.period
         return swing(self._arm_state, excitation, self.config.limits, self._window, period)
+
+    def _rehearse(self) -> None:
+        """Load the compiled code: its first use takes seconds, after which a robot has stopped."""
+        motion, _ = self._swing(CONSTANT)
+        self.log.wrench = list(self.config.arm.wrench(motion))
+        self.log.tilt, self.log.tilt_indices = [0.0], [0]
+        estimate = self._estimate(iterations=1)
+        if self.config.excitation in CRITERIA:
+            CRITERIA[self.config.excitation](estimate)
 
     def _estimate(self, iterations: int = 30) -> PitchEstimate:
         log = self.log

@@ -52,6 +52,7 @@ class BoardRobotConfig:
             silent board delays the others, so that a cycle may take many periods.
         watchdog: Longest time between two commands while the robot is ACTIVE [s].
         most_speed: Largest speed of an output shaft [rad/s]; a higher counting rate is a jump.
+        settling: Longest wait for a sensor's first sample or an arm that still moves, at rest [s].
     """
 
     sampling: SamplingConfig = SamplingConfig()
@@ -60,6 +61,7 @@ class BoardRobotConfig:
     lost_time: float = 0.1
     watchdog: float = 0.15
     most_speed: float = 30.0
+    settling: float = 1.0
 
 
 class BoardRobot:
@@ -156,7 +158,7 @@ class BoardRobot:
                     f"robot {self.name!r} is {self._lifecycle.value}; home it when it is inactive"
                 )
             try:
-                at_rest(lambda: self._set_counters(angles))
+                at_rest(lambda: self._settled(lambda: self._set_counters(angles)))
             except LinkError as error:
                 raise RobotError(f"robot {self.name!r}: {error}") from error
 
@@ -317,6 +319,22 @@ class BoardRobot:
         self.boards.reset_e_stop()
         for address in self.boards.addresses:
             self._check_board(address)
+        self._settled(self._begin_with_sensors)
+
+    def _settled(self, step: Callable[[], None]) -> None:
+        """Take a step at rest, again while it raises a RobotError and waiting may help."""
+        end = self._clock() + self._config.settling
+        while True:
+            try:
+                return step()
+            except RobotError:
+                before = self._clock()
+                time.sleep(self._config.period)
+                # A clock that stands still is advanced by who called.
+                if not before < self._clock() < end:
+                    raise
+
+    def _begin_with_sensors(self) -> None:
         self._begin()
         self._check_sensors()
 

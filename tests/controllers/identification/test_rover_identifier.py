@@ -1,5 +1,10 @@
 """Which excitation the identifier swings in each window, and what it compares with rest."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -23,6 +28,13 @@ def swing(excitation: str, monkeypatch: pytest.MonkeyPatch) -> RoverIdentifier:
     identifier = RoverIdentifier(config, np.random.default_rng(0))
     monkeypatch.setattr(identifier, "_plan", lambda: PLANNED)
     monkeypatch.setattr(identifier, "_estimate", lambda iterations=30: None)
+    swing_through(identifier)
+    return identifier
+
+
+def swing_through(identifier: RoverIdentifier) -> None:
+    """Step an identifier through three windows of 0.4 s."""
+    config = identifier.config
     period = config.sensors.period
     for tick in range(round((config.approach + config.rest + 1.2) / period)):
         time = tick * period
@@ -35,7 +47,6 @@ def swing(excitation: str, monkeypatch: pytest.MonkeyPatch) -> RoverIdentifier:
             inclinometer=Channel(np.array([0.02, 0.0]) + (not rests), time, Validity.MEASURED),
         )
         identifier.step({ROBOT: seen})
-    return identifier
 
 
 @pytest.mark.parametrize(
@@ -60,3 +71,33 @@ def test_readings_are_deviations_from_those_at_rest(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(log.wrench, 1.0)
     np.testing.assert_allclose(log.tilt, 1.0)
     assert log.tilt_indices == list(range(len(log.times)))
+
+
+COLD = """
+import numba.core.event as events, numpy as np
+from tests.controllers.identification import test_rover_identifier as rehearsed
+
+class Compiled(events.Listener):
+    names = []
+    def on_start(self, event): self.names.append(event.data["dispatcher"].__name__)
+    def on_end(self, event): pass
+
+events.register("numba:compile", Compiled())
+identifier = rehearsed.RoverIdentifier(
+    rehearsed.RoverIdentifierConfig(rehearsed.ROBOT, rehearsed.ARM), np.random.default_rng(0)
+)
+print(len(Compiled.names))
+rehearsed.swing_through(identifier)
+print(len(Compiled.names), len(identifier.log.estimates))
+"""
+
+
+@pytest.mark.slow
+def test_no_step_waits_for_a_compiler(tmp_path: Path) -> None:
+    """A robot stops when no command comes for 0.15 s."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    ran = subprocess.run(
+        [sys.executable, "-c", COLD], env=environment, capture_output=True, text=True, check=True
+    )
+    built, after, estimates = map(int, ran.stdout.split())
+    assert built == after > 0 and estimates == 3

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -209,6 +210,34 @@ def test_homing_refuses_an_arm_that_moves(bench):
     bench.boards.creep[6] = 0
     bench.boards.creep[0] = 500
     bench.robot.home(np.zeros(4))
+
+
+@pytest.mark.parametrize(("after", "ready"), [(0.9, True), (1.1, False)])
+def test_robot_waits_a_second_for_an_arm_that_settles_and_a_first_sample(
+    bench, monkeypatch, after, ready
+):
+    whole = dict(bench.boards.pins)
+    bench.boards.pins[1] = None
+    bench.boards.creep[6] = 3
+    start = 0.0
+
+    def settle(seconds):
+        bench.time += seconds
+        if bench.time - start > after:
+            bench.boards.creep[6] = 0
+            bench.boards.pins = dict(whole)
+
+    monkeypatch.setattr("twin.hardware.board_robot.time.sleep", settle)
+    bench.robot.configure()
+    with nullcontext() if ready else pytest.raises(RobotError, match="the arm moves"):
+        bench.robot.home(np.zeros(4))
+    bench.boards.creep[6] = 0
+    bench.boards.pins[1] = None
+    bench.robot.home(np.zeros(4))
+    start = bench.time
+    with nullcontext() if ready else pytest.raises(RobotError, match="inclinometer is missing"):
+        bench.robot.activate()
+    assert bench.robot.lifecycle is (Lifecycle.ACTIVE if ready else Lifecycle.ERROR)
 
 
 def test_first_commands_find_the_servo_compiled(bench):

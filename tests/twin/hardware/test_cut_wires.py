@@ -140,7 +140,7 @@ def noise_in_every_fifth(rig):
 
 
 DISTURBED = {"moving": None, "probing": drop_every_third, "resynchronising": noise_in_every_fifth}
-CUTS = [{"requests"}, {"replies"}, {"requests", "replies"}]
+CUTS = [("requests",), ("replies",), ("requests", "replies")]
 
 
 @pytest.mark.parametrize("cut", CUTS, ids="+".join)
