@@ -9,7 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from tests.twin.hardware.board_tables import PERIOD
 from tests.twin.hardware.roboclaw.wire import virtual_time
 from tests.twin.hardware.test_cut_wires import ADDRESSES, Rig, stops_all
-from twin.hardware.roboclaw import codec
+from twin.hardware.board_robot import BoardRobotConfig
 from twin.hardware.roboclaw.codec import BoardCommand
 from twin.hardware.serial_link import LinkError
 from twin.robot import ArmMode, Command, Lifecycle, RobotError, WheelMode, applied_command
@@ -24,6 +24,8 @@ ROWS = st.one_of(
 )
 WHEEL_MODES = st.sampled_from([*WheelMode, "duty", None, ArmMode.DUTY])
 ARM_MODES = st.sampled_from([*ArmMode, "position", 3, WheelMode.DUTY])
+CUTS = st.sampled_from([(), ("requests",), ("replies",), ("requests", "replies")])
+DEAD = st.sampled_from([None, *ADDRESSES])
 DUTY = bytes((BoardCommand.DUTY_BOTH,))
 
 
@@ -50,6 +52,7 @@ class AnyCalls(RuleBasedStateMachine):
             step()
         except expected:
             pass
+        self.confirmed_is_zero()
 
     @rule()
     def configure(self):
@@ -76,10 +79,14 @@ class AnyCalls(RuleBasedStateMachine):
     @rule(pause=st.sampled_from([0.001, 0.05, 0.14, 0.16, 1.0]))
     def wait(self, pause):
         self.rig.link.now += pause
+        if pause > BoardRobotConfig.watchdog:
+            self.guard()
+            assert self.robot.lifecycle is not Lifecycle.ACTIVE
 
     @rule(cycles=st.integers(1, 10))
     def drive(self, cycles):
         if self.robot.lifecycle is not Lifecycle.ACTIVE:
+            self.fail((), None, b"")
             for start in (self.configure, self.home, self.activate):
                 start()
         for _ in range(cycles):
@@ -103,28 +110,27 @@ class AnyCalls(RuleBasedStateMachine):
     def command_unchecked(self, wheels):
         """As by a command that somebody has made without its constructor."""
         self.may_drive = self.robot.lifecycle is Lifecycle.ACTIVE
-        self.call(
-            lambda: self.robot.command(applied_command(np.array(wheels), np.zeros(4))),
-            RobotError,
-            ValueError,
-        )
-
-    @rule(codes=st.integers(1, codec.FULL_DUTY))
-    def drive_as_another_thread(self, codes):
-        """Which has kept the boards; the robot's own state is all that allows it."""
-        self.may_drive = self.robot.lifecycle is not Lifecycle.ERROR
-        if self.robot.lifecycle is Lifecycle.ERROR:
-            self.call(lambda: self.robot.boards.drive(np.full(8, codes)), LinkError)
+        command = applied_command(np.array(wheels), np.zeros(4))
+        if self.may_drive:
+            self.call(lambda: self.robot.command(command), RobotError, ValueError)
+        else:
+            with pytest.raises(RobotError, match="not active"):
+                self.robot.command(command)
 
     @rule()
     def deactivate(self):
         self.call(self.robot.deactivate, RobotError)
 
-    @rule(
-        cut=st.sampled_from([(), ("requests",), ("replies",), ("requests", "replies")]),
-        dead=st.sampled_from([None, *ADDRESSES]),
-        noise=st.sampled_from([b"", b"\x80\x30\x00", None]),
-    )
+    @rule(cut=CUTS, dead=DEAD, unchecked=st.booleans())
+    def stop_as_wires_are_cut(self, cut, dead, unchecked):
+        self.drive(3)
+        self.fail(cut, dead, b"")
+        if unchecked:
+            self.command_unchecked([np.nan] * 4)
+        else:
+            self.deactivate()
+
+    @rule(cut=CUTS, dead=DEAD, noise=st.sampled_from([b"", b"\x80\x30\x00", None]))
     def fail(self, cut, dead, noise):
         """Let wires be cut or noisy, and a board be dead, until the next time."""
         wires = self.rig.wires
@@ -139,6 +145,10 @@ class AnyCalls(RuleBasedStateMachine):
         self.sent = len(self.rig.link.sent)
         assert self.may_drive or not any(map(drives, sent))
         self.may_drive = False
+        if self.robot.lifecycle in (Lifecycle.ERROR, Lifecycle.INACTIVE):
+            with pytest.raises(LinkError, match="halted"):  # Nor do they for another thread.
+                self.robot.boards.drive(np.full(8, 9000))
+            assert not any(drives(data) for _, data in self.rig.link.sent[self.sent :])
 
     @invariant()
     def confirmed_is_zero(self):
@@ -148,6 +158,8 @@ class AnyCalls(RuleBasedStateMachine):
             assert not self.rig.driven()
 
 
-AnyCalls.TestCase.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
+AnyCalls.TestCase.settings = settings(
+    max_examples=40, stateful_step_count=30, deadline=None, derandomize=True
+)
 TestAnyCalls = AnyCalls.TestCase
 TestAnyCalls.pytestmark = [pytest.mark.virtual_time]
