@@ -56,7 +56,10 @@ TRANSIENTS = {
     "garbage_of_10_ms": BusFault.GARBAGE,
 }
 """Faults that are over before a robot has to stop; each comes again every `PAUSE`."""
+CONTROL = "no_fault"
+"""As long as a transient's trial: what the machine itself costs."""
 MATRIX = (*LINE_FAULTS, *HOST_SIGNALS)
+FAULTS = (*MATRIX, *BOARD_SIGNALS, *TRANSIENTS, CONTROL)
 OFTEN = ("reply_wire_cut", "request_wire_cut", "host_killed")
 """Faults with four times as many seeds."""
 WITHIN = 0.25
@@ -76,7 +79,7 @@ class MatrixTrial:
     """One fault in one state.
 
     Attributes:
-        fault: One of `MATRIX`, `BOARD_SIGNALS` or `TRANSIENTS`.
+        fault: One of `FAULTS`.
         state: One of `STATES`.
         seed: Seed of the time and the board.
     """
@@ -124,7 +127,7 @@ def deal_matrix(seeds: list[int], quick: bool) -> list[MatrixTrial]:
         quick: Whether each fault is tried in one state only.
     """
     trials: list[MatrixTrial] = []
-    for number, fault in enumerate((*MATRIX, *BOARD_SIGNALS, *TRANSIENTS)):
+    for number, fault in enumerate(FAULTS):
         for state in STATES if not quick else [STATES[number % len(STATES)]]:
             turns = 4 if fault in OFTEN and not quick else 1
             trials += [MatrixTrial(fault, state, s + t) for s in seeds for t in range(turns)]
@@ -214,7 +217,7 @@ class _Bench:
 
     def act(self, address: int) -> MatrixResult:
         """Let the trial's fault happen, to the board at this address if it is one board's."""
-        if self._trial.fault in TRANSIENTS:
+        if self._trial.fault in (*TRANSIENTS, CONTROL):
             return self._ride_out()
         if self._trial.fault in BOARD_SIGNALS:
             return self._lose_boards()
@@ -259,10 +262,11 @@ class _Bench:
         return dataclasses.replace(result, zero=zero, true=true)
 
     def _ride_out(self) -> MatrixResult:
-        """Let a short fault come again and again."""
+        """Let a short fault, if any, come again and again."""
         at, before = time.monotonic(), self._truth()
         for turn in range(RIDES):
-            self._emulator.inject(self._robot, TRANSIENTS[self._trial.fault].value, PERIOD)
+            if self._trial.fault != CONTROL:
+                self._emulator.inject(self._robot, TRANSIENTS[self._trial.fault].value, PERIOD)
             self.until(at + (turn + 1) * PAUSE)
         result = self._conclude(_moving(before), at)
         # A deadline that is missed is a cycle that was not done.

@@ -5,12 +5,10 @@ import dataclasses
 import pytest
 
 from experiments.appd.boards.matrix import (
-    BOARD_SIGNALS,
+    FAULTS,
     LINE_FAULTS,
-    MATRIX,
     OFTEN,
     STATES,
-    TRANSIENTS,
     WITHIN,
     MatrixResult,
     MatrixTrial,
@@ -25,12 +23,12 @@ pytestmark = pytest.mark.real_time
 def test_every_fault_is_dealt_in_every_state():
     trials = deal_matrix([10, 20], quick=False)
     cells = [(each.fault, each.state) for each in trials]
-    for fault in (*MATRIX, *BOARD_SIGNALS, *TRANSIENTS):
+    for fault in FAULTS:
         for state in STATES:
             assert cells.count((fault, state)) == (8 if fault in OFTEN else 2)
     assert len(set(trials)) == len(trials)
     quick = deal_matrix([1], quick=True)
-    assert [each.fault for each in quick] == [*MATRIX, *BOARD_SIGNALS, *TRANSIENTS]
+    assert [each.fault for each in quick] == list(FAULTS)
     assert {each.state for each in quick} == set(STATES)
 
 
