@@ -19,6 +19,8 @@ from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.output import Output
 from experiments.harness.storage import disk_errors
 from experiments.harness.summary import print_summary
+from twin.hardware.serial_link import LinkError
+from twin.robot import RobotError
 
 FAILURE = 1
 INTERRUPTED = 130
@@ -48,7 +50,7 @@ def main(
         if name not in experiments:
             raise OptionError(_unknown(name, [*experiments, *catalogue.COMMANDS]))
         run_experiment(experiments[name], rest)
-    except (OptionError, ExperimentError) as error:
+    except (OptionError, ExperimentError, LinkError, RobotError) as error:
         complain(error)
         return BAD_OPTIONS if isinstance(error, OptionError) else FAILURE
     except KeyboardInterrupt:

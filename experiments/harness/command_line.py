@@ -15,6 +15,7 @@ Parsed = TypeVar("Parsed")
 
 BAD_OPTIONS = 2
 BOX = re.compile(r"[╭╮╰╯│─]+")
+OWN = re.compile(r"^(Error parsing )?(\w*Options: )?")
 ADVICE = ("Perhaps you meant", "Similar", "Argument helptext", "For full helptext", "Got errors")
 
 
@@ -62,4 +63,4 @@ def _one_line(box: str) -> str:
             break
         kept.append(line)
     message = " ".join(" ".join(kept).split()).rstrip(".:")
-    return message.removeprefix("Error parsing ").removeprefix("Options: ")
+    return OWN.sub("", message)

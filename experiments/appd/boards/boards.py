@@ -6,6 +6,7 @@ the same controller with and without wires are measured besides; figure D-3 is d
 emulated amplifier.
 """
 
+import collections
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -33,12 +34,14 @@ from experiments.appd.boards.matrix import (
     BOARD_SIGNALS,
     CONTROL,
     MATRIX,
+    RIDES,
     TRANSIENTS,
     WITHIN,
     MatrixResult,
     deal_matrix,
     run_matrix_trial,
 )
+from experiments.appd.boards.soak import SoakResult, SoakTrial, growth, run_soak
 from experiments.appd.boards.trial import (
     KINDS,
     PERIOD,
@@ -69,7 +72,9 @@ MOTION = (
 )
 """Approach, rest and duration of the identification [s], in full and with --quick."""
 STOP_BOUND = TIMEOUT + PERIOD
-PARTS = ("trials", "matrix")
+SOAK = (4.0 * 3600.0, 30.0)  # [s] of robot time: full, quick
+GROWTH_BOUND = 0.02
+PARTS = ("trials", "matrix", "soak")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +85,8 @@ class Options(contract.Options):
         robot: Which boards: emulated.
         parts: Parts to run: trials (faults while time stands still between ticks, damaged lines,
             the pace on the wall clock), matrix (every fault in every state on boards with their own
-            clock; half an hour on two cores).
+            clock; half an hour on two cores), soak (four hours of the robot's time with faults; an
+            hour on two cores).
     """
 
     robot: str = "emulated"
@@ -110,13 +116,24 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``stopped_fraction``, ``stop_time/<fault>``, ``worst_call_ms``,
             ``wrong_values``, ``miss_fraction``, ``adapter_ms`` and ``identical_cycles/<line>``;
             of the matrix ``matrix_zero_fraction``, ``matrix_zero_ms``,
-            ``matrix_message_true_fraction`` and ``matrix_orphans``.
+            ``matrix_message_true_fraction`` and ``matrix_orphans``; of the soak
+            ``soak_wrong_values`` and ``soak_growth/<process>``.
     """
     if "trials" in options.parts:
         _run_trials(options, output)
     if "matrix" in options.parts:
         trials = deal_matrix(options.job_seeds(5, 1), options.quick)
-        _measure_matrix(sweep(run_matrix_trial, trials, options, output, label="faults"), output)
+        rides = [trial for trial in trials if trial.fault in RIDES]
+        stops = [trial for trial in trials if trial.fault not in RIDES]
+        faults = sweep(run_matrix_trial, stops, options, output, label="faults")
+        # Their cycles are counted: nothing else of ours may run.
+        alone = dataclasses.replace(options, jobs=1)
+        faults += sweep(run_matrix_trial, rides, alone, output, label="short faults")
+        _measure_matrix(faults, output)
+    if "soak" in options.parts:
+        seeds = options.job_seeds(2, 1)
+        drives = [SoakTrial(SOAK[options.quick] / len(seeds), seed) for seed in seeds]
+        _measure_soak(sweep(run_soak, drives, options, output, label="drives"), output)
 
 
 def _run_trials(options: Options, output: Output) -> None:
@@ -301,10 +318,50 @@ def _measure_matrix(results: Sequence[MatrixResult], output: Output) -> None:
             max(1e3 * getattr(each, name) for each in chosen) for name in ("zero", "told")
         )
         words = next((each.words for each in chosen if each.words), "")
-        done = np.mean([e.cycles for e in chosen]) if cell[0] in (*TRANSIENTS, CONTROL) else ""
+        done = np.mean([e.cycles for e in chosen]) if cell[0] in RIDES else ""
         rows.append([*cell, len(chosen), zero, told, sum(e.true for e in chosen), done, words])
     columns = ("fault", "state", "trials", "zero after [ms]", "told after [ms]", "true", "done")
     output.table("matrix", (*columns, "what the robot says, for instance"), rows)
+
+
+def _measure_soak(results: Sequence[SoakResult], output: Output) -> None:
+    """Store whether long drives with faults gave wrong values, false words or growing processes."""
+    wrong, false = (sum(values) for values in zip(*((r.wrong, r.false) for r in results)))
+    faults = collections.Counter[str]()
+    for each in results:
+        faults.update(each.faults)
+    worst = max(each.zero for each in results)
+    hours = sum(each.duration for each in results) / 3600.0
+    output.measure("soak_hours", hours)
+    output.measure("soak_hours/in_motion", sum(each.active for each in results) / 3600.0)
+    output.measure("soak_wrong_values", wrong)
+    output.measure("soak_compared_cycles", sum(each.cycles for each in results))
+    output.measure("soak_damaged_exchanges", sum(each.damaged for each in results))
+    output.measure("soak_faults", faults.total())
+    output.measure("soak_false_words", false)
+    output.measure("soak_unexpected_stops", sum(each.unexpected for each in results))
+    output.measure("soak_zero_ms", 1e3 * worst)
+    opened = sum(each.opened for each in results)
+    output.measure("soak_leaked", opened)
+    output.check(f"wrong values in {hours:.2g} hours of driving", wrong, "== 0", wrong == 0)
+    output.check("boards called zero that drove", false, "== 0", false == 0)
+    output.check(
+        f"zero duty after the fault, longest of {faults.total()}, in ms",
+        1e3 * worst,
+        f"<= {1e3 * WITHIN:g}",
+        worst <= WITHIN,
+    )
+    output.check("open files left", opened, "== 0", opened == 0)
+    for name in ("host", "boards"):
+        share = max(growth(getattr(each, name)) for each in results)
+        output.measure(f"soak_growth/{name}", share)
+        output.check(
+            f"growth of memory, process of the {name}",
+            share,
+            f"<= {GROWTH_BOUND}",
+            share <= GROWTH_BOUND,
+        )
+    output.table("soak", ("fault", "times"), [list(pair) for pair in sorted(faults.items())])
 
 
 def _measure_amplifier(output: Output) -> None:

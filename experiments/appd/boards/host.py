@@ -95,7 +95,10 @@ def _drive_until_told(robot: BoardRobot, clock: WallClock, order: HostOrder) -> 
 
 def main() -> None:
     """Drive one robot as the first line says."""
-    order = HostOrder(**json.loads(sys.stdin.readline()))
+    line = sys.stdin.readline()
+    if not line:
+        return  # Who started it has ended.
+    order = HostOrder(**json.loads(line))
     before = len(os.listdir("/proc/self/fd"))
     ports = order.ports
     wiring = Wiring(

@@ -59,14 +59,15 @@ TRANSIENTS = {
 CONTROL = "no_fault"
 """As long as a transient's trial: what the machine itself costs."""
 MATRIX = (*LINE_FAULTS, *HOST_SIGNALS)
-FAULTS = (*MATRIX, *BOARD_SIGNALS, *TRANSIENTS, CONTROL)
+RIDES = (*TRANSIENTS, CONTROL)
+FAULTS = (*MATRIX, *BOARD_SIGNALS, *RIDES)
 OFTEN = ("reply_wire_cut", "request_wire_cut", "host_killed")
 """Faults with four times as many seeds."""
 WITHIN = 0.25
 """Longest time from a fault to zero duty at all boards with power [s]."""
 LEAD = (0.4, 0.8)  # [s] of motion before the fault
 AFTER = 0.8  # [s] looked at after the fault
-PAUSE, RIDES = 1.0, 4
+PAUSE, TIMES = 1.0, 4
 _PATIENCE, _ENDING = 30.0, 5.0  # [s]
 _TRIES = 10
 _DEPTH = 0.5  # share of the slot's depth at which an insertion is stored
@@ -217,7 +218,7 @@ class _Bench:
 
     def act(self, address: int) -> MatrixResult:
         """Let the trial's fault happen, to the board at this address if it is one board's."""
-        if self._trial.fault in (*TRANSIENTS, CONTROL):
+        if self._trial.fault in RIDES:
             return self._ride_out()
         if self._trial.fault in BOARD_SIGNALS:
             return self._lose_boards()
@@ -264,13 +265,13 @@ class _Bench:
     def _ride_out(self) -> MatrixResult:
         """Let a short fault, if any, come again and again."""
         at, before = time.monotonic(), self._truth()
-        for turn in range(RIDES):
+        for turn in range(TIMES):
             if self._trial.fault != CONTROL:
                 self._emulator.inject(self._robot, TRANSIENTS[self._trial.fault].value, PERIOD)
             self.until(at + (turn + 1) * PAUSE)
         result = self._conclude(_moving(before), at)
         # A deadline that is missed is a cycle that was not done.
-        return dataclasses.replace(result, cycles=1.0 - result.cycles * PERIOD / (RIDES * PAUSE))
+        return dataclasses.replace(result, cycles=1.0 - result.cycles * PERIOD / (TIMES * PAUSE))
 
     def _conclude(self, moving: int, at: float) -> MatrixResult:
         """End the host, and return what it said since a time."""
@@ -318,8 +319,8 @@ def _is_true(result: MatrixResult, lasting: dict[str, float]) -> bool:
         last = [lasting[each] for each in re.findall(r"0x\w+", group)]
         if "not reached" in group and result.trial.fault != "unplugged":
             return False
-        # The others stop by themselves.
-        most = result.told + (PERIOD if "zero confirmed" in group else WITHIN)
+        # The others stop by themselves. A fault begins amid a tick, and a duty is seen once a tick.
+        most = result.told + (2.0 * PERIOD if "zero confirmed" in group else WITHIN)
         if last and max(last) > most:
             return False
     return True

@@ -125,9 +125,15 @@ class BoardBench:
         robot: The robot over them, with the deadlines of a real one.
     """
 
-    def __init__(self, seed: int) -> None:
-        """Start the emulator."""
-        self.emulator = EmulatorProcess(SceneConfig((RobotPlacement(ROBOT),), seed=seed))
+    def __init__(self, seed: int, line_faults: float = 0.0) -> None:
+        """Start the emulator.
+
+        Args:
+            seed: Seed of all noise.
+            line_faults: Share of the exchanges with the motor boards that are damaged.
+        """
+        scene = SceneConfig((RobotPlacement(ROBOT),), seed=seed)
+        self.emulator = EmulatorProcess(scene, line_faults)
         self.robot: BoardRobot | None = None
 
     @property
@@ -187,8 +193,13 @@ class BoardBench:
         self.emulator.close()
 
 
-class _DriveAndSwing:
-    """All eight motors turn: wheels the same way, joints to and fro about where they were."""
+class DriveAndSwing:
+    """All eight motors turn: wheels the same way, joints to and fro about where they were.
+
+    Args:
+        start: (4,) joint angles at the start [rad].
+        rng: Random generator of speeds and frequencies.
+    """
 
     def __init__(self, start: FloatArray, rng: np.random.Generator) -> None:
         self._start = start
@@ -242,12 +253,12 @@ class _FaultInjection:
             self._bench.robot = None
         return result
 
-    def _driving(self) -> tuple[BoardRobot, _DriveAndSwing]:
+    def _driving(self) -> tuple[BoardRobot, DriveAndSwing]:
         """Return the robot in motion; one that a busy machine stopped is started again."""
         said = ""
         for _ in range(_TRIES):
             robot = self._bench.renew(self._address if self._kind == WRAP else None)
-            motion = _DriveAndSwing(self._bench.angles[4:], self._rng)
+            motion = DriveAndSwing(self._bench.angles[4:], self._rng)
             # The counters must not wrap before they are looked at.
             for _ in range(0 if self._kind == WRAP else self._lead):
                 self._cycle(robot, motion.next_command())
@@ -264,7 +275,7 @@ class _FaultInjection:
                 robot.command(command)
         self._bench.emulator.tick()
 
-    def _after(self) -> Callable[[BoardRobot, _DriveAndSwing], list[list[int]]]:
+    def _after(self) -> Callable[[BoardRobot, DriveAndSwing], list[list[int]]]:
         """Return what makes this trial's fault happen, and returns the codes from then on."""
         own = {
             "controller_hang": self._hang,
@@ -274,7 +285,7 @@ class _FaultInjection:
         }
         return own.get(self._kind, self._inject)
 
-    def _inject(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
+    def _inject(self, robot: BoardRobot, motion: DriveAndSwing) -> list[list[int]]:
         bench = self._bench
         bench.emulator.inject(ROBOT, self._kind, self._duration, self._address)
         codes: list[list[int]] = []
@@ -292,7 +303,7 @@ class _FaultInjection:
                     robot.deactivate()
         return codes
 
-    def _hang(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
+    def _hang(self, robot: BoardRobot, motion: DriveAndSwing) -> list[list[int]]:
         """Nobody commands; only the watchdog's thread runs, on the wall clock."""
         codes: list[list[int]] = []
         with watched(robot):
@@ -308,7 +319,7 @@ class _FaultInjection:
                 time.sleep(max(0.0, due - time.monotonic()))
         return codes
 
-    def _kill(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
+    def _kill(self, robot: BoardRobot, motion: DriveAndSwing) -> list[list[int]]:
         """The kernel closes the ports of a process that it kills; nothing more is sent."""
         robot.boards.close()
         codes: list[list[int]] = []
@@ -317,7 +328,7 @@ class _FaultInjection:
             codes.append(self._bench.codes)
         return codes
 
-    def _command_nan(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
+    def _command_nan(self, robot: BoardRobot, motion: DriveAndSwing) -> list[list[int]]:
         command = None
         with contextlib.suppress(ValueError):
             command = Command(np.full(4, np.nan))
@@ -327,7 +338,7 @@ class _FaultInjection:
             codes.append(self._bench.codes)
         return codes
 
-    def _wrap(self, robot: BoardRobot, motion: _DriveAndSwing) -> list[list[int]]:
+    def _wrap(self, robot: BoardRobot, motion: DriveAndSwing) -> list[list[int]]:
         """Drive through the wrap, and hold every speed against the true angles."""
         count = 2.0 * np.pi / robot.calibration.drive.front_left.counts_per_turn
         angles, codes = [self._bench.angles[:4]], [self._bench.codes]

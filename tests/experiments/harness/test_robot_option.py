@@ -59,6 +59,15 @@ def test_doctor_says_which_robots_it_can_examine():
     assert str(caught.value).endswith("not available here: sim, quantised")
 
 
+def test_port_that_cannot_be_opened_is_one_line(tmp_path, capsys):
+    robot = f"{PORTS},home=0:0:0:0,most_days=99999"
+    words = ["ch2-rover", "--quick", "--seeds", "2", "--jobs", "2", "--out", str(tmp_path)]
+    assert main([*words, "--robot", robot]) == 1
+    _progress, *lines = capsys.readouterr().err.splitlines()
+    (line,) = lines
+    assert line.startswith("error: /dev/no-port: cannot be opened")
+
+
 def replaced(old: str, new: str) -> bytes:
     text = calibration_text(nominal())
     assert old in text

@@ -62,7 +62,8 @@ FAULT = next(iter(LINE_FAULTS))
     ("words", "lasting", "true"),
     [
         ("0x80, 0x81: zero confirmed", (0.1, 0.1), True),
-        ("0x80, 0x81: zero confirmed", (0.1, 0.3), False),
+        ("0x80, 0x81: zero confirmed", (0.1, 0.23), False),
+        ("0x80, 0x81: zero confirmed", (0.1, 0.21), True),
         ("0x80: zero confirmed; 0x81: sent, not answered; stops by its own", (0.1, 0.3), True),
         ("0x80: zero confirmed; 0x81: sent, not answered; stops by its own", (0.1, 0.6), False),
         ("0x80, 0x81: not reached; stop by their own timeout", (0.2, 0.2), True),
