@@ -131,8 +131,9 @@ def run(options: Options, output: Output) -> None:
         faults += sweep(run_matrix_trial, rides, alone, output, label="short faults")
         _measure_matrix(faults, output)
     if "soak" in options.parts:
-        seeds = options.job_seeds(2, 1)
-        drives = [SoakTrial(SOAK[options.quick] / len(seeds), seed) for seed in seeds]
+        seeds = options.job_seeds(4, 1)
+        share = SOAK[options.quick] / len(seeds)
+        drives = [SoakTrial(share, seed, core) for core, seed in enumerate(seeds)]
         _measure_soak(sweep(run_soak, drives, options, output, label="drives"), output)
 
 

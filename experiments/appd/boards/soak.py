@@ -10,6 +10,7 @@ import contextlib
 import dataclasses
 import os
 import re
+from collections.abc import Generator
 from pathlib import Path
 
 import numpy as np
@@ -57,10 +58,12 @@ class SoakTrial:
     Attributes:
         duration: Robot time [s].
         seed: Seed of motion, faults and noise.
+        core: Which of the processor's cores its two processes share, counted round.
     """
 
     duration: float
     seed: int
+    core: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,8 +116,25 @@ def run_soak(trial: SoakTrial) -> SoakResult:
         ExperimentError: If a robot cannot be brought to drive without a fault.
     """
     rng = np.random.default_rng(trial.seed)
-    with contextlib.closing(BoardBench(trial.seed % 2**31, DAMAGED)) as bench:
+    with (
+        _one_core(trial.core),
+        contextlib.closing(BoardBench(trial.seed % 2**31, DAMAGED)) as bench,
+    ):
         return _Soak(bench, rng, trial.duration).run()
+
+
+@contextlib.contextmanager
+def _one_core(number: int) -> Generator[None]:
+    """Keep this process and its children on one core: they take turns, and none has to be woken."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {sorted(cores)[number % len(cores)]})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 class _Soak:
