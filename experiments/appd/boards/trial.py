@@ -45,6 +45,8 @@ DURATIONS = {
     RobotFault.NO_ANALOGUE.value: (0.3, 0.4),
 }
 _TRIES = 3
+_STALLS, _STALL = 10, 1.0
+"""How often a busy machine may keep the robot from starting, and the wait between [s]."""
 _REMEMBERED = 21  # [cycles] a speed that still counts is of two readings within these
 
 
@@ -158,7 +160,7 @@ class BoardBench:
         self.disconnect()
         self.wait(REST)
         said = ""
-        for _ in range(_TRIES):
+        for _ in range(_STALLS):
             for address in ADDRESSES:
                 self.emulator.inject(ROBOT, RobotFault.BOARD_RESET.value, 0.0, address)
             if preset is not None:
@@ -174,6 +176,7 @@ class BoardBench:
                 # A machine that is busy elsewhere may miss a deadline of a millisecond.
                 self.disconnect()
                 said = str(error)
+                time.sleep(_STALL)
         raise ExperimentError(f"the emulated rover cannot be set up: {said}")
 
     def wait(self, duration: float) -> None:
