@@ -85,8 +85,8 @@ class Options(contract.Options):
         robot: Which boards: emulated.
         parts: Parts to run: trials (faults while time stands still between ticks, damaged lines,
             the pace on the wall clock), matrix (every fault in every state on boards with their own
-            clock; half an hour on two cores), soak (four hours of the robot's time with faults; an
-            hour on two cores).
+            clock; 40 minutes on two cores), soak (four hours of the robot's time with faults; up to
+            two hours on two slow cores).
     """
 
     robot: str = "emulated"
