@@ -100,7 +100,8 @@ def run(options: Options, output: Output) -> None:
         for seed in options.job_seeds(full=20, quick=3)
     ]
     # A real robot does one thing at a time.
-    alone = dataclasses.replace(options, jobs=1) if ":" in options.robot else options
+    real = options.robot.startswith("serial:")
+    alone = dataclasses.replace(options, jobs=1) if real else options
     found = sweep(run_rover_trial, trials, alone, output, label="rover runs")
     results: Results = {name: [] for name in options.chosen()}
     for trial, result in zip(trials, found):
