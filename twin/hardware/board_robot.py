@@ -51,7 +51,6 @@ class BoardRobotConfig:
         lost_time: Time without an answer from a motor board after which the robot stops [s]. A
             silent board delays the others, so that a cycle may take many periods.
         watchdog: Longest time between two commands while the robot is ACTIVE [s].
-        most_speed: Largest speed of an output shaft [rad/s]; a higher counting rate is a jump.
         settling: Longest wait for a sensor's first sample or an arm that still moves, at rest [s].
     """
 
@@ -60,7 +59,6 @@ class BoardRobotConfig:
     lost_cycles: int = 3
     lost_time: float = 0.1
     watchdog: float = 0.15
-    most_speed: float = 30.0
     settling: float = 1.0
 
 
@@ -298,6 +296,7 @@ class BoardRobot:
     def _set_up(self) -> None:
         self._zero()
         self.boards.configure()
+        self._count(range(8), np.zeros(8))
         self._begin()
 
     def _set_counters(self, angles: FloatArray) -> None:
@@ -306,20 +305,25 @@ class BoardRobot:
         self._begin()
         if np.any(np.abs(self._samples.arm_counts() - before) > _STILL):
             raise RobotError(f"robot {self.name!r}: the arm moves; hold it still to home")
-        counts = self.calibration.drive.counts(np.concatenate([np.zeros(4), angles]))
         # The counters are angles only once all of them are set.
         self._homed = False
-        for axis in range(4, 8):
-            self.boards.set_encoder(axis, codec.signed_difference(int(counts[axis]), 0))
+        self._count(range(4, 8), np.concatenate([np.zeros(4), angles]))
         self._homed = True
         self._begin()
+
+    def _count(self, axes: range, angles: FloatArray) -> None:
+        """Let the counters of some axes stand for their angles, of all (8,) [rad]."""
+        counts = self.calibration.drive.counts(angles)
+        for axis in axes:
+            self.boards.set_encoder(axis, codec.signed_difference(int(counts[axis]), 0))
 
     def _wake(self) -> None:
         self._zero()
         self.boards.reset_e_stop()
+        self._settled(self._begin_with_sensors)
+        # Last: a board that is reset from here on is seen by its counters.
         for address in self.boards.addresses:
             self._check_board(address)
-        self._settled(self._begin_with_sensors)
 
     def _settled(self, step: Callable[[], None]) -> None:
         """Take a step at rest, again while it raises a RobotError and waiting may help."""
@@ -356,14 +360,14 @@ class BoardRobot:
             return
         most = 1 if self._lost_for_long() else self._config.lost_cycles
         lost = [a for a, n in self._samples.lost.items() if n >= most]
-        jumped = np.flatnonzero(np.abs(self._samples.rates) > self._config.most_speed)
+        jumped = self._samples.jumped
         try:
             if lost:
                 raise RobotError(f"motor board {lost[0]:#x} is silent")
-            if jumped.size:
+            if jumped is not None:
                 self._homed = False
                 raise RobotError(
-                    f"the counter of {AXES[jumped[0]]} jumped, as after a reset of its board; "
+                    f"the counter of {AXES[jumped]} jumped, as after a reset of its board; "
                     "home the robot"
                 )
             self._check_sensors()

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from perception.geometry.arrays import FloatArray
 from twin.hardware.board_set import BoardSet
 from twin.hardware.calibration.calibration import AngleSensor, Calibration
+from twin.hardware.calibration.motors import START
 from twin.hardware.roboclaw import codec
 from twin.hardware.serial_link import LinkError
 from twin.robot import MISSING, Channel, Observation, Validity
@@ -19,19 +20,21 @@ ARM = slice(4, 8)
 
 @dataclasses.dataclass(frozen=True)
 class SamplingConfig:
-    """Ages from which samples are stale [s].
+    """What makes a sample stale, or impossible.
 
     Attributes:
-        encoder_age: Age limit of encoder values.
-        tilt_age: Age limit of inclinometer and potentiometer, read every fourth cycle.
-        wrench_age: Age limit of the wrench.
-        stereo_age: Age limit of a stereo pair.
+        encoder_age: Age limit of encoder values [s].
+        tilt_age: Age limit of inclinometer and potentiometer, read every fourth cycle [s].
+        wrench_age: Age limit of the wrench [s].
+        stereo_age: Age limit of a stereo pair [s].
+        most_speed: Largest speed of an output shaft [rad/s]; a higher counting rate is a jump.
     """
 
     encoder_age: float = 0.1
     tilt_age: float = 0.2
     wrench_age: float = 0.1
     stereo_age: float = 1.0
+    most_speed: float = 30.0
 
 
 @dataclasses.dataclass
@@ -52,7 +55,13 @@ class SamplingStatistics:
 
 
 class BoardSamples:
-    """The latest sample of everything; a sample that is missed leaves the one before."""
+    """The latest sample of everything; one that is missed or impossible leaves the one before.
+
+    Attributes:
+        statistics: Counts of what was missed.
+        lost: Number of consecutive cycles without an answer, by the motor boards' addresses.
+        jumped: Axis whose counter jumped since `begin`; None if none did.
+    """
 
     def __init__(
         self,
@@ -71,6 +80,7 @@ class BoardSamples:
         """
         self.statistics = SamplingStatistics()
         self.lost = dict.fromkeys(boards.addresses, 0)
+        self.jumped: int | None = None
         self._boards = boards
         self._calibration = calibration
         self._clock = clock
@@ -83,15 +93,11 @@ class BoardSamples:
         self._raw: NDArray[np.int64] = np.zeros(8, dtype=np.int64)
         self._counts: NDArray[np.int64] = np.zeros(8, dtype=np.int64)
         self._count_rates = np.zeros(8)
+        self._most_rates = config.most_speed * np.abs(calibration.drive.counts_per_radian)
         self._stamps = np.full(8, math.nan)
         self._codes: dict[int, tuple[int, float]] = {}
         self._wrench: tuple[FloatArray, float] | None = None
         self._stereo = MISSING
-
-    @property
-    def rates(self) -> FloatArray:
-        """(8,) speeds of the output shafts [rad/s]."""
-        return self._calibration.drive.rates(self._count_rates)
 
     @property
     def silence(self) -> float:
@@ -107,8 +113,9 @@ class BoardSamples:
             LinkError: If a motor board does not answer.
         """
         self.lost = dict.fromkeys(self.lost, 0)
+        self.jumped = None
         for address in self._boards.addresses:
-            self._take(address, self._boards.encoders(address), anew=True)
+            self._start(address, self._boards.encoders(address))
         self._read_analogue([pin for turn in self._turns for pin in turn])
         self._read_wrench()
         self._stereo = self._boards.stereo(self._clock()) or self._stereo
@@ -146,7 +153,8 @@ class BoardSamples:
             homed: Whether the arm's counters mean angles.
         """
         config, tilt = self._config, self._calibration.inclinometer
-        angles, rates = self._calibration.drive.angles(self._counts), self.rates
+        drive = self._calibration.drive
+        angles, rates = drive.angles(self._counts), drive.rates(self._count_rates)
         wheels, arm = float(self._stamps[:4].min()), float(self._stamps[ARM].min())
         wrench = MISSING
         if self._wrench is not None:
@@ -165,22 +173,32 @@ class BoardSamples:
             stereo=stereo,
         )
 
-    def _take(self, address: int, pair: tuple[int, int], anew: bool = False) -> None:
-        """Take a board's counters; they wrap, so only their change counts."""
-        now = self._clock()
+    def _start(self, address: int, pair: tuple[int, int]) -> None:
+        """Count from a board's counters on."""
         for axis, raw in zip(self._calibration.drive.boards[address], pair, strict=True):
-            if axis < 0:
-                continue
-            step = codec.signed_difference(raw, int(self._raw[axis]))
-            elapsed = now - self._stamps[axis]
-            if anew:
-                # As near to zero as it can be: the counter may stand just beyond a wrap.
-                zero = int(self._calibration.drive.zero_counts[axis])
-                self._counts[axis] = zero + codec.signed_difference(raw, zero)
+            if axis >= 0:
+                # As near to the start as it can be: the counter may stand just beyond a wrap.
+                self._counts[axis] = START + codec.signed_difference(raw, START)
                 self._count_rates[axis] = 0.0
-            elif elapsed > 0.0:
+                self._raw[axis], self._stamps[axis] = raw, self._clock()
+
+    def _take(self, address: int, pair: tuple[int, int]) -> None:
+        """Take a board's counters, of which only the change counts: they wrap.
+
+        A pair of which one jumps, as after a reset of the board, is not believed.
+        """
+        now = self._clock()
+        places = zip(self._calibration.drive.boards[address], pair, strict=True)
+        found = [(axis, raw) for axis, raw in places if axis >= 0]
+        steps = [codec.signed_difference(raw, int(self._raw[axis])) for axis, raw in found]
+        for (axis, _), step in zip(found, steps, strict=True):
+            if abs(step) > self._most_rates[axis] * (now - self._stamps[axis]):
+                self.jumped = axis
+                return
+        for (axis, raw), step in zip(found, steps, strict=True):
+            if now > self._stamps[axis]:
                 self._counts[axis] += step
-                self._count_rates[axis] = step / elapsed
+                self._count_rates[axis] = step / (now - self._stamps[axis])
             self._raw[axis], self._stamps[axis] = raw, now
 
     def _read_analogue(self, pins: list[int]) -> None:

@@ -327,10 +327,12 @@ def _measure_matrix(results: Sequence[MatrixResult], output: Output) -> None:
 
 def _measure_soak(results: Sequence[SoakResult], output: Output) -> None:
     """Store whether long drives with faults gave wrong values, false words or growing processes."""
-    wrong, false = (sum(values) for values in zip(*((r.wrong, r.false) for r in results)))
-    faults = collections.Counter[str]()
+    false = sum(each.false for each in results)
+    faults, wrongs = collections.Counter[str](), collections.Counter[str]()
     for each in results:
         faults.update(each.faults)
+        wrongs.update(each.wrong)
+    wrong = wrongs.total()
     worst = max(each.zero for each in results)
     hours = sum(each.duration for each in results) / 3600.0
     output.measure("soak_hours", hours)
@@ -362,7 +364,8 @@ def _measure_soak(results: Sequence[SoakResult], output: Output) -> None:
             f"<= {GROWTH_BOUND}",
             share <= GROWTH_BOUND,
         )
-    output.table("soak", ("fault", "times"), [list(pair) for pair in sorted(faults.items())])
+    rows = [[kind, faults[kind], wrongs[kind]] for kind in sorted(faults | wrongs)]
+    output.table("soak", ("fault", "times", "wrong values after it"), rows)
 
 
 def _measure_amplifier(output: Output) -> None:

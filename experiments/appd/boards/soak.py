@@ -74,7 +74,7 @@ class SoakResult:
         duration: Robot time [s].
         active: Robot time in motion [s].
         cycles: Number of cycles whose values were compared.
-        wrong: Number of wrong values.
+        wrong: Number of wrong values, by the kind of the latest fault; "none" before the first.
         damaged: Number of damaged exchanges.
         faults: Number of faults, by kind.
         false: Number of boards said to be at zero that drove.
@@ -88,7 +88,7 @@ class SoakResult:
     duration: float
     active: float
     cycles: int
-    wrong: int
+    wrong: dict[str, int]
     damaged: int
     faults: dict[str, int]
     false: int
@@ -143,7 +143,9 @@ class _Soak:
     def __init__(self, bench: BoardBench, rng: np.random.Generator, duration: float) -> None:
         self._bench, self._rng, self._duration = bench, rng, duration
         self._faults: collections.Counter[str] = collections.Counter()
-        self._active = self._cycles = self._wrong = self._false = self._unexpected = 0
+        self._wrong: collections.Counter[str] = collections.Counter()
+        self._latest = "none"
+        self._active = self._cycles = self._false = self._unexpected = 0
         self._zero = 0.0
         self._memory: list[tuple[float, float]] = []
 
@@ -160,7 +162,7 @@ class _Soak:
             duration=emulator.time,
             active=self._active * PERIOD,
             cycles=self._cycles,
-            wrong=self._wrong,
+            wrong=dict(self._wrong),
             damaged=sum(emulator.state()[ROBOT]["damage"].values()),
             faults=dict(self._faults),
             false=self._false,
@@ -210,6 +212,7 @@ class _Soak:
 
     def _inject(self, kind: str, duration: float = PERIOD, address: int = ADDRESSES[0]) -> None:
         self._faults[kind] += 1
+        self._latest = kind
         self._bench.emulator.inject(ROBOT, kind, duration, address)
 
     def _cycle(
@@ -217,14 +220,14 @@ class _Soak:
     ) -> None:
         """Let one cycle pass, of a host that does not mind errors."""
         seen = robot.observe()
+        if len(angles) > 1:
+            count = 1.0 / np.abs(robot.calibration.drive.counts_per_radian)
+            self._compare(seen.arm_angles, seen.wheel_speeds, np.array(angles), count)
         if robot.lifecycle is Lifecycle.ACTIVE:
             if self._active % _EVERY == 0:
                 process = self._bench.emulator.process
                 self._memory.append((_resident(os.getpid()), _resident(process)))
             self._active += 1
-            if len(angles) > 1:
-                count = 1.0 / np.abs(robot.calibration.drive.counts_per_radian)
-                self._compare(seen.arm_angles, seen.wheel_speeds, np.array(angles), count)
             with contextlib.suppress(RobotError):
                 robot.command(motion.next_command())
         self._bench.emulator.tick()
@@ -237,10 +240,15 @@ class _Soak:
         self._cycles += 1
         if arm.usable:
             off = np.abs(angles[:, 4:] - np.asarray(arm.value, dtype=float))
-            self._wrong += int(np.sum(np.all(off > _COUNTS * count[4:], axis=0)))
+            self._note(int(np.sum(np.all(off > _COUNTS * count[4:], axis=0))))
         if wheels.usable:
             way = np.asarray(wheels.value, dtype=float) * PERIOD
-            self._wrong += not fits_a_way(way, angles[:, :4], 1.001 * float(count[:4].max()))
+            self._note(not fits_a_way(way, angles[:, :4], 1.001 * float(count[:4].max())))
+
+    def _note(self, wrong: int) -> None:
+        """Count wrong values."""
+        if wrong:
+            self._wrong[self._latest] += wrong
 
     def _judge_words(self, robot: BoardRobot) -> None:
         """Count the boards that the robot calls zero though they drive."""

@@ -163,13 +163,14 @@ class BoardBench:
         for _ in range(_STALLS):
             for address in ADDRESSES:
                 self.emulator.inject(ROBOT, RobotFault.BOARD_RESET.value, 0.0, address)
-            if preset is not None:
-                self.emulator.inject(ROBOT, WRAP, 0.0, preset)
             self.emulator.tick()
             try:
                 wiring = emulated_wiring(self.emulator, ROBOT)
                 self.robot = wired_robot(wiring, lambda: self.emulator.time)
                 self.robot.home(self.angles[4:])
+                if preset is not None:
+                    self.emulator.inject(ROBOT, WRAP, 0.0, preset)
+                    self.emulator.tick()
                 self.robot.activate()
                 return self.robot
             except (LinkError, RobotError) as error:

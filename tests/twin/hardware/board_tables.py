@@ -66,6 +66,11 @@ class Boards:
         one, two = ((int(self.counters[axis]) + 2**31) % 2**32 - 2**31 for axis in axes)
         return one, two
 
+    def reset(self, address):
+        """Power on anew."""
+        self.counters[[place == address for place, _ in PLACES]] = 0
+        self.timeouts[address] = 0.0
+
     def set_encoder(self, axis, count):
         if axis in self.refuses:
             raise LinkError("does not take an encoder count")

@@ -1,6 +1,5 @@
 """The robot over boards: its states, its commands and its samples."""
 
-import dataclasses
 import math
 from contextlib import nullcontext
 
@@ -176,8 +175,8 @@ def test_command_that_comes_late_drives_nothing(bench):
 @pytest.mark.parametrize("step", [30, -30])
 @pytest.mark.parametrize("start", [2**31 - 100, -(2**31) + 100])
 def test_wheels_turn_on_evenly_while_their_counters_wrap(bench, start, step):
-    bench.boards.counters[:4] = start
-    bench.active()
+    bench.homed().boards.counters[:4] = start
+    bench.robot.activate()
     expected = FORWARD[:4] * step * WHEEL_COUNT / PERIOD
     moved = np.array([step] * 4 + [0] * 4)
     for _ in range(12):
@@ -185,18 +184,6 @@ def test_wheels_turn_on_evenly_while_their_counters_wrap(bench, start, step):
         assert speeds.validity is Validity.MEASURED
         np.testing.assert_allclose(speeds.value, expected, rtol=1e-9)
     assert bench.robot.lifecycle is Lifecycle.ACTIVE
-
-
-def test_arm_angle_is_continuous_through_a_counter_wrap_at_homing_and_at_activation():
-    shoulder = dataclasses.replace(CALIBRATION.drive.shoulder, zero_counts=2**31 - 10)
-    drive = dataclasses.replace(CALIBRATION.drive, shoulder=shoulder)
-    bench = Bench(dataclasses.replace(CALIBRATION, drive=drive)).homed((0.0, 0.5, 0.0, 0.0))
-    assert bench.boards.counters[5] < 0  # It has wrapped.
-    for _ in range(2):
-        bench.robot.activate()
-        angle = bench.robot.observe().arm_angles.value[1]
-        assert angle == pytest.approx(0.5, abs=0.51 * ARM_COUNT)
-        bench.robot.deactivate()
 
 
 def test_homing_refuses_an_arm_that_moves(bench):

@@ -120,6 +120,43 @@ def test_counter_that_jumps_further_than_a_motor_turns_stops_the_robot(bench, ax
         bench.robot.activate()
 
 
+@pytest.mark.parametrize("lifecycle", [Lifecycle.ACTIVE, Lifecycle.INACTIVE])
+@pytest.mark.parametrize(("address", "name"), [(0x80, "front_left"), (0x82, "base_yaw")])
+def test_board_that_is_reset_before_its_shafts_turned_far_gives_no_wrong_value(
+    bench, lifecycle, address, name
+):
+    bench.homed()
+    if lifecycle is Lifecycle.ACTIVE:
+        bench.robot.activate()
+    before = bench.cycle(moved=2)
+    bench.boards.reset(address)
+    for _ in range(3):
+        seen = bench.cycle(moved=2)
+        np.testing.assert_allclose(seen.wheel_speeds.value, before.wheel_speeds.value, rtol=1e-9)
+        np.testing.assert_allclose(seen.arm_rates.value, before.arm_rates.value, rtol=1e-9)
+        if seen.arm_angles.usable:
+            # A sample may be three cycles old.
+            known = before.arm_angles.value
+            np.testing.assert_allclose(seen.arm_angles.value, known, atol=6.1 * ARM_COUNT)
+        if lifecycle is Lifecycle.ACTIVE:
+            assert f"the counter of {name} jumped" in bench.robot.fault
+    with pytest.raises(RobotError, match="home"):
+        bench.robot.activate()
+
+
+def test_board_that_is_reset_amid_activation_is_noticed(bench, monkeypatch):
+    bench.homed()
+    analogue = bench.boards.analogue
+
+    def reset(pins):
+        bench.boards.reset(0x82)
+        return analogue(pins)
+
+    monkeypatch.setattr(bench.boards, "analogue", reset)
+    with pytest.raises(RobotError, match="0x82 was reset; configure and home the robot"):
+        bench.robot.activate()
+
+
 def test_board_that_is_silent_for_two_cycles_is_borne_with_its_samples_marked(bench):
     bench.active().cycle()
     bench.boards.silent = {0x82}

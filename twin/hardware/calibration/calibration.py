@@ -216,7 +216,6 @@ _REMARKS: Mapping[str, str] = types.MappingProxyType(
     {
         "counts_per_turn": "of the output shaft",
         "current_limit": "A",
-        "zero_counts": "at joint angle zero",
         "lower": "rad",
         "upper": "rad",
         "zero_volts": "V at angle zero",

@@ -17,12 +17,14 @@ from twin.hardware.calibration.section import (
     require_positive,
 )
 from twin.hardware.roboclaw.codec import FULL_DUTY
-from twin.robot import ARM_JOINTS, AXES, WHEELS
+from twin.robot import ARM_JOINTS, AXES
 
 Number = TypeVar("Number", np.int64, np.float64)
 
 ADDRESSES: Final = (0x80, 0x81, 0x82, 0x83)
 """Valid addresses of the motor boards on the bus."""
+START: Final = 2**30
+"""Counts at angle zero: no shaft comes from here to the 0 of a reset board within a cycle."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -62,12 +64,10 @@ class JointCalibration(AxisCalibration):
     """A motor that moves an arm joint.
 
     Attributes:
-        zero_counts: Encoder counts at joint angle zero.
         lower: Lower joint limit [rad].
         upper: Upper joint limit [rad].
     """
 
-    zero_counts: int
     lower: float
     upper: float
 
@@ -78,7 +78,6 @@ class JointCalibration(AxisCalibration):
             CalibrationError: Naming the key and its value.
         """
         super().__post_init__()
-        require(abs(self.zero_counts) < 2**31, "zero_counts", self.zero_counts, "32 bits")
         require(
             math.isfinite(self.lower) and math.isfinite(self.upper) and self.lower < self.upper,
             "lower and upper",
@@ -149,23 +148,18 @@ class DriveCalibration(Section):
         return read_only([axis.direction * (axis.counts_per_turn / turn) for axis in self.axes])
 
     @functools.cached_property
-    def zero_counts(self) -> FloatArray:
-        """(8,) counts at angle zero; 0 for the wheels."""
-        return read_only([0.0] * len(WHEELS) + [float(joint.zero_counts) for joint in self.joints])
-
-    @functools.cached_property
     def ranges(self) -> FloatArray:
         """(4, 2) lower and upper limits of the arm joints [rad]."""
         return read_only([[joint.lower, joint.upper] for joint in self.joints])
 
     def angles(self, counts: ArrayLike) -> FloatArray:
         """Return shaft angles (..., 8) [rad] of unwrapped encoder counts (..., 8)."""
-        return (np.asarray(counts, dtype=float) - self.zero_counts) / self.counts_per_radian
+        return (np.asarray(counts, dtype=float) - START) / self.counts_per_radian
 
     def counts(self, angles: ArrayLike) -> IntArray:
         """Return the encoder counts (..., 8) nearest to shaft angles (..., 8) [rad], unwrapped."""
-        exact = np.asarray(angles, dtype=float) * self.counts_per_radian + self.zero_counts
-        return np.rint(exact).astype(np.int64)
+        turned = np.rint(np.asarray(angles, dtype=float) * self.counts_per_radian)
+        return turned.astype(np.int64) + START
 
     def rates(self, counts_per_second: ArrayLike) -> FloatArray:
         """Return shaft speeds (..., 8) [rad/s] of counting rates (..., 8) [1/s]."""

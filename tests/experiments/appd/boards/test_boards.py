@@ -31,6 +31,7 @@ from twin.hardware.board_robot import BoardRobot
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.emulator.amplifier import AmplifierConfig
 from twin.hardware.emulator.faults import RobotFault
+from twin.hardware.roboclaw import codec
 from twin.hardware.roboclaw.client import RoboClawBus
 
 pytestmark = pytest.mark.real_time
@@ -56,10 +57,12 @@ def test_robot_that_ignores_an_e_stop_is_found_out(monkeypatch):
 
 
 def test_speeds_that_do_not_wrap_are_found_out(monkeypatch):
-    """A counter is taken as it is, and jumps are let pass."""
-    difference = "twin.hardware.board_samples.codec.signed_difference"
-    monkeypatch.setattr(difference, lambda later, earlier: later - earlier)
-    monkeypatch.setattr(BoardRobot, "_judge", lambda self: None)
+    """A wrap counts 50 too many."""
+    honest = codec.signed_difference
+    monkeypatch.setattr(
+        "twin.hardware.board_samples.codec.signed_difference",
+        lambda later, earlier: honest(later, earlier) + 50 * (later * earlier < 0),
+    )
     (result,) = run_batch(Batch((WRAP,), SEED))
     assert result.wrong > 0
 
