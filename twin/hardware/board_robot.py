@@ -356,16 +356,17 @@ class BoardRobot:
     def _judge(self) -> None:
         """Check boards, counters and sensors; go to ERROR on a fault."""
         self.guard()
+        jumped = self._samples.jumped
+        if jumped is not None:
+            self._homed = False
         if self._lifecycle is not Lifecycle.ACTIVE:
             return
         most = 1 if self._lost_for_long() else self._config.lost_cycles
         lost = [a for a, n in self._samples.lost.items() if n >= most]
-        jumped = self._samples.jumped
         try:
             if lost:
                 raise RobotError(f"motor board {lost[0]:#x} is silent")
             if jumped is not None:
-                self._homed = False
                 raise RobotError(
                     f"the counter of {AXES[jumped]} jumped, as after a reset of its board; "
                     "home the robot"

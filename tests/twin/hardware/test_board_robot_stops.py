@@ -144,6 +144,15 @@ def test_board_that_is_reset_before_its_shafts_turned_far_gives_no_wrong_value(
         bench.robot.activate()
 
 
+def test_counter_that_jumps_while_the_robot_rests_wants_to_be_homed(bench):
+    bench.homed().boards.counters[5] += 10**6
+    assert bench.cycle().arm_angles.value[1] == pytest.approx(0.0, abs=ARM_COUNT)
+    with pytest.raises(RobotError, match="does not know where its arm is"):
+        bench.robot.activate()
+    bench.robot.home(np.zeros(4))
+    bench.robot.activate()
+
+
 def test_board_that_is_reset_amid_activation_is_noticed(bench, monkeypatch):
     bench.homed()
     analogue = bench.boards.analogue
