@@ -160,6 +160,10 @@ class Identifier:
         """Fit all windows to convergence and return the result."""
         return self._fit.fit()
 
+    def fit_from(self, start: FloatArray) -> Estimate:
+        """Fit all windows from the search coordinates `start` (22,), and keep nothing of it."""
+        return self._fit.fit_from(start)
+
     def _state(self, sigma: FloatArray) -> EstimationState:
         estimate = self._fit.estimate
         return EstimationState(

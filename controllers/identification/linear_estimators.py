@@ -1,13 +1,16 @@
-"""The equations of motion as A x = F (Thesis eq. 2-1, B-4), and the thesis' two solutions.
+"""The equations of motion as A x = F (Thesis eq. 2-1, B-4), and its solutions.
 
-A x = F is linear in the 22 unknowns x. It is solved by the pseudo-inverse and by a recursive Kalman
-filter.
+A x = F is linear in the 22 unknowns x. The thesis solves it by the pseudo-inverse and by a
+recursive Kalman filter, which take A to be free of noise. `compensated` takes out what the noise
+adds on average; it is where our own fit starts.
 """
 
 import dataclasses
+from collections.abc import Sequence
 
 import numba
 import numpy as np
+import scipy.linalg
 
 from controllers.identification.compliant_base import SIGNALS, ArmOnMount
 from controllers.identification.parameters import (
@@ -126,6 +129,92 @@ def pseudo_inverse(matrix: FloatArray, right: FloatArray) -> FloatArray:
         x (22,). Unobservable directions get their least-norm value.
     """
     return np.linalg.lstsq(matrix, right, rcond=None)[0].astype(np.float64)
+
+
+REWEIGHTINGS = 4
+"""How often the equations are weighed anew by the estimate that they gave."""
+
+BY_CHANCE = 4.0
+"""Deviations of the noise's own scatter that the data must exceed to tell a direction."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Equations:
+    """Products of samples' equations [A F], and what the sensors' noise adds to them on average.
+
+    Attributes:
+        samples: Number n of the samples.
+        products: (6, 6, 23, 23) products of the equations' rows i and j, summed over the samples.
+        noise: (6, 6, 23, 23) mean share of the noise in them.
+    """
+
+    samples: int
+    products: FloatArray
+    noise: FloatArray
+
+    @classmethod
+    def of(cls, outputs: FloatArray, sigma: FloatArray, arm: ArmOnMount) -> "Equations":
+        """Set up the equations of one mode's samples.
+
+        Args:
+            outputs: (n, 24) measured deviations from rest, rows as `compliant_base.SIGNALS`.
+            sigma: (24,) deviations of their noise.
+            arm: The arm in this mode.
+
+        Raises:
+            MeasurementError: If a sample is not finite.
+        """
+        count, channels = outputs.shape
+        terms = _augmented(outputs, arm)
+        shifted = _augmented((outputs[:, None] + np.diag(sigma)).reshape(-1, channels), arm)
+        moved = shifted - np.repeat(terms, channels, axis=0)
+        return cls(count, _products(terms), _products(moved))
+
+
+def _augmented(outputs: FloatArray, arm: ArmOnMount) -> FloatArray:
+    matrix, right = regressor(outputs, arm)
+    return np.concatenate([matrix, right[:, :, None]], axis=2)
+
+
+def _products(rows: FloatArray) -> FloatArray:
+    return np.tensordot(rows, rows, (0, 0)).transpose(0, 2, 1, 3)
+
+
+def compensated(parts: Sequence[Equations], prior: Prior) -> FloatArray:
+    """Solve A x = F with the bias of the noise in A and F taken out.
+
+    The noise adds to A^T W A and A^T W F, on average, the sums of what each channel's deviation
+    alone moves them by (bias-compensated least squares). W is the inverse of the equations' joint
+    covariance, which depends on x: it is found in `REWEIGHTINGS` rounds. Directions in which the
+    data exceed neither the prior nor the scatter of what was taken out keep the prior's guess.
+
+    Args:
+        parts: The equations of windows of any modes; within one the noise is the same.
+        prior: Prior of the 22 parameters.
+
+    Returns:
+        x (22,). It need not be that of a body.
+    """
+    vague = KalmanFilter.from_prior(prior)
+    guess, precision = vague.estimate, np.diag(1.0 / np.diag(vague.covariance))
+    samples = sum(part.samples for part in parts)
+    estimate = guess
+    for _ in range(REWEIGHTINGS):
+        square, noise = np.sum([_weighed(part, estimate) for part in parts], axis=0)
+        data = square - noise
+        scatter = BY_CHANCE * np.sqrt(2.0 / samples) * noise[:COUNT, :COUNT]
+        values, vectors = scipy.linalg.eigh(data[:COUNT, :COUNT], precision + scatter)
+        told, values = vectors[:, values > 1.0], values[values > 1.0]
+        pull = data[:COUNT, COUNT] - data[:COUNT, :COUNT] @ guess
+        estimate = guess + told @ (told.T @ pull / (1.0 + values))
+    return estimate
+
+
+def _weighed(part: Equations, estimate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return products (23, 23) and noise (23, 23), weighed by the rows' noise at `estimate`."""
+    turned = np.append(estimate, -1.0)
+    weight = np.linalg.inv(part.noise @ turned @ turned / part.samples)
+    return np.tensordot(weight, part.products), np.tensordot(weight, part.noise)
 
 
 @dataclasses.dataclass

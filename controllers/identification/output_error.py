@@ -5,7 +5,10 @@ the base's motion and the wrench are simulated from the arm's known motion and c
 that was measured; Gauss-Newton with the model's sensitivities, in coordinates in which every point
 is a physical body.
 
-A weak prior gives the search a start and holds what the data do not determine. On line it counts in
+The final fit starts where least squares with that bias taken out lead, a few per cent from the end:
+from the prior's guess many robots unlike it are never reached.
+
+A weak prior holds what the data do not determine. On line it counts in
 full (maximum a posteriori). In the final fit it counts only in those combinations of parameters
 along which it gives a noticeable share of the information; all others are as the data alone have
 them (maximum likelihood). There it could no longer sharpen the fit, only pull it towards the guess.
@@ -19,15 +22,21 @@ import numpy as np
 
 from controllers.identification.arm_motion import Trajectory
 from controllers.identification.compliant_base import CHANNELS, ArmOnMount, BaseState, simulate
-from controllers.identification.linear_estimators import MeasurementError, check_finite
+from controllers.identification.linear_estimators import (
+    Equations,
+    MeasurementError,
+    check_finite,
+    compensated,
+)
 from controllers.identification.parameters import (
     COUNT,
-    DAMPING,
     INERTIA,
     Prior,
+    closest_body,
     coordinate_scale,
     from_coordinates,
-    largest_physical_step,
+    physical_step,
+    to_coordinates,
 )
 from perception.geometry.arrays import FloatArray
 
@@ -41,11 +50,15 @@ LARGEST_LEFT = 0.5
 """Gain at which the whole prior has brought the fit near: one standard deviation away."""
 
 SUBSTEPS = 2
-"""Integration steps a sample, on line: one would leave 0.3 % in the angular accelerations."""
+"""Integration steps a sample, on line and until a fit is near: one would leave 0.3 % in the angular
+accelerations."""
 
 FINAL_SUBSTEPS = 4
 """Integration steps a sample of the final fit: on a light, stiff body two bias it by more than its
 deviation."""
+
+LEAST_SHARE = 0.01
+"""Share of the prior's guess to which mass, damping and stiffness are raised where a fit starts."""
 
 PRIOR_SHARE = 0.01
 """Share of the information along a combination of parameters below which the final fit leaves the
@@ -98,6 +111,7 @@ class Estimate:
             coordinates.
         chi_square: Weighted squared residuals per measurement; 1 when the model holds.
         measurements: Number of scalar measurements.
+        gain_left: What a whole Newton step promises to gain of half the squared residuals.
     """
 
     parameters: FloatArray
@@ -106,10 +120,16 @@ class Estimate:
     information: FloatArray
     chi_square: float
     measurements: int
+    gain_left: float
+
+    @property
+    def converged(self) -> bool:
+        """True at an optimum, by the gradient in the metric of the information."""
+        return self.gain_left <= SMALLEST_GAIN
 
     @property
     def trustworthy(self) -> bool:
-        """True when chi^2 per measurement says that the model explains the data.
+        """True when the fit converged, and chi^2 per measurement says that the model explains all.
 
         The tolerance widens to four standard deviations where data are few: those of uniform
         noise, whose squares vary by 0.8 (2 if Gaussian: then four count as two and a half). No data
@@ -118,7 +138,8 @@ class Estimate:
         if not self.measurements:
             return False
         tolerance = 4 * np.sqrt(0.8 / self.measurements)
-        return abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, tolerance)
+        explained = abs(self.chi_square - 1) <= max(CHI_SQUARE_TOLERANCE, tolerance)
+        return bool(explained and self.converged)
 
     def physical_information(self) -> FloatArray:
         """Return the posterior information (22, 22) by the physical parameters."""
@@ -145,6 +166,7 @@ class _Point:
     theta: FloatArray
     normal: _Normal
     states: dict[str, BaseState]
+    substeps: int
 
 
 class OutputError:
@@ -205,36 +227,51 @@ class OutputError:
         self.estimate = self._summary(theta, self._data, self._prior.term)
         return self.estimate
 
-    def fit(self, iterations: int = 40, restarts: int = 3) -> Estimate:
+    def fit(self, iterations: int = 40) -> Estimate:
         """Fit all windows to convergence by damped Gauss-Newton, finely integrated.
+
+        Starts from least squares without their bias; only if that leads to no fit to be trusted,
+        also from the latest estimate.
 
         Args:
             iterations: Most iterations of one attempt.
-            restarts: Further attempts, from other starting points, if chi^2 shows that one stalled.
 
         Returns:
-            The best estimate, also kept as `estimate`.
+            The better estimate, also kept as `estimate`.
         """
-        best, reached = self._descend(self.estimate.theta, iterations)
-        for attempt in range(restarts):
-            if best.trustworthy:
-                break
-            start = self._prior.mean()
-            start[DAMPING.start :] += 0.5 * np.cos(np.arange(12) * (attempt + 1.0))
-            other, place = self._descend(start, iterations)
+        best, reached = self._descend(self._unbiased(), iterations)
+        if not best.trustworthy:
+            other, there = self._descend(self.estimate.theta, iterations)
             if other.chi_square < best.chi_square:
-                best, reached = other, place
+                best, reached = other, there
         self._linearised_at = best.theta
         # Later windows are added to what was linearised here.
-        self._data, self.states = reached
+        self._data, self.states = reached.normal, reached.states
         self.estimate = best
         return best
 
-    def _descend(self, theta: FloatArray, iterations: int) -> tuple[Estimate, _Linearised]:
+    def fit_from(self, theta: FloatArray, iterations: int = 40) -> Estimate:
+        """Fit all windows from one starting point (22,) alone, and keep nothing of it."""
+        return self._descend(theta, iterations)[0]
+
+    def _unbiased(self) -> FloatArray:
+        """Return search coordinates (22,) near the optimum, without a search."""
+        parts = [
+            Equations.of(window.outputs, window.sigma, self._arms[mode])
+            for mode, windows in self._windows.items()
+            for window in windows
+        ]
+        guess = from_coordinates(self._prior.mean())
+        found = compensated(parts, self._prior) if parts else guess
+        return to_coordinates(closest_body(found, LEAST_SHARE * guess))
+
+    def _descend(self, theta: FloatArray, iterations: int) -> tuple[Estimate, _Point]:
         """Descend under the whole prior until near, then let it count only where it must."""
-        point, gain = _Point(theta, *self._linearise(theta, FINAL_SUBSTEPS)), LARGEST_LEFT
         term: _PriorTerm = self._prior.term
-        count, held = 0, -1
+        point, count = self._descend_under(
+            term, self._at(theta, SUBSTEPS), LARGEST_LEFT, 0, iterations
+        )
+        point, gain, held = self._at(point.theta, FINAL_SUBSTEPS), LARGEST_LEFT, -1
         while True:
             point, count = self._descend_under(term, point, gain, count, iterations)
             information = point.normal.information
@@ -244,19 +281,18 @@ class OutputError:
                 break
             held, gain = directions.shape[1], SMALLEST_GAIN
             term = functools.partial(self._prior.term, directions=directions)
-        summary = self._summary(point.theta, point.normal, term)
-        return summary, (point.normal, point.states)
+        return self._summary(point.theta, point.normal, term), point
 
     def _descend_under(
         self, term: _PriorTerm, point: _Point, gain: float, count: int, iterations: int
     ) -> tuple[_Point, int]:
         """Descend until no more than `gain` is left, or `iterations` are done, `count` before."""
         objective, damping = _objective(point, term), 1e-3
-        while count < iterations and _gain_left(point, term) > gain:
+        while count < iterations and _gain_left(point.theta, point.normal, term) > gain:
             count += 1
             target = _step_from(point.theta, point.normal, term, damping)
             candidate = self._held(point.theta, target)
-            other = _Point(candidate, *self._linearise(candidate, FINAL_SUBSTEPS))
+            other = self._at(candidate, point.substeps)
             improved = _objective(other, term)
             if np.isfinite(improved) and improved < objective:
                 objective, point, damping = improved, other, damping / 10
@@ -265,6 +301,9 @@ class OutputError:
             else:
                 damping *= 10
         return point, count
+
+    def _at(self, theta: FloatArray, substeps: int) -> _Point:
+        return _Point(theta, *self._linearise(theta, substeps), substeps)
 
     def _linearise(self, theta: FloatArray, substeps: int) -> _Linearised:
         """Simulate all windows at `theta`; return normal equations and the states reached."""
@@ -300,9 +339,9 @@ class OutputError:
     def _held(self, theta: FloatArray, target: FloatArray) -> FloatArray:
         """Return `target`, or as far towards it as stays near, and the inertia physical."""
         step = target - theta
-        step *= min(1.0, 1.0 / max(np.abs(step).max(), 1e-12))
-        step[INERTIA] *= largest_physical_step(theta, step)
-        return theta + step
+        # Elements of inertia have no scale of their own, but that no body may be lost.
+        step /= max(np.abs(np.delete(step, INERTIA)).max(), 1.0)
+        return theta + physical_step(theta, step)
 
     def _summary(self, theta: FloatArray, normal: _Normal, term: _PriorTerm) -> Estimate:
         information = normal.information + term(theta)[2]
@@ -314,14 +353,15 @@ class OutputError:
             information=information,
             chi_square=normal.cost / max(self.measurements, 1),
             measurements=self.measurements,
+            gain_left=_gain_left(theta, normal, term),
         )
 
 
-def _gain_left(point: _Point, term: _PriorTerm) -> float:
+def _gain_left(theta: FloatArray, normal: _Normal, term: _PriorTerm) -> float:
     """Return what a full Newton step promises to gain of half the squared residuals."""
-    _, pull, precision = term(point.theta)
-    gradient = point.normal.gradient - pull
-    step = np.linalg.solve(point.normal.information + precision, gradient)
+    _, pull, precision = term(theta)
+    gradient = normal.gradient - pull
+    step = np.linalg.solve(normal.information + precision, gradient)
     return 0.5 * float(gradient @ step)
 
 

@@ -8,7 +8,6 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-import scipy.linalg
 
 from perception.geometry.arrays import FloatArray
 
@@ -49,6 +48,9 @@ INERTIA_ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 2), (1, 2), (0, 1))
 _LOGARITHMIC = np.array([0, *range(10, 22)])
 # Least ratio of the second moments in a search: thinner bodies are lost to rounding.
 _FLATTEST = 1e-4
+# The same ratio where a search starts, away from the prior's steep walls, and a body's least
+# extent there [m].
+_THINNEST = 0.01
 
 
 class ParameterError(ValueError):
@@ -137,21 +139,52 @@ def coordinate_scale(coordinates: FloatArray) -> FloatArray:
     return scale
 
 
-def largest_physical_step(coordinates: FloatArray, step: FloatArray) -> float:
-    """Return the factor, at most 1, by which `step` may be scaled and leave a physical body.
+def physical_step(coordinates: FloatArray, step: FloatArray) -> FloatArray:
+    """Return `step` with the inertia's share bent so that it ends at a physical body.
 
-    Zero if even a small part of it would leave a body thinner than a hundredth of its breadth.
+    In no direction is more than nine tenths of the second moment taken away, and no body is left
+    thinner than a hundredth of its breadth; every other coordinate is kept.
+
+    Args:
+        coordinates: (22,) search coordinates of a physical body.
+        step: (22,) change of them.
     """
     moments = second_moments(coordinates)
-    change = second_moments(coordinates + step) - moments
-    lowest = scipy.linalg.eigh(change, moments, eigvals_only=True)[0]
-    factor = 1.0 if lowest >= -0.9 else float(-0.9 / lowest)
-    while factor > 1e-3:
-        values = np.linalg.eigvalsh(moments + factor * change)
-        if values[0] > _FLATTEST * values[-1]:
-            return factor
-        factor /= 2
-    return 0.0
+    wanted = second_moments(coordinates + step)
+    root = np.linalg.cholesky(moments)
+    inverse = np.linalg.inv(root)
+    left = root @ _thickened(inverse @ wanted @ inverse.T, 0.1) @ root.T
+    left = _thickened(left, _FLATTEST * np.linalg.eigvalsh(left)[-1])
+    bent = step.copy()
+    bent[INERTIA] = _tensor_elements(left) - coordinates[INERTIA]
+    return bent
+
+
+def closest_body(parameters: FloatArray, least: FloatArray) -> FloatArray:
+    """Return the parameters (22,) made physical.
+
+    Args:
+        parameters: (22,) any values, of a regression that knows nothing of bodies.
+        least: (22,) what mass, damping and stiffness are raised to if they lie below it.
+    """
+    body = parameters.copy()
+    body[_LOGARITHMIC] = np.maximum(body, least)[_LOGARITHMIC]
+    moments = second_moments(parameters)
+    thinnest = max(_THINNEST * np.linalg.eigvalsh(moments)[-1], _THINNEST**2 * body[0])
+    body[INERTIA] = _tensor_elements(_thickened(moments, thinnest))
+    return body
+
+
+def _thickened(moments: FloatArray, least: float) -> FloatArray:
+    """Return the symmetric matrix (3, 3) with no eigenvalue below `least`."""
+    values, vectors = np.linalg.eigh(moments)
+    return (vectors * np.maximum(values, least)) @ vectors.T
+
+
+def _tensor_elements(moments: FloatArray) -> FloatArray:
+    """Return the inertia's parameters (6,) of a body with these second moments (3, 3)."""
+    tensor = np.trace(moments) * np.eye(3) - moments
+    return np.array([tensor[element] for element in INERTIA_ELEMENTS])
 
 
 _MOMENT_BASIS = np.array([second_moments(row) for row in np.eye(COUNT)[1:7]])
@@ -195,6 +228,19 @@ class Prior:
         vector[DAMPING] = self.damping
         vector[STIFFNESS] = self.stiffness
         return to_coordinates(vector)
+
+    def draw(self, generator: np.random.Generator) -> FloatArray:
+        """Return search coordinates (22,) drawn from the prior."""
+        deviations = generator.normal(size=COUNT)
+        coordinates = self.mean()
+        coordinates[_LOGARITHMIC] += self.log_sigma * deviations[_LOGARITHMIC]
+        coordinates[LEVER] += self.lever_sigma * deviations[LEVER]
+        entries = self.factor_sigma * deviations[INERTIA]
+        entries[_DIAGONAL] = np.exp(entries[_DIAGONAL])
+        factor = np.zeros((3, 3))
+        factor[_LOWER] = self._factor_guess(coordinates) * entries
+        coordinates[INERTIA] = _tensor_elements(factor @ factor.T)
+        return coordinates
 
     def term(
         self, coordinates: FloatArray, directions: FloatArray | None = None
@@ -243,11 +289,15 @@ class Prior:
         deviations[INERTIA], change[INERTIA, :7] = self._factor_deviations(coordinates)
         return deviations, change
 
+    def _factor_guess(self, coordinates: FloatArray) -> np.float64:
+        """Return the guess of the factor's diagonal, that of a cube of the mass itself."""
+        return np.exp(0.5 * coordinates[0]) * self.size / np.sqrt(12)
+
     def _factor_deviations(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the inertia's share of `deviations` (6,), and its derivatives (6, 7)."""
         factor = np.linalg.cholesky(second_moments(coordinates))
         inverse = np.linalg.inv(factor)
-        guess = np.exp(0.5 * coordinates[0]) * self.size / np.sqrt(12)
+        guess = self._factor_guess(coordinates)
         deviation = (factor / guess)[_LOWER]
         # The guess grows with the root of the mass.
         change = np.empty((7, 6))

@@ -30,7 +30,6 @@ from controllers.identification.identifier import Identifier, IdentifierConfig
 from controllers.identification.output_error import OutputError, Window
 from controllers.identification.parameters import (
     COUNT,
-    INERTIA,
     INERTIA_ELEMENTS,
     LEVER,
     NAMES,
@@ -40,7 +39,7 @@ from controllers.identification.parameters import (
     coordinate_scale,
     from_coordinates,
     from_mapping,
-    largest_physical_step,
+    physical_step,
     second_moments,
     to_coordinates,
 )
@@ -343,12 +342,12 @@ def _plants(substeps: int) -> dict[str, Plant]:
     return {mode: Plant(TABLE_2_1_TRUTH, mode, time_step=step) for mode in MODES}
 
 
-def fit_ours(recording: Recording, arms: Mapping[str, ArmOnMount], restarts: int = 3) -> FloatArray:
+def fit_ours(recording: Recording, arms: Mapping[str, ArmOnMount]) -> FloatArray:
     """Return our estimate (22,): window after window from the prior, as on a robot, then fitted."""
     search = OutputError(arms)
     for motions, outputs in zip(recording.windows, recording.outputs, strict=True):
         search.add({mode: Window(motions[mode], outputs[mode], recording.sigma) for mode in arms})
-    return search.fit(restarts=restarts).parameters
+    return search.fit().parameters
 
 
 def peer_optimum(
@@ -381,8 +380,7 @@ def peer_optimum(
         gradient = rows.T @ peer.residual(parameters)
         step: FloatArray = -np.linalg.solve(rows.T @ rows, gradient).astype(np.float64)
         gain = -0.5 * float(gradient @ step)
-        step[INERTIA] *= largest_physical_step(theta, step)
-        theta = theta + step
+        theta = theta + physical_step(theta, step)
         if gain < SETTLED:
             return from_coordinates(theta)
     raise ExperimentError(f"the peer's cost still falls by {gain:.1g} after {SETTLING} steps")

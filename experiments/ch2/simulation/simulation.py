@@ -60,12 +60,15 @@ class Options(contract.Options):
         excitations: Which to compare (unless said, all; with --quick, constant and information).
         noise: Range that the 10 % are taken of: "fixed", the run under the constant excitation;
             "relative", each run's own maximum so far; or "both" (with --quick, fixed).
+        starts: Seek each final fit again from the truth and this many draws from the prior, and
+            count the fits that missed a better one. Each takes a few seconds.
     """
 
     truth: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     random_truth: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     excitations: tuple[str, ...] = ()
     noise: Literal["fixed", "relative", "both"] | None = None
+    starts: Annotated[int, tyro.conf.arg(metavar="N")] = 0
 
     def __post_init__(self) -> None:
         """Refuse unknown excitations and contradictions.
@@ -79,6 +82,8 @@ class Options(contract.Options):
                 raise OptionError(f"--excitations {name}: expected {', '.join(EXCITATIONS)}")
         if self.random_truth is not None and self.random_truth < 1:
             raise OptionError(f"--random-truth: expected at least 1, got {self.random_truth}")
+        if self.starts < 0:
+            raise OptionError(f"--starts: expected at least 0, got {self.starts}")
         if self.random_truth is not None and self.truth is not None:
             raise OptionError("--truth, --random-truth: give one of them")
 
@@ -121,12 +126,15 @@ def identify(trial: PlantTrial) -> PlantIdentification:
 
 def trials(options: Options) -> list[PlantTrial]:
     """Return all trials; those of one truth and seed share their noise over the excitations."""
-    seeds = options.job_seeds(FULL_SEEDS, QUICK_SEEDS)
-    if options.random_truth is not None and options.seeds is None:
-        seeds = seeds[:1]
-    cases: Sequence[tuple[Truth, int]] = list(itertools.product(options.truths(), seeds))
+    count = len(options.job_seeds(FULL_SEEDS, QUICK_SEEDS))
+    if options.random_truth is not None:
+        count = options.seeds or 1
+    repeated = [truth for truth in options.truths() for _ in range(count)]
+    # Each truth has noise of its own: shared, its chance would do the same to all.
+    seeds = dataclasses.replace(options, seeds=len(repeated)).job_seeds(FULL_SEEDS, QUICK_SEEDS)
+    cases = list(zip(repeated, seeds, strict=True))
     return [
-        PlantTrial(truth, excitation, noise, seed)
+        PlantTrial(truth, excitation, noise, seed, starts=options.starts)
         for (truth, seed), noise, excitation in itertools.product(
             cases, options.chosen_noises(), options.chosen_excitations()
         )
@@ -160,7 +168,7 @@ def run(options: Options, output: Output) -> None:
     own = options.truth is None and options.random_truth is None
     measure(groups, output, of_table=own)
     measure_times(timed(jobs, shown_group(groups)), output)
-    judge(groups, output)
+    judge(groups, output, of_table=own)
     verify(options, output)
     tabulate(groups, output, of_table=own)
     draw_figures(groups, output)

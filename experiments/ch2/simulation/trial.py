@@ -9,11 +9,11 @@ import numpy as np
 from controllers.identification.arm_motion import CONSTANT, MODES, ArmLimits, ArmState, swing
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.identifier import Identifier, IdentifierConfig
-from controllers.identification.information import mutual_information
-from controllers.identification.parameters import NAMES, RANGES
+from controllers.identification.information import identifiability, mutual_information
+from controllers.identification.parameters import NAMES, RANGES, Prior, to_coordinates
 from experiments.ch2.simulation.plant import NOISE_FRACTION, Plant
 from experiments.ch2.simulation.truths import average_error
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray
 
 DURATION = 10.0
 TIME_STEP = 0.005
@@ -30,6 +30,8 @@ class PlantTrial:
             running maximum.
         seed: Random seed of the noise and the planner.
         duration: Time of excitation [s].
+        starts: Number of starts drawn from the prior from which the final fit is sought again, to
+            judge it; from the truth too, if any.
     """
 
     truth: tuple[float, ...]
@@ -37,6 +39,7 @@ class PlantTrial:
     noise: str
     seed: int
     duration: float = DURATION
+    starts: int = 0
 
 
 def largest(outputs: Mapping[str, FloatArray]) -> FloatArray:
@@ -62,8 +65,11 @@ class PlantIdentification:
         estimates: (22,) final parameters of each estimator, SI units.
         errors: Average error of each estimator's final parameters [%].
         sigma: (22,) standard deviations of our final estimate, SI units.
-        nees: Normalised squared error of our final estimate, for each parameter (1 if consistent).
+        normalised_errors: (22,) errors of our final estimate over its deviations.
+        told: (22,) whether the data at least halved the prior's deviation.
         chi_square: Mean squared residual over the noise's variance.
+        converged: Whether our final fit says that it converged.
+        missed: By how much the best of the trial's other starts has less of the sum of squares.
         bits: (n, 22) mutual information on each parameter at every replanning [bit].
         arm_angles: (3, m) arm angle in each mode [rad].
         plan_seconds: Time that each plan took [s].
@@ -78,8 +84,11 @@ class PlantIdentification:
     estimates: dict[str, FloatArray]
     errors: dict[str, float]
     sigma: FloatArray
-    nees: float
+    normalised_errors: FloatArray
+    told: BoolArray
     chi_square: float
+    converged: bool
+    missed: float
     bits: FloatArray
     arm_angles: FloatArray
     plan_seconds: FloatArray
@@ -88,13 +97,18 @@ class PlantIdentification:
     sigma_history: FloatArray
     excitation_history: FloatArray
 
+    @property
+    def nees(self) -> float:
+        """Normalised squared error of our final estimate, for each parameter (1 if consistent)."""
+        return float(np.mean(self.normalised_errors**2))
+
 
 def run_trial(trial: PlantTrial) -> PlantIdentification:
     """Identify with all three estimators, and compare with the truth."""
     truth = np.array(trial.truth)
     values: dict[str, float] = dict(zip(NAMES, trial.truth))
-    noise_generator, plan_generator = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(trial.seed).spawn(2)
+    noise_generator, plan_generator, start_generator = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(trial.seed).spawn(3)
     )
     identifier = Identifier(IdentifierConfig(trial.excitation), plan_generator)
     plants = {mode: Plant(values, mode) for mode in MODES}
@@ -121,15 +135,19 @@ def run_trial(trial: PlantTrial) -> PlantIdentification:
         "kalman": identifier.kalman.estimate.copy(),
         "pseudo_inverse": identifier.pseudo_inverse_estimate(),
     }
-    error = final.parameters - truth
+    sigma = np.sqrt(np.diag(final.covariance))
+    unknown = identifiability(final).unidentifiable
     bits = [mutual_information(x, s, RANGES) for x, s in zip(ours, sigmas)]
     return PlantIdentification(
         truth=truth,
         estimates=estimates,
         errors={name: average_error(value, truth) for name, value in estimates.items()},
-        sigma=np.sqrt(np.diag(final.covariance)),
-        nees=float(np.mean(error**2 / np.diag(final.covariance))),
+        sigma=sigma,
+        normalised_errors=(final.parameters - truth) / sigma,
+        told=np.array([name not in unknown for name in NAMES]),
         chi_square=final.chi_square,
+        converged=final.converged,
+        missed=missed(identifier, truth, trial.starts, start_generator),
         bits=np.array(bits),
         arm_angles=np.concatenate(arm_angles, axis=1),
         plan_seconds=np.array(identifier.plan_seconds[1:]),
@@ -138,3 +156,22 @@ def run_trial(trial: PlantTrial) -> PlantIdentification:
         sigma_history=np.array(sigmas),
         excitation_history=np.array(excitations),
     )
+
+
+def missed(
+    identifier: Identifier, truth: FloatArray, starts: int, generator: np.random.Generator
+) -> float:
+    """Return how much less of the sum of squares a fit from elsewhere leaves; negative if more.
+
+    Args:
+        identifier: A finished identification.
+        truth: (22,) true parameters, where one of the searches starts.
+        starts: Number of further starts, from the prior; 0 seeks nothing and misses nothing.
+        generator: Random generator of those.
+    """
+    if not starts:
+        return 0.0
+    points = [to_coordinates(truth), *(Prior().draw(generator) for _ in range(starts))]
+    least = min(identifier.fit_from(point).chi_square for point in points)
+    final = identifier.estimate
+    return final.measurements * (final.chi_square - least)

@@ -26,14 +26,16 @@ Truth = tuple[float, ...]
 TABLE_TRUTH: Truth = tuple(TABLE_2_1_TRUTH[name] for name in NAMES)
 """Table 2-1's true values, in the order of `parameters.NAMES`."""
 
-MASS_RANGE = (1.5, 8.0)
+MASS_RANGE = (0.5, 25.0)
 """Of random bases [kg]."""
-GYRATION_RANGE = (0.08, 0.3)
+GYRATION_RANGE = (0.05, 0.5)
 """Root-mean-square extent of random bases along each principal axis [m]."""
-LEVER_RANGE = (0.35, 0.35, 0.25)
+LEVER_RANGE = (0.6, 0.6, 0.4)
 """Greatest distance of a random arm mount from the centre of gravity along x, y, z [m]."""
-SPREAD = 2.5
-"""Random dampings and stiffnesses lie within this factor of a typical value."""
+SPREAD = 10.0
+"""Random dampings and stiffnesses lie within this factor of a typical value: two decades."""
+SHORTEST_DECAY = 5e-5
+"""Least ratio of a random base's inertia to its rotational damping [s]."""
 LARGEST = 1e9
 """Greatest magnitude of any parameter in a file, in its SI unit."""
 TYPICAL_DAMPING = (150.0, 250.0)
@@ -105,9 +107,11 @@ def random_truth(generator: np.random.Generator) -> Truth:
     tensor = np.trace(moments) * np.eye(3) - moments
     vector[1:7] = [tensor[row, column] for row, column in INERTIA_ELEMENTS]
     vector[LEVER] = generator.uniform(-1, 1, size=3) * LEVER_RANGE
-    for part, middles in ((DAMPING, TYPICAL_DAMPING), (STIFFNESS, TYPICAL_STIFFNESS)):
-        middle = np.repeat(middles, 3)
-        vector[part] = _log_uniform(generator, middle / SPREAD, middle * SPREAD)
+    highest = SPREAD * np.repeat(TYPICAL_DAMPING, 3)
+    highest[3:] = np.minimum(highest[3:], np.linalg.eigvalsh(tensor)[0] / SHORTEST_DECAY)
+    vector[DAMPING] = _log_uniform(generator, np.repeat(TYPICAL_DAMPING, 3) / SPREAD, highest)
+    stiffness = np.repeat(TYPICAL_STIFFNESS, 3)
+    vector[STIFFNESS] = _log_uniform(generator, stiffness / SPREAD, stiffness * SPREAD)
     return tuple(vector.tolist())
 
 

@@ -44,15 +44,16 @@ WINDOWS = 10
 """Windows of a verification run: 4 s."""
 EXACT_SUBSTEPS = 20
 """Integration steps a sample of the reference: 0.25 ms, order five."""
-MOST_ITERATIONS = 20
 
 POOR_EXPERIMENTS: dict[str, tuple[str, ...]] = {
-    "x_mode_alone": ("iyy", "izz", "bx"),
-    "spin_about_itself": ("mass", "ixx", "izz", "kx", "ky", "kz"),
+    "x_mode_alone": ("iyy", "iyz"),
+    "spin_about_itself": ("ixx", "izz", "by", "ky"),
     "one_frequency": ("ixx", "iyy", "izz"),
 }
 """Experiments that leave parameters unknown, and some that they must leave: nothing turns the base
-about y or z, nothing moves it but about the rod, or inertia cannot be separated from stiffness."""
+about y or z, nothing moves it but about the rod, or inertia cannot be separated from stiffness.
+What hardly moves may resonate, for all that the data say, with a bit of the noise: springs and
+dampers of such motion are not asked for here."""
 JOINT_ORDERS = {"right_order": True, "axes_exchanged": False, "hinges_outermost": False}
 """Orders of the base's joints in the data, and whether a fit may be trusted."""
 CASES = ("exactness", *POOR_EXPERIMENTS, *JOINT_ORDERS)
@@ -164,7 +165,7 @@ def fitted(run: Swings, outputs: Outputs, generator: np.random.Generator) -> Est
             noisy = clean + generator.uniform(-bound, bound, clean.shape)
             measured[mode] = Window(motions[window], noisy, bound / np.sqrt(3))
         fit.add(measured, relinearise_above=np.inf)
-    return fit.fit(MOST_ITERATIONS, restarts=0)
+    return fit.fit()
 
 
 def unidentifiable(case: str, seed: int) -> Identifiability:
