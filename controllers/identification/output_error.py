@@ -339,7 +339,7 @@ class OutputError:
     def _held(self, theta: FloatArray, target: FloatArray) -> FloatArray:
         """Return `target`, or as far towards it as stays near, and the inertia physical."""
         step = target - theta
-        # Elements of inertia have no scale of their own, but that no body may be lost.
+        # The inertia's elements have no scale but the body's own, to which they are held.
         step /= max(np.abs(np.delete(step, INERTIA)).max(), 1.0)
         return theta + physical_step(theta, step)
 

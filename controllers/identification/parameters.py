@@ -140,10 +140,11 @@ def coordinate_scale(coordinates: FloatArray) -> FloatArray:
 
 
 def physical_step(coordinates: FloatArray, step: FloatArray) -> FloatArray:
-    """Return `step` with the inertia's share bent so that it ends at a physical body.
+    """Return `step` with the inertia's share bent so that it ends near by, at a physical body.
 
-    In no direction is more than nine tenths of the second moment taken away, and no body is left
-    thinner than a hundredth of its breadth; every other coordinate is kept.
+    In no direction does the second moment fall below a tenth or rise above ten times of what it
+    was, and no body is left thinner than a hundredth of its breadth; every other coordinate is
+    kept.
 
     Args:
         coordinates: (22,) search coordinates of a physical body.
@@ -153,8 +154,8 @@ def physical_step(coordinates: FloatArray, step: FloatArray) -> FloatArray:
     wanted = second_moments(coordinates + step)
     root = np.linalg.cholesky(moments)
     inverse = np.linalg.inv(root)
-    left = root @ _thickened(inverse @ wanted @ inverse.T, 0.1) @ root.T
-    left = _thickened(left, _FLATTEST * np.linalg.eigvalsh(left)[-1])
+    left = root @ _between(inverse @ wanted @ inverse.T, 0.1, 10.0) @ root.T
+    left = _between(left, _FLATTEST * np.linalg.eigvalsh(left)[-1], np.inf)
     bent = step.copy()
     bent[INERTIA] = _tensor_elements(left) - coordinates[INERTIA]
     return bent
@@ -171,14 +172,14 @@ def closest_body(parameters: FloatArray, least: FloatArray) -> FloatArray:
     body[_LOGARITHMIC] = np.maximum(body, least)[_LOGARITHMIC]
     moments = second_moments(parameters)
     thinnest = max(_THINNEST * np.linalg.eigvalsh(moments)[-1], _THINNEST**2 * body[0])
-    body[INERTIA] = _tensor_elements(_thickened(moments, thinnest))
+    body[INERTIA] = _tensor_elements(_between(moments, thinnest, np.inf))
     return body
 
 
-def _thickened(moments: FloatArray, least: float) -> FloatArray:
-    """Return the symmetric matrix (3, 3) with no eigenvalue below `least`."""
+def _between(moments: FloatArray, least: float, most: float) -> FloatArray:
+    """Return the symmetric matrix (3, 3) with its eigenvalues clipped to these bounds."""
     values, vectors = np.linalg.eigh(moments)
-    return (vectors * np.maximum(values, least)) @ vectors.T
+    return (vectors * np.clip(values, least, most)) @ vectors.T
 
 
 def _tensor_elements(moments: FloatArray) -> FloatArray:

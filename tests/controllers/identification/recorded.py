@@ -61,14 +61,13 @@ def fit(
     paths: dict[str, Trajectory],
     sigma: np.ndarray,
     arms: dict[str, ArmOnMount] | None = None,
-    restarts: int = 3,
 ) -> Estimate:
     """Fit all of it at once, from the prior."""
     arms = arms or {mode: ARMS[mode] for mode in outputs}
     search = OutputError(arms)
     windows = {mode: Window(paths[mode], outputs[mode], sigma) for mode in outputs}
     search.add(windows)
-    return search.fit(restarts=restarts)
+    return search.fit()
 
 
 def noisy(

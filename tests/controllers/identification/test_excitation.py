@@ -44,7 +44,7 @@ def state() -> EstimationState:
     """After one window of each mode."""
     outputs, sigma = noisy(0, windows=1)
     paths = {mode: motion(mode, windows=1) for mode in MODES}
-    estimate = fit(outputs, paths, sigma, restarts=0)
+    estimate = fit(outputs, paths, sigma)
     arm_states, base_states = {}, {}
     for mode, path in paths.items():
         arm_states[mode] = ArmState(path.angle[-1], path.rate[-1], path.acceleration[-1])

@@ -4,9 +4,24 @@ import numpy as np
 import pytest
 
 from controllers.identification.arm_motion import MODES
-from controllers.identification.linear_estimators import KalmanFilter, pseudo_inverse, regressor
-from controllers.identification.parameters import COUNT, LEVER, Prior
-from tests.controllers.identification.recorded import ARMS, TRUTH, fit, motion, noisy
+from controllers.identification.compliant_base import SIGNALS
+from controllers.identification.linear_estimators import (
+    Equations,
+    KalmanFilter,
+    compensated,
+    pseudo_inverse,
+    regressor,
+)
+from controllers.identification.parameters import COUNT, LEVER, NAMES, Prior, from_coordinates
+from tests.controllers.identification.recorded import (
+    ARMS,
+    TRUTH,
+    fit,
+    motion,
+    noise_bound,
+    noisy,
+    predicted,
+)
 
 
 def test_pseudo_inverse_is_numpys_and_solves_the_normal_equations():
@@ -57,13 +72,60 @@ def test_kalman_filter_refuses_another_number_of_columns():
         KalmanFilter.from_prior(Prior()).update(np.ones((3, 6, 21)), np.ones((3, 6)), np.ones(6))
 
 
+def test_noise_adds_to_the_products_what_the_equations_say():
+    """Against 400 draws of the noise, of the products that matter: rows and columns weighed by
+    the truth."""
+    clean = predicted("x")[100:150]
+    sigma = noise_bound({mode: predicted(mode) for mode in MODES}) / np.sqrt(3)
+    generator = np.random.default_rng(6)
+    turned = np.append(TRUTH, -1.0)
+    without = Equations.of(clean, sigma, ARMS["x"])
+    left, wanted = [], without.noise @ turned @ turned
+    for _ in range(400):
+        outputs = clean + generator.normal(size=clean.shape) * sigma
+        left.append(Equations.of(outputs, sigma, ARMS["x"]).products @ turned @ turned)
+    np.testing.assert_allclose(without.products @ turned @ turned, 0, atol=1e-3)
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    # Sums of 50 squares vary by a fifth; the mean of 400 such by a hundredth.
+    np.testing.assert_allclose((np.mean(left, axis=0) - wanted) / scale, 0, atol=0.05)
+
+
+def test_compensated_least_squares_lose_the_bias_of_plain_ones():
+    """Means over draws of the noise: what is left is the prior's pull, a tenth of plain ones'."""
+    found, plain = [], []
+    for seed in range(12):
+        outputs, sigma = noisy(seed, windows=10, part=0.5)
+        parts = [Equations.of(outputs[mode], sigma, ARMS[mode]) for mode in MODES]
+        found.append(compensated(parts, Prior()))
+        both = [regressor(outputs[mode], ARMS[mode]) for mode in MODES]
+        weight = 1 / sigma[SIGNALS["force"].start :, None]
+        rows = np.concatenate([(matrix * weight).reshape(-1, COUNT) for matrix, _ in both])
+        right = np.concatenate([(right * weight[:, 0]).ravel() for _, right in both])
+        scale = np.linalg.norm(rows, axis=0)
+        plain.append(pseudo_inverse(rows / scale, right) / scale)
+    told = [NAMES.index(n) for n in ("mass", "izz", "ry", "bz", "kx", "ky", "kz", "k_pitch")]
+    bias, before = (np.mean(x, axis=0)[told] / TRUTH[told] - 1 for x in (found, plain))
+    assert np.all(np.abs(bias) < 0.25 * np.abs(before) + 0.005)
+    assert np.mean(np.abs(bias)) < 0.15 * np.mean(np.abs(before))
+
+
+def test_compensated_least_squares_keep_the_guess_where_the_data_tell_nothing():
+    outputs, sigma = noisy(3, modes=("x",))
+    found = compensated([Equations.of(outputs["x"], sigma, ARMS["x"])], Prior())
+    guess = from_coordinates(Prior().mean())
+    unknown = [NAMES.index(name) for name in ("bx", "kx", "k_roll", "k_yaw")]
+    np.testing.assert_allclose(found[unknown], guess[unknown], rtol=0.05)
+    known = [NAMES.index(name) for name in ("mass", "by", "bz", "ky", "kz")]
+    np.testing.assert_allclose(found[known], TRUTH[known], rtol=0.05)
+
+
 @pytest.mark.slow
 def test_kalman_filter_is_over_confident_where_a_is_measured_and_ours_is_calibrated():
     ours, kalmans, errors = [], [], []
     paths = {mode: motion(mode, windows=3) for mode in MODES}
     for seed in range(4):
         outputs, sigma = noisy(seed, windows=3, part=0.2)
-        estimate = fit(outputs, paths, sigma, restarts=0)
+        estimate = fit(outputs, paths, sigma)
         kalman = KalmanFilter.from_prior(Prior())
         for mode in MODES:
             matrix, right = regressor(outputs[mode], ARMS[mode])

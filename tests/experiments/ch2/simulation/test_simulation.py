@@ -1,16 +1,23 @@
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import threadpoolctl
 from scipy.stats import chi2
 
-from controllers.identification.parameters import COUNT, NAMES, check_physical
+from controllers.identification.parameters import (
+    COUNT,
+    NAMES,
+    check_physical,
+    inertia_tensor,
+    to_coordinates,
+)
 from experiments.__main__ import main
-from experiments.ch2.simulation.results import errors
+from experiments.ch2.simulation.results import errors, judge, measure, measure_times
 from experiments.ch2.simulation.simulation import Options, grouped, identify, trials
-from experiments.ch2.simulation.trial import PlantTrial, run_trial
+from experiments.ch2.simulation.trial import PlantTrial, missed, run_trial
 from experiments.ch2.simulation.truths import (
     TABLE_TRUTH,
     average_error,
@@ -29,6 +36,7 @@ from experiments.ch2.simulation.verification import (
     swings,
 )
 from experiments.harness.contract import OptionError
+from experiments.harness.output import Output
 from models.datasheets import TABLE_2_1_AVERAGE_ERROR, TABLE_2_1_CONSTANT, TABLE_2_1_VARIABLE
 
 VALUES = dict(zip(NAMES, TABLE_TRUTH))
@@ -106,7 +114,12 @@ def test_command_line_refuses_bad_truth_with_status_2(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "options",
-    [{"excitations": ("best",)}, {"random_truth": 0}, {"random_truth": 1, "truth": "x.json"}],
+    [
+        {"excitations": ("best",)},
+        {"random_truth": 0},
+        {"starts": -1},
+        {"random_truth": 1, "truth": "x.json"},
+    ],
 )
 def test_contradictory_options_are_refused(options):
     with pytest.raises(OptionError):
@@ -118,7 +131,11 @@ def test_random_truths_are_physical_and_different():
     truths = [random_truth(generator) for _ in range(300)]
     for truth in truths:
         check_physical(np.array(truth))
-        assert 1.5 <= truth[0] <= 8.0
+        assert 0.5 <= truth[0] <= 25.0
+        principal = np.linalg.eigvalsh(inertia_tensor(np.array(truth)))
+        assert principal[0] / max(truth[13:16]) >= 0.999 * 5e-5
+    spans = np.max(truths, axis=0) / np.min(truths, axis=0)
+    assert np.all(spans[[10, 11, 12, *range(16, COUNT)]] > 50)
     assert len(set(truths)) == 300
     assert np.all(np.std(truths, axis=0) > 0.005)
 
@@ -146,6 +163,9 @@ def test_excitations_share_truths_and_seeds():
     assert len(jobs) == 6 and len({job.truth for job in jobs}) == 3
     for first, second in zip(jobs[::2], jobs[1::2]):
         assert first == dataclasses.replace(second, excitation="constant")
+    assert len({job.seed for job in jobs}) == 3
+    repeated = trials(Options(random_truth=3, quick=True, seeds=2))
+    assert len({job.seed for job in repeated}) == 6 and len({job.truth for job in repeated}) == 3
     assert len(trials(Options())) == 50 * 2 * 8
 
 
@@ -175,6 +195,47 @@ def test_trial_is_reproducible_from_its_seed():
         assert np.array_equal(estimate, two.estimates[name])
         assert not np.array_equal(estimate, other.estimates[name])
     assert one.estimates["ours"].shape == (COUNT,) and len(one.plan_seconds) == 1
+
+
+class Stalled:
+    """An identifier whose fit stopped 12 units above what other starts find."""
+
+    measurements = 1000
+
+    def __init__(self):
+        self.estimate = SimpleNamespace(chi_square=1.012, measurements=1000)
+        self.starts = []
+
+    def fit_from(self, start):
+        self.starts.append(start)
+        return SimpleNamespace(chi_square=1.0 if len(self.starts) == 3 else 1.5)
+
+
+def test_fit_that_misses_a_better_one_is_told_by_other_starts():
+    stalled, truth = Stalled(), np.array(TABLE_TRUTH)
+    assert missed(stalled, truth, 0, np.random.default_rng(0)) == 0.0 and not stalled.starts
+    assert missed(stalled, truth, 4, np.random.default_rng(0)) == pytest.approx(12.0)
+    assert len(stalled.starts) == 5 and len({tuple(start) for start in stalled.starts}) == 5
+    np.testing.assert_array_equal(stalled.starts[0], to_coordinates(truth))
+
+
+def test_false_convergence_is_counted_and_refused(tmp_path):
+    trial = run_trial(PlantTrial(TABLE_TRUTH, "constant", "fixed", seed=1, duration=0.8))
+    good = dataclasses.replace(trial, converged=True, missed=8.0)
+    bad = dataclasses.replace(good, missed=10.0)
+    honest = dataclasses.replace(bad, converged=False)
+    for found, false, share in (([good] * 3, 0, 1.0), ([good, bad, honest], 1, 2 / 3)):
+        output = Output(f"with-{false}-false", Options(out=tmp_path))
+        groups = {("fixed", "constant"): found}
+        measure(groups, output, of_table=False)
+        measure_times(found, output)
+        judge(groups, output, of_table=False)
+        measured = output.metrics()["measured"]
+        assert measured["false_convergence"] == false
+        assert measured["converged_fraction"] == pytest.approx(share)
+        checks = {check["name"]: check["ok"] for check in output.metrics()["checks"]}
+        assert checks["false_convergence"] == checks["converged_fraction"] == (not false)
+        output.close()
 
 
 @pytest.mark.slow
