@@ -2,7 +2,8 @@
 
 A sample goes through low-pass, bias and white noise, saturation, quantisation, sample-and-hold
 with dropout, and delay, in this order. A channel without a present sample is missing or stale; it
-never reads zero instead.
+never reads zero instead. An inclinometer that refers to specific force is low-passed at the rate of
+the physics, as its masses are shaken: sampled once a tick, the shaking would be aliased.
 """
 
 import functools
@@ -15,6 +16,7 @@ import numba
 import numpy as np
 
 from perception.geometry.arrays import FloatArray, IndexArray
+from perception.geometry.gravity import GRAVITY
 from twin.description import RobotDescription
 from twin.robot import MISSING, Channel, Validity
 from twin.sensors import CHANNELS, ChannelSpec, SensorSuite, channel_widths, check_channel
@@ -31,15 +33,18 @@ _channel = cast(
 # All numbers of a bank are one table, since compiled code takes long to receive an array. Its
 # columns are the components and then the channels. First come the rows of the coefficients of
 # every component: noise, offset, range, the low pass's weights of its state, the last input and
-# the present one, the converter's step (zero for none) and last code, and the channel's number;
-_SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST, _OWNER = range(10)
+# the present one, the converter's step (zero for none) and last code, the channel's number, and the
+# range of apparent tilt of a sensor of specific force (zero for any other);
+_SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST, _OWNER, _FORCE = range(11)
 # in the same rows the timing of every channel: a period of zero means every tick, the delay is in
 # ticks, luck is this tick's draw, and due is when the next sample is [s];
 _LAG, _PERIOD, _DROPOUT, _DELAY, _LUCK, _DUE = range(6)
 # then the filters, the true values, the held samples of the last ticks, and the block of noise.
-_FILTER, _INPUT, _RAW, _PAST = range(10, 14)
+_FILTER, _INPUT, _RAW, _PAST = range(11, 15)
 _WRENCH = ("arm_base_force", "arm_base_torque")
 _TILT = -1  # Samples of the wire that carries the orientation.
+_TILT_FORCE = -2  # Samples of the wire that carries the specific force at the inclinometer.
+_SAMPLES = 10  # Samples of that a servo tick.
 
 
 class SensorWiring(NamedTuple):
@@ -50,6 +55,8 @@ class SensorWiring(NamedTuple):
             first sample and, of those that MuJoCo keeps a history of, the distance of the samples
             and their number, 0 for a value of the present. One wire carries the front half's
             orientation: place of the pitch, address of the quaternion, place of the heading, -1.
+            One carries the specific force at the inclinometer: place of the pitch, address of the
+            first sample, number of the samples, -2.
         missing: Channels without a sensor.
         lags: Age of the value at a tick by channel name [s].
     """
@@ -108,6 +115,12 @@ def wire(model: mujoco.MjModel, robot: RobotDescription) -> SensorWiring:
     else:
         first = int(model.sensor_adr[orientation])
         wires.append((places["inclinometer"], first, places["heading"], _TILT))
+    force = _sensor(model, f"{robot.name}/inclinometer")
+    if force >= 0:
+        samples = int(model.sensor_history[force, 0])
+        first = int(model.sensor_historyadr[force]) + 2 + samples
+        wires.append((places["inclinometer"], first, samples, _TILT_FORCE))
+        lags["inclinometer"] = step
     return SensorWiring(np.array(wires, dtype=np.intp).reshape(-1, 4), missing, lags)
 
 
@@ -146,6 +159,8 @@ def gather(present: FloatArray, history: FloatArray, wires: IndexArray, raw: Flo
         place, first, stride, samples = wires[i, 0], wires[i, 1], wires[i, 2], wires[i, 3]
         if samples == 0:
             raw[place] = present[first]
+            continue
+        if samples == _TILT_FORCE:
             continue
         if samples == _TILT:
             w, x, y, z = present[first : first + 4]
@@ -202,18 +217,23 @@ class SensorBank:
         self._rng = rng
         self._wires = wiring.wires
         specs = [suite.channels.get(name, ChannelSpec()) for name in CHANNELS]
-        timing = _timing(specs, [wiring.lags.get(name, 0.0) for name in CHANNELS], period)
+        missing, lags = set(wiring.missing), dict(wiring.lags)
+        if suite.channels.get("inclinometer", ChannelSpec()).force_range is None:
+            lags.pop("inclinometer", None)
+        elif not np.any(wiring.wires[:, 3] == _TILT_FORCE):
+            missing.add("inclinometer")
+        timing = _timing(specs, [lags.get(name, 0.0) for name in CHANNELS], period)
         self._limits = [spec.age_limit + _TIME_SLACK for spec in specs]
         self._least_limit = min(self._limits)
         self._connected = [
-            spec.connected and name not in wiring.missing for name, spec in zip(CHANNELS, specs)
+            spec.connected and name not in missing for name, spec in zip(CHANNELS, specs)
         ]
         # Noise is drawn in blocks; drop-outs are drawn between its rows, so then row by row.
         self._lossy = bool(np.any(timing[_DROPOUT] > 0.0))
         self._noise = np.zeros((1 if self._lossy else _BLOCK, self.size))
         self._first = _PAST + 1 + int(timing[_DELAY].max())
         self._table = np.zeros((self._first + len(self._noise), self.size + _COUNT))
-        self._table[: _OWNER + 1, : self.size] = _chain(specs, list(widths.values()), period)
+        self._table[: _FORCE + 1, : self.size] = _chain(specs, list(widths.values()), period)
         self._table[: _LUCK + 1, self.size :] = timing
         self._noisy = bool(np.any(self._table[_SIGMA, : self.size] > 0.0))
         self._luck = self._table[_LUCK, self.size :]
@@ -305,13 +325,15 @@ class SensorBank:
 
 
 def _chain(specs: list[ChannelSpec], widths: list[int], period: float) -> FloatArray:
-    """Return the coefficients of filter, noise, range and converter, (10, size)."""
+    """Return the coefficients of filter, noise, ranges and converter, (11, size)."""
     columns: list[FloatArray] = []
     for owner, (spec, width) in enumerate(zip(specs, widths)):
         levels = 2.0 ** (spec.bits or 0)
         step = np.subtract(spec.high, spec.low) / levels if spec.bits else 0.0
-        weights = _low_pass(spec.bandwidth, period)
-        rows = (spec.noise, spec.bias, spec.low, spec.high, *weights, step, levels - 1.0, owner)
+        force = spec.force_range or 0.0
+        weights = _low_pass(spec.bandwidth, period / _SAMPLES if force else period)
+        offsets, converter = (spec.noise, spec.bias, spec.low, spec.high), (step, levels - 1.0)
+        rows = (*offsets, *weights, *converter, owner, force)
         columns.append(np.array([np.broadcast_to(row, (width,)) for row in rows], dtype=float))
     return np.concatenate(columns, axis=1)
 
@@ -359,6 +381,41 @@ def _read(table: FloatArray, reading: FloatArray) -> float:
 
 
 @numba.njit(cache=True)
+def _feel(history: FloatArray, wire: IndexArray, table: FloatArray) -> None:
+    """Low-pass the apparent tilt in the specific force since the last tick.
+
+    Along the axes of the sensor g sin(pitch) and -g cos(pitch) sin(roll) are felt at rest, and any
+    acceleration beside them.
+
+    Args:
+        history: Sensor history of MuJoCo.
+        wire: The wire of the specific force, see `SensorWiring`.
+        table: The bank's.
+    """
+    pitch_place, first, samples = wire[0], wire[1], wire[2]
+    most = math.sin(table[_FORCE, pitch_place])
+    # A ring, whose latest sample's index stands before the stamps.
+    latest = int(history[first - samples - 1])
+    for sample in range(1, samples + 1):
+        at = first + 3 * ((latest + sample) % samples)
+        pitch = math.asin(min(max(history[at + 1] / GRAVITY, -most), most))
+        across = -history[at] / (GRAVITY * math.cos(pitch))
+        roll = math.asin(min(max(across, -most), most))
+        for i, angle in ((pitch_place, pitch), (pitch_place + 1, roll)):
+            if math.isnan(table[_FILTER, i]):
+                table[_FILTER, i] = table[_INPUT, i] = angle
+            table[_FILTER, i] = _filtered(table, i, angle)
+            table[_INPUT, i] = angle
+
+
+@numba.njit(cache=True, inline="always")
+def _filtered(table: FloatArray, i: int, value: float) -> float:
+    """Return the low pass's next state of component i."""
+    kept = table[_KEEP, i] * table[_FILTER, i] + table[_BEFORE, i] * table[_INPUT, i]
+    return kept + table[_NOW, i] * value
+
+
+@numba.njit(cache=True)
 def _advance(
     time: float,
     present: FloatArray,
@@ -372,6 +429,9 @@ def _advance(
     size = table.shape[1] - _COUNT
     latest = _PAST + int(table[_DELAY, size:].max())
     gather(present, history, wires, table[_RAW, :size])
+    for i in range(wires.shape[0]):
+        if wires[i, 3] == _TILT_FORCE and table[_FORCE, wires[i, 0]] > 0.0:
+            _feel(history, wires[i], table)
     raw, noise, held = table[_RAW], table[latest + used], table[latest]
     for tick in range(_PAST, latest):
         table[tick] = table[tick + 1]
@@ -389,12 +449,12 @@ def _advance(
             arrived[channel] = True
             held[column] = time - table[_LAG, column]
     for i in range(size):
-        if math.isnan(table[_FILTER, i]):
-            table[_FILTER, i] = table[_INPUT, i] = raw[i]
-        value = table[_KEEP, i] * table[_FILTER, i]
-        value += table[_BEFORE, i] * table[_INPUT, i]
-        value += table[_NOW, i] * raw[i]
-        table[_FILTER, i], table[_INPUT, i] = value, raw[i]
+        if table[_FORCE, i] == 0.0:
+            if math.isnan(table[_FILTER, i]):
+                table[_FILTER, i] = table[_INPUT, i] = raw[i]
+            table[_FILTER, i] = _filtered(table, i, raw[i])
+            table[_INPUT, i] = raw[i]
+        value = table[_FILTER, i]
         if not arrived[int(table[_OWNER, i])]:
             continue
         low, step = table[_LOW, i], table[_STEP, i]

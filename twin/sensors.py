@@ -47,6 +47,9 @@ class ChannelSpec:
         stale_after: Age from which a sample is stale [s]; None for three sampling periods
             (at least 0.1 s) and the delay.
         connected: False for a sensor that the robot lacks.
+        force_range: Of an inclinometer that refers to the specific force at its place, as masses on
+            springs do: the apparent tilt at which they stop, before the low pass [rad]. None for
+            one that shows the orientation itself.
     """
 
     noise: PerComponent = 0.0
@@ -60,6 +63,7 @@ class ChannelSpec:
     dropout: float = 0.0
     stale_after: float | None = None
     connected: bool = True
+    force_range: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse numbers that describe no sensor.
@@ -67,7 +71,7 @@ class ChannelSpec:
         Raises:
             ValueError: Naming the field and its value.
         """
-        for name in ("bandwidth", "rate", "stale_after"):
+        for name in ("bandwidth", "rate", "stale_after", "force_range"):
             value = getattr(self, name)
             if value is not None and not value > 0.0:
                 raise ValueError(f"sensor {name} must be positive, got {value}")
@@ -156,6 +160,7 @@ DATASHEET = SensorSuite(
             noise=INCLINOMETER.noise,
             low=-INCLINOMETER.linear_range,
             high=INCLINOMETER.linear_range,
+            force_range=INCLINOMETER.linear_range,
             bandwidth=INCLINOMETER.bandwidth,
             rate=25.0,  # Assumption: the analogue board is read every fourth tick
         ),

@@ -18,12 +18,14 @@ from controllers.identification.arm_motion import (
 from controllers.identification.excitation import REPLAN_PERIOD, random_excitation
 from controllers.identification.pitch import (
     CRITERIA,
+    PitchData,
     PitchEstimate,
     PitchFit,
     PitchPrior,
     PitchSensors,
     fisher_information,
     predict_tilt,
+    smoothed,
 )
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_choice
@@ -148,6 +150,7 @@ class Log:
         wrench: (6,) deviation from rest at each tick.
         tilt: Pitch read, deviation from rest [rad].
         tilt_indices: Tick of each reading.
+        lost: Whether the motion before each reading cannot have been as modelled.
         estimates: After each window.
         excitations: Excitation of each window.
         step_seconds: Time that each estimate and plan took together [s].
@@ -158,6 +161,7 @@ class Log:
     wrench: list[FloatArray] = dataclasses.field(default_factory=list)
     tilt: list[float] = dataclasses.field(default_factory=list)
     tilt_indices: list[int] = dataclasses.field(default_factory=list)
+    lost: list[bool] = dataclasses.field(default_factory=list)
     estimates: list[PitchEstimate] = dataclasses.field(default_factory=list)
     excitations: list[Excitation] = dataclasses.field(default_factory=list)
     step_seconds: list[float] = dataclasses.field(default_factory=list)
@@ -221,7 +225,7 @@ class RoverIdentifier:
 
     def finish(self) -> PitchEstimate:
         """Fit everything once more and return the estimate."""
-        return self._estimate()
+        return self.fit.finish(self._data())
 
     def _approach(self, observation: Observation, now: float) -> Mapping[str, Command]:
         if self._start is None:
@@ -264,7 +268,7 @@ class RoverIdentifier:
     def _replan(self) -> None:
         start = time.perf_counter()
         if self.log.tilt:
-            self.log.estimates.append(self._estimate(iterations=4))
+            self.log.estimates.append(self.fit.fit(self._data(), iterations=4))
         if self.config.excitation == "random":
             self._excitation = random_excitation(self.config.limits, self._generator)
         elif self.config.excitation in CRITERIA and self.log.tilt:
@@ -282,15 +286,20 @@ class RoverIdentifier:
         motion, _ = self._swing(CONSTANT)
         self.log.wrench = list(self.config.arm.wrench(motion))
         self.log.tilt, self.log.tilt_indices = [0.0], [0]
-        estimate = self._estimate(iterations=1)
+        self.fit.fit(self._data(), iterations=1)
         if self.config.excitation in CRITERIA:
-            CRITERIA[self.config.excitation](estimate)
+            self._plan(candidates=1)
 
-    def _estimate(self, iterations: int = 30) -> PitchEstimate:
-        log = self.log
-        return self.fit.fit(
-            np.array(log.wrench), np.array(log.tilt_indices), np.array(log.tilt), iterations
-        )
+    def _data(self) -> PitchData:
+        """Return all measurements, those since the last estimate looked through for surprises."""
+        log, judged = self.log, len(self.log.lost)
+        wrench = smoothed(np.array(log.wrench), self.config.sensors)
+        data = PitchData.of(wrench, log.tilt_indices, log.tilt)
+        data.lost[:judged] = log.lost
+        if log.estimates:
+            data = self.fit.with_losses(data, judged)
+        log.lost = data.lost.tolist()
+        return data
 
     def _plan(self, candidates: int = 12) -> Excitation:
         """Best of some random excitations and the present one, then least squares from there."""
@@ -302,15 +311,15 @@ class RoverIdentifier:
         rest = self.config.arm.wrench(at_rest)[0]
         bounds = self.config.limits.bounds()
         sensors = self.config.sensors
-        unfiltered = dataclasses.replace(sensors, tilt_bandwidth=1e4)
 
         def evaluate(vector: FloatArray) -> FloatArray:
             motion, _ = self._swing(Excitation(*vector.tolist()))
             forecast = self.config.arm.wrench(motion)[1:] - rest
             wrench = np.concatenate([past, forecast])
             added = fisher_information(self.fit.estimate, wrench, len(forecast), sensors)
-            tilt = predict_tilt(self.fit.estimate.parameters, wrench, unfiltered)
-            excess = np.abs(tilt[len(past) :]).max() / self.config.tilt_limit - 1
+            predicted = predict_tilt(self.fit.estimate.parameters, wrench, sensors)[len(past) :]
+            tilt, apparent, _ = np.abs(predicted).max(axis=0)
+            excess = max(tilt / self.config.tilt_limit, apparent / sensors.tilt_range) - 1
             return np.append(residuals(added), 10 * max(excess, 0.0))
 
         present = np.clip(self._excitation, bounds[:, 0] + 1e-6, bounds[:, 1] - 1e-6)

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from controllers.identification.pitch import PitchEstimate, PitchPrior
+from controllers.identification.pitch import PitchEstimate
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
 from controllers.mission.exchange import Exchange, SlotPose, TurnShare
 from controllers.mission.site import SiteDrawing
-from controllers.motion.base_tilt import TiltAxis, roll_axis
+from controllers.motion.base_tilt import TiltAxis, drawn_springs, roll_axis
 from controllers.motion.driving import SkidSteer
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, transport_covariance
@@ -76,11 +76,10 @@ class MissionBelief:
         return SkidSteer.of(self.robot, self.turn_share)
 
     def springs(self) -> tuple[TiltAxis, TiltAxis]:
-        """Return pitch and roll dynamics; the prior where none were identified."""
-        prior = PitchPrior()
-        pitch = TiltAxis(prior.inertia, prior.damping, prior.stiffness, (0.0, 0.0))
-        if self.pitch is not None:
-            pitch = TiltAxis.of(self.pitch.parameters)
+        """Return pitch and roll dynamics; those of the drawing where none were identified."""
+        if self.pitch is None:
+            return drawn_springs(self.robot)
+        pitch = TiltAxis.of(self.pitch.parameters)
         return pitch, roll_axis(pitch, self.robot)
 
     def slot_in_robot(self, tilt: FloatArray) -> tuple[RigidTransform, FloatArray]:

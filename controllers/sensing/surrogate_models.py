@@ -20,6 +20,7 @@ from controllers.motion.base_motion import BaseMotionFilter, level_of
 from controllers.motion.base_tilt import TiltAxis, tilting_moments
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
+from perception.geometry.gravity import GRAVITY
 from perception.geometry.se3 import adjoint, cross_matrix
 from twin.robot import Observation
 
@@ -300,6 +301,7 @@ class TiltModelConfig:
         roll: Tilt of the base about y, as pitch of a rover turned a quarter to its right.
         noise: Standard deviation of the inclinometer's samples [rad].
         bandwidth: First-order corner frequency of the inclinometer [Hz].
+        height: Its height over the arm's base [m]: it refers to the specific force at its place.
         moment: Standard deviation of the moment that the model does not know [N m].
         gain: Relative standard deviation of the moment that it knows.
         lever: Standard deviation of the levers [m]: an arm that only swings hardly shows them.
@@ -314,6 +316,7 @@ class TiltModelConfig:
     roll: TiltAxis
     noise: float = math.radians(0.05)
     bandwidth: float = 6.0
+    height: float = -0.036
     moment: float = 0.02
     gain: float = 0.1
     lever: float = 0.03
@@ -328,6 +331,7 @@ class TiltModelConfig:
             ValueError: Naming the number.
         """
         names = [field.name for field in dataclasses.fields(self) if field.type is float]
+        names.remove("height")
         check_numbers("tilt model", self, *names)
 
 
@@ -335,7 +339,8 @@ class TiltModel:
     """Predicts pitch and roll of a base from the wrench under its arm, through its springs.
 
     Of each axis four numbers are estimated: swing, its rate, the inclinometer's filtered reading
-    of it, and the slope on which the base swings. While the inclinometer works it corrects them.
+    of the specific force that goes with it, and the slope on which the base swings. While the
+    inclinometer works it corrects them.
 
     Args:
         config: Springs of the base, and the inclinometer.
@@ -451,7 +456,8 @@ class TiltModel:
         flow = np.zeros((5, 5))
         flow[0, 1] = 1.0
         flow[1, [0, 1, 4]] = np.array([-axis.stiffness, -axis.damping, 1.0]) / axis.inertia
-        flow[2, [0, 2]] = pole, -pole
+        apparent = np.eye(5)[0] - (axis.lever[1] + self.config.height) / GRAVITY * flow[1]
+        flow[2] = pole * (apparent - np.eye(5)[2])
         whole = np.asarray(scipy.linalg.expm(flow * dt), dtype=float)
         push = whole[:4, 4]
         return whole[:4, :4], push, np.outer(push, push) * max(_MOMENT_TIME / dt, 1.0)

@@ -55,11 +55,11 @@ class CameraSheet:
 
 @dataclasses.dataclass(frozen=True)
 class InclinometerSheet:
-    """Crossbow CXTA02 two-axis tilt sensor."""
+    """Crossbow CXTA02 two-axis tilt sensor: micro-machined masses, deflected by specific force."""
 
     bandwidth: float = 6.0  # -3 dB frequency [Hz] (maker)
     noise: float = 0.05 * DEGREE  # r.m.s. [rad] (maker)
-    linear_range: float = 20.0 * DEGREE  # Thesis app. D: +-20 deg
+    linear_range: float = 20.0 * DEGREE  # Thesis app. D: +-20 deg; of apparent tilt, before filter
 
 
 @dataclasses.dataclass(frozen=True)

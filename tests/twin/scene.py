@@ -75,6 +75,7 @@ def _sensors(prefix: str) -> str:
     text += f'<torque name="{prefix}arm_base_torque" site="{prefix}arm_base"/>'
     text += f'<accelerometer name="{prefix}accelerometer" site="{prefix}imu"/>'
     text += f'<gyro name="{prefix}gyro" site="{prefix}imu"/>'
+    text += f'<accelerometer name="{prefix}inclinometer" site="{prefix}imu" nsample="10"/>'
     return text + (
         f'<framequat name="{prefix}orientation" objtype="body" objname="{prefix}chassis"/>'
     )

@@ -177,15 +177,13 @@ def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, truth: TrueTilt 
     """
     log, sensors = trying.log, trying.config.sensors
     wrench = np.array(log.wrench)
+    predicted = predict_tilt(parameters, wrench, sensors)
     if truth is not None:
-        exact = dataclasses.replace(sensors, tilt_bandwidth=1e4)
-        predicted = predict_tilt(parameters, wrench, exact, sensors.wrench_age)
         tilt = np.array(truth.values[-len(wrench) :])
-        return float(100 * np.std(tilt - predicted) / np.std(tilt))
-    predicted = predict_tilt(parameters, wrench, sensors, sensors.wrench_age)
+        return float(100 * np.std(tilt - predicted[:, 0]) / np.std(tilt))
     tilt = np.array(log.tilt)
     noise = sensors.tilt_sigma**2
-    wrong = max(float(np.var(tilt - predicted[log.tilt_indices])) - noise, 0.0)
+    wrong = max(float(np.var(tilt - predicted[log.tilt_indices, 2])) - noise, 0.0)
     return float(100 * np.sqrt(wrong / max(float(np.var(tilt)) - noise, noise)))
 
 

@@ -27,7 +27,8 @@ def swing(excitation: str, monkeypatch: pytest.MonkeyPatch) -> RoverIdentifier:
     config = RoverIdentifierConfig(ROBOT, ARM, excitation)
     identifier = RoverIdentifier(config, np.random.default_rng(0))
     monkeypatch.setattr(identifier, "_plan", lambda: PLANNED)
-    monkeypatch.setattr(identifier, "_estimate", lambda iterations=30: None)
+    monkeypatch.setattr(identifier, "_data", lambda: None)
+    monkeypatch.setattr(identifier.fit, "fit", lambda data, iterations=30: None)
     swing_through(identifier)
     return identifier
 

@@ -5,7 +5,7 @@ import functools
 
 import numpy as np
 
-from controllers.identification.pitch import PitchFit, PitchSensors
+from controllers.identification.pitch import PitchData, PitchFit, PitchSensors
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmController
 from controllers.motion.base_tilt import TiltAxis
@@ -90,7 +90,7 @@ def tilt_config() -> TiltModelConfig:
     quarter = np.column_stack([y, -x, z, ny, -nx, nz])
     indices = np.arange(4, LEARNT, 4)
     axes = [
-        TiltAxis.of(PitchFit(PitchSensors()).fit(w, indices, t[indices]).parameters)
+        TiltAxis.of(PitchFit(PitchSensors()).fit(PitchData.of(w, indices, t[indices])).parameters)
         for w, t in ((wrench, tilt[:, 0]), (quarter, tilt[:, 1]))
     ]
     return TiltModelConfig(axes[0], axes[1])
