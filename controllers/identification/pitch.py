@@ -21,7 +21,7 @@ filter could not foresee; from there on the motion counts as unknown until later
 
 import dataclasses
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 
 import numba
 import numpy as np
@@ -40,9 +40,12 @@ _STEP = 1e-5  # of a search coordinate, for central differences
 _NEAR = 1.0  # Width over which the wrench's power is averaged [Hz].
 _SURPRISE = 6.0  # Deviations from which on a reading could not be foreseen.
 _UNKNOWN = (0.03, 2.0, 0.1)  # Deviations of a motion of which nothing is known [rad, rad/s, rad].
+_CREEP = 0.03  # Rate of pitching from which dry friction is whole [rad/s].
 _FACTORS = (0.3, 1.0, 3.0)  # of the guesses of inertia and stiffness, where searches start
 SMALLEST_GAIN = 1e-4
 """Gain of half the squared residuals at which a fit has converged."""
+DISTURB = 0.0
+GAIN = 0.0
 RANGES = np.array([[0.0, 0.5], [-0.5, 0.5], [-0.5, 0.5], [0.0, 20.0], [0.0, 2000.0]])
 """Spans on which the information metric is read: generic for a small rover."""
 
@@ -88,6 +91,7 @@ class PitchPrior:
         height: Guess of rz, the height of the arm's force/torque sensor over the ground [m].
         lever_sigma: Deviation of ry about zero, and of rz about that [m].
         zero_sigma: Deviation of the tilt at rest from its tare [rad].
+        friction_sigma: Deviation of the dry friction about zero [N m].
     """
 
     inertia: float = 0.2
@@ -97,16 +101,18 @@ class PitchPrior:
     height: float = 0.1
     lever_sigma: float = 0.2
     zero_sigma: float = 0.005
+    friction_sigma: float = 0.2
 
     def mean(self) -> FloatArray:
-        """Return (6,) search coordinates: the five parameters, positive ones as logs, and zero."""
+        """Return (7,) search coordinates: the five parameters, positive ones as logs, then
+        inclinometer's zero and dry friction."""
         logs = np.log([self.inertia, self.damping, self.stiffness])
-        return np.array([logs[0], 0.0, self.height, logs[1], logs[2], 0.0])
+        return np.array([logs[0], 0.0, self.height, logs[1], logs[2], 0.0, 0.0])
 
     def sigma(self) -> FloatArray:
-        """Return the deviations (6,)."""
+        """Return the deviations (7,)."""
         log, lever = self.log_sigma, self.lever_sigma
-        return np.array([log, lever, lever, log, log, self.zero_sigma])
+        return np.array([log, lever, lever, log, log, self.zero_sigma, self.friction_sigma])
 
 
 def physical(coordinates: FloatArray) -> FloatArray:
@@ -175,8 +181,11 @@ class _Model:
 def _moment(parameters: FloatArray, wrench: FloatArray, period: float) -> FloatArray:
     """Return mean and slope of the pitching moment in every period (n, 2)."""
     mean = -(wrench[:, 3] + parameters[1] * wrench[:, 2] - parameters[2] * wrench[:, 1])
-    slope = np.gradient(mean, period) if len(mean) > 1 else np.zeros(len(mean))
+    slope = SLOPE * np.gradient(mean, period) if len(mean) > 1 else np.zeros(len(mean))
     return np.stack([mean, slope], axis=1)
+
+
+SLOPE = 1.0
 
 
 def smoothed(wrench: FloatArray, sensors: PitchSensors) -> FloatArray:
@@ -198,7 +207,9 @@ def smoothed(wrench: FloatArray, sensors: PitchSensors) -> FloatArray:
     return np.fft.irfft(spectrum * kept, 2 * count, axis=0)[:count].astype(np.float64)
 
 
-def predict_tilt(parameters: FloatArray, wrench: FloatArray, sensors: PitchSensors) -> FloatArray:
+def predict_tilt(
+    parameters: FloatArray, wrench: FloatArray, sensors: PitchSensors, friction: float = 0.0
+) -> FloatArray:
     """Return how the base tilts while the arm pulls, from rest, and what is read of it.
 
     Exact for a wrench that runs straight within each sample's period.
@@ -207,25 +218,32 @@ def predict_tilt(parameters: FloatArray, wrench: FloatArray, sensors: PitchSenso
         parameters: (5,) in the order of `NAMES`.
         wrench: (n, 6) deviation from rest of force and moment on the arm, arm-base frame.
         sensors: The sensors.
+        friction: Dry friction of the pitching [N m].
 
     Returns:
         (n, 3) deviations from rest of the tilt, of the apparent tilt in the specific force, and of
         the reading, when the inclinometer is sampled at each tick [rad].
     """
     model = _Model.of(parameters, sensors)
-    found = _march(model.step, model.readings, _moment(parameters, wrench, sensors.period))
+    moment = _moment(parameters, wrench, sensors.period)
+    found, _ = _march(model.step, model.readings, moment, friction)
     return found[np.minimum(np.arange(len(wrench)) + model.lead, len(wrench) - 1)]
 
 
 @numba.njit(cache=True)
-def _march(step, readings, moment):
-    found = np.zeros((moment.shape[0], 3))
+def _march(step, readings, moment, friction):
+    """Return what is read (n, 3), and the moment that dry friction takes off in each period (n,)."""
+    found, held = np.zeros((moment.shape[0], 3)), np.zeros(moment.shape[0])
     state = np.zeros(5)
     for n in range(moment.shape[0]):
         state[3:] = moment[n]
+        if friction != 0.0:
+            rate = 0.5 * (state[1] + step[1] @ state)
+            held[n] = friction * np.tanh(rate / _CREEP)
+            state[3] -= held[n]
         found[n] = readings @ state
         state[:3] = step @ state
-    return found
+    return found, held
 
 
 @numba.njit(cache=True)
@@ -241,12 +259,12 @@ def _kalman_gains(step, reading, count, indices, lost, wrench_variance, tilt_var
         count: Number of periods.
         indices: (m,) periods in which the inclinometer is read.
         lost: (m,) whether the motion is unknown before a reading.
-        wrench_variance: Variance of the moment's mean.
+        wrench_variance: (count + 2,) variance of the moment's mean in every period.
         tilt_variance: Variance of a reading.
     """
     gains, deviations = np.zeros((indices.shape[0], 6)), np.ones(indices.shape[0])
     covariance, half, gain = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-    covariance[4, 4] = covariance[5, 5] = wrench_variance
+    covariance[4, 4], covariance[5, 5] = wrench_variance[0], wrench_variance[1]
     k = 0
     for n in range(count):
         if k < indices.shape[0] and n == indices[k]:
@@ -276,7 +294,7 @@ def _kalman_gains(step, reading, count, indices, lost, wrench_variance, tilt_var
                 covariance[i, j] = 0.0
                 for m in range(6):
                     covariance[i, j] += half[i, m] * step[j, m]
-        covariance[5, 5] = wrench_variance
+        covariance[5, 5] = wrench_variance[n + 2]
     return gains, deviations
 
 
@@ -394,9 +412,11 @@ class _Likelihood:
     sensors: PitchSensors
 
     def filter(self, coordinates: FloatArray) -> _Filter:
-        """Return the Kalman filter at (6,) search coordinates."""
+        """Return the Kalman filter at (7,) search coordinates."""
         model = _Model.of(physical(coordinates), self.sensors)
         step, reading = model.with_errors(self.sensors.period)
+        moment = _moment(physical(coordinates), self.data.wrench, self.sensors.period)[:, 0]
+        unsure = model.variance + DISTURB**2 + (GAIN * moment) ** 2
         return _Filter(
             *_kalman_gains(
                 step,
@@ -404,7 +424,7 @@ class _Likelihood:
                 len(self.data.wrench),
                 self.data.indices + model.lead,
                 self.data.lost,
-                model.variance,
+                np.append(unsure, [model.variance, model.variance]),
                 self.sensors.tilt_sigma**2,
             )
         )
@@ -414,9 +434,10 @@ class _Likelihood:
         parameters = physical(coordinates)
         model = _Model.of(parameters, self.sensors)
         moment = _moment(parameters, self.data.wrench, self.sensors.period)
+        moment[:, 0] -= _march(model.step, model.readings, moment, coordinates[6])[1]
         step, reading = model.with_errors(self.sensors.period)
         indices = np.minimum(self.data.indices + model.lead, len(moment) - 1)
-        at_once = moment[indices] @ model.readings[2, 3:]
+        at_once = np.sum(moment[indices] * model.readings[2, 3:], axis=1)
         errors = _prediction_errors(
             step,
             reading,
@@ -431,7 +452,7 @@ class _Likelihood:
         """Return the derivatives (m, 6) of what is predicted, by central differences."""
         columns = [
             self.residuals(coordinates - step, given) - self.residuals(coordinates + step, given)
-            for step in _STEP * np.eye(6)
+            for step in _STEP * np.eye(7)
         ]
         return np.stack(columns, axis=1) / (2 * _STEP)
 
@@ -457,10 +478,11 @@ class PitchFit:
             data: All measurements.
             iterations: Most Gauss-Newton iterations.
         """
-        self.estimate = self._descend(self._likelihood(data), self.estimate.coordinates, iterations)
+        start = self.estimate.coordinates
+        self.estimate = _end_of(self._descend(self._likelihood(data), start, iterations))
         return self.estimate
 
-    def finish(self, data: PitchData, iterations: int = 30) -> PitchEstimate:
+    def search(self, data: PitchData, iterations: int = 30) -> Iterator[None]:
         """Fit as `fit`, from several guesses of how fast the base swings, and keep the likeliest.
 
         What swings out of step with the guess pulls it nowhere: a single start may end beside.
@@ -468,15 +490,19 @@ class PitchFit:
         Args:
             data: All measurements.
             iterations: Most Gauss-Newton iterations from each start.
+
+        Yields:
+            Nothing, after each iteration: the whole takes longer than a robot waits for a command.
         """
         likelihood, starts = self._likelihood(data), [self.estimate.coordinates]
         for inertia, stiffness in itertools.product(*[_FACTORS] * 2):
             start = self.prior.mean()
             start[[0, 4]] += np.log([inertia, stiffness])
             starts.append(start)
-        found = [self._descend(likelihood, start, iterations) for start in starts]
+        found: list[PitchEstimate] = []
+        for start in starts:
+            found.append((yield from self._descend(likelihood, start, iterations)))
         self.estimate = min(found, key=lambda each: each.cost)
-        return self.estimate
 
     def with_losses(self, data: PitchData, since: int) -> PitchData:
         """Return the data with the motion lost wherever a reading cannot be believed otherwise.
@@ -504,9 +530,11 @@ class PitchFit:
 
     def _descend(
         self, likelihood: _Likelihood, start: FloatArray, iterations: int
-    ) -> PitchEstimate:
+    ) -> Generator[None, None, PitchEstimate]:
+        """Return the estimate that a damped Gauss-Newton search ends at; yield in between."""
         point, damping = start.copy(), 1e-3
         for _ in range(iterations):
+            yield
             # The filter stays while a step is judged: one that doubts its inputs more would gain.
             given = likelihood.filter(point)
             cost, gradient, information = self._normal(likelihood, point, given)
@@ -552,6 +580,14 @@ class PitchFit:
             gain_left=0.5 * float(gradient @ np.linalg.solve(information, gradient)),
             cost=cost + float(np.sum(np.log(given.deviations))),
         )
+
+
+def _end_of(search: Generator[None, None, PitchEstimate]) -> PitchEstimate:
+    while True:
+        try:
+            next(search)
+        except StopIteration as end:
+            return end.value
 
 
 def fisher_information(

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import scipy.optimize
@@ -195,6 +195,7 @@ class RoverIdentifier:
         self._arm_state = ArmState()
         self._excitation = CONSTANT
         self._motion: Trajectory | None = None
+        self._search: Iterator[None] | None = None
 
     @property
     def done(self) -> bool:
@@ -223,9 +224,23 @@ class RoverIdentifier:
             return self._rest(observation, now)
         return self._excite(observation)
 
+    def conclude(self) -> bool:
+        """Do one iteration of the thorough fit of everything, and return whether it is over."""
+        if self._search is None:
+            self._search = self.fit.search(self._data())
+        for _ in self._search:
+            return False
+        return True
+
     def finish(self) -> PitchEstimate:
-        """Fit everything once more and return the estimate."""
-        return self.fit.finish(self._data())
+        """Conclude at once, which takes up to a second, and return the estimate."""
+        while not self.conclude():
+            pass
+        return self.fit.estimate
+
+    def hold(self) -> Mapping[str, Command]:
+        """Return the command that keeps the arm where it is meant to be by now."""
+        return self._command(np.array([0.0, self._arm_state.angle, 0.0, 0.0]), np.zeros(4))
 
     def _approach(self, observation: Observation, now: float) -> Mapping[str, Command]:
         if self._start is None:
@@ -240,7 +255,7 @@ class RoverIdentifier:
         if now > self.config.approach + self.config.rest / 2:
             for name, samples in self._tares.items():
                 samples.append(np.array(getattr(observation, name).value, dtype=float))
-        return self._command(np.array([0.0, self._arm_state.angle, 0.0, 0.0]), np.zeros(4))
+        return self.hold()
 
     def _excite(self, observation: Observation) -> Mapping[str, Command]:
         log = self.log

@@ -32,10 +32,11 @@ class SwingArm:
         """Whether the pitch dynamics are identified."""
         return self._belief.pitch is not None
 
-    def step(self, seen: Observation) -> Command | None:
-        """Return the command of the swing; fit once more at its end."""
+    def step(self, seen: Observation) -> Command:
+        """Return the command of the swing; at its end hold the arm and fit, a step each tick."""
+        name = self._belief.robot.name
         if not self._identifier.done:
-            return self._identifier.step({self._belief.robot.name: seen})[self._belief.robot.name]
-        if not self.done:
-            self._belief.pitch = self._identifier.finish()
-        return None
+            return self._identifier.step({name: seen})[name]
+        if not self.done and self._identifier.conclude():
+            self._belief.pitch = self._identifier.fit.estimate
+        return self._identifier.hold()[name]

@@ -296,13 +296,15 @@ def test_resting_robot_moves_its_arm_home_and_stays() -> None:
     np.testing.assert_allclose(rover.command.arm, HOME, atol=1e-12)
 
 
-def test_identification_swings_until_it_is_done_and_stores_one_fit(
+def test_identification_swings_then_holds_the_arm_while_it_fits_and_stores_one_fit(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     made: list[typing.Any] = []
 
     class Identifier:
-        """Swings for three ticks."""
+        """Swings for three ticks, then fits for four."""
+
+        fit = types.SimpleNamespace(estimate="fit")
 
         def __init__(self, config: typing.Any, rng: np.random.Generator) -> None:
             self.config, self.rng, self.seen, self.fits = config, rng, [], 0
@@ -316,9 +318,12 @@ def test_identification_swings_until_it_is_done_and_stores_one_fit(
             self.seen.append(seen[SLAVE])
             return {SLAVE: Command(np.full(4, float(len(self.seen))))}
 
-        def finish(self) -> str:
+        def conclude(self) -> bool:
             self.fits += 1
-            return "fit"
+            return self.fits == 4
+
+        def hold(self) -> dict[str, Command]:
+            return {SLAVE: Command(arm=np.full(4, 0.5))}
 
     monkeypatch.setattr(identify, "RoverIdentifier", Identifier)
     belief, rng = belief_of(SLAVE), np.random.default_rng(0)
@@ -330,7 +335,10 @@ def test_identification_swings_until_it_is_done_and_stores_one_fit(
         command = stage.step(seen)
         assert command is not None and command.wheels[0] == tick + 1
         assert identifier.seen[-1] is seen and not stage.done and not identifier.fits
-    for _ in range(3):
-        assert stage.step(Observation(0.03)) is None
-        assert stage.done and identifier.fits == 1
+    for tick in range(6):
+        # A robot without a command would stop.
+        held = stage.step(Observation(0.03 + 0.01 * tick))
+        np.testing.assert_array_equal(held.arm, np.full(4, 0.5))
+        assert stage.done == (tick >= 3)
+    assert identifier.fits == 4
     assert typing.cast(PitchEstimate | str, belief.pitch) == "fit"

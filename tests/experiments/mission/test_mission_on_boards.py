@@ -8,11 +8,15 @@ from experiments.mission.mission import Options
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import MissionTrial, prepared
 from tests.twin.hardware.realtime_emulator import serial_target
+from twin.hardware.serial_link import LinkError
 from twin.loop import run
+from twin.robot import RobotError
 
 SLOW_DOWN = 6
 """On two cores with ten other jobs the longest cycle took 0.5 s: 0.08 s of the robots' time, about
 half of what the watchdog allows."""
+TRIES = 4
+"""A machine that stalls stops the robots, as it must; a fault of the code stops each try."""
 
 
 def test_the_mission_accepts_two_robots_by_their_ports() -> None:
@@ -23,8 +27,21 @@ def test_the_mission_accepts_two_robots_by_their_ports() -> None:
 @pytest.mark.slow
 @pytest.mark.real_time
 def test_the_mission_on_ports_ends_its_first_stage(tmp_path: Path) -> None:
+    stops = []
+    while len(stops) < TRIES:
+        try:
+            _end_first_stage(tmp_path / str(len(stops)))
+        except (RobotError, LinkError) as error:
+            stops.append(str(error))
+        else:
+            return
+    pytest.fail("\n".join(stops))
+
+
+def _end_first_stage(folder: Path) -> None:
+    folder.mkdir()
     with (
-        serial_target((MASTER, SLAVE), SLOW_DOWN, tmp_path) as target,
+        serial_target((MASTER, SLAVE), SLOW_DOWN, folder) as target,
         prepared(MissionTrial(seed=7, robot=target)) as mission,
     ):
         team, connection = mission.team, mission.connection
