@@ -2,6 +2,7 @@
 
 - `datasheets`: every number with its source.
 - `rover`, `arm`, `stereo_head`, `field`: MJCF of the robot and of the ground below it.
+- `as_made`: robots as made, drawn from the drawing's tolerances.
 - `configuration`: what may be asked of a scene; `compose`: the scene from it.
 - `mjcf`: MJCF files, read within limits.
 - `terrain`, `materials`, `clutter`: ground, textures, blocks and a panel with markers.

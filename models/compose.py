@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models import clutter, datasheets, terrain
+from models.as_made import AsMade, alter_arm, alter_head, alter_rover
 from models.card_and_slot.stand import hold_card, stand_slot
 from models.configuration import (
     FLAT,
+    LABORATORY,
     ROUGH,
     START_RADIUS,
     FieldConfig,
@@ -29,8 +31,10 @@ from models.mjcf import read_spec
 
 __all__ = [
     "ARM_JOINTS",
+    "AsMade",
     "FLAT",
     "FOLDER",
+    "LABORATORY",
     "ROUGH",
     "FieldConfig",
     "OwnRobot",
@@ -359,7 +363,9 @@ def _start_height(ground: terrain.Terrain, robot: RobotPlacement) -> float:
     return float(np.max(ground.height_at(points))) + 1e-4
 
 
-def _add_robot(scene: mujoco.MjSpec, robot: RobotPlacement, height: float, friction: float) -> None:
+def _add_robot(
+    scene: mujoco.MjSpec, robot: RobotPlacement, height: float, friction: float | None
+) -> None:
     prefix = f"{robot.name}/"
     frame = scene.worldbody.add_frame(
         pos=[*robot.position, height], quat=clutter.yaw_quaternion(robot.yaw)
@@ -368,8 +374,11 @@ def _add_robot(scene: mujoco.MjSpec, robot: RobotPlacement, height: float, frict
         scene.attach(load_robot(robot.model).spec, frame=frame, prefix=prefix)
         return
     rover = load_part("rover")
-    for wheel in WHEELS:
-        rover.geom(f"{wheel}_tyre").friction[0] = friction
+    if robot.made is not None:
+        alter_rover(rover, robot.made)
+    if friction is not None:
+        for wheel in WHEELS:
+            rover.geom(f"{wheel}_tyre").friction[0] = friction
     scene.attach(rover, frame=frame, prefix=prefix)
     if robot.centre_locked:
         scene.add_equality(
@@ -384,8 +393,11 @@ def _add_robot(scene: mujoco.MjSpec, robot: RobotPlacement, height: float, frict
 
 
 def _add_arm(scene: mujoco.MjSpec, robot: RobotPlacement, prefix: str) -> None:
-    scene.attach(load_part("arm"), site=scene.site(f"{prefix}attachment_site"), prefix=prefix)
-    head = load_part("stereo_head")
+    arm, head = load_part("arm"), load_part("stereo_head")
+    if robot.made is not None:
+        alter_arm(arm, robot.made)
+        alter_head(head, robot.made)
+    scene.attach(arm, site=scene.site(f"{prefix}attachment_site"), prefix=prefix)
     if not robot.stereo:
         for camera in list(head.cameras):
             head.delete(camera)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models import datasheets
+from models.as_made import AsMade
 from models.clutter import PanelConfig, finite, require
+from models.datasheets import ROVER
 
 START_RADIUS = 0.4
 """Radius about a robot's start that is clear of rocks and blocks [m]."""
@@ -25,7 +26,8 @@ class FieldConfig:
         cell: Spacing of the height field's grid [m].
         rocks: Number of rocks drawn; those within 0.4 m of a robot's start are left out.
         rock_radius: Smallest and largest horizontal semi-axis of a rock [m].
-        friction: Coulomb coefficient between tyres and ground.
+        friction: Coulomb coefficient between all tyres and this ground, where it is known; None for
+            that of each robot's own tyres.
         seed: Seed of texture, heights, rocks and blocks.
         texture_pixels: Edge of the noise texture; a power of two.
         texture_tile: Edge of what that texture covers before it repeats [m].
@@ -42,7 +44,7 @@ class FieldConfig:
     cell: float = 0.05
     rocks: int = 0
     rock_radius: tuple[float, float] = (0.02, 0.06)
-    friction: float = datasheets.ROVER.tyre_friction
+    friction: float | None = None
     seed: int = 0
     texture_pixels: int = 1024
     texture_tile: float = 0.25
@@ -69,7 +71,10 @@ class FieldConfig:
         require(0 <= self.rocks <= 20000, "field rocks", self.rocks, "0 to 20000")
         low, high = self.rock_radius
         require(0.0 < low <= high, "field rock_radius", self.rock_radius, "0 < low <= high [m]")
-        require(0.0 < self.friction <= 3.0, "field friction", self.friction, "above 0, at most 3")
+        if self.friction is not None:
+            require(
+                0.0 < self.friction <= 3.0, "field friction", self.friction, "above 0, at most 3"
+            )
         power = self.texture_pixels > 0 and self.texture_pixels & (self.texture_pixels - 1) == 0
         require(
             power and 16 <= self.texture_pixels <= 4096,
@@ -90,6 +95,8 @@ class FieldConfig:
 
 FLAT = FieldConfig()
 """Flat textured ground."""
+LABORATORY = FieldConfig(friction=ROVER.tyre_friction)
+"""The thesis' laboratory: flat ground on which every robot's tyres grip as drawn."""
 ROUGH = FieldConfig(relief=0.03, rocks=1500, rock_radius=(0.025, 0.07))
 """Rolling ground with rocks of a few centimetres, some 40 a square metre."""
 
@@ -140,6 +147,8 @@ class RobotPlacement:
         model: MJCF file of a robot of your own in place of the thesis' rover, in the same naming:
             the free body ``chassis``, the arm's first body ``arm_base_link``, motors ``x`` on
             joints ``x_joint``. Its key frame ``home`` is how it starts, at rest on level ground.
+        made: How it was made from its drawing; None for a robot that is its drawing. What it holds
+            (payload, card) is as drawn.
     """
 
     name: str = "rover1"
@@ -151,6 +160,7 @@ class RobotPlacement:
     payload: PayloadConfig | None = None
     card: bool = False
     model: str = ""
+    made: AsMade | None = None
 
     def __post_init__(self) -> None:
         """Refuse impossible robots.
@@ -169,9 +179,9 @@ class RobotPlacement:
         require(finite(*start), f"start of {self.name}", start, "finite numbers [m, rad]")
         require(self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm")
         held = self.arm and self.payload is None
-        asked = self.arm, self.stereo, self.centre_locked, self.payload, self.card
+        asked = self.arm, self.stereo, self.centre_locked, self.payload, self.card, self.made
         require(
-            not self.model or asked == (True, True, False, None, False),
+            not self.model or asked == (True, True, False, None, False, None),
             f"model of {self.name}",
             self.model,
             "nothing but name, position and yaw beside it",

@@ -6,11 +6,11 @@ In reading order:
   `link`: the radio of a controller.
 - `connect`: robots by a target named on the command line.
 - `loop`, `clock`: observe, decide, command, wait.
-- `describe`: descriptions from a model as drawn.
+- `describe`: descriptions from a model as drawn; `realism`: how far robots and sensors are from it.
 - `simulation`: a MuJoCo scene and its robots, stepped together.
 - `servo`: commands into motor duty; `sensors`, `sensor_bank`: measurements with noise.
 - `camera`: stereo heads, drawn when a pair is read.
-- `record`, `layout`, `scene_mesh`: recordings and pictures for the rerun viewer.
+- `recording`: recordings and pictures for the rerun viewer.
 - `environment`: the same scene for dm_control.
 - `hardware`: robots over real and emulated boards (thesis appendix D).
 """

@@ -24,8 +24,8 @@ from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedConfig, FramedLink
 from twin.hardware.serial_link import SerialLink
 from twin.link import Link
+from twin.realism import Realism, RealismName, make_robots, realism_of
 from twin.robot import Robot
-from twin.sensors import DATASHEET, SensorSuite
 from twin.servo import SERVO_PERIOD
 from twin.simulation import Simulation
 
@@ -99,7 +99,7 @@ def connect(
     *,
     robots: Sequence[RobotPlacement] = (RobotPlacement(),),
     field: FieldConfig = FLAT,
-    suite: SensorSuite = DATASHEET,
+    realism: RealismName | Realism = "ideal",
     stereo: StereoConfig | None = None,
     seed: int = 0,
     lines: LineConfig | None = None,
@@ -110,21 +110,24 @@ def connect(
         target: One of `TARGETS`.
         robots: Names and initial poses of simulated and emulated robots.
         field: Ground of a simulated scene.
-        suite: Sensors of simulated robots; boards have their own.
+        realism: How far simulated and emulated robots and their sensors are from their drawings.
         stereo: Stereo heads of simulated, quantised and emulated robots; None leaves the channel
             missing.
-        seed: Random seed of all sensor noise.
+        seed: Random seed of all sensor noise, and of each robot and its sensors as made.
         lines: Simulated radio and damage on emulated lines; None for the default.
 
     Raises:
-        ValueError: If the target is unknown or misspelt, or a calibration cannot be used.
+        ValueError: If the target or the realism is unknown or misspelt, or a calibration cannot be
+            used.
         LinkError: If a port cannot be opened.
         RobotError: If a board does not answer.
     """
     wirings = wirings_of(target)
     if wirings:
         return _connect_wires(wirings)
-    scene = SceneConfig(tuple(robots), field, seed, stereo=stereo)
+    chosen = realism_of(realism)
+    made = make_robots(robots, chosen, seed)
+    scene = SceneConfig(made, field, seed, stereo, chosen.sensor_errors)
     lines = lines or LineConfig()
     if target != "sim" and any(robot.model for robot in scene.robots):
         raise ValueError(
@@ -135,7 +138,7 @@ def connect(
     elif target == "quantised":
         bare = _connect_quantised(scene)
     else:
-        simulation = simulate(scene, suite)
+        simulation = simulate(scene, chosen.suite)
         bare = Connection(simulation.robots, simulation, simulation)
     radio_rng = lines.radio_rng or np.random.default_rng([seed, 6])
     links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, lines.modems)

@@ -1,9 +1,10 @@
 """Measurements of a robot's sensors: one bank for all channels of a robot.
 
-A sample goes through low-pass, bias and white noise, saturation, quantisation, sample-and-hold
-with dropout, and delay, in this order. A channel without a present sample is missing or stale; it
-never reads zero instead. An inclinometer that refers to specific force is low-passed at the rate of
-the physics, as its masses are shaken: sampled once a tick, the shaking would be aliased.
+A sample goes through low-pass, scale and cross-talk, bias with its drift and white noise,
+saturation, quantisation, sample-and-hold with dropout, and delay, in this order. A channel without
+a present sample is missing or stale; it never reads zero instead. An inclinometer that refers to
+specific force is low-passed at the rate of the physics, as its masses are shaken: sampled once a
+tick, the shaking would be aliased.
 """
 
 import functools
@@ -19,7 +20,14 @@ from perception.geometry.arrays import FloatArray, IndexArray
 from perception.geometry.gravity import GRAVITY
 from twin.description import RobotDescription
 from twin.robot import MISSING, Channel, Validity
-from twin.sensors import CHANNELS, ChannelSpec, SensorSuite, channel_widths, check_channel
+from twin.sensors import (
+    CHANNELS,
+    MOST_CROSSED,
+    ChannelSpec,
+    SensorSuite,
+    channel_widths,
+    check_channel,
+)
 
 _TIME_SLACK = 1e-9
 _BLOCK = 64  # ticks of noise drawn, and of readings laid out, at a time
@@ -33,14 +41,17 @@ _channel = cast(
 # All numbers of a bank are one table, since compiled code takes long to receive an array. Its
 # columns are the components and then the channels. First come the rows of the coefficients of
 # every component: noise, offset, range, the low pass's weights of its state, the last input and
-# the present one, the converter's step (zero for none) and last code, the channel's number, and the
-# range of apparent tilt of a sensor of specific force (zero for any other);
+# the present one, the converter's step (zero for none) and last code, the channel's number, the
+# range of apparent tilt of a sensor of specific force (zero for any other), the scale, the drift
+# and its time constant, how many components show in this one (zero for none but itself), the place
+# of the first of them, and the share of each;
 _SIGMA, _BIAS, _LOW, _HIGH, _KEEP, _BEFORE, _NOW, _STEP, _LAST, _OWNER, _FORCE = range(11)
+_SCALE, _DRIFT, _WARM_UP, _CROSSED, _FIRST, _CROSS = range(11, 17)
 # in the same rows the timing of every channel: a period of zero means every tick, the delay is in
 # ticks, luck is this tick's draw, and due is when the next sample is [s];
 _LAG, _PERIOD, _DROPOUT, _DELAY, _LUCK, _DUE = range(6)
 # then the filters, the true values, the held samples of the last ticks, and the block of noise.
-_FILTER, _INPUT, _RAW, _PAST = range(11, 15)
+_FILTER, _INPUT, _RAW, _PAST = range(_CROSS + MOST_CROSSED, _CROSS + MOST_CROSSED + 4)
 _WRENCH = ("arm_base_force", "arm_base_torque")
 _TILT = -1  # Samples of the wire that carries the orientation.
 _TILT_FORCE = -2  # Samples of the wire that carries the specific force at the inclinometer.
@@ -233,7 +244,7 @@ class SensorBank:
         self._noise = np.zeros((1 if self._lossy else _BLOCK, self.size))
         self._first = _PAST + 1 + int(timing[_DELAY].max())
         self._table = np.zeros((self._first + len(self._noise), self.size + _COUNT))
-        self._table[: _FORCE + 1, : self.size] = _chain(specs, list(widths.values()), period)
+        self._table[:_FILTER, : self.size] = _chain(specs, list(widths.values()), period)
         self._table[: _LUCK + 1, self.size :] = timing
         self._noisy = bool(np.any(self._table[_SIGMA, : self.size] > 0.0))
         self._luck = self._table[_LUCK, self.size :]
@@ -325,16 +336,28 @@ class SensorBank:
 
 
 def _chain(specs: list[ChannelSpec], widths: list[int], period: float) -> FloatArray:
-    """Return the coefficients of filter, noise, ranges and converter, (11, size)."""
+    """Return the coefficients of every component, (`_FILTER`, size)."""
     columns: list[FloatArray] = []
+    place = 0
     for owner, (spec, width) in enumerate(zip(specs, widths)):
         levels = 2.0 ** (spec.bits or 0)
         step = np.subtract(spec.high, spec.low) / levels if spec.bits else 0.0
         force = spec.force_range or 0.0
         weights = _low_pass(spec.bandwidth, period / _SAMPLES if force else period)
         offsets, converter = (spec.noise, spec.bias, spec.low, spec.high), (step, levels - 1.0)
+        crossed = len(spec.cross or ())
+        if crossed not in (0, width):
+            raise ValueError(
+                f"sensor {CHANNELS[owner]}: cross has {crossed} rows, needs {width} or None"
+            )
         rows = (*offsets, *weights, *converter, owner, force)
-        columns.append(np.array([np.broadcast_to(row, (width,)) for row in rows], dtype=float))
+        rows += (spec.scale, spec.drift, spec.warm_up, crossed, place)
+        column = np.zeros((_FILTER, width))
+        column[:_CROSS] = [np.broadcast_to(row, (width,)) for row in rows]
+        if spec.cross:
+            column[_CROSS : _CROSS + crossed] = np.transpose(spec.cross)
+        columns.append(column)
+        place += width
     return np.concatenate(columns, axis=1)
 
 
@@ -454,11 +477,16 @@ def _advance(
                 table[_FILTER, i] = table[_INPUT, i] = raw[i]
             table[_FILTER, i] = _filtered(table, i, raw[i])
             table[_INPUT, i] = raw[i]
-        value = table[_FILTER, i]
+    for i in range(size):
         if not arrived[int(table[_OWNER, i])]:
             continue
+        value = table[_SCALE, i] * table[_FILTER, i]
+        for j in range(int(table[_CROSSED, i])):
+            value += table[_CROSS + j, i] * table[_FILTER, int(table[_FIRST, i]) + j]
         low, step = table[_LOW, i], table[_STEP, i]
         value += table[_BIAS, i] + table[_SIGMA, i] * noise[i]
+        if table[_DRIFT, i] != 0.0:
+            value -= table[_DRIFT, i] * math.expm1(-time / table[_WARM_UP, i])
         value = min(max(value, low), table[_HIGH, i])
         if step > 0.0:
             value = low + step * min(np.rint((value - low) / step), table[_LAST, i])

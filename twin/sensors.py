@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from models.datasheets import DEGREE, FORCE_TORQUE, INCLINOMETER
+from models.datasheets import DEGREE, FORCE_TORQUE, INCLINOMETER, SensorErrorSheet
 from twin.description import RobotDescription
 from twin.robot import Observation
 
@@ -26,6 +26,14 @@ def channel_widths(robot: RobotDescription) -> dict[str, int]:
 
 
 PerComponent = float | tuple[float, ...]
+MOST_CROSSED = 6
+"""Most components of a channel with cross-talk."""
+
+
+def _is_square(rows: tuple[tuple[float, ...], ...]) -> bool:
+    return len(rows) <= MOST_CROSSED and all(
+        len(row) == len(rows) and all(map(math.isfinite, row)) for row in rows
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +45,12 @@ class ChannelSpec:
     Attributes:
         noise: * Standard deviation of the white noise of each sample [unit of the channel].
         bias: * Constant offset [unit].
+        scale: * Slope of the reading over the value.
+        cross: (width, width) how much of each component (column), after the low pass, shows in
+            each reading (row) beside its own, [unit over unit]; None for none. At most
+            `MOST_CROSSED` components.
+        drift: * Change of the offset from time zero until the sensor is warm [unit].
+        warm_up: Time constant of that change [s].
         low: * Lower end of the range [unit].
         high: * Upper end of the range [unit].
         bits: Resolution of the converter over [low, high]; None for none.
@@ -54,6 +68,10 @@ class ChannelSpec:
 
     noise: PerComponent = 0.0
     bias: PerComponent = 0.0
+    scale: PerComponent = 1.0
+    cross: tuple[tuple[float, ...], ...] | None = None
+    drift: PerComponent = 0.0
+    warm_up: float = 600.0
     low: PerComponent = -math.inf
     high: PerComponent = math.inf
     bits: int | None = None
@@ -80,6 +98,10 @@ class ChannelSpec:
             ("dropout", 0.0 <= self.dropout <= 1.0, "a probability"),
             ("noise", np.all(np.asarray(self.noise) >= 0.0), "positive or zero"),
             ("bias", np.all(np.isfinite(self.bias)), "finite"),
+            ("scale", np.all(np.isfinite(self.scale)), "finite"),
+            ("drift", np.all(np.isfinite(self.drift)), "finite"),
+            ("warm_up", 0.0 < self.warm_up < math.inf, "positive and finite"),
+            ("cross", self.cross is None or _is_square(self.cross), "a square of finite numbers"),
         ):
             if not holds:
                 raise ValueError(f"sensor {name} must be {rule}, got {getattr(self, name)}")
@@ -174,3 +196,62 @@ DATASHEET = SensorSuite(
     },
 )
 """Sensors as the makers and the thesis give them; assumptions are marked in the source."""
+
+
+def with_errors(
+    suite: SensorSuite, errors: SensorErrorSheet, robot: RobotDescription, rng: np.random.Generator
+) -> SensorSuite:
+    """Return a suite with the errors that one robot's sensors keep.
+
+    Args:
+        suite: Sensors as their makers state them, or those behind a robot's boards.
+        errors: Largest errors.
+        robot: Description of the robot, for its numbers of wheels and joints.
+        rng: Random generator of the errors; what is drawn does not depend on the suite.
+    """
+
+    def within(most: PerComponent, count: int) -> tuple[float, ...]:
+        return tuple((np.asarray(most) * rng.uniform(-1.0, 1.0, count)).tolist())
+
+    def slopes(most: float, count: int) -> tuple[float, ...]:
+        return tuple(1.0 + share for share in within(most, count))
+
+    def cross(most: float, full_scale: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+        loads = np.array(full_scale)
+        rows = most * rng.uniform(-1.0, 1.0, (len(loads), len(loads)))
+        rows *= loads[:, None] / loads
+        np.fill_diagonal(rows, 0.0)
+        return tuple(tuple(row) for row in rows.tolist())
+
+    loads = FORCE_TORQUE.full_scale
+    zeros = tuple(errors.wrench_zero * load for load in loads)
+    drifts = tuple(errors.wrench_drift * load for load in loads)
+    changes: dict[str, dict[str, Any]] = {
+        "wheel_speeds": {"scale": slopes(errors.tachometer_scale, len(robot.wheels))},
+        "centre_angle": {
+            "bias": within(errors.potentiometer_zero, 1),
+            "scale": slopes(errors.potentiometer_scale, 1),
+        },
+        "inclinometer": {
+            "bias": within(errors.inclinometer_zero, 2),
+            "scale": slopes(errors.inclinometer_scale, 2),
+            "cross": cross(errors.inclinometer_cross, (1.0, 1.0)),
+        },
+        "arm_base_wrench": {
+            "bias": within(zeros, 6),
+            "scale": slopes(errors.wrench_scale, 6),
+            "cross": cross(errors.wrench_cross, loads),
+            "drift": within(drifts, 6),
+            "warm_up": errors.wrench_warm_up,
+        },
+        "accelerometer": {
+            "bias": within(errors.accelerometer_bias, 3),
+            "scale": slopes(errors.accelerometer_scale, 3),
+        },
+        "gyro": {"bias": within(errors.gyro_bias, 3), "scale": slopes(errors.gyro_scale, 3)},
+        # Last: the others must not depend on whether the rover carries its arm.
+        "arm_angles": {"bias": within(errors.encoder_zero, len(robot.joint_names))},
+    }
+    for channel, fields in changes.items():
+        suite = suite.with_channel(channel, **fields)
+    return suite

@@ -254,7 +254,7 @@ class Simulation:
         model: mujoco.MjModel,
         robots: Sequence[str | RobotDescription],
         *,
-        suite: SensorSuite = DATASHEET,
+        suite: SensorSuite | Sequence[SensorSuite] = DATASHEET,
         servo: ServoConfig | None = None,
         stereo: StereoConfig | None = None,
         seed: int = 0,
@@ -265,7 +265,7 @@ class Simulation:
         Args:
             model: Compiled scene.
             robots: Robots as drawn; a name is that of a rover of the thesis.
-            suite: Specification of the robots' sensors.
+            suite: Specification of the sensors, of all robots or of each in their order.
             servo: Motors and gains of the robots; None for the motors of each description.
             stereo: Rate, noise and lenses of the stereo heads; None leaves the channel missing, as
                 does a scene without their cameras.
@@ -291,11 +291,12 @@ class Simulation:
             raise ValueError("a simulation needs at least one robot")
         drawn = [describe_rover(robot) if isinstance(robot, str) else robot for robot in robots]
         seeds = np.random.SeedSequence(seed).spawn(2 * len(drawn))
+        suites = [suite] * len(drawn) if isinstance(suite, SensorSuite) else suite
         self.robots: dict[str, SimRobot] = {
             robot.name: SimRobot(
-                robot, model, self.data, suite, servo or ServoConfig.of(robot), rng
+                robot, model, self.data, sensors, servo or ServoConfig.of(robot), rng
             )
-            for robot, rng in zip(drawn, map(np.random.default_rng, seeds))
+            for robot, sensors, rng in zip(drawn, suites, map(np.random.default_rng, seeds))
         }
         self._robots = tuple(self.robots.values())
         cameras = {model.camera(index).name for index in range(model.ncam)}

@@ -35,7 +35,7 @@ from twin.describe import describe_rover
 from twin.description import RigidBody
 from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
-from twin.record import Recorder
+from twin.recording.record import Recorder
 from twin.robot import Controller
 
 ROBOT = "rover1"

@@ -11,7 +11,7 @@ from experiments.ch5.contact_bench import shape_of
 from experiments.ch5.contact_figures import card_outline, wall_outlines
 from experiments.harness.recording import recording
 from perception.geometry.arrays import FloatArray
-from twin.layout import side_by_side
+from twin.recording.layout import side_by_side
 
 GREEN, GREY = (40, 150, 80), (120, 120, 120)
 EVERY = 5

@@ -18,9 +18,9 @@ from experiments.harness.recording import write_gif
 from models.card_and_slot.stand import OVERVIEW
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.poses import BodyFit
-from twin.layout import task_blueprint
 from twin.loop import LoopRecorder, Tick
-from twin.record import Recorder
+from twin.recording.layout import task_blueprint
+from twin.recording.record import Recorder
 
 SMALL = (360, 270)
 """Size of a half of the GIF [px]."""

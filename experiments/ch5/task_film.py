@@ -6,7 +6,7 @@ from controllers.insertion.card_inserter import CardInserter
 from experiments.ch5.insertion_scene import SLAVE
 from perception.geometry.arrays import ImageArray
 from twin.camera import renderer
-from twin.record import Recorder
+from twin.recording.record import Recorder
 from twin.simulation import Simulation
 
 SIZE = (640, 480)

@@ -14,9 +14,9 @@ from experiments.mission.scene import MASTER
 from experiments.mission.trial import Mission, MissionResult, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
 from perception.geometry.arrays import ImageArray
-from twin.layout import task_blueprint
 from twin.loop import LoopRecorder, Tick
-from twin.record import Recorder
+from twin.recording.layout import task_blueprint
+from twin.recording.record import Recorder
 
 _LASTS = {"identify": 13.5, "find": 12.0, "meet": 13.0, "map": 9.0, "place": 22.0, "insert": 20.0}
 _ANY_LASTS = 15.0

@@ -28,12 +28,15 @@ from models.datasheets.rover import ROVER, RoverSheet
 from models.datasheets.sensors import (
     CAMERA,
     FORCE_TORQUE,
+    HARSH_SENSOR_ERRORS,
     INCLINOMETER,
     INCLINOMETER_CALIBRATION,
+    SENSOR_ERRORS,
     CameraSheet,
     ForceTorqueSheet,
     InclinometerCalibration,
     InclinometerSheet,
+    SensorErrorSheet,
 )
 from models.datasheets.tables import (
     TABLE_2_1_AVERAGE_ERROR,
@@ -45,6 +48,7 @@ from models.datasheets.tables import (
     TABLE_2_2_TRUTH,
     TABLE_2_2_VARIABLE,
 )
+from models.datasheets.tolerances import EXACT, HARSH_TOLERANCES, TOLERANCES, Tolerances
 from models.datasheets.units import DEGREE, INCH, OUNCE_INCH, RPM
 
 __all__ = [
@@ -58,9 +62,12 @@ __all__ = [
     "CameraSheet",
     "CardAndSlotSheet",
     "DEGREE",
+    "EXACT",
     "FORCE_TORQUE",
     "ForceTorqueSheet",
     "HAND",
+    "HARSH_SENSOR_ERRORS",
+    "HARSH_TOLERANCES",
     "HandSheet",
     "INCH",
     "INCLINOMETER",
@@ -81,6 +88,8 @@ __all__ = [
     "RPM",
     "RodArm",
     "RoverSheet",
+    "SENSOR_ERRORS",
+    "SensorErrorSheet",
     "TABLE_2_1_AVERAGE_ERROR",
     "TABLE_2_1_CONSTANT",
     "TABLE_2_1_TRUTH",
@@ -89,6 +98,8 @@ __all__ = [
     "TABLE_2_2_CONSTANT",
     "TABLE_2_2_TRUTH",
     "TABLE_2_2_VARIABLE",
+    "TOLERANCES",
+    "Tolerances",
     "WHEEL_MOTOR",
     "WHEEL_RATED_SPEED",
     "WHEEL_RATED_TORQUE",

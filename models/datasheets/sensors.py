@@ -1,4 +1,4 @@
-"""Cameras, inclinometers and the force/torque sensor."""
+"""Cameras, inclinometers, the force/torque sensor, and the errors of all but the cameras."""
 
 import dataclasses
 import math
@@ -85,11 +85,62 @@ class ForceTorqueSheet:
 
     force_noise: float = 0.1  # Assumption: r.m.s., about 1/1000 of the range [N]
     torque_noise: float = 0.01  # Assumption: r.m.s., about 1/1000 of the range [N m]
+    full_scale: tuple[float, float, float, float, float, float] = (100, 100, 200, 5, 5, 5)
+    """Ranges of forces [N] and moments [N m] (a JR3's, default of the ROS driver rosjr3)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class SensorErrorSheet:
+    """How far one robot's sensors lie from their calibration, at most and to either side.
+
+    Every error is drawn once a robot, uniformly and each component by itself. A share is of the
+    value itself unless a range is named.
+    """
+
+    encoder_zero: float = 0.3 * DEGREE  # Assumption: a homing jig good to 1 mm at 0.2 m [rad]
+    tachometer_scale: float = 0.01  # Share. Assumption: 20 K at 0.02 %/K, and its own calibration
+    potentiometer_zero: float = 0.5 * DEGREE  # Assumption: zeroed on a floor, by eye [rad]
+    potentiometer_scale: float = 0.01  # Share. Assumption: 1 %, usual linearity of the type
+    # 48 simulated calibrations after Thesis app. D (`appd-calibration`) miss the zero voltage by
+    # 0.03 % and the slope by 0.41 % in the median, so by twice that at most if uniform.
+    inclinometer_zero: float = 2 * 3e-4 * 2.4 / 34e-3 * DEGREE  # 2.4 V, 34 mV/deg [rad]
+    inclinometer_scale: float = 2 * 0.0041  # Share
+    inclinometer_cross: float = 0.04  # Share of the other axis (largest of a VTI/Murata SCA100T)
+    wrench_zero: float = 0.005  # Share of full scale. Assumption: zeroed at another temperature
+    wrench_drift: float = 0.005  # Share of full scale, once warm. Assumption: 10 K at 0.05 %/K
+    wrench_warm_up: float = 600.0  # Assumption: time constant of sensor and electronics [s]
+    wrench_scale: float = 0.01  # Share. Assumption: 1 %, the usual accuracy of six-axis sensors
+    # Share of full scale that a full load along another axis shows. Assumption: 1 %, as the scale.
+    wrench_cross: float = 0.01
+    gyro_bias: float = 0.3 * DEGREE  # Assumption: zeroed at rest, then 10 K at 0.03 deg/s/K [rad/s]
+    gyro_scale: float = 0.01  # Share. Assumption: small MEMS unit
+    accelerometer_bias: float = 0.2  # Assumption: small MEMS unit, 10 K at 2 mg/K [m/s^2]
+    accelerometer_scale: float = 0.01  # Share. Assumption: small MEMS unit
 
 
 CAMERA: Final = CameraSheet()
 INCLINOMETER: Final = InclinometerSheet()
 FORCE_TORQUE: Final = ForceTorqueSheet()
+SENSOR_ERRORS: Final = SensorErrorSheet()
+HARSH_SENSOR_ERRORS: Final = SensorErrorSheet(
+    # Assumption: cold mornings, hot noons and a year since the calibration: twice the usual errors,
+    # and an inclinometer off by its noise.
+    encoder_zero=0.6 * DEGREE,
+    tachometer_scale=0.02,
+    potentiometer_zero=1.0 * DEGREE,
+    potentiometer_scale=0.02,
+    inclinometer_zero=0.05 * DEGREE,
+    inclinometer_scale=0.02,
+    inclinometer_cross=0.08,
+    wrench_zero=0.01,
+    wrench_drift=0.01,
+    wrench_scale=0.02,
+    wrench_cross=0.02,
+    gyro_bias=0.6 * DEGREE,
+    gyro_scale=0.02,
+    accelerometer_bias=0.4,
+    accelerometer_scale=0.02,
+)
 INCLINOMETER_CALIBRATION: Final[Mapping[str, Mapping[str, InclinometerCalibration]]] = (
     MappingProxyType(
         {

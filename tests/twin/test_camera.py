@@ -19,7 +19,7 @@ from twin.camera import (
     renderer,
 )
 from twin.loop import Tick
-from twin.record import Recorder
+from twin.recording.record import Recorder
 from twin.robot import ArmMode, Command, DeferredImages, ImageChannel, RobotError, Validity
 from twin.sensors import IDEAL
 from twin.simulation import Simulation

@@ -9,7 +9,7 @@ from tests.twin.test_record import columns
 from twin.connect import connect
 from twin.describe import describe_placement
 from twin.loop import run
-from twin.record import Recorder
+from twin.recording.record import Recorder
 from twin.robot import ARM_JOINTS, WHEELS, ArmMode, Command, Validity, WheelMode
 
 FIELD = FieldConfig(texture_pixels=16)

@@ -8,6 +8,7 @@ from tests.models.scenes import shaft_torque
 from twin.connect import connect
 from twin.describe import describe_rover
 from twin.description import MotorDescription
+from twin.realism import Realism
 from twin.robot import (
     ArmMode,
     Channel,
@@ -151,7 +152,7 @@ def test_motors_that_cannot_turn_are_refused():
 
 
 def test_arm_of_the_rover_follows_a_sine_with_feed_forward():
-    with connect("sim", suite=IDEAL) as link:
+    with connect("sim", realism=Realism(IDEAL)) as link:
         robot = link.robots["rover1"]
         robot.activate()
         home, errors = np.array(ARM.home), []

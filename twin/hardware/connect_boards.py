@@ -288,7 +288,7 @@ def quantised_robots(scene: EmulatedScene, config: SceneConfig) -> dict[str, Boa
             rover.description, boards, rover.calibration, lambda: scene.time, patience
         )
         robot.configure()
-        robot.home(rover.angles()[4:])
+        robot.home(rover.jig_angles())
         robots[name] = robot
     return robots
 

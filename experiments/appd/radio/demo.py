@@ -17,7 +17,7 @@ from twin.hardware.emulator.modem import ModemConfig
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
-from twin.record import Recorder
+from twin.recording.record import Recorder
 
 ROBOTS = ("rover1", "rover2")
 SEND_PERIOD = SharingConfig.send_period

@@ -12,9 +12,9 @@ from experiments.appe.mechanism.bench import TICK, BraidBench, make_bench
 from experiments.appe.mechanism.trial import ArmTrial
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
-from twin.layout import scene_view, side_by_side
 from twin.loop import Tick
-from twin.record import Recorder
+from twin.recording.layout import scene_view, side_by_side
+from twin.recording.record import Recorder
 
 LEGS_VIEW = rrb.TimeSeriesView(origin="curves/legs", name="Legs: -1 short, 1 long")
 

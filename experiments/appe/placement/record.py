@@ -8,8 +8,8 @@ import rerun.blueprint as rrb
 from controllers.braid.bus.drive import WireDrive
 from experiments.appe.mechanism.record import LEGS_VIEW, recorded_ticks
 from experiments.appe.placement.trial import PlacementTrial, prepare
-from twin.layout import scene_view, side_by_side
-from twin.record import Recorder
+from twin.recording.layout import scene_view, side_by_side
+from twin.recording.record import Recorder
 
 IMAGE_EVERY = 40
 """Ticks of the drive from one camera picture to the next."""

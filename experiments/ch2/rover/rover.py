@@ -42,9 +42,9 @@ from models.datasheets import (
 from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
-from twin.layout import default_blueprint
 from twin.loop import LoopRecorder, Tick
-from twin.record import Recorder
+from twin.recording.layout import default_blueprint
+from twin.recording.record import Recorder
 
 Results = dict[str, list[RoverIdentification]]
 

@@ -9,7 +9,7 @@ from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.parameters import NAMES
 from experiments.ch2.simulation.trial import PlantIdentification
 from twin.loop import Tick
-from twin.record import Recorder
+from twin.recording.record import Recorder
 
 BAND = 2.0
 """Half width of the recorded bands, in standard deviations."""

@@ -12,7 +12,7 @@ from experiments.ch3.planar.trial import PlanarRun, PlanarTrial, Round, build_wo
 from experiments.harness.recording import recording, viridis
 from perception.planar.map import Grid
 from perception.planar.raycast import RangeSensor
-from twin.layout import side_by_side
+from twin.recording.layout import side_by_side
 
 ROUND = 1.0
 """Duration of a round on the recording's time line [s]; planar runs have no time of their own."""

@@ -13,7 +13,7 @@ from controllers.mapping.stereo_view import StereoView
 from experiments.ch3.stereo.trial import MappingTrial, map_scene
 from experiments.harness.recording import recording, viridis
 from perception.voxels.map import VoxelMap
-from twin.layout import scene_view, side_by_side
+from twin.recording.layout import scene_view, side_by_side
 
 _SHOWN = 40_000
 """Greatest number of points of the map that are written at each view, drawn at random."""

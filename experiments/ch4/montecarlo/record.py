@@ -12,7 +12,7 @@ from experiments.ch4.montecarlo.scenario import SCENARIO, ObstacleWorld, draw_wo
 from experiments.ch4.montecarlo.trial import PLACEMENTS, draw_chance, guide
 from experiments.harness.recording import closed, recording
 from perception.geometry.arrays import FloatArray
-from twin.layout import content_alone
+from twin.recording.layout import content_alone
 
 BLUE, GREEN, RED, PURPLE, GREY = (
     (40, 90, 200), (40, 150, 60), (210, 40, 40), (130, 80, 170), (110, 110, 110),

@@ -11,7 +11,7 @@ from controllers.placement.planar.search import rating_field
 from experiments.ch4.planar.motion import STEP, MappedSite, Moment
 from experiments.harness.recording import closed, recording, viridis
 from perception.geometry.arrays import FloatArray
-from twin.layout import side_by_side
+from twin.recording.layout import side_by_side
 
 SPACING = 2.0
 """Distance between the rated positions that are shown [m]."""

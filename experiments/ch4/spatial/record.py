@@ -17,7 +17,7 @@ from experiments.harness.recording import closed, recording, viridis
 from models.blocks import Block, camera_axes
 from models.datasheets import CAMERA
 from perception.geometry.arrays import FloatArray
-from twin.layout import scene_view, side_by_side
+from twin.recording.layout import scene_view, side_by_side
 
 _QUALITY = 80
 

@@ -209,7 +209,7 @@ class Emulator:
             if index >= 0:
                 bodies[word] = _pose_table(data.xmat[index].reshape(3, 3), data.xpos[index])
         return {
-            "arm_angles": rover.angles()[4:].tolist(),
+            "arm_angles": rover.jig_angles().tolist(),
             "angles": rover.angles().tolist(),
             "codes": rover.codes.tolist(),
             "driven": {hex(address): when for address, when in rig.driven.items()},

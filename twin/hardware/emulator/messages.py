@@ -89,8 +89,8 @@ class RobotTruth(TypedDict):
     """True state of an emulated robot, as a person beside it could measure it.
 
     Attributes:
-        arm_angles: Joint angles (4,) [rad].
-        angles: Angles (8,) of wheels and joints [rad].
+        arm_angles: Joint angles (4,) as a jig gives them for homing, with its error [rad].
+        angles: True angles (8,) of wheels and joints [rad].
         codes: Duty codes (8,) that drive the motors.
         driven: Latest time at which each motor board drove a motor [s], by address (as "0x80"); -1
             for never.

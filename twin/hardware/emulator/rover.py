@@ -83,6 +83,10 @@ class EmulatedRover:
         """Return the shafts' true angles (8,) [rad]."""
         return self._data.qpos[self._positions].copy()
 
+    def jig_angles(self) -> FloatArray:
+        """Return the arm's joint angles (4,) as the jig gives them for homing, with its error."""
+        return np.array(self._robot.observe().arm_angles.value, dtype=float)
+
     def counts(self) -> IntArray:
         """Return encoder counts (8,) since the model's zero, unwrapped."""
         return self.calibration.drive.counts(self.angles())

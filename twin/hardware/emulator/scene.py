@@ -3,6 +3,8 @@
 import dataclasses
 import json
 
+import numpy as np
+
 from models.compose import (
     FLAT,
     FieldConfig,
@@ -10,17 +12,19 @@ from models.compose import (
     make_model,
     settle,
 )
+from models.datasheets import SensorErrorSheet
 from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig
 from twin.describe import describe_placement
 from twin.hardware.calibration.calibration import calibration_path, load_calibration
 from twin.hardware.calibration.section import from_table
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
-from twin.sensors import SensorSuite
+from twin.sensors import SensorSuite, with_errors
 from twin.simulation import Simulation
 
 SETTLING = 1.0
 """Duration of settling before time zero [s]."""
+_ERRORS = 12  # Stream of random numbers of a scene's seed.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,12 +36,14 @@ class SceneConfig:
         field: Ground.
         seed: Random seed of all noise.
         stereo: Properties of the stereo heads; None for none.
+        sensor_errors: Largest errors of the robots' sensors, drawn from the seed; None for none.
     """
 
     robots: tuple[RobotPlacement, ...] = (RobotPlacement(),)
     field: FieldConfig = FLAT
     seed: int = 0
     stereo: StereoConfig | None = None
+    sensor_errors: SensorErrorSheet | None = None
 
     def to_json(self) -> str:
         """Return the scene as JSON, for an emulator in another process."""
@@ -57,14 +63,22 @@ def simulate(config: SceneConfig, suite: SensorSuite) -> Simulation:
     """Return a scene at rest.
 
     Args:
-        config: Robots, ground, stereo heads and seed.
-        suite: Specification of the robots' sensors.
+        config: Robots, ground, stereo heads, errors of the sensors and seed.
+        suite: Specification of the robots' sensors without their errors.
     """
     model = make_model(config.field, config.robots)
+    drawn = [describe_placement(robot) for robot in config.robots]
+    errors = config.sensor_errors
+    suites = [
+        with_errors(suite, errors, robot, np.random.default_rng([config.seed, _ERRORS, index]))
+        if errors is not None
+        else suite
+        for index, robot in enumerate(drawn)
+    ]
     return Simulation(
         model,
-        [describe_placement(robot) for robot in config.robots],
-        suite=suite,
+        drawn,
+        suite=suites,
         stereo=config.stereo,
         seed=config.seed,
         data=settle(model, SETTLING),

@@ -23,6 +23,7 @@ from models.datasheets import ARM, DEGREE, INCLINOMETER_CALIBRATION
 from perception.geometry.gravity import GRAVITY
 from twin.connect import connect
 from twin.hardware.calibration.tilt_fit import fit_tilt, up_of_tilt
+from twin.realism import Realism
 from twin.robot import ArmMode, Command
 from twin.sensors import IDEAL
 
@@ -31,7 +32,8 @@ from twin.sensors import IDEAL
 def table():
     """A rover with perfect sensors on the table, its arm held."""
     placement = RobotPlacement("rover1", stereo=False)
-    with connect("sim", robots=[placement], field=appd_tilt_table.FIELD, suite=IDEAL) as connection:
+    field, realism = appd_tilt_table.FIELD, Realism(IDEAL)
+    with connect("sim", robots=[placement], field=field, realism=realism) as connection:
         robot = connection.robots["rover1"]
         robot.activate()
         robot.command(Command(arm=np.array(ARM.home), arm_mode=ArmMode.POSITION))

@@ -26,6 +26,7 @@ from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.roboclaw.codec import Status
 from twin.hardware.serial_link import LinkError
 from twin.loop import LoopRecorder, run
+from twin.realism import Realism
 from twin.robot import ArmMode, Command, Observation, Validity, WheelMode
 
 ROBOT = "rover1"
@@ -159,7 +160,7 @@ def test_boards_err_by_a_count_from_the_simulation_that_gets_the_same_voltages()
     worst = dict.fromkeys(
         ("wheel_speeds", "arm_rates", "arm_angles", "centre", "tilt", "wrench"), 0.0
     )
-    with connect("sim", suite=ANALOGUE_SENSORS, seed=5) as link:
+    with connect("sim", realism=Realism(ANALOGUE_SENSORS), seed=5) as link:
         robot, data = link.robots[ROBOT], link.simulation.data
         names = ("front_left", "front_right", "rear_left", "rear_right")
         wheels = [data.joint(f"{ROBOT}/{name}_joint") for name in names]

@@ -18,13 +18,13 @@ from tests.twin.scene import SERVO, compile_scene
 from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.loop import LoopRecorder, Tick, run
-from twin.record import Recorder, _wait_for, screenshot
+from twin.recording.record import Recorder, _wait_for, screenshot
+from twin.recording.scene_mesh import body_mesh, geom_colour
 from twin.robot import ArmMode, Command, WheelMode
-from twin.scene_mesh import body_mesh, geom_colour
 from twin.sensors import DATASHEET
 from twin.simulation import Simulation
 
-ROOT = Path(__file__).parent.parent.parent
+ROOT = Path(__file__).parents[3]
 
 
 class Drive:
@@ -185,7 +185,7 @@ def test_curve_may_not_change_its_width(tmp_path):
 
 KILLED = """
 import sys, time
-from tests.twin.test_record import Drive, Recorder, run, small
+from tests.twin.recording.test_record import Drive, Recorder, run, small
 simulation = small()
 recorder = Recorder(sys.argv[1], simulation.robots, simulation)
 run(simulation.robots, [Drive(recorder)], simulation, [recorder], 1.0)
@@ -308,7 +308,7 @@ def test_disk_that_fills_up_ends_a_recording_with_its_name(tmp_path, limit):
     """It is full from the start, or fills up; the SDK alone waits for ever in the first case."""
     path = tmp_path / "run.rrd"
     program = (
-        "import os, resource, sys; from twin.record import Recorder\n"
+        "import os, resource, sys; from twin.recording.record import Recorder\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
         "try:\n"
         "    with Recorder(sys.argv[1]) as recorder:\n"

@@ -1,8 +1,8 @@
 """Recordings for the rerun viewer: bodies, sensors, commands, images and estimates.
 
 Everything goes to a file, in columns of half a second, so that recording costs little and an
-interrupted run loses half a second at most. ``python -m twin.record screenshot RUN.rrd OUT.png``
-makes a picture of one.
+interrupted run loses half a second at most.
+``python -m twin.recording.record screenshot RUN.rrd OUT.png`` makes a picture of one.
 """
 
 import contextlib
@@ -26,10 +26,10 @@ from rerun.experimental import ViewerClient
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.geometry.files import RECORDING, check_size
 from twin.description import RobotDescription
-from twin.layout import default_blueprint
 from twin.loop import LoopRecorder, Tick
+from twin.recording.layout import default_blueprint
+from twin.recording.scene_mesh import body_mesh
 from twin.robot import Channel, Robot, Validity
-from twin.scene_mesh import body_mesh
 from twin.sensors import CHANNELS
 
 _XYZ = ("x", "y", "z")
@@ -468,7 +468,7 @@ def main() -> None:
     """Run the command line: ``screenshot RUN.rrd OUT.png``."""
     try:
         tyro.extras.subcommand_cli_from_dict(
-            {"screenshot": _screenshot}, prog="python -m twin.record"
+            {"screenshot": _screenshot}, prog="python -m twin.recording.record"
         )
     except (OSError, RuntimeError) as error:
         sys.exit(str(error))

@@ -1,0 +1,91 @@
+"""How far simulated robots and their sensors are from their drawings: sets by name."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from models.as_made import AsMade
+from models.compose import RobotPlacement
+from models.datasheets import (
+    HARSH_SENSOR_ERRORS,
+    HARSH_TOLERANCES,
+    SENSOR_ERRORS,
+    TOLERANCES,
+    SensorErrorSheet,
+    Tolerances,
+)
+from twin.sensors import DATASHEET, SensorSuite
+
+RealismName = Literal["ideal", "default", "harsh"]
+_MAKING = 11  # Stream of random numbers of a connection's seed.
+
+
+@dataclasses.dataclass(frozen=True)
+class Realism:
+    """What is true of simulated robots and stands in no drawing.
+
+    Attributes:
+        suite: Sensors of simulated robots as their makers state them; boards have their own.
+        sensor_errors: Largest errors of each robot's sensors; None for none.
+        tolerances: Tolerances from which each robot is made; None for robots that are their
+            drawings.
+    """
+
+    suite: SensorSuite = DATASHEET
+    sensor_errors: SensorErrorSheet | None = None
+    tolerances: Tolerances | None = None
+
+
+REALISMS: Mapping[RealismName, Realism] = MappingProxyType(
+    {
+        "ideal": Realism(),
+        "default": Realism(sensor_errors=SENSOR_ERRORS, tolerances=TOLERANCES),
+        "harsh": Realism(sensor_errors=HARSH_SENSOR_ERRORS, tolerances=HARSH_TOLERANCES),
+    }
+)
+"""Sets by name: robots and sensors as drawn, for verification; new and calibrated ones; old ones
+in changing weather."""
+
+
+def realism_of(named: RealismName | Realism) -> Realism:
+    """Return a set by its name.
+
+    Args:
+        named: Name of a set, or a set of one's own.
+
+    Raises:
+        ValueError: If there is no such set.
+    """
+    if isinstance(named, Realism):
+        return named
+    if named not in REALISMS:
+        raise ValueError(f"unknown realism {named!r}; available: {', '.join(REALISMS)}")
+    return REALISMS[named]
+
+
+def make_robots(
+    robots: Sequence[RobotPlacement], named: RealismName | Realism, seed: int
+) -> tuple[RobotPlacement, ...]:
+    """Return robots as made, of which no two are alike; one seed makes the same robots again.
+
+    A robot that is made already stays as it is, and so does one of a model of the user's own, whose
+    tolerances nobody knows.
+
+    Args:
+        robots: Robots of a scene.
+        named: Set with the tolerances.
+        seed: Random seed of the connection, as `twin.connect.connect` takes it.
+    """
+    tolerances = realism_of(named).tolerances
+    if tolerances is None:
+        return tuple(robots)
+    seeds = np.random.SeedSequence([seed, _MAKING]).generate_state(len(robots), np.uint64)
+    return tuple(
+        robot
+        if robot.made or robot.model
+        else dataclasses.replace(robot, made=AsMade(own, tolerances))
+        for robot, own in zip(robots, seeds.tolist())
+    )
