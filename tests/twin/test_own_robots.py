@@ -5,7 +5,7 @@ import pytest
 
 from models.compose import FieldConfig, RobotPlacement
 from tests.twin.own_robots import NO_LOAD, STALL, six_joints, six_wheels
-from tests.twin.test_record import columns
+from tests.twin.recording.test_record import columns
 from twin.connect import connect
 from twin.describe import describe_placement
 from twin.loop import run

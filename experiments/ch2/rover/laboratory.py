@@ -3,6 +3,12 @@
 Thesis section 2.6.2: stiffness by deflection under load, damping by the impulse response fitted to
 a second-order equation, inertia by that response and by a pendulum. All without the arm, whose
 share the force/torque sensor measures.
+
+A robot as made has four different springs and masses off its middle, so its pitch is coupled with
+roll and heave, a little. What is measured then is what a laboratory would: the pitch that a
+pitching moment or a force in the robot's plane of symmetry gives at rest, and the frequency and
+decay of the one oscillation that fits the released pitch best. Five numbers describe no coupled
+robot fully; these are the ones nearest to it as pitch alone shows it.
 """
 
 import functools
@@ -11,25 +17,25 @@ import mujoco
 import numpy as np
 import scipy.optimize
 
-from models.compose import FLAT, RobotPlacement, load_part, make_model, settle
-from models.datasheets import ROVER
+from models.as_made import alter_rover
+from models.compose import LABORATORY, WHEELS, RobotPlacement, load_part, make_model, settle
 from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
 
 LOAD = 1.0  # [N] or [N m]: tilts the rover by less than 0.2 degrees
 _STEP = 0.00025  # [s]: at 1 ms the inertia would read 1 % too high
-_CHASSIS, _MOUNT = "rover1/chassis", "rover1/attachment_site"
 
 
 class _Bench:
     """The bare rover at rest on the floor of the laboratory."""
 
-    def __init__(self) -> None:
-        self.model = make_model(FLAT, [RobotPlacement(arm=False)])
+    def __init__(self, robot: RobotPlacement) -> None:
+        bare = RobotPlacement(robot.name, arm=False, made=robot.made)
+        self.model = make_model(LABORATORY, [bare])
         self.model.opt.timestep = _STEP
         self.rest = settle(self.model, 2.0)
-        self.body = self.model.body(_CHASSIS).id
-        self.mount = self.rest.site(_MOUNT).xpos.copy()
+        self.body = self.model.body(f"{robot.name}/chassis").id
+        self.mount = self.rest.site(f"{robot.name}/attachment_site").xpos.copy()
 
     def tilt(self, data: mujoco.MjData) -> float:
         """Return the pitch [rad]: the elevation of the chassis' y axis."""
@@ -64,14 +70,17 @@ class _Bench:
         return times.astype(np.float64), np.array(tilts)
 
 
-@functools.lru_cache(maxsize=1)
-def laboratory_values() -> dict[str, float]:
-    """Return Table 2-2's parameters of the simulated rover, by name, SI units.
+@functools.lru_cache
+def laboratory_values(robot: RobotPlacement = RobotPlacement()) -> dict[str, float]:  # noqa: B008
+    """Return Table 2-2's parameters of a simulated rover, by name, SI units.
 
     Also "rz_to_centre", the thesis' lever from the centre of gravity, and "ixx_pendulum", the
     inertia about the ground line from the pendulum.
+
+    Args:
+        robot: Robot, whose arm is taken off; `RobotPlacement.made` says how it was made.
     """
-    bench = _Bench()
+    bench = _Bench(robot)
     stiffness = LOAD / bench.deflection((0.0, 0.0, 0.0), LOAD)
     times, tilts = bench.released()
     decay, frequency = _second_order(times, tilts)
@@ -84,7 +93,7 @@ def laboratory_values() -> dict[str, float]:
         "b_pitch": 2 * decay * inertia,
         "k_pitch": stiffness,
         "rz_to_centre": float(bench.mount[2] - centre[2]),
-        "ixx_pendulum": _pendulum_inertia(float(centre[2])),
+        "ixx_pendulum": _pendulum_inertia(robot, float(centre[2])),
     }
 
 
@@ -100,10 +109,11 @@ def _second_order(times: FloatArray, tilts: FloatArray) -> tuple[float, float]:
     return float(solution.x[0]), float(solution.x[1])
 
 
-def _pendulum_inertia(height: float) -> float:
+def _pendulum_inertia(robot: RobotPlacement, height: float) -> float:
     """Hang the stiffened rover from a pivot and time its swing, on the model alone.
 
     Args:
+        robot: Robot, and how it was made.
         height: Height of the centre of gravity above the ground [m].
 
     Returns:
@@ -111,6 +121,8 @@ def _pendulum_inertia(height: float) -> float:
         carries along but the suspension leaves on the ground.
     """
     spec = load_part("rover")
+    if robot.made is not None:
+        alter_rover(spec, robot.made)
     for part in (*spec.actuators, *spec.sensors, *spec.keys, *spec.joints):
         spec.delete(part)
     hung = 0.5  # [m] above the chassis' origin
@@ -126,19 +138,16 @@ def _pendulum_inertia(height: float) -> float:
         mujoco.mj_step(model, data)
         angles.append(data.qpos[0])
     mass = float(model.body_subtreemass[0])
-    mujoco.mj_forward(model, data)
     swing = np.array(angles) - np.mean(angles)
     crossings = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
     fraction = swing[crossings] / (swing[crossings] - swing[crossings + 1])
     period = np.diff((crossings + fraction) * _STEP).mean()
-    lever = hung - _centre_height(model)
+    bodies = [model.body(f"{wheel}_wheel").id for wheel in WHEELS]
+    unswung = mujoco.MjData(model)
+    mujoco.mj_forward(model, unswung)
+    centre = unswung.subtree_com[0]
+    lever = hung - float(centre[2] - unswung.body("chassis").xpos[2])
     about_pivot = mass * GRAVITY * lever * period**2 / (4 * np.pi**2)
-    wheels = 4 * ROVER.wheel_mass * ROVER.half_wheelbase**2
+    ahead = unswung.xipos[bodies, 1] - centre[1]
+    wheels = model.body_mass[bodies] @ ahead**2
     return float(about_pivot - mass * lever**2 + mass * height**2 - wheels)
-
-
-def _centre_height(model: mujoco.MjModel) -> float:
-    """Return the height of the centre of gravity above the chassis' origin, unswung [m]."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return float(data.subtree_com[0][2] - data.body("chassis").xpos[2])

@@ -32,21 +32,25 @@ from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.robot_option import check_calibrations, check_robot
 from experiments.harness.sweep import sweep
-from models.compose import RobotPlacement
+from models.compose import LABORATORY, RobotPlacement
 from models.datasheets import (
     TABLE_2_2_AVERAGE_ERROR,
     TABLE_2_2_CONSTANT,
     TABLE_2_2_TRUTH,
     TABLE_2_2_VARIABLE,
 )
+from perception.geometry.arrays import FloatArray
 from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.loop import LoopRecorder, Tick
+from twin.realism import RealismName
 from twin.recording.layout import default_blueprint
 from twin.recording.record import Recorder
 
 Results = dict[str, list[RoverIdentification]]
+Truths = Sequence[Mapping[str, float]]
+"""Laboratory values of each seed's robot, in the order of every excitation's trials."""
 
 COLOURS = {"constant": "tab:red", "information": "tab:blue"}
 THESIS_COLUMN = {"constant": 0, "information": 1}
@@ -61,11 +65,14 @@ class Options(contract.Options):
             boards.
         excitations: Which excitations to compare (unless said, all; two with --quick).
         duration: Time of excitation [s].
+        realism: How far simulated robots and their sensors are from their drawings: ideal, default
+            or harsh; with any but ideal each seed has a robot of its own.
     """
 
     robot: str = "sim"
     excitations: tuple[str, ...] = ()
     duration: float = 10.0
+    realism: RealismName = "ideal"
 
     def __post_init__(self) -> None:
         """Refuse robots that cannot be, unknown excitations, and durations that hold no window.
@@ -91,14 +98,16 @@ class Options(contract.Options):
 
 
 def run(options: Options, output: Output) -> None:
-    """Run every excitation over the seeds and compare with the laboratory's values."""
+    """Run every excitation over the seeds and compare with each robot's laboratory values."""
     check_calibrations(options.robot)
-    truth = laboratory_values()
+    seeds = options.job_seeds(full=20, quick=3)
     trials = [
-        RoverTrial(options.robot, excitation, seed, options.duration)
+        RoverTrial(options.robot, excitation, seed, options.duration, realism=options.realism)
         for excitation in options.chosen()
-        for seed in options.job_seeds(full=20, quick=3)
+        for seed in seeds
     ]
+    robots = [trial.placement for trial in trials[: len(seeds)]]
+    truths = sweep(laboratory_values, robots, options, output, label="robots in the laboratory")
     # A real robot does one thing at a time.
     real = options.robot.startswith("serial:")
     alone = dataclasses.replace(options, jobs=1) if real else options
@@ -106,20 +115,23 @@ def run(options: Options, output: Output) -> None:
     results: Results = {name: [] for name in options.chosen()}
     for trial, result in zip(trials, found):
         results[trial.excitation].append(result)
-    _measure(results, truth, output)
-    _figures(results, truth, output)
-    _table(results, truth, output)
+    _measure(results, truths, output)
+    _figures(results, truths, output)
+    _table(results, truths, output)
     if options.record:
         path = record_run(options, output)
         Console().print(f"recording: {path}")
 
 
-def _measure(results: Results, truth: dict[str, float], output: Output) -> None:
-    for name, value in truth.items():
+def _measure(results: Results, truths: Truths, output: Output) -> None:
+    for name in truths[0]:
+        values = [truth[name] for truth in truths]
+        alike = len(set(values)) == 1
+        value = values[0] if alike else distribution(values)
         output.measure(f"laboratory/{name}", value, thesis=TABLE_2_2_TRUTH.get(name))
     medians = {}
     for excitation, trials in results.items():
-        errors = np.array([error_percent(t.estimate.parameters, truth) for t in trials])
+        errors = _errors(trials, truths)
         column = THESIS_COLUMN.get(excitation)
         thesis = None if column is None else TABLE_2_2_AVERAGE_ERROR[column]
         average = distribution(errors.mean(axis=1))
@@ -149,18 +161,24 @@ def _measure(results: Results, truth: dict[str, float], output: Output) -> None:
         output.check("average error, information over constant", ratio, "<= 0.2", ratio <= 0.2)
 
 
-def _figures(results: Results, truth: Mapping[str, float], output: Output) -> None:
+def _errors(trials: Sequence[RoverIdentification], truths: Truths) -> FloatArray:
+    """Return each trial's errors (trials, 5) against its own robot's laboratory values [%]."""
+    pairs = zip(trials, truths, strict=True)
+    return np.array([error_percent(t.estimate.parameters, truth) for t, truth in pairs])
+
+
+def _figures(results: Results, truths: Truths, output: Output) -> None:
     names = {"constant": "figure_2-9", "information": "figure_2-10"}
     for excitation, name in names.items():
         if excitation in results:
             output.figure(name, draw_arm_motion(results[excitation][0], excitation))
     output.figure("figure_2-11", draw_tilt(results))
-    output.figure("figure_2-12", draw_convergence(results, truth))
-    output.figure("errors_by_excitation", draw_errors(results, truth))
+    output.figure("figure_2-12", draw_convergence(results, truths))
+    output.figure("errors_by_excitation", draw_errors(results, truths))
 
 
-def _table(results: Results, truth: Mapping[str, float], output: Output) -> None:
-    """Write Table 2-2 beside ours, to a file and to the terminal."""
+def _table(results: Results, truths: Truths, output: Output) -> None:
+    """Write Table 2-2 beside the medians of our robots, to a file and to the terminal."""
     columns = ["parameter", "unit", "thesis true", "thesis constant", "thesis variable"]
     columns += ["laboratory (ours)"] + [f"{name}, median" for name in results]
     rows: list[Sequence[Any]] = []
@@ -169,12 +187,11 @@ def _table(results: Results, truth: Mapping[str, float], output: Output) -> None
     }
     for index, (name, unit) in enumerate(zip(NAMES, UNITS)):
         thesis = [t[name] for t in (TABLE_2_2_TRUTH, TABLE_2_2_CONSTANT, TABLE_2_2_VARIABLE)]
-        ours = [truth[name]] + [float(m[index]) for m in medians.values()]
+        ours = [float(np.median([truth[name] for truth in truths]))] + [
+            float(m[index]) for m in medians.values()
+        ]
         rows.append([name, unit, *thesis, *(f"{value:.4g}" for value in ours)])
-    errors = [
-        np.median([error_percent(t.estimate.parameters, dict(truth)).mean() for t in trials])
-        for trials in results.values()
-    ]
+    errors = [np.median(_errors(trials, truths).mean(axis=1)) for trials in results.values()]
     averages = [f"{value:.1f}" for value in TABLE_2_2_AVERAGE_ERROR]
     rows.append(["average error", "%", "", *averages, "", *(f"{value:.1f}" for value in errors)])
     output.table("table_2-2", columns, rows)
@@ -199,6 +216,8 @@ def record_run(options: Options, output: Output) -> str:
         connect(
             options.robot,
             robots=[RobotPlacement(ROBOT)],
+            field=LABORATORY,
+            realism=options.realism,
             stereo=StereoConfig(),
             seed=options.seed,
         ) as connection,
@@ -265,21 +284,26 @@ def draw_tilt(results: Results) -> Figure:
     return figure
 
 
-def draw_convergence(results: Results, truth: Mapping[str, float]) -> Figure:
-    """Draw the estimates over time with the band of the seeds (Thesis figure 2-12)."""
+def draw_convergence(results: Results, truths: Truths) -> Figure:
+    """Draw the estimates over time with the band of the seeds (Thesis figure 2-12).
+
+    Each is drawn over its own robot's laboratory value, in units of the robots' median.
+    """
     figure = Figure(figsize=(12, 6))
     grid = figure.subplots(2, 3)
     shown = [name for name in ("constant", "information") if name in results] or list(results)
     for index, (name, unit) in enumerate(zip(NAMES, UNITS)):
         axes = grid.flat[index]
+        own = np.array([truth[name] for truth in truths])
+        true = float(np.median(own))
         for excitation in shown:
             histories = np.array([trial.history for trial in results[excitation]])[:, :, index]
+            histories *= (true / own)[:, None]
             times = REPLAN_PERIOD * np.arange(1, histories.shape[1] + 1)
             low, median, high = np.percentile(histories, [10, 50, 90], axis=0)
             colour = COLOURS.get(excitation, "grey")
             axes.plot(times, median, color=colour, label=excitation)
             axes.fill_between(times, low, high, color=colour, alpha=0.2, lw=0)
-        true = truth[name]
         axes.axhline(true, color="black", ls="--", lw=1, label="laboratory")
         axes.set_ylim(min(-true, 0) if name in ("ry", "rz") else 0, 3 * true)
         axes.set(title=name, ylabel=unit, xlabel="time [s]")
@@ -291,15 +315,11 @@ def draw_convergence(results: Results, truth: Mapping[str, float]) -> Figure:
     return figure
 
 
-def draw_errors(results: Results, truth: Mapping[str, float]) -> Figure:
+def draw_errors(results: Results, truths: Truths) -> Figure:
     """Draw the average error of every run by excitation, on a logarithmic scale."""
     figure = Figure(figsize=(7, 3.5))
     axes = figure.subplots()
-    true = np.array([truth[name] for name in NAMES])
-    errors = [
-        [100 * np.mean(np.abs(trial.estimate.parameters - true) / true) for trial in trials]
-        for trials in results.values()
-    ]
+    errors = [_errors(trials, truths).mean(axis=1) for trials in results.values()]
     axes.boxplot(errors, tick_labels=list(results))
     axes.axhline(10, color="grey", ls=":", label="10 %")
     axes.set(yscale="log", ylabel="average error of five parameters [%]")

@@ -1,7 +1,7 @@
 """One identification of the complete rover through the robot contract."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -21,11 +21,12 @@ from controllers.identification.rover_identifier import (
     RoverIdentifierConfig,
     SwingingArm,
 )
-from models.compose import FLAT, RobotPlacement, make_model
+from models.compose import FLAT, LABORATORY, RobotPlacement, make_model
 from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, connect
 from twin.describe import descendants
 from twin.loop import LoopRecorder, Tick, run
+from twin.realism import RealismName, make_robots
 from twin.simulation import Simulation
 
 ROBOT = "rover1"
@@ -41,6 +42,7 @@ class RoverTrial:
         seed: Random seed of sensor noise and planner.
         duration: Duration of the excitation [s].
         unseen: Duration of the motion that the result is tried on [s].
+        realism: How far the robot and its sensors are from their drawings.
     """
 
     robot: str
@@ -48,6 +50,19 @@ class RoverTrial:
     seed: int
     duration: float = 10.0
     unseen: float = 4.0
+    realism: RealismName = "ideal"
+
+    @property
+    def seeds(self) -> tuple[int, int, int]:
+        """Random seeds of the robot with its sensors, of the planner, and of the other motion."""
+        robot, plan, other = np.random.SeedSequence(self.seed).generate_state(3).tolist()
+        return robot, plan, other
+
+    @property
+    def placement(self) -> RobotPlacement:
+        """Robot as made; a seed's robot is the same under every excitation."""
+        (robot,) = make_robots([RobotPlacement(ROBOT)], self.realism, self.seeds[0])
+        return robot
 
 
 def known_swinging_arm() -> SwingingArm:
@@ -120,7 +135,7 @@ class RoverIdentification:
 
 def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     """Identify, then predict the tilt of a motion that was not used."""
-    noise, plan, other = np.random.SeedSequence(trial.seed).generate_state(3).tolist()
+    seed, plan, other = trial.seeds
     planned = trial.excitation in CRITERIA
     config = RoverIdentifierConfig(
         ROBOT,
@@ -129,7 +144,13 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
         limits=ROVER_ARM_LIMITS if planned else GENTLE_ARM_LIMITS,
         duration=trial.duration,
     )
-    with connect(trial.robot, robots=[RobotPlacement(ROBOT)], seed=noise) as connection:
+    with connect(
+        trial.robot,
+        robots=[trial.placement],
+        field=LABORATORY,
+        realism=trial.realism,
+        seed=seed,
+    ) as connection:
         controller = identify(connection, config, np.random.default_rng(plan))
         unseen = dataclasses.replace(
             config, excitation="random", limits=GENTLE_ARM_LIMITS, duration=trial.unseen
@@ -187,7 +208,7 @@ def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, truth: TrueTilt 
     return float(100 * np.sqrt(wrong / max(float(np.var(tilt)) - noise, noise)))
 
 
-def error_percent(parameters: FloatArray, truth: dict[str, float]) -> FloatArray:
+def error_percent(parameters: FloatArray, truth: Mapping[str, float]) -> FloatArray:
     """Return the magnitude of each parameter's error in percent of its true value, (5,)."""
     true = np.array([truth[name] for name in NAMES])
     return 100 * np.abs(parameters - true) / np.abs(true)
