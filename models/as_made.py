@@ -15,7 +15,7 @@ from models.datasheets import TOLERANCES, Tolerances
 
 PLAY_DAMPING = 0.01
 """Damping of a gear's play [N m s/rad]. Assumption: grease; it settles a joint without load."""
-_PLAY_STOP = (0.004, 1.0)  # solref of the teeth: as hard as the tyres
+_PLAY_STOP = (0.002, 1.0)  # solref of the teeth: the hardest at a physics step of 1 ms
 _ROVER, _ARM, _HEAD, _TYRES = range(4)  # Streams of random numbers, one for each part.
 
 

@@ -92,8 +92,8 @@ def test_masses_stop_before_the_filter():
     np.testing.assert_allclose(values[late, 0], wanted, atol=0.02 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("pitch, roll", [(0.2, 0.0), (0.0, -0.25), (0.15, 0.2), (-0.3, 0.1)])
-def test_at_rest_it_shows_pitch_and_roll(pitch, roll):
+def inclined(pitch, roll):
+    """A weightless body at rest at a pitch and a roll."""
     quaternion, about_x, about_y = np.empty(4), np.empty(4), np.empty(4)
     mujoco.mju_axisAngle2Quat(about_x, np.array([1.0, 0.0, 0.0]), pitch)
     mujoco.mju_axisAngle2Quat(about_y, np.array([0.0, 1.0, 0.0]), roll)
@@ -106,9 +106,40 @@ def test_at_rest_it_shows_pitch_and_roll(pitch, roll):
         <sensor><framequat name="rover/orientation" objtype="site" objname="imu"/>
         <accelerometer name="rover/inclinometer" site="imu" nsample="10"/></sensor></mujoco>"""
     )
+    return model, quaternion
+
+
+@pytest.mark.parametrize("pitch, roll", [(0.2, 0.0), (0.0, -0.25), (0.15, 0.2), (-0.3, 0.1)])
+def test_at_rest_it_shows_pitch_and_roll(pitch, roll):
+    model, quaternion = inclined(pitch, roll)
     values, _ = readings(model, mujoco.MjData(model), ChannelSpec(force_range=RANGE), 3)
     assert tilt(*quaternion.tolist())[:2] == pytest.approx((pitch, roll))
     np.testing.assert_allclose(values[-1], [pitch, roll], atol=1e-9)
+
+
+@pytest.mark.parametrize("force_range", [RANGE, None])
+def test_on_a_slope_it_shows_its_scale_zero_and_cross_axis(force_range):
+    pitch, roll = 0.12, -0.2
+    model, _ = inclined(pitch, roll)
+    spec = ChannelSpec(
+        bias=(0.01, -0.02),
+        scale=(1.05, 0.9),
+        cross=((0.0, 0.04), (-0.03, 0.0)),
+        force_range=force_range,
+        bandwidth=BANDWIDTH,
+    )
+    values, _ = readings(model, mujoco.MjData(model), spec, 3)
+    wanted = [1.05 * pitch + 0.04 * roll + 0.01, 0.9 * roll - 0.03 * pitch - 0.02]
+    np.testing.assert_allclose(values, [wanted] * 3, atol=1e-9)
+
+
+def test_masses_stop_before_scale_and_cross_axis():
+    model, _ = inclined(0.6, 0.1)
+    spec = ChannelSpec(scale=0.5, cross=((0.0, 0.0), (0.1, 0.0)), force_range=RANGE)
+    values, _ = readings(model, mujoco.MjData(model), spec, 2)
+    # The roll's axis feels gravity along a body that is pitched further than the pitch's stop.
+    roll = math.asin(math.cos(0.6) * math.sin(0.1) / math.cos(RANGE))
+    np.testing.assert_allclose(values[-1], [0.5 * RANGE, 0.5 * roll + 0.1 * RANGE], atol=1e-9)
 
 
 def test_one_that_shows_the_orientation_is_not_shaken():

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from models.datasheets import FORCE_TORQUE, SENSOR_ERRORS
 from twin.describe import describe_rover
 from twin.robot import Observation, Validity
 from twin.sensor_bank import SensorBank, SensorWiring
@@ -16,10 +17,12 @@ from twin.sensors import (
     ChannelSpec,
     SensorSuite,
     channel_widths,
+    with_errors,
 )
 
 PERIOD = 0.01
-WIDTHS = channel_widths(describe_rover())
+ROBOT = describe_rover()
+WIDTHS = channel_widths(ROBOT)
 OFFSETS = dict(zip(WIDTHS, np.cumsum([0, *WIDTHS.values()])))
 GYRO = OFFSETS["gyro"]
 DIRECT = SensorWiring(np.outer(np.arange(28), [1, 1, 0, 0]), (), {})
@@ -273,3 +276,107 @@ def test_datasheet_tilt_sensor_has_its_bandwidth_range_and_noise():
         0.145, abs=0.003
     )
     assert dataclasses.replace(tilt, rate=None).age_limit == 0.1
+
+
+WRENCH = CHANNELS.index("arm_base_wrench")
+LOAD = np.array([3.0, -20.0, 7.5, 0.4, -0.2, 1.1])
+
+
+def wrench_at(time, **fields):
+    """Read the wrench under `LOAD` at a time."""
+    sensors = bank(suite=IDEAL.with_channel("arm_base_wrench", **fields))
+    true = np.zeros(sensors.size)
+    first = sum(list(WIDTHS.values())[:WRENCH])
+    true[first : first + 6] = LOAD
+    sensors.sample(time, true, NO_HISTORY)
+    return read(sensors, time)["arm_base_wrench"].value
+
+
+def test_wrench_has_cross_talk_scale_and_zero():
+    rng = np.random.default_rng(0)
+    cross = rng.normal(0.0, 0.05, (6, 6))
+    scale, zero = rng.uniform(0.9, 1.1, 6), rng.normal(size=6)
+    rows = tuple(tuple(row) for row in cross.tolist())
+    seen = wrench_at(0.0, cross=rows, scale=tuple(scale), bias=tuple(zero))
+    np.testing.assert_allclose(seen, scale * LOAD + cross @ LOAD + zero, rtol=1e-12)
+
+
+def test_zero_of_the_wrench_drifts_until_the_sensor_is_warm():
+    drift = (0.5, -0.5, 1.0, 0.02, 0.0, -0.02)
+    for time in (0.0, 60.0, 600.0, 6000.0):
+        wanted = LOAD + np.array(drift) * (1.0 - np.exp(-time / 600.0))
+        np.testing.assert_allclose(wrench_at(time, drift=drift), wanted, rtol=1e-12)
+    wanted = LOAD + 1.0 - np.exp(-0.5)
+    np.testing.assert_allclose(wrench_at(30.0, drift=1.0, warm_up=60.0), wanted, rtol=1e-12)
+
+
+def test_tachometer_scale_comes_before_range_and_converter():
+    seen, _ = feed(bank(scale=1.25, low=-1.0, high=1.0, bits=2), [0.1, 0.7, 2.0, -2.0])
+    np.testing.assert_allclose(seen, [0.0, 0.5, 0.5, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"cross": ((0.0, 1.0),)}, "cross must be a square"),
+        ({"cross": ((math.nan,),)}, "cross must be a square of finite numbers"),
+        ({"cross": tuple((0.0,) * 7 for _ in range(7))}, "cross must be a square"),
+        ({"scale": math.inf}, "scale must be finite"),
+        ({"drift": math.nan}, "drift must be finite"),
+        ({"warm_up": 0.0}, "warm_up must be positive"),
+    ],
+)
+def test_impossible_errors_are_refused(fields, message):
+    with pytest.raises(ValueError, match=message):
+        ChannelSpec(**fields)
+
+
+def test_cross_talk_of_another_width_is_refused_by_the_channels_name():
+    with pytest.raises(ValueError, match="sensor gyro: cross has 2 rows, needs 3"):
+        bank(cross=((0.0, 0.1), (0.1, 0.0)))
+
+
+def errors_of(suite, seed):
+    return with_errors(suite, SENSOR_ERRORS, ROBOT, np.random.default_rng(seed))
+
+
+def test_drawn_errors_are_within_the_sheet_and_differ_between_robots():
+    suites = [errors_of(DATASHEET, seed) for seed in range(40)]
+    for channel, field, most in (
+        ("wheel_speeds", "scale", SENSOR_ERRORS.tachometer_scale),
+        ("centre_angle", "scale", SENSOR_ERRORS.potentiometer_scale),
+        ("centre_angle", "bias", SENSOR_ERRORS.potentiometer_zero),
+        ("arm_angles", "bias", SENSOR_ERRORS.encoder_zero),
+        ("inclinometer", "scale", SENSOR_ERRORS.inclinometer_scale),
+        ("inclinometer", "bias", SENSOR_ERRORS.inclinometer_zero),
+        ("inclinometer", "cross", SENSOR_ERRORS.inclinometer_cross),
+        ("arm_base_wrench", "scale", SENSOR_ERRORS.wrench_scale),
+        ("arm_base_wrench", "bias", SENSOR_ERRORS.wrench_zero),
+        ("arm_base_wrench", "drift", SENSOR_ERRORS.wrench_drift),
+        ("arm_base_wrench", "cross", SENSOR_ERRORS.wrench_cross),
+        ("accelerometer", "bias", SENSOR_ERRORS.accelerometer_bias),
+        ("gyro", "bias", SENSOR_ERRORS.gyro_bias),
+        ("gyro", "scale", SENSOR_ERRORS.gyro_scale),
+    ):
+        drawn = np.array([getattr(suite.channels[channel], field) for suite in suites])
+        drawn = drawn - 1.0 if field == "scale" else drawn
+        if channel == "arm_base_wrench" and field in ("bias", "drift"):
+            drawn /= FORCE_TORQUE.full_scale
+        elif channel == "arm_base_wrench" and field == "cross":
+            drawn *= np.array(FORCE_TORQUE.full_scale) / np.array(FORCE_TORQUE.full_scale)[:, None]
+        np.testing.assert_array_less(np.abs(drawn), most * (1.0 + 1e-9))
+        others = drawn[drawn != 0.0]
+        assert others.min() < -0.7 * most and others.max() > 0.7 * most, (channel, field)
+        assert len(np.unique(others)) == len(others)
+        if field == "cross":
+            np.testing.assert_array_equal(np.einsum("nii->ni", drawn), 0.0)
+
+
+def test_a_robots_errors_do_not_depend_on_what_reads_its_sensors():
+    plain, boards = errors_of(DATASHEET, 3), errors_of(IDEAL, 3)
+    for channel, spec in boards.channels.items():
+        other = plain.channels[channel]
+        for field in ("bias", "scale", "cross", "drift", "warm_up"):
+            assert getattr(spec, field) == getattr(other, field)
+    assert plain.channels["inclinometer"].noise == DATASHEET.channels["inclinometer"].noise
+    assert errors_of(DATASHEET, 4).channels["arm_angles"] != plain.channels["arm_angles"]
