@@ -1,5 +1,7 @@
 """The complete rover identifies itself through the contract."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -7,14 +9,18 @@ from controllers.identification.pitch import NAMES
 from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
 from experiments.__main__ import main
 from experiments.ch2.rover.laboratory import laboratory_values
+from experiments.ch2.rover.rover import _errors
 from experiments.ch2.rover.trial import (
     ROBOT,
     RoverTrial,
     known_swinging_arm,
     run_rover_trial,
 )
-from models.compose import RobotPlacement
+from models.as_made import AsMade
+from models.compose import WHEELS, RobotPlacement
 from models.datasheets import ROVER, TABLE_2_2_TRUTH
+from perception.geometry.gravity import GRAVITY
+from tests.models.scenes import make_scene
 from twin.connect import connect
 from twin.loop import run
 from twin.robot import RobotError
@@ -30,6 +36,51 @@ def test_laboratory_finds_what_the_rover_was_built_for():
     assert found["rz_to_centre"] == pytest.approx(TABLE_2_2_TRUTH["rz"], rel=0.01)
     # Pitch turns about the ground, so the lever is the mount's whole height.
     assert found["rz"] == pytest.approx(ROVER.arm_mount[2] + ROVER.centre_height, rel=0.01)
+
+
+def pitch_stiffness(model, data, locked):
+    """Return the stiffness against pitch of four unequal springs [N m/rad].
+
+    Heave, pitch and roll: of the whole body with a locked centre joint, of either half with a free
+    one. The sprung weight takes away what it does above the wheels, which roll under it.
+    """
+    moves, springs = [], []
+    for wheel in WHEELS:
+        joint, body = model.joint(f"rover1/{wheel}_suspension_joint"), f"rover1/{wheel}_wheel"
+        x, y, _ = data.body(body).xpos - data.body("rover1/chassis").xpos
+        front = wheel.startswith("front")
+        moves.append([1.0, y, -x] if locked else [1.0, y, -x * front, -x * (not front)])
+        springs.append(model.jnt_stiffness[joint.id])
+    stiffness = np.array(moves).T @ np.diag(springs) @ np.array(moves)
+    halves = [model.body(f"rover1/{half}").id for half in ("chassis", "rear_chassis")]
+    axle = np.mean([data.body(f"rover1/{wheel}_wheel").xpos[2] for wheel in WHEELS])
+    above = model.body_mass[halves] @ (data.xipos[halves, 2] - axle)
+    return 1.0 / np.linalg.inv(stiffness)[1, 1] - GRAVITY * above
+
+
+@pytest.mark.parametrize("seed", [0, 1, 6])
+def test_laboratory_measures_the_robot_as_it_was_made(seed):
+    found, drawn = laboratory_values(RobotPlacement(made=AsMade(seed))), laboratory_values()
+    scene = make_scene(RobotPlacement(arm=False, made=AsMade(seed)))
+    # The centre joint's friction holds it in part.
+    free, locked = (pitch_stiffness(scene.model, scene.rest, held) for held in (False, True))
+    assert 0.997 * free < found["k_pitch"] < 1.003 * locked
+    assert abs(free / drawn["k_pitch"] - 1.0) > 0.015
+    height = scene.rest.site("rover1/attachment_site").xpos[2]
+    assert found["rz"] == pytest.approx(height, rel=0.01)
+    # Two ways to one inertia, but for what the coupling with heave and roll does to one of them.
+    assert found["ixx_pendulum"] == pytest.approx(found["ixx"], rel=0.06)
+
+
+def test_each_seed_has_a_robot_of_its_own_under_every_excitation():
+    def robot(seed, excitation="information", realism="default"):
+        return RoverTrial("sim", excitation, seed, realism=realism).placement
+
+    assert robot(1) == robot(1, "constant") and robot(1).made != robot(2).made
+    assert robot(1, realism="ideal") == RobotPlacement(ROBOT)
+    found = [SimpleNamespace(estimate=SimpleNamespace(parameters=np.full(5, 2.0)))] * 2
+    truths = [dict.fromkeys(NAMES, 1.0), dict.fromkeys(NAMES, 4.0)]
+    np.testing.assert_allclose(_errors(found, truths), [[100.0] * 5, [50.0] * 5])
 
 
 @pytest.mark.parametrize("sensor", ["arm_base_wrench", "inclinometer", "arm_angles"])
