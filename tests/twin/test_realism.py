@@ -16,7 +16,7 @@ from twin.hardware.emulator.scene import SETTLING, SceneConfig
 from twin.realism import REALISMS, Realism, make_robots
 from twin.robot import ArmMode, Command, Observation
 from twin.sensor_bank import tilt
-from twin.sensors import DATASHEET
+from twin.sensors import DATASHEET, IDEAL
 from twin.simulation import Simulation
 
 PLAIN = dataclasses.replace(FLAT, texture_pixels=16)
@@ -84,6 +84,24 @@ def test_two_rovers_are_unlike_and_a_further_one_changes_no_other():
     assert make_robots(PLACES, "default", 5)[0] != first
     assert first.made.tolerances == TOLERANCES
     assert make_robots(PLACES, "ideal", 4) == PLACES
+
+
+def test_sensors_of_two_rovers_are_unlike_and_a_further_one_changes_no_other():
+    def zeros(places):
+        """What each robot's encoders say beyond its true joint angles."""
+        exact = Realism(IDEAL, SENSOR_ERRORS)
+        with connect("sim", robots=places, field=PLAIN, seed=4, realism=exact) as link:
+            found = []
+            for name, robot in link.robots.items():
+                joints = [f"{name}/{joint}_joint" for joint in robot.description.joint_names]
+                true = [link.simulation.data.joint(joint).qpos[0] for joint in joints]
+                found.append(robot.observe().arm_angles.value - true)
+        return found
+
+    one, two = zeros(PLACES)
+    assert np.all(np.abs([one, two]) <= SENSOR_ERRORS.encoder_zero)
+    assert np.all(np.abs(one - two) > 1e-6)
+    np.testing.assert_allclose(zeros(PLACES[:1])[0], one, atol=1e-12)
 
 
 def test_what_is_made_already_or_the_users_own_stays():
