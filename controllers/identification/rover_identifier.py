@@ -22,11 +22,9 @@ from controllers.identification.pitch import (
     PitchEstimate,
     PitchFit,
     PitchPrior,
-    PitchSensors,
     fisher_information,
-    predict_tilt,
-    smoothed,
 )
+from controllers.identification.pitch_model import PitchSensors, predict_tilt, smoothed
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_choice
 from perception.geometry.gravity import GRAVITY
@@ -36,12 +34,10 @@ from twin.robot import ArmMode, Command, Observation, RobotError
 EXCITATIONS = ("constant", "random", *CRITERIA)
 
 ROVER_ARM_LIMITS = ArmLimits(
-    amplitude=(0.05, 0.7), offset=(0.75, np.pi / 2), rate=4.0, acceleration=20.0
+    amplitude=(0.05, 0.7), offset=(0.75, np.pi / 2), rate=4.0, acceleration=12.0
 )
-"""Keeps the stretched arm above the ground in front and short of its stop behind."""
-
-GENTLE_ARM_LIMITS = dataclasses.replace(ROVER_ARM_LIMITS, acceleration=12.0)
-"""No excitation within these lifts a wheel, planned or not."""
+"""Keeps the stretched arm above the ground in front and short of its stop behind, and all wheels
+down on level ground."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -124,7 +120,7 @@ class RoverIdentifierConfig:
     approach: float = 2.0
     rest: float = 1.5
     duration: float = 10.0
-    tilt_limit: float = np.deg2rad(0.9)
+    tilt_limit: float = np.deg2rad(0.7)
 
     def __post_init__(self) -> None:
         """Refuse an unknown excitation.
