@@ -26,7 +26,7 @@ from models.configuration import (
     check_panel,
     check_robots,
 )
-from models.materials import add_materials
+from models.materials import add_materials, draw_sun
 from models.mjcf import read_spec
 
 __all__ = [
@@ -204,6 +204,7 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
     scene.modelname = "scene"
     scene.default.name = "main"
     add_materials(scene, field)
+    draw_sun(scene, field)
     _add_ground(scene, ground)
     clutter.add_solids(scene, "rock", mujoco.mjtGeom.mjGEOM_ELLIPSOID, ground.rocks)
     clutter.add_solids(scene, "block", mujoco.mjtGeom.mjGEOM_BOX, ground.blocks)

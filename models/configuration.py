@@ -13,6 +13,8 @@ from models.datasheets import ROVER
 
 START_RADIUS = 0.4
 """Radius about a robot's start that is clear of rocks and blocks [m]."""
+SUN_ELEVATION = (math.radians(20.0), math.radians(70.0))
+"""Elevations of a sun that shines from morning to evening [rad]."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -37,6 +39,8 @@ class FieldConfig:
         panel: The panel that is the robots' target, if any.
         slot_width: Distance between the walls of the slot at the origin [m]; None for no slot.
         shadows: Whether lights cast shadows, which take two thirds of an image's rendering time.
+        sun_elevation: Lowest and highest elevation of the sun [rad], drawn with its azimuth from
+            the seed; None for one sun of all fields, whose shadows end 1 m from the origin.
     """
 
     size: tuple[float, float] = (6.0, 6.0)
@@ -53,6 +57,7 @@ class FieldConfig:
     panel: PanelConfig | None = None
     slot_width: float | None = None
     shadows: bool = True
+    sun_elevation: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Refuse impossible fields.
@@ -91,6 +96,13 @@ class FieldConfig:
         require(0 <= self.blocks <= 2000, "field blocks", self.blocks, "0 to 2000")
         low, high = self.block_edge
         require(0.0 < low <= high <= 2.0, "field block_edge", self.block_edge, "0 < low <= high")
+        low, high = self.sun_elevation or SUN_ELEVATION
+        require(
+            0.0 < low <= high <= 0.5 * math.pi,
+            "field sun_elevation",
+            self.sun_elevation,
+            "0 < low <= high <= pi / 2",
+        )
 
 
 FLAT = FieldConfig()

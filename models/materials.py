@@ -1,4 +1,6 @@
-"""Noise textures of the field, as materials of a scene."""
+"""Noise textures of the field, as materials of a scene, and its sun."""
+
+import math
 
 import mujoco
 import numpy as np
@@ -44,6 +46,26 @@ def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
             specular=0.0,
             shininess=0.0,
         )
+
+
+def draw_sun(scene: mujoco.MjSpec, field: FieldConfig) -> None:
+    """Let the sun shine, and throw shadows on the whole field, from where the seed has it.
+
+    Args:
+        scene: Scene with the light ``sun``, whose direction is replaced.
+        field: Gives the seed, the range of elevations and the size.
+    """
+    if field.sun_elevation is None:
+        return
+    rng = np.random.default_rng(np.random.SeedSequence(field.seed).spawn(5)[4])
+    azimuth, elevation = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(*field.sun_elevation)
+    level = math.cos(elevation)
+    towards = np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)])
+    sun = scene.light("sun")
+    # MuJoCo draws the shadows of a directional light within `shadowclip` of the line through `pos`.
+    reach = 0.5 * math.hypot(*field.size)
+    sun.pos, sun.dir = (reach + 1.0) * towards, -towards
+    scene.visual.map.shadowclip = reach / scene.stat.extent
 
 
 def _add_texture(

@@ -15,16 +15,26 @@ import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.datasheets import CAMERA
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.geometry.pinhole import NO_DISTORTION, DistortedPinhole, Pinhole
+from twin.optics.blur import FloatImage
+from twin.optics.flow import Surfaces, View, block_lens, image_flow
+from twin.optics.formation import ImageFormation
+from twin.optics.realism import IDEAL_CAMERA, CameraRealism, MadeHead
 from twin.robot import ImageChannel, RobotError
 
+_SLACK = 1e-9  # [s]
+_MAKING = 2  # Child of a head's seed, beside those of its two eyes.
 _MAX_SAMPLES = 4  # Software rasterisers offer no more.
 _HIDDEN_GROUP = 4  # First group of the truth markers, which no camera may show.
-_POSITIONS = mujoco.mjtState.mjSTATE_QPOS | (
-    mujoco.mjtState.mjSTATE_MOCAP_POS | mujoco.mjtState.mjSTATE_MOCAP_QUAT
+_MOVING = (
+    mujoco.mjtState.mjSTATE_QPOS
+    | mujoco.mjtState.mjSTATE_QVEL
+    | mujoco.mjtState.mjSTATE_MOCAP_POS
+    | mujoco.mjtState.mjSTATE_MOCAP_QUAT
 )
 _PLACING = (
     mujoco.mj_kinematics,
@@ -32,8 +42,10 @@ _PLACING = (
     mujoco.mj_camlight,
     mujoco.mj_flex,
     mujoco.mj_tendon,
+    mujoco.mj_comVel,
 )
-"""Stages of MuJoCo that compute the poses of all that is drawn from joint and mocap positions."""
+"""Stages of MuJoCo that compute poses and velocities of all that is drawn, from the joints' and the
+mocap positions; mocap bodies have no velocity."""
 
 
 def named_index(model: mujoco.MjModel, kind: Literal["actuator", "camera"], name: str) -> int:
@@ -104,7 +116,6 @@ class Renderer:
         self._option.sitegroup[:] = 0
         self._option.geomgroup[_HIDDEN_GROUP:] = 0
         self._camera = mujoco.MjvCamera()
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
 
     def render(
         self, model: mujoco.MjModel, data: mujoco.MjData, camera: str, width: int, height: int
@@ -122,25 +133,80 @@ class Renderer:
             RuntimeError: If no context can be made, or this process was forked off another.
             ValueError: If there is no such camera.
         """
-        if os.getpid() != self._process:
-            raise RuntimeError("this process was forked after rendering; start it by spawning")
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._camera.fixedcamid = named_index(model, "camera", camera)
         self._prepare(model, width, height)
+        self._update(model, data, width / height)
+        return self._colours(width, height)
+
+    def render_view(
+        self, model: mujoco.MjModel, data: mujoco.MjData, view: View
+    ) -> tuple[ImageArray, Surfaces]:
+        """Return (height, width, 3) uint8, and what stands at each of its blocks.
+
+        Args:
+            model: Compiled scene.
+            data: State of the scene, after positions were computed.
+            view: Camera that sees it, anywhere.
+
+        Raises:
+            RuntimeError: If no context can be made, or this process was forked off another.
+        """
+        lens = view.lens
+        self._prepare(model, lens.width, lens.height)
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_USER
+        _aim(self._scene, model, view)
+        self._update(model, data, lens.width / lens.height)
+        image = self._colours(lens.width, lens.height)
+        # The blocks at the right and at the bottom reach beyond the image.
+        blocks = View(block_lens(lens), view.pose)
+        _aim(self._scene, model, blocks)
+        return image, self._surfaces(model, blocks.lens.width, blocks.lens.height)
+
+    def _update(self, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) -> None:
+        """List what is to be drawn."""
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(
             model, data, self._option, None, self._camera, everything, self._scene
         )
         # What lies outside the view frustum may still throw a shadow or be mirrored into it.
         if not (model.light_castshadow.any() or model.mat_reflectance.any()):
-            cull(self._scene, model, data, width / height)
+            cull(self._scene, model, data, aspect)
+
+    def _colours(self, width: int, height: int) -> ImageArray:
+        """Draw the scene (height, width, 3) uint8."""
         viewport = mujoco.MjrRect(0, 0, width, height)
         image = np.empty((height, width, 3), np.uint8)
         mujoco.mjr_render(viewport, self._scene, self._context)
         mujoco.mjr_readPixels(image, None, viewport, self._context)
         return image[::-1]
 
+    def _surfaces(self, model: mujoco.MjModel, width: int, height: int) -> Surfaces:
+        """Draw depths and bodies in place of colours."""
+        flags, segment = self._scene.flags, mujoco.mjtRndFlag.mjRND_SEGMENT
+        kept = flags.copy()
+        flags[segment] = flags[mujoco.mjtRndFlag.mjRND_IDCOLOR] = 1
+        flags[mujoco.mjtRndFlag.mjRND_SHADOW] = flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        colours, depths = np.empty((height, width, 3), np.uint8), np.empty((height, width), "f4")
+        mujoco.mjr_render(viewport, self._scene, self._context)
+        mujoco.mjr_readPixels(colours, depths, viewport, self._context)
+        flags[:] = kept
+        numbers = colours[::-1].astype(np.int64) @ [1, 1 << 8, 1 << 16]
+        bodies = np.zeros(int(numbers.max()) + 1, dtype=np.int64)
+        for number in np.unique(numbers[numbers > 0]).tolist():
+            drawn = self._scene.geoms[number - 1]
+            if drawn.objtype == mujoco.mjtObj.mjOBJ_GEOM:
+                bodies[number] = model.geom_bodyid[drawn.objid]
+        near, far = model.stat.extent * model.vis.map.znear, model.stat.extent * model.vis.map.zfar
+        # The buffer goes from 0 at the far to 1 at the near plane, straight in the inverse depth.
+        closeness = depths[::-1].astype(float) * (1.0 / near - 1.0 / far) + 1.0 / far
+        return Surfaces(np.where(numbers > 0, closeness, 0.0), bodies[numbers])
+
     def _prepare(self, model: mujoco.MjModel, width: int, height: int) -> None:
         """Make the context current, and its textures and buffer those of this scene."""
+        if os.getpid() != self._process:
+            raise RuntimeError("this process was forked after rendering; start it by spawning")
         if self._gl is None:
             self._gl = _make_gl(width, height)
             # Registered after the driver's own clean-up, so that it runs before.
@@ -158,6 +224,7 @@ class Renderer:
         screen.offwidth = max(int(screen.offwidth), size[0])
         screen.offheight = max(int(screen.offheight), size[1])
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 1000)
         self._model, self._size = model, size
@@ -188,6 +255,21 @@ def _make_gl(width: int, height: int) -> Any:
             f"no off-screen rendering with MUJOCO_GL={kind} ({error}); "
             "install libegl1 and libgl1-mesa-dri for software EGL"
         ) from error
+
+
+def _aim(scene: Any, model: mujoco.MjModel, view: View) -> None:
+    """Give a scene a camera in place of one of the model's."""
+    lens, pose = view
+    rotation = pose.rotation.as_matrix()
+    near = float(model.stat.extent * model.vis.map.znear)
+    for eye in scene.camera:  # MuJoCo has two, for a left and a right image; they shall be one.
+        eye.pos, eye.forward, eye.up = pose.translation, rotation[:, 2], -rotation[:, 1]
+        eye.orthographic = 0
+        eye.frustum_near, eye.frustum_far = near, float(model.stat.extent * model.vis.map.zfar)
+        eye.frustum_width = 0.5 * near * lens.width / lens.fx
+        eye.frustum_center = near * (0.5 * (lens.width - 1) - lens.cx) / lens.fx
+        eye.frustum_top = near * (lens.cy + 0.5) / lens.fy
+        eye.frustum_bottom = near * (lens.cy + 0.5 - lens.height) / lens.fy
 
 
 def cull(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) -> None:
@@ -233,18 +315,20 @@ def renderer() -> Renderer:
 
 @dataclasses.dataclass(frozen=True)
 class StereoConfig:
-    """Rate, noise and lenses of a stereo pair.
+    """Rate, noise, lenses and realism of a stereo pair.
 
     Attributes:
         rate: Pairs per second [Hz].
         noise_db: Full scale over r.m.s. noise [dB]; None for none.
         distortion: (k1, k2, p1, p2, k3) of both lenses; the corners that a barrel lens would show
             beyond the rendered field stay black.
+        realism: Light, lenses and mounting of the head as made.
     """
 
     rate: float = 4.0
     noise_db: float | None = CAMERA.signal_to_noise_db
     distortion: tuple[float, float, float, float, float] = NO_DISTORTION
+    realism: CameraRealism = IDEAL_CAMERA
 
     def __post_init__(self) -> None:
         """Refuse a rate that is not positive.
@@ -256,16 +340,32 @@ class StereoConfig:
             raise ValueError(f"stereo rate must be positive, got {self.rate}")
 
 
+class TakenPair(NamedTuple):
+    """A pair that was exposed, and can be drawn.
+
+    Attributes:
+        moving: Positions and velocities of the scene.
+        frame: Number of the pair.
+        time: Middle of the exposure [s].
+    """
+
+    moving: FloatArray
+    frame: int
+    time: float
+
+
 class StereoState(NamedTuple):
     """Complete state of a `StereoHead`.
 
     Attributes:
         due: Time of the next pair [s].
         frame: Number of the next pair.
+        waiting: Pairs that were exposed and have not arrived.
     """
 
     due: float
     frame: int
+    waiting: tuple[TakenPair, ...] = ()
 
 
 class StereoRig:
@@ -274,15 +374,33 @@ class StereoRig:
     Args:
         model: Compiled scene.
         prefix: Prefix of the cameras' names, before stereo_left and stereo_right.
-        config: Noise and lenses of the cameras.
+        config: Noise, lenses and realism of the cameras.
+        seed: Seed of the errors of this rig as made; not needed for an ideal one.
+
+    Attributes:
+        cameras: Intrinsics of the left and the right camera as made.
 
     Raises:
-        ValueError: If a camera is missing or the two differ in size.
+        ValueError: If a camera is missing, the two differ in size, or the seed is missing.
     """
 
-    def __init__(self, model: mujoco.MjModel, prefix: str, config: StereoConfig) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        prefix: str,
+        config: StereoConfig,
+        seed: np.random.SeedSequence | None = None,
+    ) -> None:
         self._names = (f"{prefix}stereo_left", f"{prefix}stereo_right")
-        lenses = (camera_model(model, name) for name in self._names)
+        lenses = [camera_model(model, name) for name in self._names]
+        self._eyes = [named_index(model, "camera", name) for name in self._names]
+        self._made = None
+        if config.realism != IDEAL_CAMERA:
+            if seed is None:
+                raise ValueError(f"cameras {self._names} have errors; give a seed to draw them")
+            made = self._made = MadeHead.draw(config.realism, np.random.default_rng(seed))
+            lenses = [made.lens(lens) for lens in lenses]
+            self._formed = [ImageFormation(lens, config.realism, made.gain) for lens in lenses]
         self.cameras = tuple(DistortedPinhole(*c.intrinsics, config.distortion) for c in lenses)
         if len({(c.width, c.height) for c in self.cameras}) > 1:
             raise ValueError(f"cameras {self._names} differ in size")
@@ -290,46 +408,68 @@ class StereoRig:
         distorted = any(config.distortion)
         self._maps = tuple(_distortion_map(c) if distorted else None for c in self.cameras)
 
+    def poses(self, data: mujoco.MjData) -> tuple[RigidTransform, RigidTransform]:
+        """Return the poses of the left and the right camera as made, camera to world; truth."""
+        left, right = (
+            RigidTransform.from_components(place, Rotation.from_matrix(rotation))
+            for rotation, place in (camera_pose(data, eye) for eye in self._eyes)
+        )
+        return (left, right) if self._made is None else self._made.poses((left, right))
+
     def capture(
         self, data: mujoco.MjData, noise: tuple[np.random.Generator, np.random.Generator]
     ) -> ImageArray:
         """Return (2, height, width) uint8, left and right, read-only.
 
         Args:
-            data: State of the scene, after positions were computed.
+            data: State of the scene, after positions and, for motion blur, velocities were
+                computed.
             noise: Random generators for the noise of the left and of the right image; may be one.
         """
         first = self.cameras[0]
         pair = np.empty((2, first.height, first.width), np.uint8)
-        for image, name, warp, rng in zip(pair, self._names, self._maps, noise, strict=True):
-            colour = renderer().render(self._model, data, name, first.width, first.height)
-            grey = cv2.cvtColor(np.ascontiguousarray(colour), cv2.COLOR_RGB2GRAY)
+        for eye, (image, warp, rng) in enumerate(zip(pair, self._maps, noise, strict=True)):
+            light = self._light(data, eye)
             if warp is not None:
-                grey = cv2.remap(grey, warp[0], warp[1], cv2.INTER_LINEAR)
-            image[:] = grey
+                light = cv2.remap(light, warp[0], warp[1], cv2.INTER_LINEAR)
+            grey = np.asarray(light, dtype=np.float32)
             if self._noise_db is not None:
                 sigma = np.float32(255.0 * 10.0 ** (-self._noise_db / 20.0))
-                errors = sigma * rng.standard_normal(image.shape, dtype=np.float32)
-                image[:] = np.clip(np.rint(image + errors), 0, 255)
+                grey = grey + sigma * rng.standard_normal(image.shape, dtype=np.float32)
+            image[:] = np.clip(np.rint(grey), 0, 255)
         pair.flags.writeable = False
         return pair
+
+    def _light(self, data: mujoco.MjData, eye: int) -> ImageArray | FloatImage:
+        """Return the light (height, width) behind an eye's lens but for its distortion."""
+        lens = self.cameras[eye]
+        if self._made is None:
+            size = lens.width, lens.height
+            return _grey(renderer().render(self._model, data, self._names[eye], *size))
+        view = View(Pinhole(*lens.intrinsics), self.poses(data)[eye])
+        colours, surfaces = renderer().render_view(self._model, data, view)
+        body = int(self._model.cam_bodyid[self._eyes[eye]])
+        flow = image_flow(view, surfaces, body, _twists(self._model, data))
+        return self._formed[eye].form(_grey(colours), surfaces, flow)
 
 
 class StereoHead:
     """Stereo pairs of one robot of a simulation, drawn when they are read.
 
-    A pair holds the scene's positions at its time. Its noise depends on its number alone: which
-    pairs are read, and when, changes no pixel.
+    A pair holds the scene's positions and velocities at its time. Its noise depends on its number
+    alone: which pairs are read, and when, changes no pixel. The cameras ran before the simulation
+    began, when the scene stood as it does then: so the first pair is there at once.
 
     Args:
         model: Compiled scene.
         prefix: Prefix of the robot's names in the scene.
-        config: Rate, noise and lenses of the cameras.
-        seed: Seed of this head's image noise; each eye and frame has a child of it.
+        config: Rate, noise, lenses and realism of the cameras.
+        seed: Seed of this head: each eye and frame has a child of it for its noise, and the head
+            as made has one.
 
     Attributes:
         state: Complete state; may be set to one that was read before.
-        latest: Positions, number and time [s] of the newest pair, for `draw`.
+        latest: The newest pair that has arrived, for `draw`.
     """
 
     def __init__(
@@ -339,49 +479,74 @@ class StereoHead:
         config: StereoConfig,
         seed: np.random.SeedSequence,
     ) -> None:
-        self._rig = StereoRig(model, prefix, config)
         self._model, self._seed = model, seed
-        self._period = 1.0 / config.rate
+        self._rig = StereoRig(model, prefix, config, self._child(_MAKING))
+        self._period, self._latency = 1.0 / config.rate, config.realism.latency
         self.state = StereoState(0.0, 0)
-        self.latest = np.empty(0), 0, 0.0
+        self.latest = TakenPair(np.empty(0), 0, 0.0)
         self._closed = False
 
     def poll(self, data: mujoco.MjData, time: float) -> ImageChannel | None:
-        """Return a new pair if one is due at `time` [s], else None."""
-        due, frame = self.state
-        if time < due - 1e-9:
+        """Expose a pair if one is due at `time` [s]; return the one that arrives, or None."""
+        due, frame, waiting = self.state
+        if time >= due - _SLACK:
+            exposed = time if frame else time - self._latency
+            moving = np.empty(mujoco.mj_stateSize(self._model, _MOVING))
+            mujoco.mj_getState(self._model, data, moving, _MOVING)
+            waiting = (*waiting, TakenPair(moving, frame, exposed))
+            due = max((due if frame else exposed) + self._period, exposed)
+            frame += 1
+        arrived = [pair for pair in waiting if time >= pair.time + self._latency - _SLACK]
+        self.state = StereoState(due, frame, waiting[len(arrived) :])
+        if not arrived:
             return None
-        self.state = StereoState(max(due + self._period, time), frame + 1)
-        positions = np.empty(mujoco.mj_stateSize(self._model, _POSITIONS))
-        mujoco.mj_getState(self._model, data, positions, _POSITIONS)
-        self.latest = positions, frame, time
-        return ImageChannel.deferred(lambda: self.draw(positions, frame, time), time)
+        self.latest = taken = arrived[-1]
+        return ImageChannel.deferred(lambda: self.draw(taken), taken.time)
 
-    def draw(self, positions: FloatArray, frame: int, time: float) -> ImageArray:
-        """Return the pair of a frame at saved positions.
+    def draw(self, taken: TakenPair) -> ImageArray:
+        """Return a pair (2, height, width) uint8.
+
+        Args:
+            taken: Pair that was exposed.
 
         Raises:
             RobotError: If the simulation is closed.
         """
         if self._closed:
             raise RobotError(
-                f"the stereo pair of {time:.3f} s was not read before its simulation was closed"
+                f"the stereo pair of {taken.time:.3f} s was not read before its simulation was "
+                "closed"
             )
         data = mujoco.MjData(self._model)
-        mujoco.mj_setState(self._model, data, positions, _POSITIONS)
+        mujoco.mj_setState(self._model, data, taken.moving, _MOVING)
         for compute in _PLACING:
             compute(self._model, data)
-        left, right = (
-            np.random.SeedSequence(
-                self._seed.entropy, spawn_key=(*self._seed.spawn_key, eye, frame)
-            )
-            for eye in range(2)
-        )
-        return self._rig.capture(data, (np.random.default_rng(left), np.random.default_rng(right)))
+        left, right = (np.random.default_rng(self._child(eye, taken.frame)) for eye in range(2))
+        return self._rig.capture(data, (left, right))
+
+    def poses(self, data: mujoco.MjData) -> tuple[RigidTransform, RigidTransform]:
+        """Return the poses of the left and the right camera as made, camera to world; truth."""
+        return self._rig.poses(data)
+
+    def _child(self, *key: int) -> np.random.SeedSequence:
+        """Return a child of the head's seed."""
+        return np.random.SeedSequence(self._seed.entropy, spawn_key=(*self._seed.spawn_key, *key))
 
     def close(self) -> None:
         """Refuse from now on to draw pairs that were not read."""
         self._closed = True
+
+
+def _grey(colours: ImageArray) -> ImageArray:
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(colours), cv2.COLOR_RGB2GRAY), np.uint8)
+
+
+def _twists(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Return (bodies, 6) the bodies' angular and linear velocities at the world's origin."""
+    twists = np.array(data.cvel, dtype=float)
+    # MuJoCo has them at the centre of mass of the whole tree that a body belongs to.
+    twists[:, 3:] += np.cross(data.subtree_com[model.body_rootid], twists[:, :3])
+    return twists
 
 
 def _distortion_map(camera: DistortedPinhole) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -31,6 +31,11 @@ class CameraSheet:
     housing: tuple[float, float, float] = (30.5e-3, 30.5e-3, 61e-3)  # Table D-2
     signal_to_noise_db: float = 46.0  # Table D-2: more than 46 dB
     gamma: float = 0.45  # Table D-2
+    field_time: float = 1.001 / 60.0  # Exposure [s]. Table D-2: EIA RS-170, no electronic shutter
+    frame_time: float = 1.001 / 30.0  # Read-out of both fields [s] (EIA RS-170)
+    use_time: float = 0.25  # Exposure to use [s]. Our slowest use, block matching, takes 0.19 s of
+    # a core, half a field and the read-out 0.04 s; thesis 5.3: a visual loop of 3 to 4 Hz
+    slow_use_time: float = 0.35  # The same by thesis 5.3: 0.3 s for the markers on its computer
 
     @property
     def pinhole(self) -> Pinhole:
@@ -51,6 +56,44 @@ class CameraSheet:
             2.0 * math.atan(self.sensing_width / (2.0 * self.focal_length)),
             2.0 * math.atan(self.sensing_height / (2.0 * self.focal_length)),
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class LensSheet:
+    """The 8.5 mm C-mount lens before each camera."""
+
+    f_number: float = 8.0  # Assumption: stopped down, as a camera without shutter is in daylight
+    wide_f_number: float = 4.0  # Assumption: two stops more, indoors
+    wide_falloff: float = 0.2  # Assumption: light that the barrel takes from the corners there
+
+    @property
+    def focus_distance(self) -> float:
+        """Hyperfocal distance at `f_number` for blur of one pixel [m]: sharp from its half on."""
+        pixel = CAMERA.sensing_width / CAMERA.width
+        return CAMERA.focal_length**2 / (self.f_number * pixel) + CAMERA.focal_length
+
+
+@dataclasses.dataclass(frozen=True)
+class CameraCalibrationSheet:
+    """What calibration leaves unknown of a stereo head: standard deviations along each axis.
+
+    Intrinsics: the example of the Camera Calibration Toolbox for Matlab (20 images of 640 x 480 px)
+    states 0.40 px of 658 px for the focal length and 0.82 px for the principal point, as three
+    deviations. Hand-eye: 0.93 mm and 0.265 deg over three axes (arXiv 2311.01335). Between the
+    eyes: a good calibration at this resolution leaves 0.28 px between rows, noise of the corners
+    included (OpenCV forum, 640 x 480 px); the turn here leaves 0.15 px in the mean, the shift is
+    an assumption. What a calibration calls poor: intrinsics of a camera of 512 x 424 px by the same
+    toolbox (1.57 px of 364 px, 2.29 px), hand-eye residuals of 0.76 deg and 3.2 mm (Zivid's support
+    pages), twice the error between the eyes (assumption).
+    """
+
+    focal: float = 2.0e-4  # Relative
+    principal: float = 0.27  # [px]
+    head_turn: float = 0.153 * DEGREE  # [rad]
+    head_shift: float = 0.54e-3  # [m]
+    eye_turn: float = 0.15e-3  # [rad]
+    eye_shift: float = 0.05e-3  # [m]
+    gain: float = 0.1  # Relative. Assumption: the automatic gain control's own error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,6 +162,17 @@ class SensorErrorSheet:
 
 
 CAMERA: Final = CameraSheet()
+LENS: Final = LensSheet()
+CAMERA_CALIBRATION: Final = CameraCalibrationSheet()
+POOR_CAMERA_CALIBRATION: Final = CameraCalibrationSheet(
+    focal=1.4e-3,
+    principal=0.76,
+    head_turn=0.44 * DEGREE,
+    head_shift=1.8e-3,
+    eye_turn=0.3e-3,
+    eye_shift=0.1e-3,
+    gain=0.25,
+)
 INCLINOMETER: Final = InclinometerSheet()
 FORCE_TORQUE: Final = ForceTorqueSheet()
 SENSOR_ERRORS: Final = SensorErrorSheet()

@@ -201,7 +201,7 @@ class _SceneFeed:
         found = self._reader.newest()
         if found is None:
             return None
-        carried = now - (time.monotonic() - found.moment) / self._slow_down
+        carried = now - (time.monotonic() - found.moment) / self._slow_down - found.age
         stamp = found.stamp if self._scene_time else carried
         return ImageChannel.deferred(functools.partial(self._reader.fetch, found.number), stamp)
 

@@ -1,9 +1,9 @@
 """A file in memory through which an emulator hands on the stereo pairs of its scene.
 
-It holds the number of the newest pair, its time in the scene and on the machine's clock, and two
-counters that differ while these are being written. Images are drawn when they are asked for: the
-host writes the number of the pair that it wants, the emulator draws that pair and writes the same
-number beside the images. Who knows the file's name reads it, one host at a time.
+It holds the number of the newest pair, when it was exposed and announced, and two counters that
+differ while these are being written. Images are drawn when they are asked for: the host writes the
+number of the pair that it wants, the emulator draws that pair and writes the same number beside the
+images. Who knows the file's name reads it, one host at a time.
 """
 
 import time
@@ -21,7 +21,7 @@ from twin.hardware.serial_link import LinkError
 from twin.robot import RobotError
 
 SUFFIX = ".frames"
-_MAGIC, _VERSION = b"FTFRAMES", 2
+_MAGIC, _VERSION = b"FTFRAMES", 3
 _HEADER = np.dtype(
     [
         ("magic", "S8"),
@@ -33,6 +33,7 @@ _HEADER = np.dtype(
         ("begun", "<u8"),
         ("ended", "<u8"),
         ("stamp", "<f8"),
+        ("age", "<f8"),
         ("moment", "<f8"),
         ("wanted", "<u8"),
         ("drawn", "<u8"),
@@ -53,11 +54,13 @@ class Taken(NamedTuple):
     Attributes:
         number: Number of the pair.
         stamp: When it was taken, in the scene's time [s].
+        age: Time from then until it was announced, in the scene's time [s].
         moment: When it was announced, on the clock of `time.monotonic` [s].
     """
 
     number: int
     stamp: float
+    age: float
     moment: float
 
 
@@ -81,13 +84,19 @@ class FrameWriter:
         self._kept: OrderedDict[int, Callable[[], ImageArray | Future[ImageArray]]] = OrderedDict()
         self._drawing: tuple[int, Future[ImageArray]] | None = None
 
-    def announce(self, stamp: float, draw: Callable[[], ImageArray | Future[ImageArray]]) -> None:
+    def announce(
+        self,
+        stamp: float,
+        draw: Callable[[], ImageArray | Future[ImageArray]],
+        age: float = 0.0,
+    ) -> None:
         """Say that there is a new pair.
 
         Args:
             stamp: When it was taken, in the scene's time [s].
             draw: Returns its images (2, height, width), at once or in future; asked when the host
                 wants them.
+            age: Time since it was taken, in the scene's time [s].
         """
         header = self._header
         header["begun"] += 1
@@ -95,7 +104,7 @@ class FrameWriter:
         self._kept[number] = draw
         if len(self._kept) > _KEPT:
             self._kept.popitem(last=False)
-        header["stamp"], header["moment"] = stamp, time.monotonic()
+        header["stamp"], header["age"], header["moment"] = stamp, age, time.monotonic()
         header["ended"] = number
 
     def serve(self) -> None:
@@ -173,10 +182,10 @@ class FrameReader:
             count = int(header["ended"])
             if count == self._count:
                 return None
-            stamp, moment = float(header["stamp"]), float(header["moment"])
+            taken = Taken(count, *(float(header[name]) for name in ("stamp", "age", "moment")))
             if int(header["begun"]) == count:
                 self._count = count
-                return Taken(count, stamp, moment)
+                return taken
         return None
 
     def fetch(self, number: int) -> ImageArray:

@@ -26,7 +26,7 @@ import tyro
 from models.compose import RobotPlacement
 from perception.geometry.arrays import FloatArray
 from perception.geometry.files import MODEL, SETTINGS, check_size, read_json
-from twin.camera import StereoConfig, camera_pose
+from twin.camera import StereoConfig
 from twin.hardware.background import end_with_parent
 from twin.hardware.emulator.drawing import DrawingProcess
 from twin.hardware.emulator.faults import FaultEntry, LineFaultConfig
@@ -201,8 +201,8 @@ class Emulator:
         model, data = self.scene.simulation.model, self.scene.simulation.data
         camera = None
         if rig.frames is not None:
-            eye = int(model.camera(f"{name}/stereo_left").id)
-            camera = _pose_table(*camera_pose(data, eye))
+            left, _ = self.scene.simulation.heads[name].poses(data)
+            camera = _pose_table(left.rotation.as_matrix(), left.translation)
         bodies: dict[str, PoseTable] = {}
         for word, body in (("chassis", f"{name}/chassis"), ("card", f"{name}/card"), ("slot",) * 2):
             index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, body)

@@ -5,8 +5,8 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 
-from perception.geometry.arrays import FloatArray, ImageArray
-from twin.camera import StereoHead
+from perception.geometry.arrays import ImageArray
+from twin.camera import StereoHead, TakenPair
 from twin.hardware.background import end_with_parent
 
 _HEADS: dict[str, StereoHead] = {}
@@ -35,7 +35,7 @@ class DrawingProcess:
             robot: Name of the robot.
         """
         latest = self._heads[robot].latest
-        return lambda: self._pool.submit(_draw, robot, *latest)
+        return lambda: self._pool.submit(_draw, robot, latest)
 
     def close(self) -> None:
         """End the process."""
@@ -47,5 +47,5 @@ def _take_heads(heads: dict[str, StereoHead], parent: int) -> None:
     _HEADS.update(heads)
 
 
-def _draw(robot: str, positions: FloatArray, frame: int, time: float) -> ImageArray:
-    return _HEADS[robot].draw(positions, frame, time)
+def _draw(robot: str, taken: TakenPair) -> ImageArray:
+    return _HEADS[robot].draw(taken)

@@ -133,7 +133,7 @@ class EmulatedRig:
             return
         self._shown = pair.stamp
         if not self._present & set(CameraFault):
-            self.frames.announce(pair.stamp, self.newest())
+            self.frames.announce(pair.stamp, self.newest(), self._rover.stereo_age())
 
     def _read_motors(self) -> None:
         drive = self._rover.calibration.drive

@@ -128,3 +128,8 @@ class EmulatedRover:
     def stereo(self) -> Channel:
         """Return the latest stereo pair of its cameras, which count nothing."""
         return self._robot.observe().stereo
+
+    def stereo_age(self) -> float:
+        """Return how long ago that pair was exposed [s]."""
+        seen = self._robot.observe()
+        return seen.time - seen.stereo.stamp
