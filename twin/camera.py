@@ -8,6 +8,7 @@ import atexit
 import dataclasses
 import functools
 import importlib
+import math
 import os
 from typing import Any, Literal, NamedTuple
 
@@ -457,8 +458,8 @@ class StereoHead:
     """Stereo pairs of one robot of a simulation, drawn when they are read.
 
     A pair holds the scene's positions and velocities at its time. Its noise depends on its number
-    alone: which pairs are read, and when, changes no pixel. The cameras ran before the simulation
-    began, when the scene stood as it does then: so the first pair is there at once.
+    alone: which pairs are read, and when, changes no pixel. Cameras with latency ran before the
+    simulation began, when the scene stood as it does then: so the first pair is there at once.
 
     Args:
         model: Compiled scene.
@@ -490,18 +491,22 @@ class StereoHead:
         """Expose a pair if one is due at `time` [s]; return the one that arrives, or None."""
         due, frame, waiting = self.state
         if time >= due - _SLACK:
-            exposed = time if frame else time - self._latency
+            times = [time]
+            if frame == 0:
+                under_way = math.floor(self._latency / self._period + _SLACK)
+                times = [time - self._latency + k * self._period for k in range(under_way + 1)]
+                due = times[-1]
             moving = np.empty(mujoco.mj_stateSize(self._model, _MOVING))
             mujoco.mj_getState(self._model, data, moving, _MOVING)
-            waiting = (*waiting, TakenPair(moving, frame, exposed))
-            due = max((due if frame else exposed) + self._period, exposed)
-            frame += 1
+            taken = (TakenPair(moving, frame + k, each) for k, each in enumerate(times))
+            waiting = (*waiting, *taken)
+            due, frame = max(due + self._period, times[-1]), frame + len(times)
         arrived = [pair for pair in waiting if time >= pair.time + self._latency - _SLACK]
         self.state = StereoState(due, frame, waiting[len(arrived) :])
         if not arrived:
             return None
-        self.latest = taken = arrived[-1]
-        return ImageChannel.deferred(lambda: self.draw(taken), taken.time)
+        newest = self.latest = arrived[-1]
+        return ImageChannel.deferred(lambda: self.draw(newest), newest.time)
 
     def draw(self, taken: TakenPair) -> ImageArray:
         """Return a pair (2, height, width) uint8.

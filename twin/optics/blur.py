@@ -115,7 +115,7 @@ def _spread(points: FloatArray, kernel: Any) -> None:
     kernel[:] = 0.0
     share = 1.0 / points.shape[0]
     for i in range(points.shape[0]):
-        left, top = int(math.floor(points[i, 0])) - 1, int(math.floor(points[i, 1])) - 1
+        left, top = math.floor(points[i, 0]) - 1, math.floor(points[i, 1]) - 1
         for row in range(top, top + 4):
             weight = share * _keys(row - points[i, 1])
             for column in range(left, left + 4):
@@ -155,7 +155,7 @@ def _blur_along(padded: Any, motion: Any, half: int, result: Any) -> None:
     for i in range(motion.shape[0]):
         for j in range(motion.shape[1]):
             across, along = motion[i, j, 0], motion[i, j, 1]
-            count = int(math.ceil(math.hypot(across, along))) + 2
+            count = math.ceil(math.hypot(across, along)) + 2
             points = np.empty((count, 2))
             # Evenly spaced, with the variance of a line: 1 / 12 of its length squared.
             scale = 1.0 / math.sqrt(1.0 - 1.0 / count**2)

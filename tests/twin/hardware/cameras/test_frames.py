@@ -18,6 +18,7 @@ from twin.hardware.cameras.frames import FrameReader, FrameWriter
 from twin.hardware.emulator.__main__ import Emulator
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.serial_link import LinkError
+from twin.optics.realism import CAMERA_SETS
 from twin.robot import ArmMode, Command, Lifecycle, RobotError, Validity
 
 ROBOT = "rover1"
@@ -42,9 +43,10 @@ def pairs(target, cycles, turn=0.0, **options):
 
 
 @pytest.mark.chosen_seed  # The same as in the process of the boards, where nothing shifts it.
-def test_emulated_robot_has_the_quantised_ones_pairs_and_the_first_of_the_simulation():
+@pytest.mark.parametrize("realism", ["ideal", "default"])
+def test_emulated_robot_has_the_quantised_ones_pairs_and_the_first_of_the_simulation(realism):
     """Noise included. Later pairs of the simulation differ: its motors get finer voltages."""
-    stereo = StereoConfig(rate=4.0)
+    stereo = StereoConfig(rate=4.0, realism=CAMERA_SETS[realism])
     emulated, quantised, plain = (
         pairs(target, 30, 0.005, stereo=stereo) for target in ("emulated", "quantised", "sim")
     )
@@ -90,8 +92,8 @@ def test_scene_config_is_unchanged_by_its_json_form():
     panel = PanelConfig((0.1, 0.2), 0.3, markers=(PanelMarker(0.0, 0.01),))
     scene = SceneConfig(
         (RobotPlacement("a", (0.1 / 3.0, 1.0), payload=PayloadConfig(0.2)), RobotPlacement("b")),
-        FieldConfig(panel=panel, rocks=3),
-        stereo=StereoConfig(0.5, None, (0.1, 0.0, 0.0, 0.0, 0.0)),
+        FieldConfig(panel=panel, rocks=3, sun_elevation=(0.3, 0.7)),
+        stereo=StereoConfig(0.5, None, (0.1, 0.0, 0.0, 0.0, 0.0), CAMERA_SETS["harsh"]),
     )
     assert SceneConfig.from_json(scene.to_json()) == scene
     plain = dataclasses.replace(scene, stereo=None, field=FieldConfig())
@@ -131,7 +133,7 @@ def flat(level, drawn=None):
 def test_capture_reads_the_newest_pair_on_either_clock(tmp_path):
     writer = FrameWriter(tmp_path / "rover1.frames", 3, 4)
     by_scene = StereoCapture(tmp_path / "rover1.frames", scene_time=True)
-    by_wall = StereoCapture(str(tmp_path / "rover1.frames"))
+    by_wall = StereoCapture(str(tmp_path / "rover1.frames"), max_age=9.0)
     assert by_scene.read(0.0) is None
     for level in (10, 20, 30):
         writer.announce(0.1 * level, flat(level))
@@ -143,6 +145,9 @@ def test_capture_reads_the_newest_pair_on_either_clock(tmp_path):
         frame.value[0, 0, 0] = 1
     offset = 100.0 - time.monotonic()
     assert by_wall.read(time.monotonic() + offset).stamp == pytest.approx(100.0, abs=0.3)
+    writer.announce(3.0, flat(30), 5.0)
+    assert by_wall.read(100.0).stamp == pytest.approx(95.0, abs=0.3)
+    assert by_scene.read(3.0).stamp == 3.0
     writer.unplug()
     with pytest.raises(LinkError, match=r"rover1.frames: no more images"):
         by_scene.read(3.1)
