@@ -101,6 +101,23 @@ def test_sideways_motion_spreads_an_edge_as_a_box_of_its_way_in_the_image(veloci
     assert moving - still == pytest.approx(way**2 / 12.0, rel=0.03)
 
 
+def test_turning_arm_spreads_an_edge_by_its_turn_and_by_its_reach():
+    reach, rate = 0.3, 0.4
+    hinge = f'<joint axis="0 0 1" pos="0 {-reach} 0"/>'
+    xml = (SCENE % WALL).replace('<joint type="slide" axis="0 0 1"/>', hinge)
+    # Away from the world's origin.
+    xml = xml.replace('name="head"', 'name="head" pos="1 -2 0.5"')
+    model = mujoco.MjModel.from_xml_string(xml.replace(f'"0 {DEPTH} 0"', f'"1 {DEPTH - 2.0} 0"'))
+    variances = []
+    for speed in (0.0, rate):
+        data = mujoco.MjData(model)
+        data.qvel[1] = speed
+        mujoco.mj_forward(model, data)
+        variances.append(edge_variance((model, data), exposure=EXPOSURE, latency=EXPOSURE))
+    way = CAMERA.pinhole.fx * rate * (1.0 + reach / DEPTH) * EXPOSURE
+    assert variances[1] - variances[0] == pytest.approx(way**2 / 12.0, rel=0.03)
+
+
 def test_head_that_moves_with_what_it_sees_sees_no_blur():
     exposed = {"exposure": EXPOSURE, "latency": EXPOSURE}
     together = seen(*wall((SPEED, 0.0, SPEED)), **exposed)
