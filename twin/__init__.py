@@ -9,7 +9,8 @@ In reading order:
 - `describe`: descriptions from a model as drawn; `realism`: how far robots and sensors are from it.
 - `simulation`: a MuJoCo scene and its robots, stepped together.
 - `servo`: commands into motor duty; `sensors`, `sensor_bank`: measurements with noise.
-- `camera`: stereo heads, drawn when a pair is read.
+- `camera`: stereo heads, drawn when a pair is read; `optics`: what lenses, shutters and mountings
+  make of it.
 - `recording`: recordings and pictures for the rerun viewer.
 - `environment`: the same scene for dm_control.
 - `hardware`: robots over real and emulated boards (thesis appendix D).
