@@ -10,6 +10,7 @@ import functools
 import importlib
 import math
 import os
+from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -401,7 +402,7 @@ class StereoRig:
                 raise ValueError(f"cameras {self._names} have errors; give a seed to draw them")
             made = self._made = MadeHead.draw(config.realism, np.random.default_rng(seed))
             lenses = [made.lens(lens) for lens in lenses]
-            self._formed = [ImageFormation(lens, config.realism, made.gain) for lens in lenses]
+            self._formations = [ImageFormation(lens, config.realism, made.gain) for lens in lenses]
         self.cameras = tuple(DistortedPinhole(*c.intrinsics, config.distortion) for c in lenses)
         if len({(c.width, c.height) for c in self.cameras}) > 1:
             raise ValueError(f"cameras {self._names} differ in size")
@@ -429,8 +430,9 @@ class StereoRig:
         """
         first = self.cameras[0]
         pair = np.empty((2, first.height, first.width), np.uint8)
-        for eye, (image, warp, rng) in enumerate(zip(pair, self._maps, noise, strict=True)):
-            light = self._light(data, eye)
+        lights = self._drawn(data) if self._made is None else self._formed(data)
+        for seen, image, warp, rng in zip(lights, pair, self._maps, noise, strict=True):
+            light = seen
             if warp is not None:
                 light = cv2.remap(light, warp[0], warp[1], cv2.INTER_LINEAR)
             grey = np.asarray(light, dtype=np.float32)
@@ -441,17 +443,22 @@ class StereoRig:
         pair.flags.writeable = False
         return pair
 
-    def _light(self, data: mujoco.MjData, eye: int) -> ImageArray | FloatImage:
-        """Return the light (height, width) behind an eye's lens but for its distortion."""
-        lens = self.cameras[eye]
-        if self._made is None:
-            size = lens.width, lens.height
-            return _grey(renderer().render(self._model, data, self._names[eye], *size))
-        view = View(Pinhole(*lens.intrinsics), self.poses(data)[eye])
-        colours, surfaces = renderer().render_view(self._model, data, view)
-        body = int(self._model.cam_bodyid[self._eyes[eye]])
-        flow = image_flow(view, surfaces, body, _twists(self._model, data))
-        return self._formed[eye].form(_grey(colours), surfaces, flow)
+    def _drawn(self, data: mujoco.MjData) -> Iterator[ImageArray | FloatImage]:
+        """Yield what each eye sees (height, width) as drawn, but for its lens' distortion."""
+        size = self.cameras[0].width, self.cameras[0].height
+        for name in self._names:
+            yield _grey(renderer().render(self._model, data, name, *size))
+
+    def _formed(self, data: mujoco.MjData) -> Iterator[ImageArray | FloatImage]:
+        """Yield what each eye sees (height, width) as made, but for its lens' distortion."""
+        twists = _twists(self._model, data)
+        bodies = self._model.cam_bodyid[self._eyes].tolist()
+        for lens, pose, body, formation in zip(
+            self.cameras, self.poses(data), bodies, self._formations, strict=True
+        ):
+            view = View(Pinhole(*lens.intrinsics), pose)
+            colours, surfaces = renderer().render_view(self._model, data, view)
+            yield formation.form(_grey(colours), surfaces, image_flow(view, surfaces, body, twists))
 
 
 class StereoHead:

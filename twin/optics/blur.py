@@ -6,7 +6,7 @@ those of its edge.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numba
@@ -17,7 +17,7 @@ from perception.geometry.arrays import FloatArray
 from twin.optics.flow import BLOCK
 
 LEAST = 0.3
-"""Width of the blur that is left out if no block has more [px]."""
+"""Width of a block's blur below which it is left out [px]."""
 LARGEST_DISC = 16.0
 """Largest circle of confusion that is drawn, in columns [px]; beyond stands what is too near."""
 LARGEST_STREAK = 32.0
@@ -38,7 +38,7 @@ class Defocus:
 
     def __init__(self, aspect: float) -> None:
         self._finer = max(aspect, 1.0)
-        self._half = self._reach(LARGEST_DISC)
+        self._half = math.ceil(0.5 * LARGEST_DISC * self._finer) + _REACH
         count = round(LARGEST_DISC / _STEP) + 1
         size = 2 * self._half + 1
         self._table = np.zeros((count, size, size), np.float32)
@@ -60,17 +60,11 @@ class Defocus:
         """
         if diameters.max() < LEAST:
             return image
-        which = np.rint(np.minimum(diameters, LARGEST_DISC) / _STEP).astype(np.int64)
-        half = self._reach(_STEP * float(which.max()))
-        margin = self._half - half
-        table = self._table[:, margin : margin + 2 * half + 1, margin : margin + 2 * half + 1]
+        discs = np.where(diameters < LEAST, 0.0, np.minimum(diameters, LARGEST_DISC))
+        which = np.rint(discs / _STEP).astype(np.int64)
         result = np.zeros_like(image)
-        _blur_by_table(_padded(image, half), which, np.ascontiguousarray(table), result)
+        _blur_by_table(_padded(image, self._half), which, self._finer, self._table, result)
         return result
-
-    def _reach(self, diameter: float) -> int:
-        """Return how far from its middle a disc of `diameter` columns is spread [px]."""
-        return math.ceil(0.5 * diameter * self._finer) + _REACH
 
 
 def smear(image: FloatImage, motion: FloatArray) -> FloatImage:
@@ -123,12 +117,29 @@ def _spread(points: FloatArray, kernel: Any) -> None:
                 kernel[half + row, half + column] += weight * _keys(at)
 
 
+class _Window(NamedTuple):
+    """A block, and how far its light comes from.
+
+    Attributes:
+        row: First row of the block.
+        column: First column of the block.
+        along: Reach of the point-spread function in rows [px].
+        across: Reach of the point-spread function in columns [px].
+    """
+
+    row: int
+    column: int
+    along: int
+    across: int
+
+
 @numba.njit(cache=True, fastmath=True, inline="always")
-def _blur_block(padded: Any, kernel: Any, row: int, column: int, result: Any) -> None:
-    """Convolve one block, whose first pixel is given, with a symmetric point-spread function."""
+def _blur_block(padded: Any, kernel: Any, window: _Window, result: Any) -> None:
+    """Convolve one block with a symmetric point-spread function."""
     total = np.zeros((BLOCK, BLOCK), np.float32)
-    for down in range(kernel.shape[0]):
-        for right in range(kernel.shape[1]):
+    half, row, column = kernel.shape[0] // 2, window.row, window.column
+    for down in range(half - window.along, half + window.along + 1):
+        for right in range(half - window.across, half + window.across + 1):
             weight = kernel[down, right]
             if weight == 0.0:
                 continue
@@ -140,12 +151,20 @@ def _blur_block(padded: Any, kernel: Any, row: int, column: int, result: Any) ->
             result[row + y, column + x] = total[y, x]
 
 
+@numba.njit(cache=True, inline="always")
+def _reach(width: float) -> int:
+    """Return how far from its middle a blur is spread [px]."""
+    return math.ceil(0.5 * width) + _REACH if width > 0.0 else 0
+
+
 @numba.njit(cache=True, fastmath=True)
-def _blur_by_table(padded: Any, which: Any, table: Any, result: Any) -> None:
+def _blur_by_table(padded: Any, which: Any, finer: float, table: Any, result: Any) -> None:
     """Convolve each block with the point-spread function of its index (rows, columns)."""
     for i in range(which.shape[0]):
         for j in range(which.shape[1]):
-            _blur_block(padded, table[which[i, j]], i * BLOCK, j * BLOCK, result)
+            reach = _reach(which[i, j] * _STEP * finer)
+            window = _Window(i * BLOCK, j * BLOCK, reach, reach)
+            _blur_block(padded, table[which[i, j]], window, result)
 
 
 @numba.njit(cache=True, fastmath=True)
@@ -155,7 +174,12 @@ def _blur_along(padded: Any, motion: Any, half: int, result: Any) -> None:
     for i in range(motion.shape[0]):
         for j in range(motion.shape[1]):
             across, along = motion[i, j, 0], motion[i, j, 1]
-            count = math.ceil(math.hypot(across, along)) + 2
+            length = math.hypot(across, along)
+            if length < LEAST:
+                kernel[half, half] = 1.0
+                _blur_block(padded, kernel, _Window(i * BLOCK, j * BLOCK, 0, 0), result)
+                continue
+            count = math.ceil(length) + 2
             points = np.empty((count, 2))
             # Evenly spaced, with the variance of a line: 1 / 12 of its length squared.
             scale = 1.0 / math.sqrt(1.0 - 1.0 / count**2)
@@ -163,4 +187,6 @@ def _blur_along(padded: Any, motion: Any, half: int, result: Any) -> None:
                 place = scale * ((k + 0.5) / count - 0.5)
                 points[k, 0], points[k, 1] = place * across, place * along
             _spread(points, kernel)
-            _blur_block(padded, kernel, i * BLOCK, j * BLOCK, result)
+            rows, columns = _reach(scale * abs(along)), _reach(scale * abs(across))
+            window = _Window(i * BLOCK, j * BLOCK, max(rows, _REACH), max(columns, _REACH))
+            _blur_block(padded, kernel, window, result)
