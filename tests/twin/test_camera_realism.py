@@ -47,7 +47,7 @@ SPOTS = [
     (-0.08, 0.5, -0.1),
     (0.1, 0.7, -0.1),
 ]
-BALL = 0.008
+BALL = 0.018
 
 
 def wall(velocity=()):
@@ -194,8 +194,8 @@ def test_balls_are_seen_where_cameras_as_made_project_them(made):
         as_drawn = ball_centres(drawn[eye], *camera_pose(data, eye))
         assert np.abs(expected - as_drawn).max() > 0.06
         for pixel in expected:
-            left, top = (np.rint(pixel) - 25).astype(int)
-            rows, columns = np.mgrid[top : top + 51, left : left + 51]
+            left, top = (np.rint(pixel) - 50).astype(int)
+            rows, columns = np.mgrid[top : top + 101, left : left + 101]
             light = image[rows, columns]
             centre = np.array([(light * columns).sum(), (light * rows).sum()]) / light.sum()
             np.testing.assert_allclose(centre, pixel, atol=0.05)
