@@ -432,10 +432,8 @@ class StereoRig:
         pair = np.empty((2, first.height, first.width), np.uint8)
         lights = self._drawn(data) if self._made is None else self._formed(data)
         for seen, image, warp, rng in zip(lights, pair, self._maps, noise, strict=True):
-            light = seen
-            if warp is not None:
-                light = cv2.remap(light, warp[0], warp[1], cv2.INTER_LINEAR)
-            grey = np.asarray(light, dtype=np.float32)
+            bent = seen if warp is None else cv2.remap(seen, warp[0], warp[1], cv2.INTER_LINEAR)
+            grey = np.asarray(bent, dtype=np.float32)
             if self._noise_db is not None:
                 sigma = np.float32(255.0 * 10.0 ** (-self._noise_db / 20.0))
                 grey = grey + sigma * rng.standard_normal(image.shape, dtype=np.float32)

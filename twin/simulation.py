@@ -267,7 +267,7 @@ class Simulation:
             robots: Robots as drawn; a name is that of a rover of the thesis.
             suite: Specification of the sensors, of all robots or of each in their order.
             servo: Motors and gains of the robots; None for the motors of each description.
-            stereo: Rate, noise and lenses of the stereo heads; None leaves the channel missing, as
+            stereo: Properties of the stereo heads; None leaves the channel missing, as
                 does a scene without their cameras.
             seed: Random seed of all noise; one seed gives one run, bit for bit.
             data: State of the scene, if another owner (dm_control) holds it.
