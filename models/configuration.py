@@ -38,7 +38,7 @@ class FieldConfig:
         block_edge: Smallest and largest edge of a block [m].
         panel: The panel that is the robots' target, if any.
         slot_width: Distance between the walls of the slot at the origin [m]; None for no slot.
-        shadows: Whether lights cast shadows, which take two thirds of an image's rendering time.
+        shadows: Whether lights cast shadows, which take half of an image's rendering time.
         sun_elevation: Lowest and highest elevation of the sun [rad], drawn with its azimuth from
             the seed; None for one sun of all fields, whose shadows end 1 m from the origin.
     """

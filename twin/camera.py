@@ -29,6 +29,7 @@ from twin.optics.realism import IDEAL_CAMERA, CameraRealism, MadeHead
 from twin.robot import ImageChannel, RobotError
 
 _SLACK = 1e-9  # [s]
+_LOW_SUN = -0.05  # Downward part of the light of a sun whose shadows have no end.
 _MAKING = 2  # Child of a head's seed, beside those of its two eyes.
 _MAX_SAMPLES = 4  # Software rasterisers offer no more.
 _HIDDEN_GROUP = 4  # First group of the truth markers, which no camera may show.
@@ -172,8 +173,9 @@ class Renderer:
             model, data, self._option, None, self._camera, everything, self._scene
         )
         # What lies outside the view frustum may still throw a shadow or be mirrored into it.
-        if not (model.light_castshadow.any() or model.mat_reflectance.any()):
-            cull(self._scene, model, data, aspect)
+        shadows = None if model.mat_reflectance.any() else shadow_reach(model, data)
+        if shadows is not None:
+            cull(self._scene, model, data, aspect, shadows)
 
     def _colours(self, width: int, height: int) -> ImageArray:
         """Draw the scene (height, width, 3) uint8."""
@@ -274,8 +276,38 @@ def _aim(scene: Any, model: mujoco.MjModel, view: View) -> None:
         eye.frustum_bottom = near * (lens.cy + 0.5 - lens.height) / lens.fy
 
 
-def cull(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) -> None:
-    """Remove the geoms that lie wholly outside the view frustum from a scene.
+def shadow_reach(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray | None:
+    """Return the way from each geom to the end of its shadow, for each light that casts any.
+
+    Args:
+        model: Compiled scene.
+        data: State of the scene.
+
+    Returns:
+        (lights, geoms, 3) [m], world; None where shadows may reach anywhere: by lamps and low suns,
+        and over ground that is not level.
+    """
+    casting = np.flatnonzero(model.light_castshadow & model.light_active)
+    towards = np.asarray(data.light_xdir[casting], dtype=float)
+    if not len(casting):
+        return np.empty((0, model.ngeom, 3))
+    suns = model.light_type[casting] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    planes = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    upward = np.reshape(data.geom_xmat, (-1, 3, 3))[:, 2]
+    level = np.all(upward[planes, 2] > 1.0 - 1e-9)
+    if not (suns.all() and level and towards[:, 2].max() < _LOW_SUN) or model.nflex or model.nskin:
+        return None
+    height: FloatArray = np.asarray(data.geom_xpos[:, 2], dtype=float)
+    middle, half = np.hsplit(np.asarray(model.geom_aabb, dtype=float), 2)
+    bottom = height + np.sum(upward * middle - np.abs(upward) * half, axis=1)
+    fall = height + np.asarray(model.geom_rbound) - np.min(np.where(planes, height, bottom))
+    return fall[:, None] * (towards / -towards[:, 2:])[:, None]
+
+
+def cull(
+    scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float, shadows: FloatArray
+) -> None:
+    """Remove the geoms that lie with their shadows wholly outside the view frustum from a scene.
 
     The driver would discard their faces one by one; the image is the same.
 
@@ -284,23 +316,27 @@ def cull(scene: Any, model: mujoco.MjModel, data: mujoco.MjData, aspect: float) 
         model: Compiled scene.
         data: State of the scene.
         aspect: Columns over rows of the image, for a camera that is given by its field of view.
+        shadows: Ways from the geoms to the ends of their shadows, see `shadow_reach`.
     """
     eye = scene.camera[0]
     # MuJoCo has two eyes, the camera's own distance apart; the image is that from between them.
     middle = 0.5 * (np.array(eye.pos, dtype=float) + np.array(scene.camera[1].pos, dtype=float))
     forward, up = np.array(eye.forward, dtype=float), np.array(eye.up, dtype=float)
     to_camera = np.column_stack([np.cross(forward, up), up, forward])
-    across, above, ahead = ((data.geom_xpos - middle) @ to_camera).T
+    # A geom, swept along a straight line, is beyond a plane if it is so at both ends.
+    ends = np.concatenate([[data.geom_xpos], data.geom_xpos + shadows])
+    across, above, ahead = np.moveaxis((ends - middle) @ to_camera, -1, 0)
     half = eye.frustum_width or 0.5 * aspect * (eye.frustum_top - eye.frustum_bottom)
     radius = model.geom_rbound
-    unseen = ahead < -radius
+    unseen = np.all(ahead < -radius, axis=0)
     for offset, low, high in (
         (across, eye.frustum_center - half, eye.frustum_center + half),
         (above, eye.frustum_bottom, eye.frustum_top),
     ):
         # Distances from the two planes through the camera and the image's edges.
         for slope, side in ((low / eye.frustum_near, -1.0), (high / eye.frustum_near, 1.0)):
-            unseen |= side * (offset - slope * ahead) > radius * np.hypot(1.0, slope)
+            beyond = side * (offset - slope * ahead) > radius * np.hypot(1.0, slope)
+            unseen |= np.all(beyond, axis=0)
     # A plane has no end, and no radius.
     unseen &= radius > 0.0
     nothing, geom = int(mujoco.mjtGeom.mjGEOM_NONE), int(mujoco.mjtObj.mjOBJ_GEOM)
