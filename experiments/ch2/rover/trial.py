@@ -60,8 +60,12 @@ class RoverTrial:
 
     @property
     def placement(self) -> RobotPlacement:
-        """Robot as made; a seed's robot is the same under every excitation."""
-        (robot,) = make_robots([RobotPlacement(ROBOT)], self.realism, self.seeds[0])
+        """Robot as made; a seed's robot is the same under every excitation.
+
+        A real robot is what it is: the laboratory can measure its drawing only.
+        """
+        realism = "ideal" if self.robot.startswith("serial:") else self.realism
+        (robot,) = make_robots([RobotPlacement(ROBOT)], realism, self.seeds[0])
         return robot
 
 

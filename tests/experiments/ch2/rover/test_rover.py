@@ -78,6 +78,8 @@ def test_each_seed_has_a_robot_of_its_own_under_every_excitation():
 
     assert robot(1) == robot(1, "constant") and robot(1).made != robot(2).made
     assert robot(1, realism="ideal") == RobotPlacement(ROBOT)
+    real = RoverTrial("serial:/dev/no-port", "information", 1, realism="default")
+    assert real.placement == RobotPlacement(ROBOT)
     found = [SimpleNamespace(estimate=SimpleNamespace(parameters=np.full(5, 2.0)))] * 2
     truths = [dict.fromkeys(NAMES, 1.0), dict.fromkeys(NAMES, 4.0)]
     np.testing.assert_allclose(_errors(found, truths), [[100.0] * 5, [50.0] * 5])
