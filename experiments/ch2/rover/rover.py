@@ -106,8 +106,6 @@ def run(options: Options, output: Output) -> None:
         for excitation in options.chosen()
         for seed in seeds
     ]
-    robots = [trial.placement for trial in trials[: len(seeds)]]
-    truths = sweep(laboratory_values, robots, options, output, label="robots in the laboratory")
     # A real robot does one thing at a time.
     real = options.robot.startswith("serial:")
     alone = dataclasses.replace(options, jobs=1) if real else options
@@ -115,6 +113,8 @@ def run(options: Options, output: Output) -> None:
     results: Results = {name: [] for name in options.chosen()}
     for trial, result in zip(trials, found):
         results[trial.excitation].append(result)
+    robots = [trial.placement for trial in trials[: len(seeds)]]
+    truths = sweep(laboratory_values, robots, options, output, label="robots in the laboratory")
     _measure(results, truths, output)
     _figures(results, truths, output)
     _table(results, truths, output)
