@@ -24,6 +24,7 @@ from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedConfig, FramedLink
 from twin.hardware.serial_link import SerialLink
 from twin.link import Link
+from twin.optics.realism import IDEAL_CAMERA
 from twin.realism import Realism, RealismName, make_robots, realism_of
 from twin.robot import Robot
 from twin.servo import SERVO_PERIOD
@@ -127,6 +128,8 @@ def connect(
         return _connect_wires(wirings)
     chosen = realism_of(realism)
     made = make_robots(robots, chosen, seed)
+    if stereo is not None and chosen.cameras != IDEAL_CAMERA:
+        stereo = dataclasses.replace(stereo, realism=chosen.cameras)
     scene = SceneConfig(made, field, seed, stereo, chosen.sensor_errors)
     lines = lines or LineConfig()
     if target != "sim" and any(robot.model for robot in scene.robots):

@@ -17,6 +17,7 @@ from models.datasheets import (
     SensorErrorSheet,
     Tolerances,
 )
+from twin.optics.realism import CAMERA_SETS, IDEAL_CAMERA, CameraRealism
 from twin.sensors import DATASHEET, SensorSuite
 
 RealismName = Literal["ideal", "default", "harsh"]
@@ -32,18 +33,26 @@ class Realism:
         sensor_errors: Largest errors of each robot's sensors; None for none.
         tolerances: Tolerances from which each robot is made; None for robots that are their
             drawings.
+        cameras: Light, lenses and mountings of the stereo heads.
     """
 
     suite: SensorSuite = DATASHEET
     sensor_errors: SensorErrorSheet | None = None
     tolerances: Tolerances | None = None
+    cameras: CameraRealism = IDEAL_CAMERA
 
 
 REALISMS: Mapping[RealismName, Realism] = MappingProxyType(
     {
         "ideal": Realism(),
-        "default": Realism(sensor_errors=SENSOR_ERRORS, tolerances=TOLERANCES),
-        "harsh": Realism(sensor_errors=HARSH_SENSOR_ERRORS, tolerances=HARSH_TOLERANCES),
+        "default": Realism(
+            sensor_errors=SENSOR_ERRORS, tolerances=TOLERANCES, cameras=CAMERA_SETS["default"]
+        ),
+        "harsh": Realism(
+            sensor_errors=HARSH_SENSOR_ERRORS,
+            tolerances=HARSH_TOLERANCES,
+            cameras=CAMERA_SETS["harsh"],
+        ),
     }
 )
 """Sets by name: robots and sensors as drawn, for verification; new and calibrated ones; old ones

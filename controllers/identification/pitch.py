@@ -39,12 +39,6 @@ _SURPRISE = 6.0  # Deviations from which on a reading could not be foreseen.
 _FACTORS = (0.3, 1.0, 3.0)  # of the guesses of inertia and stiffness, where searches start
 SMALLEST_GAIN = 1e-4
 """Gain of half the squared residuals at which a fit has converged."""
-MOMENT_ERROR, MOMENT_SHARE = 0.03, 0.015
-"""Standard deviation of what the model misses of a period's moment: alone [N m], and its share."""
-MODEL_ERROR = (0.07, 0.012, 0.002, 0.09, 0.05)
-"""What one pitching base misses of a rover, whose four springs differ and whose arm has play:
-standard deviations of the parameters beyond the noise's, levers in metres, all else shares.
-Measured on 28 rovers as made on rough ground."""
 LARGEST_CHI_SQUARE = 1.3
 """Chi squared from which on a fit is not believed: the usual 250 readings scatter by 0.09."""
 LARGEST_LOSS = 0.1
@@ -84,6 +78,27 @@ class PitchPrior:
         """Return the deviations (9,)."""
         log, lever = self.log_sigma, self.lever_sigma
         return np.array([log, lever, lever, log, log, *self.nuisance])
+
+
+@dataclasses.dataclass(frozen=True)
+class PitchMisfit:
+    """What one pitching base misses of a rover, whose springs differ and whose arm has play.
+
+    The default was measured on 28 rovers as made, on rough ground.
+
+    Attributes:
+        moment: Standard deviation of what the model misses of a period's moment [N m].
+        moment_share: The same beside it, as a share of the moment.
+        parameters: (5,) standard deviations of the parameters beyond the noise's: levers [m], all
+            others as shares.
+    """
+
+    moment: float = 0.03
+    moment_share: float = 0.015
+    parameters: tuple[float, float, float, float, float] = (0.07, 0.012, 0.002, 0.09, 0.05)
+
+
+ROVER_MISFIT = PitchMisfit()
 
 
 def physical(coordinates: FloatArray) -> FloatArray:
@@ -190,17 +205,20 @@ class _Likelihood:
     Attributes:
         data: The measurements.
         sensors: Sampling, place and noise.
+        misfit: What the model misses.
     """
 
     data: PitchData
     sensors: PitchSensors
+    misfit: PitchMisfit = ROVER_MISFIT
 
     def filter(self, coordinates: FloatArray) -> _Filter:
         """Return the Kalman filter at (9,) search coordinates."""
         model = self._model(coordinates)
         moment = model.moment(self.data.wrench)
         variance = model.moment_variance(self.sensors)
-        unsure = variance + MOMENT_ERROR**2 + (MOMENT_SHARE * moment) ** 2
+        misfit = self.misfit
+        unsure = variance + misfit.moment**2 + (misfit.moment_share * moment) ** 2
         return _Filter(
             *kalman_gains(
                 model.step,
@@ -246,11 +264,17 @@ class PitchFit:
     Args:
         sensors: Sampling and noise of wrench and inclinometer.
         prior: Prior of the five parameters and its deviations; a generic guess by default.
+        misfit: What the model misses of the base.
     """
 
-    def __init__(self, sensors: PitchSensors, prior: PitchPrior | None = None) -> None:
+    def __init__(
+        self,
+        sensors: PitchSensors,
+        prior: PitchPrior | None = None,
+        misfit: PitchMisfit = ROVER_MISFIT,
+    ) -> None:
         self.prior = prior or PitchPrior()
-        self._sensors = sensors
+        self._sensors, self._misfit = sensors, misfit
         nothing = PitchData.of(np.zeros((0, 6)), [], [])
         self.estimate = self._summary(self._likelihood(nothing), self.prior.mean())
 
@@ -309,7 +333,7 @@ class PitchFit:
             likelihood = self._likelihood(dataclasses.replace(data, lost=lost))
 
     def _likelihood(self, data: PitchData) -> _Likelihood:
-        return _Likelihood(data, self._sensors)
+        return _Likelihood(data, self._sensors, self._misfit)
 
     def _descend(
         self, likelihood: _Likelihood, start: FloatArray, iterations: int
@@ -356,7 +380,7 @@ class PitchFit:
         # A wrench on another scale makes a base heavier, stiffer and more damped, no more.
         together[_LOGARITHMIC] = self._sensors.wrench_scale_sigma
         covariance = np.linalg.inv(information)[: len(NAMES), : len(NAMES)]
-        covariance += np.outer(together, together) + np.diag(np.square(MODEL_ERROR))
+        covariance += np.outer(together, together) + np.diag(np.square(self._misfit.parameters))
         return PitchEstimate(
             parameters=parameters,
             covariance=covariance * np.outer(scale, scale),

@@ -193,6 +193,11 @@ class RoverIdentifier:
         self._motion: Trajectory | None = None
         self._search: Iterator[None] | None = None
 
+    def repeat(self, limits: ArmLimits) -> None:
+        """Start again within other limits of the arm's motion."""
+        self.config = dataclasses.replace(self.config, limits=limits)
+        self.reset()
+
     @property
     def done(self) -> bool:
         """True when the excitation is over."""

@@ -28,7 +28,10 @@ class MissionBelief:
         transform_slot_to_level: Transform from the slot to the robot frame; the master's is level.
         slot_covariance: (6, 6) covariance of the slot's pose, as a twist in the robot frame.
         partner: Pose of the slot in the other robot's frame.
-        pitch: Identified pitch dynamics on the springs; None before the identification.
+        pitch: Identified pitch dynamics on the springs; None before the identification, and where
+            it failed.
+        identification: Latest identification of the pitch dynamics, used or not; None before it.
+        doubts: Why the latest identification is not used, in words; none if it is.
         turn_share: Actual turn of the skidding rover over that of rolling wheels; 1 until
             identified.
         map: Map of the site; None without one.
@@ -41,6 +44,8 @@ class MissionBelief:
     slot_covariance: FloatArray
     partner: SlotPose
     pitch: PitchEstimate | None = None
+    identification: PitchEstimate | None = None
+    doubts: tuple[str, ...] = ()
     turn_share: float = 1.0
     map: SharedMap | None = None
     localization: RobotLocalization | None = None

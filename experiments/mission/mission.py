@@ -10,7 +10,7 @@ stages. The ablation leaves a stage out.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from experiments.harness.robot_option import check_calibrations, check_robot
 from experiments.harness.sweep import sweep
 from experiments.mission.figures import draw_knowledge, draw_steps, draw_worth
 from experiments.mission.film import film_mission
+from experiments.mission.identification import measure_identification
 from experiments.mission.results import (
     after_stage,
     first_stops,
@@ -31,6 +32,7 @@ from experiments.mission.results import (
     stages_of,
 )
 from experiments.mission.trial import MissionResult, MissionTrial, run_mission
+from twin.realism import RealismName
 
 WANTED = 0.9
 _SLIP_STAGE = "identification"
@@ -48,10 +50,15 @@ class Options(contract.Options):
         without: Knowledge that further missions do without: identification, mapping, placement
             (unless said, each of them in a full run and none in a quick one; "none" for none), one
             at a time and with the same seeds.
+        realism: How far simulated robots, their sensors and cameras are from their drawings: ideal,
+            default or harsh; with any but ideal each seed has robots of its own.
+        only: Last stage to run, which is identify, or all.
     """
 
     robot: str = "sim"
     without: tuple[str, ...] = ()
+    realism: RealismName = "ideal"
+    only: Literal["identify", "all"] = "all"
 
     def __post_init__(self) -> None:
         """Refuse unknown robots and stages.
@@ -71,7 +78,7 @@ class Options(contract.Options):
     @property
     def ablations(self) -> tuple[str, ...]:
         """Stages that are left out, one at a time."""
-        if "none" in self.without:
+        if "none" in self.without or self.only != "all":
             return ()
         return self.without or (() if self.quick else OMITTABLE)
 
@@ -93,8 +100,19 @@ def run(options: Options, output: Output) -> None:
     seeds = options.job_seeds(20, 1)
     kinds = ("", *options.ablations)
     jobs = [
-        MissionTrial(seed, without=kind, robot=options.robot) for kind in kinds for seed in seeds
+        MissionTrial(
+            seed,
+            without=kind,
+            robot=options.robot,
+            realism=options.realism,
+            only="" if options.only == "all" else options.only,
+        )
+        for kind in kinds
+        for seed in seeds
     ]
+    if options.only != "all":
+        measure_identification(sweep(run_mission, jobs, options, output, label="robots"), output)
+        return
     if len(jobs) == 1:
         result, steps = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
         results = [result]
@@ -108,6 +126,7 @@ def run(options: Options, output: Output) -> None:
         kind: [r for j, r in zip(jobs, results, strict=True) if j.without == kind] for kind in kinds
     }
     _measure(cells, output)
+    measure_identification(cells[""], output)
     _tabulate(jobs, results, output)
     _measure_stages(cells[""], output)
     output.figure("mission_knowledge", draw_knowledge(cells[""]))

@@ -3,11 +3,12 @@
 import contextlib
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.identification.pitch import NAMES
 from controllers.insertion.camera_station import CameraStation
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.team import InsertionSlave
@@ -15,14 +16,17 @@ from controllers.mission.stages.insert import InsertCard
 from controllers.mission.stages.place import PlaceCamera
 from controllers.mission.team import MissionConfig, MissionTeam
 from controllers.placement.task import PlacementError
+from experiments.ch2.rover.laboratory import laboratory_values
 from experiments.ch5.insertion_scene import contact_force, insertion_drawing, transform
 from experiments.mission.scene import MASTER, SLAVE, MissionScene, draw_scene, roles, survey
+from models.compose import RobotPlacement
 from models.datasheets import CARD_AND_SLOT
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import point_jacobian
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
 from twin.loop import LoopRecorder, Tick, run
+from twin.realism import RealismName, make_robots
 from twin.robot import RobotError
 
 LIMIT = 300.0
@@ -39,6 +43,8 @@ class MissionTrial:
         seed: Seed of ground, initial poses, drawing, sensors and radio.
         without: Stage that is left out; empty for none.
         robot: Robots that are driven: sim, quantised, emulated or serial:PORT,...
+        realism: How far simulated robots and their sensors are from their drawings.
+        only: Last stage that is run; empty for all.
         width: Width between the slot's walls [m].
         scans: Number of views of the master alone, and of each robot when both have met.
     """
@@ -46,6 +52,8 @@ class MissionTrial:
     seed: int
     without: str = ""
     robot: str = "sim"
+    realism: RealismName = "ideal"
+    only: str = ""
     width: float = CARD_AND_SLOT.slot_widths[-1]
     scans: tuple[int, int] = (4, 3)
 
@@ -119,6 +127,27 @@ class StageResult:
 
 
 @dataclasses.dataclass(frozen=True)
+class RobotIdentification:
+    """Identification of one robot, beside what a laboratory measures of it.
+
+    Attributes:
+        robot: Name of the robot.
+        parameters: (5,) estimates, in the order of `controllers.identification.pitch.NAMES`.
+        sigma: (5,) their standard deviations.
+        chi_square: Squared prediction errors over their variances, per reading.
+        doubts: Why the estimate is not used; none if it is.
+        truth: (5,) what a laboratory measures of this robot.
+    """
+
+    robot: str
+    parameters: FloatArray
+    sigma: FloatArray
+    chi_square: float
+    doubts: tuple[str, ...]
+    truth: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
 class MissionResult:
     """Result of a mission.
 
@@ -133,6 +162,7 @@ class MissionResult:
         stages: Stages that have ended, in their order.
         misses: (stops, 2) distance of the master from its station [m] and from its heading [rad]
             at each stop.
+        identifications: Identification of each robot that ended one.
     """
 
     success: bool
@@ -144,6 +174,7 @@ class MissionResult:
     ahead: float
     stages: tuple[StageResult, ...]
     misses: FloatArray
+    identifications: tuple[RobotIdentification, ...] = ()
 
     @property
     def stage_names(self) -> list[str]:
@@ -213,6 +244,7 @@ def prepared(trial: MissionTrial):  # noqa: ANN201
         robots=scene.robots,
         field=scene.field,
         stereo=StereoConfig(RATE),
+        realism=trial.realism,
         seed=trial.seed,
     ) as connection:
         config = MissionConfig(trial.without, trial.scans)
@@ -236,10 +268,11 @@ def perform(mission: Mission, recorders: Sequence[LoopRecorder] = ()) -> Mission
             mission.connection.clock,
             [scorer, *recorders],
             LIMIT,
-            until=lambda: team.over,
+            until=lambda: team.over or mission.trial.only in dict(team.ended),
         )
         wall = summary.wall / max(summary.duration, 1e-9)
-        reason = "" if team.over else f"out of time in {team.slave.stage.name}"
+        ended = team.over or mission.trial.only in dict(team.ended)
+        reason = "" if ended else f"out of time in {team.slave.stage.name}"
     except (RobotError, PlacementError) as error:
         reason = str(error)
     poses = mission.poses(SLAVE)
@@ -262,7 +295,25 @@ def perform(mission: Mission, recorders: Sequence[LoopRecorder] = ()) -> Mission
         ahead=float(place[1]),
         stages=tuple(scorer.stages),
         misses=np.array(scorer.misses).reshape(-1, 2),
+        identifications=tuple(_identifications(mission)),
     )
+
+
+def _identifications(mission: Mission) -> Iterator[RobotIdentification]:
+    trial = mission.trial
+    made = make_robots(mission.scene.robots, trial.realism, trial.seed)
+    for part, robot in zip((mission.team.master, mission.team.slave), made, strict=True):
+        estimate = part.belief.identification
+        if estimate is not None:
+            truth = laboratory_values(RobotPlacement(made=robot.made))
+            yield RobotIdentification(
+                part.name,
+                estimate.parameters,
+                np.sqrt(np.diag(estimate.covariance)),
+                estimate.chi_square,
+                part.belief.doubts,
+                np.array([truth[name] for name in NAMES]),
+            )
 
 
 def run_mission(trial: MissionTrial) -> MissionResult:

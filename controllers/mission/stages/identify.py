@@ -1,5 +1,7 @@
 """Stage ``identify``, chapter 2: a rover swings its arm and identifies its pitch dynamics."""
 
+import dataclasses
+
 import numpy as np
 
 from controllers.identification.rover_identifier import (
@@ -10,33 +12,49 @@ from controllers.identification.rover_identifier import (
 from controllers.mission.belief import MissionBelief
 from twin.robot import Command, Observation
 
+GENTLER = (0.6,)
+"""Shares of the usual acceleration of the arm at which an identification that failed is repeated: a
+wheel that lifts or slips ruins the fit."""
+
 
 class SwingArm:
-    """Swings the arm, and fits all measurements again at the end.
+    """Swings the arm, and fits all measurements again at the end; if it fails, swings gently.
 
     Args:
-        belief: Estimates of the robot; updated with its pitch dynamics.
+        belief: Estimates of the robot; updated with its pitch dynamics if they can be believed.
         rng: Random generator for the planner of the excitation.
+
+    Attributes:
+        done: Whether an identification succeeded, or the last has failed.
     """
 
     name = "identify"
 
     def __init__(self, belief: MissionBelief, rng: np.random.Generator) -> None:
         assert belief.robot.arm is not None
-        self._belief = belief
+        self.done = False
+        self._belief, self._gentler = belief, list(GENTLER)
         config = RoverIdentifierConfig(belief.robot.name, SwingingArm.of(belief.robot.arm))
         self._identifier = RoverIdentifier(config, rng)
-
-    @property
-    def done(self) -> bool:
-        """Whether the pitch dynamics are identified."""
-        return self._belief.pitch is not None
 
     def step(self, seen: Observation) -> Command:
         """Return the command of the swing; at its end hold the arm and fit, a step each tick."""
         name = self._belief.robot.name
         if not self._identifier.done:
             return self._identifier.step({name: seen})[name]
+        command = self._identifier.hold()[name]
         if not self.done and self._identifier.conclude():
-            self._belief.pitch = self._identifier.fit.estimate
-        return self._identifier.hold()[name]
+            self._judge()
+        return command
+
+    def _judge(self) -> None:
+        belief, config = self._belief, self._identifier.config
+        belief.identification = estimate = self._identifier.fit.estimate
+        belief.doubts = estimate.doubts(config.prior)
+        if belief.doubts and self._gentler:
+            acceleration = self._gentler.pop(0) * config.limits.acceleration
+            self._identifier.repeat(dataclasses.replace(config.limits, acceleration=acceleration))
+            return
+        self.done = True
+        if not belief.doubts:
+            belief.pitch = estimate

@@ -8,15 +8,12 @@ import numpy as np
 
 from controllers.identification.information import mutual_information
 from controllers.identification.pitch import (
-    CRITERIA,
     NAMES,
     RANGES,
     PitchEstimate,
-    predict_tilt,
 )
+from controllers.identification.pitch_model import predict_tilt
 from controllers.identification.rover_identifier import (
-    GENTLE_ARM_LIMITS,
-    ROVER_ARM_LIMITS,
     RoverIdentifier,
     RoverIdentifierConfig,
     SwingingArm,
@@ -115,6 +112,7 @@ class RoverIdentification:
     Attributes:
         estimate: Final estimate.
         unidentifiable: Names of the parameters that the data leave unknown.
+        doubts: Why the estimate is not to be used; none if it is.
         tilt_nrmse: Error of the predicted tilt of an unseen motion [%].
         history: (n, 5) estimates after every window, SI units.
         bits: (n, 5) mutual information on each parameter [bit].
@@ -127,6 +125,7 @@ class RoverIdentification:
 
     estimate: PitchEstimate
     unidentifiable: tuple[str, ...]
+    doubts: tuple[str, ...]
     tilt_nrmse: float
     history: FloatArray
     bits: FloatArray
@@ -140,12 +139,10 @@ class RoverIdentification:
 def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     """Identify, then predict the tilt of a motion that was not used."""
     seed, plan, other = trial.seeds
-    planned = trial.excitation in CRITERIA
     config = RoverIdentifierConfig(
         ROBOT,
         known_swinging_arm(),
         trial.excitation,
-        limits=ROVER_ARM_LIMITS if planned else GENTLE_ARM_LIMITS,
         duration=trial.duration,
     )
     with connect(
@@ -156,9 +153,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
         seed=seed,
     ) as connection:
         controller = identify(connection, config, np.random.default_rng(plan))
-        unseen = dataclasses.replace(
-            config, excitation="random", limits=GENTLE_ARM_LIMITS, duration=trial.unseen
-        )
+        unseen = dataclasses.replace(config, excitation="random", duration=trial.unseen)
         truth = TrueTilt(connection.simulation) if connection.simulation else None
         trying = identify(
             connection, unseen, np.random.default_rng(other), [truth] if truth else []
@@ -170,6 +165,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     return RoverIdentification(
         estimate=estimate,
         unidentifiable=tuple(estimate.unidentifiable(config.prior)),
+        doubts=estimate.doubts(config.prior),
         tilt_nrmse=tilt_nrmse(estimate.parameters, trying, truth),
         history=parameters,
         bits=np.array(bits),

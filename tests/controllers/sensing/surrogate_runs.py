@@ -5,7 +5,8 @@ import functools
 
 import numpy as np
 
-from controllers.identification.pitch import PitchData, PitchFit, PitchSensors
+from controllers.identification.pitch import PitchData, PitchFit
+from controllers.identification.pitch_model import PitchSensors
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmController
 from controllers.motion.base_tilt import TiltAxis
