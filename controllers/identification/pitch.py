@@ -24,8 +24,8 @@ from controllers.identification.pitch_model import (
     Nuisance,
     PitchModel,
     PitchSensors,
+    dry_moment,
     kalman_gains,
-    march,
     predict_tilt,
     prediction_errors,
 )
@@ -234,7 +234,7 @@ class _Likelihood:
         """Return the filter's prediction errors (m,) at `coordinates`, over its deviations."""
         model = self._model(coordinates)
         moment = model.moment(self.data.wrench)
-        moment -= march(model.step, model.shown, moment, model.friction)[1]
+        moment -= dry_moment(model.step, moment, model.friction)
         errors = prediction_errors(
             model.step,
             model.shown[2],

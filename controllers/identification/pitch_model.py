@@ -179,32 +179,42 @@ def predict_tilt(
         the reading, when the inclinometer is sampled at each tick [rad].
     """
     model = PitchModel.of(parameters, sensors, nuisance)
-    found, _ = march(model.step, model.shown, model.moment(wrench), model.friction)
-    found += [0.0, 0.0, nuisance.zero]
+    moment = model.moment(wrench)
+    found = _march(model.step, model.shown, moment - dry_moment(model.step, moment, model.friction))
+    found[:, 2] += nuisance.zero
     return found[np.minimum(np.arange(len(wrench)) + model.lead, len(wrench) - 1)]
 
 
 @numba.njit(cache=True)
-def march(step, shown, moment, friction):
-    """Return what is seen in each period (n, 3), and the moment of the dry friction (n,).
+def dry_moment(step, moment, friction):
+    """Return the moment of the dry friction in each period (n,), while the base is driven.
 
     Args:
         step: (3, 4) transition, see `PitchModel`.
-        shown: (3, 4) what is seen.
-        moment: (n,) moment in each period.
+        moment: (n,) moment that drives it in each period.
         friction: Dry friction [N m].
     """
-    found, held = np.zeros((moment.shape[0], 3)), np.zeros(moment.shape[0])
-    state = np.zeros(4)
+    held = np.zeros(moment.shape[0])
+    tilt, rate = 0.0, 0.0
+    for n in range(moment.shape[0] if friction != 0.0 else 0):
+        ahead = step[_RATE, _TILT] * tilt + step[_RATE, _RATE] * rate
+        middle = 0.5 * (rate + ahead + step[_RATE, _MOMENT] * moment[n])
+        held[n] = friction * np.tanh(middle / _CREEP)
+        left = moment[n] - held[n]
+        tilt = step[_TILT, _TILT] * tilt + step[_TILT, _RATE] * rate + step[_TILT, _MOMENT] * left
+        rate = ahead + step[_RATE, _MOMENT] * left
+    return held
+
+
+@numba.njit(cache=True)
+def _march(step, shown, moment):
+    """Return what is seen in each period (n, 3)."""
+    found, state = np.zeros((moment.shape[0], 3)), np.zeros(4)
     for n in range(moment.shape[0]):
         state[_MOMENT] = moment[n]
-        if friction != 0.0:
-            rate = 0.5 * (state[_RATE] + step[_RATE] @ state)
-            held[n] = friction * np.tanh(rate / _CREEP)
-            state[_MOMENT] -= held[n]
         found[n] = shown @ state
         state[:_MOMENT] = step @ state
-    return found, held
+    return found
 
 
 @numba.njit(cache=True)
@@ -269,13 +279,20 @@ def prediction_errors(step, reading, moment, indices, tilt, gains):
         tilt: (m,) readings.
         gains: (m, 4) gains, see `kalman_gains`.
     """
-    errors, state = np.zeros(indices.shape[0]), np.zeros(4)
+    errors, state, after = np.zeros(indices.shape[0]), np.zeros(4), np.zeros(3)
     k = 0
     for n in range(moment.shape[0]):
         state[_MOMENT] = moment[n]
         if k < indices.shape[0] and n == indices[k]:
-            errors[k] = tilt[k] - reading @ state
-            state += gains[k] * errors[k]
+            errors[k] = tilt[k]
+            for i in range(4):
+                errors[k] -= reading[i] * state[i]
+            for i in range(4):
+                state[i] += gains[k, i] * errors[k]
             k += 1
-        state[:_MOMENT] = step @ state
+        for i in range(3):
+            after[i] = 0.0
+            for j in range(4):
+                after[i] += step[i, j] * state[j]
+        state[:_MOMENT] = after
     return errors
