@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from controllers.mission.team import OMITTABLE
+from experiments.ch2.rover.confidence import measure_confidence
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
@@ -23,7 +24,6 @@ from experiments.harness.robot_option import check_calibrations, check_robot
 from experiments.harness.sweep import sweep
 from experiments.mission.figures import draw_knowledge, draw_steps, draw_worth
 from experiments.mission.film import film_mission
-from experiments.mission.identification import measure_identification
 from experiments.mission.results import (
     after_stage,
     first_stops,
@@ -111,7 +111,7 @@ def run(options: Options, output: Output) -> None:
         for seed in seeds
     ]
     if options.only != "all":
-        measure_identification(sweep(run_mission, jobs, options, output, label="robots"), output)
+        _measure_identification(sweep(run_mission, jobs, options, output, label="missions"), output)
         return
     if len(jobs) == 1:
         result, steps = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
@@ -126,7 +126,7 @@ def run(options: Options, output: Output) -> None:
         kind: [r for j, r in zip(jobs, results, strict=True) if j.without == kind] for kind in kinds
     }
     _measure(cells, output)
-    measure_identification(cells[""], output)
+    _measure_identification(cells[""], output)
     _tabulate(jobs, results, output)
     _measure_stages(cells[""], output)
     output.figure("mission_knowledge", draw_knowledge(cells[""]))
@@ -135,6 +135,12 @@ def run(options: Options, output: Output) -> None:
     if len(kinds) > 1:
         shares = {kind: _success(results) for kind, results in cells.items()}
         output.figure("mission_ablation", draw_worth(shares, first_stops(cells), off_middle(cells)))
+
+
+def _measure_identification(results: Results, output: Output) -> None:
+    found = [each for result in results for each in result.identifications]
+    if found:
+        measure_confidence(found, output)
 
 
 def _success(results: Results) -> Distribution:

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.identification.pitch import NAMES
 from controllers.insertion.camera_station import CameraStation
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.team import InsertionSlave
@@ -16,6 +15,7 @@ from controllers.mission.stages.insert import InsertCard
 from controllers.mission.stages.place import PlaceCamera
 from controllers.mission.team import MissionConfig, MissionTeam
 from controllers.placement.task import PlacementError
+from experiments.ch2.rover.confidence import RobotIdentification
 from experiments.ch2.rover.laboratory import laboratory_values
 from experiments.ch5.insertion_scene import contact_force, insertion_drawing, transform
 from experiments.mission.scene import MASTER, SLAVE, MissionScene, draw_scene, roles, survey
@@ -124,27 +124,6 @@ class StageResult:
     slave_error: FloatArray
     slave_sigma: FloatArray
     turn_share: float
-
-
-@dataclasses.dataclass(frozen=True)
-class RobotIdentification:
-    """Identification of one robot, beside what a laboratory measures of it.
-
-    Attributes:
-        robot: Name of the robot.
-        parameters: (5,) estimates, in the order of `controllers.identification.pitch.NAMES`.
-        sigma: (5,) their standard deviations.
-        chi_square: Squared prediction errors over their variances, per reading.
-        doubts: Why the estimate is not used; none if it is.
-        truth: (5,) what a laboratory measures of this robot.
-    """
-
-    robot: str
-    parameters: FloatArray
-    sigma: FloatArray
-    chi_square: float
-    doubts: tuple[str, ...]
-    truth: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -306,14 +285,7 @@ def _identifications(mission: Mission) -> Iterator[RobotIdentification]:
         estimate = part.belief.identification
         if estimate is not None:
             truth = laboratory_values(RobotPlacement(made=robot.made))
-            yield RobotIdentification(
-                part.name,
-                estimate.parameters,
-                np.sqrt(np.diag(estimate.covariance)),
-                estimate.chi_square,
-                part.belief.doubts,
-                np.array([truth[name] for name in NAMES]),
-            )
+            yield RobotIdentification.of(part.name, estimate, part.belief.doubts, truth)
 
 
 def run_mission(trial: MissionTrial) -> MissionResult:

@@ -17,6 +17,7 @@ from controllers.identification.rover_identifier import (
     RoverIdentifier,
     RoverIdentifierConfig,
 )
+from experiments.ch2.rover.confidence import RobotIdentification, measure_confidence
 from experiments.ch2.rover.laboratory import laboratory_values
 from experiments.ch2.rover.trial import (
     ROBOT,
@@ -72,7 +73,7 @@ class Options(contract.Options):
     robot: str = "sim"
     excitations: tuple[str, ...] = ()
     duration: float = 10.0
-    realism: RealismName = "ideal"
+    realism: RealismName = "default"
 
     def __post_init__(self) -> None:
         """Refuse robots that cannot be, unknown excitations, and durations that hold no window.
@@ -149,6 +150,13 @@ def _measure(results: Results, truths: Truths, output: Output) -> None:
         steps = 1e3 * np.concatenate([np.ravel(t.step_seconds) for t in trials])
         output.measure(f"step_ms/{excitation}", distribution(steps))
     if "information" in medians:
+        measure_confidence(
+            [
+                RobotIdentification.of(ROBOT, t.estimate, t.doubts, truth)
+                for t, truth in zip(results["information"], truths, strict=True)
+            ],
+            output,
+        )
         nrmse = distribution([t.tilt_nrmse for t in results["information"]])
         output.measure("tilt_prediction_nrmse", nrmse)
         value = medians["information"]
