@@ -251,6 +251,19 @@ def test_nothing_is_left_out_of_a_motion_that_obeys_the_model(seed):
     assert not thorough(data).with_losses(data, 0).lost.any()
 
 
+def test_estimate_says_why_it_is_not_to_be_used():
+    prior, good = PitchPrior(), finished(PitchData.of(*disturbed(1)))
+    assert good.doubts(prior) == ()
+    for change, words in (
+        ({"gain_left": 0.01}, "the fit did not converge"),
+        ({"chi_square": 1.36}, "chi squared is 1.4"),
+        ({"lost": 50}, "20 % of the motion could not be foreseen"),
+    ):
+        assert dataclasses.replace(good, **change).doubts(prior) == (words,)
+    nothing = PitchFit(SENSORS).estimate
+    assert nothing.doubts(prior) == ("the motion does not show ixx, ry, rz, b_pitch, k_pitch",)
+
+
 def test_slow_motion_leaves_inertia_and_damping_unidentified():
     time = np.arange(0.0, 10.0, SENSORS.period)
     wrench = np.zeros((len(time), 6))

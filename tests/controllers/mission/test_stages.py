@@ -1,5 +1,6 @@
 """Stages ``place``, ``insert``, ``rest`` and ``identify``: what starts, ends and repeats them."""
 
+import dataclasses
 import math
 import types
 import typing
@@ -8,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from controllers.identification.pitch import PitchEstimate
+from controllers.identification.arm_motion import ArmLimits
+from controllers.identification.pitch import PitchPrior
+from controllers.identification.rover_identifier import ROVER_ARM_LIMITS, RoverIdentifierConfig
 from controllers.insertion.camera_station import CameraStation, camera_arm
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.guidance import Guidance
@@ -24,6 +27,7 @@ from controllers.mission.stages.insert import GuideInsertion, InsertCard
 from controllers.mission.stages.meet import GuidedSlave
 from controllers.mission.stages.place import PlaceCamera
 from controllers.mission.stages.rest import Rest
+from controllers.motion.base_tilt import drawn_springs
 from perception.geometry.se3 import transport_covariance
 from perception.voxels.map import Surface
 from tests.controllers.mission.hand_made import (
@@ -296,49 +300,84 @@ def test_resting_robot_moves_its_arm_home_and_stays() -> None:
     np.testing.assert_allclose(rover.command.arm, HOME, atol=1e-12)
 
 
-def test_identification_swings_then_holds_the_arm_while_it_fits_and_stores_one_fit(
+class FakeIdentifier:
+    """Swings for three ticks, then fits for four; ends each fit with the next doubts."""
+
+    def __init__(self, config: RoverIdentifierConfig, doubts: list[tuple[str, ...]]) -> None:
+        self.config, self.swings, self.fits = config, 0, 0
+        self.fit = types.SimpleNamespace(estimate=types.SimpleNamespace(doubts=self._doubt))
+        self._doubts = doubts
+
+    def _doubt(self, prior: PitchPrior) -> tuple[str, ...]:
+        return self._doubts.pop(0)
+
+    @property
+    def done(self) -> bool:
+        return self.swings == 3
+
+    def step(self, seen: dict[str, Observation]) -> dict[str, Command]:
+        self.swings += 1
+        return {SLAVE: Command(np.full(4, float(self.swings)))}
+
+    def conclude(self) -> bool:
+        self.fits += 1
+        return self.fits % 4 == 0
+
+    def hold(self) -> dict[str, Command]:
+        return {SLAVE: Command(arm=np.full(4, 0.5))}
+
+    def repeat(self, limits: ArmLimits) -> None:
+        self.config, self.swings = dataclasses.replace(self.config, limits=limits), 0
+
+
+def identify_with(
+    doubts: list[tuple[str, ...]], monkeypatch: pytest.MonkeyPatch
+) -> tuple[MissionBelief, FakeIdentifier, int]:
+    """Return belief, identifier and ticks of a stage whose fits end with these doubts."""
+    made: list[FakeIdentifier] = []
+
+    def make(config: RoverIdentifierConfig, rng: np.random.Generator) -> FakeIdentifier:
+        made.append(FakeIdentifier(config, doubts))
+        return made[-1]
+
+    monkeypatch.setattr(identify, "RoverIdentifier", make)
+    belief = belief_of(SLAVE)
+    stage, ticks = SwingArm(belief, np.random.default_rng(0)), 0
+    while not stage.done:
+        command = stage.step(Observation(0.01 * ticks))
+        # A robot without a command would stop: the arm is held while the fit goes on.
+        assert (command.wheels.size == 0) == np.array_equal(command.arm, np.full(4, 0.5))
+        ticks += 1
+    np.testing.assert_array_equal(stage.step(Observation(0.01 * ticks)).arm, np.full(4, 0.5))
+    (identifier,) = made
+    assert identifier.config.robot == SLAVE
+    return belief, identifier, ticks
+
+
+def test_identification_swings_then_holds_the_arm_while_it_fits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    made: list[typing.Any] = []
+    belief, identifier, ticks = identify_with([()], monkeypatch)
+    assert ticks == 3 + 4 and identifier.fits == 4
+    assert belief.pitch is belief.identification is identifier.fit.estimate
+    assert belief.doubts == ()
 
-    class Identifier:
-        """Swings for three ticks, then fits for four."""
 
-        fit = types.SimpleNamespace(estimate="fit")
+def test_identification_that_is_doubted_is_repeated_gently(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    belief, identifier, ticks = identify_with([("chi squared is 2.0",), ()], monkeypatch)
+    assert ticks == 2 * (3 + 4) and belief.pitch is identifier.fit.estimate
+    assert belief.doubts == ()
+    usual = ROVER_ARM_LIMITS.acceleration
+    assert identifier.config.limits.acceleration == pytest.approx(0.6 * usual)
 
-        def __init__(self, config: typing.Any, rng: np.random.Generator) -> None:
-            self.config, self.rng, self.seen, self.fits = config, rng, [], 0
-            made.append(self)
 
-        @property
-        def done(self) -> bool:
-            return len(self.seen) >= 3
-
-        def step(self, seen: dict[str, Observation]) -> dict[str, Command]:
-            self.seen.append(seen[SLAVE])
-            return {SLAVE: Command(np.full(4, float(len(self.seen))))}
-
-        def conclude(self) -> bool:
-            self.fits += 1
-            return self.fits == 4
-
-        def hold(self) -> dict[str, Command]:
-            return {SLAVE: Command(arm=np.full(4, 0.5))}
-
-    monkeypatch.setattr(identify, "RoverIdentifier", Identifier)
-    belief, rng = belief_of(SLAVE), np.random.default_rng(0)
-    stage = SwingArm(belief, rng)
-    (identifier,) = made
-    assert identifier.config.robot == SLAVE and identifier.rng is rng
-    for tick in range(3):
-        seen = Observation(0.01 * tick)
-        command = stage.step(seen)
-        assert command is not None and command.wheels[0] == tick + 1
-        assert identifier.seen[-1] is seen and not stage.done and not identifier.fits
-    for tick in range(6):
-        # A robot without a command would stop.
-        held = stage.step(Observation(0.03 + 0.01 * tick))
-        np.testing.assert_array_equal(held.arm, np.full(4, 0.5))
-        assert stage.done == (tick >= 3)
-    assert identifier.fits == 4
-    assert typing.cast(PitchEstimate | str, belief.pitch) == "fit"
+def test_robot_that_cannot_identify_itself_keeps_to_the_drawing_and_says_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    doubts = [("chi squared is 2.0",), ("chi squared is 1.5",)]
+    belief, identifier, _ = identify_with(doubts, monkeypatch)
+    assert belief.pitch is None and belief.identification is identifier.fit.estimate
+    assert belief.doubts == ("chi squared is 1.5",)
+    assert belief.springs() == drawn_springs(belief.robot)
