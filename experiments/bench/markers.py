@@ -9,10 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from experiments.ch3.stereo.scene import HEAD
-from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation
+from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation, normal_prior
 from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
@@ -34,7 +33,6 @@ from perception.markers.hough import (
     signed_laplacian,
     threshold_level,
 )
-from perception.markers.poses import BodyPrior
 from perception.stereo.geometry import StereoGeometry
 
 RANGES = (0.35, 0.5, 0.7, 0.9, 1.1)
@@ -45,8 +43,6 @@ SLANTS = (0.0, 20.0, 40.0, 60.0)
 VIEWS, QUICK_VIEWS = 12, 2
 """Number of pairs of each range and slant."""
 HEAD_ON = (0.5, 0.0)
-TILT_SIGMA = math.radians(2.0)
-"""Deviation of the faces' normal where a prior is used: tilt sensor and the planar task."""
 _FAR = 3.0  # Largest distance of a detection from the marker that it belongs to [px].
 
 
@@ -178,19 +174,6 @@ def _times(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
     ratio = float(np.median(spent["cv2_hough"]) / np.median(spent["tht"]))
     output.measure("marker_time_ratio/cv2_over_tht", ratio)
     output.check("markers, cv2.HoughCircles' time over the THT's", ratio, ">= 1", ratio >= 1.0)
-
-
-def normal_prior(pose: RigidTransform, rng: np.random.Generator) -> BodyPrior:
-    """Return the prior of a tilt sensor: two turns of a body to `TILT_SIGMA`, nothing else."""
-    normal = pose.rotation.apply([0.0, 0.0, 1.0])
-    level = np.eye(3) - np.outer(normal, normal)
-    turned = Rotation.from_rotvec(level @ rng.normal(0.0, TILT_SIGMA, 3))
-    information = np.zeros((6, 6))
-    information[:3, :3] = level / TILT_SIGMA**2
-    # Roughly its heading: two markers look the same upside down.
-    information[:3, :3] += np.outer(normal, normal) / math.radians(30.0) ** 2
-    guess = RigidTransform.from_components(pose.translation, turned * pose.rotation)
-    return BodyPrior(guess, information)
 
 
 def _poses(views: list[MarkerView], scene: MarkerScene, seed: int, output: Output) -> None:
