@@ -27,6 +27,7 @@ from perception.stereo.geometry import StereoGeometry
 _BAND = 2.5  # Pixels farther than this outside the first ellipse are left out of the fit [px].
 _ITERATIONS = 12
 _STEP, _HALT = 2e-3, 0.05  # A fit's last change, and that of one that gets no better [px].
+_ABOVE_NOISE = 5.0  # The top hat's floor is the darkest of a window, two deviations down.
 
 
 def find_blobs(
@@ -35,7 +36,7 @@ def find_blobs(
     """Return bright spots that may be markers, by their second moments.
 
     A top hat takes away all that is wider than a marker at its nearest; what stays and exceeds
-    six tenths of the least contrast is grouped.
+    six tenths of the least contrast, and the noise, is grouped.
 
     Args:
         image: (H, W) uint8.
@@ -50,7 +51,8 @@ def find_blobs(
     window = math.ceil(2.0 * largest * narrow) + 3, math.ceil(2.0 * largest) + 3
     kernel = cv2.getStructuringElement(cv2.MORPH_RECT, window)
     hat = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, kernel)
-    bright = np.asarray(cv2.threshold(hat, 0.6 * expected.contrast, 255, cv2.THRESH_BINARY)[1])
+    level = max(0.6 * expected.contrast, _ABOVE_NOISE * expected.noise)
+    bright = np.asarray(cv2.threshold(hat, level, 255, cv2.THRESH_BINARY)[1])
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=4)
     width, height, area = np.asarray(stats[1:count, 2:]).T
     across, down = width / (2.0 * narrow), height / 2.0
@@ -341,14 +343,16 @@ def _fit(image: Any, start: Any, pixels: PixelNoise, found: MeasuredEllipses, nu
             done = True
         if done or not better:
             break
-    if not done and change > _HALT:
-        return False
     _sums(image, p, p, window, pixels, equations, True)
     for i in range(7):
         normal[i, i] += 1e-9
     covariance = _inverse(normal)
     # What the weights do not explain, the background's texture or a rim that is no ellipse.
     excess = max(sums[0] / max(sums[2] - 7.0, 1.0), 1.0)
+    # A blurred rim leaves the fit wandering, but within what its covariance says.
+    own = math.sqrt(excess * max(covariance[0, 0], covariance[1, 1]))
+    if not done and change > max(_HALT, own):
+        return False
     found.ellipses[number] = p[:5]
     found.covariances[number] = excess * covariance[:5, :5]
     found.contrasts[number] = p[6]
