@@ -1,7 +1,7 @@
 """What spoils the images of markers: motion, defocus, exposure, noise, in image space.
 
-`CONDITIONS` was written down before any run. Grey levels of a rendering are proportional to
-radiance; blur acts on them, then the exposure, then the sensor's noise and its eight bits.
+All but `LINEARISED` were written down before any run. Grey levels of a rendering are proportional
+to radiance; blur acts on them, then the exposure, then the sensor's noise and its eight bits.
 """
 
 import dataclasses
@@ -29,6 +29,8 @@ class Condition:
         gain: Exposure, as a factor of that of the rendering.
         gamma: Exponent of the camera's response; 1 if grey levels are proportional to radiance.
         noise_db: Full scale over r.m.s. noise [dB].
+        linearised: Whether the grey levels are made proportional to radiance again, by the gamma of
+            the datasheet, and stretched to full scale, before markers are looked for.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Condition:
     gain: float = 1.0
     gamma: float = 1.0
     noise_db: float = CAMERA.signal_to_noise_db
+    linearised: bool = False
 
     @property
     def noise(self) -> float:
@@ -55,9 +58,11 @@ UNDEREXPOSED = Condition("exposure_under", gain=0.25, gamma=CAMERA.gamma)
 """Two stops too little light for a fixed exposure, through the camera's gamma (Table D-2)."""
 OVEREXPOSED = Condition("exposure_over", gain=4.0, gamma=CAMERA.gamma)
 """Two stops too much: what is brighter than a quarter of white saturates."""
+LINEARISED = dataclasses.replace(UNDEREXPOSED, name="under_linearised", linearised=True)
+"""The images of `UNDEREXPOSED`, put right by what is known of the camera."""
 NOISE = Condition("noise", noise_db=26.0)
 """Automatic gain control turned up by 20 dB in poor light, about the most that such cameras add."""
-CONDITIONS = (CLEAN, BLUR, DEFOCUS, UNDEREXPOSED, OVEREXPOSED, NOISE)
+CONDITIONS = (CLEAN, BLUR, DEFOCUS, UNDEREXPOSED, OVEREXPOSED, LINEARISED, NOISE)
 
 
 def motion_transfer(frequencies: FloatArray, length: float, angle: float) -> FloatArray:
@@ -122,4 +127,8 @@ def take(
     light = condition.gain * blurred(exact, condition, direction) / 255.0
     levels = 255.0 * np.clip(light, 0.0, 1.0) ** condition.gamma
     levels += condition.noise * rng.standard_normal(levels.shape)
-    return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+    taken = np.clip(np.rint(levels), 0, 255)
+    if condition.linearised:
+        light = (taken / 255.0) ** (1.0 / condition.gamma)
+        taken = np.rint(255.0 * light / light.max())
+    return taken.astype(np.uint8)

@@ -1,4 +1,7 @@
-"""Both marker detectors beside OpenCV's circles, and the poses that come out, on rendered pairs."""
+"""Both marker detectors beside OpenCV's circles, and the poses that come out, on rendered pairs.
+
+`fiducials` then sets the circles beside ArUco and AprilTag.
+"""
 
 import functools
 import math
@@ -10,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from numpy.typing import NDArray
 
+from experiments.bench.fiducials import bench_fiducials
 from experiments.ch3.stereo.scene import HEAD
 from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation, normal_prior
 from experiments.harness.contract import Options
@@ -88,7 +92,8 @@ def centre_errors(centres: FloatArray, truth: FloatArray) -> FloatArray:
 def bench_markers(options: Options, output: Output) -> None:
     """Detect markers in rendered pairs by both detectors and by OpenCV, and find the bodies.
 
-    Figures 5-5 to 5-10 show the steps of the thesis' detector on the first head-on image.
+    Figures 5-5 to 5-10 show the steps of the thesis' detector on the first head-on image. The same
+    bodies with tags follow in `bench_fiducials`.
 
     Args:
         options: ``quick`` takes fewer views.
@@ -107,6 +112,7 @@ def bench_markers(options: Options, output: Output) -> None:
     _centres(views, scene, output)
     _times(views, scene, output)
     _poses(views, scene, seed, output)
+    bench_fiducials(options, output)
 
 
 def _draw(views: list[MarkerView], scene: MarkerScene, output: Output) -> None:
