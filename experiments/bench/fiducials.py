@@ -130,11 +130,13 @@ def _swept(
     distance: float, slant: float, axis: float, roll: float, u: float, v: float, blur: float
 ) -> SweptPose:
     """Return a pose; arguments as in `LOWEST`."""
-    # The markers are within a ball; both images show it if it is as far from their edges.
-    reach = CLEARANCE / math.sqrt(distance**2 - CLEARANCE**2)
-    shift = HEAD.baseline / (2.0 * distance)
-    across = u * max(HEAD.width / (2.0 * HEAD.fx) - reach - shift, 0.0)
-    down = v * max(HEAD.height / (2.0 * HEAD.fy) - reach, 0.0)
+    # The markers are within a ball; both images show it if its outline is within their edges.
+    wide, high = HEAD.width / (2.0 * HEAD.fx), HEAD.height / (2.0 * HEAD.fy)
+    nearest = distance / math.hypot(1.0, wide, high)  # its depth in a corner of the image
+    reach = math.asin(CLEARANCE / nearest)
+    shift = HEAD.baseline / (2.0 * nearest)
+    across = u * max(math.tan(math.atan(wide) - reach) - shift, 0.0)
+    down = v * max(math.tan(math.atan(high) - reach), 0.0)
     sight = np.array([across, down, 1.0]) / math.hypot(across, down, 1.0)
     aim = Rotation.align_vectors([sight], [[0.0, 0.0, 1.0]])[0]
     tilt = math.radians(slant) * np.array(
@@ -162,20 +164,23 @@ def _middle() -> FloatArray:
 
 
 class FiducialScene:
-    """Card and slot with each method's markers, and what each method makes of their images."""
+    """Card and slot with each method's markers, and what each method makes of their images.
+
+    Args:
+        seed: Seed of the ground.
+
+    Attributes:
+        corners: Corners (4, 3) [m] in the body's frame by the tags' numbers, for each family those
+            of the card's and of the slot's tags.
+    """
 
     def __init__(self, seed: int) -> None:
-        """Compile the scene.
-
-        Args:
-            seed: Seed of the ground.
-        """
         cads = marker_cads(CARD_AND_SLOT.slot_widths[1])
         self._scene = MarkerScene(
             np.random.default_rng(seed), None, functools.partial(paint_tags, cads=cads)
         )
         self._cads = cads
-        self._corners = {
+        self.corners = {
             name: [
                 {
                     number: family.corners(centre)
@@ -186,11 +191,15 @@ class FiducialScene:
             for name, family in FAMILIES.items()
         }
 
-    def exact_pairs(self, pose: SweptPose) -> dict[str, FloatArray]:
-        """Return (2, H, W) grey levels without noise for each method."""
+    def place(self, pose: SweptPose) -> None:
+        """Place the bodies before the cameras."""
         slot = RigidTransform.from_translation([0.0, 0.0, TABLE_HEIGHT])
         card = slot * RigidTransform.from_translation(GAP)
         self._scene.place(slot, card, slot * pose.slot.inv())
+
+    def exact_pairs(self, pose: SweptPose) -> dict[str, FloatArray]:
+        """Place the bodies, and return (2, H, W) grey levels without noise for each method."""
+        self.place(pose)
         pairs = {}
         for method, paint in zip(METHODS, (DISCS, *FAMILIES), strict=True):
             self._scene.wear(paint)
@@ -240,7 +249,7 @@ class FiducialScene:
         """
         family = FAMILIES[name]
         seen = [find_tags(image, family) for image in pair]
-        known = self._corners[name]
+        known = self.corners[name]
         return (
             [fit_tags(seen, corners, HEAD, family.sigma) for corners in known],
             [single_image_pose(seen[0], corners, HEAD) for corners in known],
@@ -386,7 +395,7 @@ def draw_errors(scores: list[Score]) -> Figure:
                 middles, medians = [], []
                 for low, high in zip(edges[:-1], edges[1:]):
                     within = values[(distances >= low) & (distances < high)]
-                    if 2 * np.isfinite(within).sum() >= max(len(within), 1):
+                    if 2 * np.isfinite(within).sum() >= len(within) > 0:
                         middles.append((low + high) / 2.0)
                         medians.append(np.nanmedian(within))
                 axes.plot(middles, medians, "-", color=colour, linewidth=1.8, label=label)

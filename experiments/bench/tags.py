@@ -24,7 +24,7 @@ from perception.markers.poses import BodyCad
 from perception.registration.checks import RegistrationError
 from perception.registration.closed_form import kabsch_pose
 from perception.registration.likelihood import solve
-from perception.registration.reprojection import KnownPoints, Sighting
+from perception.registration.reprojection import KnownPoints, Pose, Sighting
 from perception.stereo.geometry import StereoGeometry
 
 SQUARE = 3.0 * CARD_AND_SLOT.marker_diameter
@@ -231,11 +231,19 @@ def fit_tags(
     # From midway between the cameras, columns and disparities are independent of each other.
     middle = np.column_stack([(one + two) / 2.0, one[:, 0] - two[:, 0]])
     sight = Sighting(middle, np.tile(sigma * np.sqrt([0.5, 0.5, 2.0]), (len(middle), 1)), geometry)
-    start = kabsch_pose(points, sight.points(), np.ones(len(points)))
-    try:
-        fit = solve(start, KnownPoints(points, np.zeros((len(points), 3, 3))), sight)
-    except (RegistrationError, np.linalg.LinAlgError):
+    exact = KnownPoints(points, np.zeros((len(points), 3, 3)))
+    # A square may be laid on its image in two ways: the likelihood of all corners decides.
+    laid = square_poses(middle[:4, :2], points[:4], geometry)
+    starts = [kabsch_pose(points, sight.points(), np.ones(len(points)))]
+    fits = []
+    for start in starts + [Pose.of(pose.inv()) for pose in laid]:
+        try:
+            fits.append(solve(start, exact, sight))
+        except (RegistrationError, np.linalg.LinAlgError):
+            continue
+    if not fits:
         return None
+    fit = min(fits, key=lambda solution: solution.cost)
     # Rows of the two images agree: what they differ by is a residual as well.
     cost = fit.cost + float(np.sum((one[:, 1] - two[:, 1]) ** 2)) / (2.0 * sigma**2)
     scale = (FREEDOM + cost) / (FREEDOM + 4 * len(points) - 6)
@@ -243,6 +251,33 @@ def fit_tags(
     beside = RigidTransform.from_translation([geometry.baseline / 2.0, 0.0, 0.0])
     spread = transport_covariance(beside, inverse_covariance(camera, scale * fit.covariance))
     return BodyPose(beside * camera.inv(), spread)
+
+
+def square_poses(
+    seen: FloatArray, corners: FloatArray, geometry: StereoGeometry
+) -> list[RigidTransform]:
+    """Return the two poses in which a tag would look as it does in one image, the likelier first.
+
+    Args:
+        seen: (4, 2) corners of the tag [px].
+        corners: (4, 3) corners of the tag [m], body frame, parallel to its x and y axes.
+        geometry: Geometry of the camera.
+    """
+    centre = corners.mean(axis=0)
+    count, turns, shifts, _ = cv2.solvePnPGeneric(
+        np.ascontiguousarray(corners - centre),
+        np.ascontiguousarray(seen),
+        geometry.matrix,
+        None,
+        flags=cv2.SOLVEPNP_IPPE_SQUARE,
+    )
+    poses = []
+    for number in range(count):
+        laid = np.concatenate([turns[number].ravel(), shifts[number].ravel()]).astype(float)
+        if np.isfinite(laid).all():
+            pose = RigidTransform.from_components(laid[3:], Rotation.from_rotvec(laid[:3]))
+            poses.append(pose * RigidTransform.from_translation(-centre))
+    return poses
 
 
 def single_image_pose(
@@ -257,15 +292,6 @@ def single_image_pose(
     """
     for number in known:
         if number in seen:
-            centre = known[number].mean(axis=0)
-            square = np.ascontiguousarray(known[number] - centre)
-            found, turn, shift = cv2.solvePnP(
-                square, seen[number], geometry.matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
-            )
-            if found:
-                pose = RigidTransform.from_components(
-                    np.asarray(shift, dtype=float).ravel(),
-                    Rotation.from_rotvec(np.asarray(turn, dtype=float).ravel()),
-                )
-                return pose * RigidTransform.from_translation(-centre)
+            poses = square_poses(seen[number], known[number], geometry)
+            return poses[0] if poses else None
     return None
