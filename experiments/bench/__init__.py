@@ -6,6 +6,8 @@
 - `mapping`: voxel maps beside OctoMap.
 - `placement`: placing a camera again within a vision period.
 - `markers`: marker detectors beside OpenCV's circles (figures 5-5 to 5-10).
+- `fiducials`: the markers beside ArUco and AprilTag; `tags` draws, finds and fits these,
+  `image_conditions` spoils the images.
 - `braid`: exact inverse kinematics beside brute force.
 - `compression`: the nine predictors beside NumPy.
 - `scaling`: how the cost grows with the size of a problem.

@@ -285,7 +285,8 @@ def bench_fiducials(options: Options, output: Output) -> None:
     Args:
         options: ``quick`` takes fewer poses.
         output: Receives ``marker_pose_error_mm/*``, ``marker_pose_error_deg/*``,
-            ``marker_detected_fraction/*``, ``marker_nees/*`` and ``marker_time_ratio/*``.
+            ``marker_detected_fraction/*``, ``marker_nees/*``, ``marker_time_ratio/*`` and, for
+            bodies that both found, ``marker_error_ratio_mm/*`` and ``marker_error_ratio_deg/*``.
     """
     seed = options.job_seeds(1, 1)[0]
     scene = FiducialScene(seed)
@@ -369,6 +370,16 @@ def _measure(scores: list[Score], output: Output) -> None:
             if np.isfinite(values).all():
                 metric = "marker_nees" if name == "nees" else f"marker_pose_{name}"
                 output.measure(f"{metric}/{key}", distribution(values))
+        for name in ("error_mm", "error_deg"):
+            # Farther bodies are harder, and not all find them: compare what both found.
+            ratios = [
+                getattr(theirs, name) / getattr(ours, name)
+                for theirs, ours in zip(cell, rows[OURS, condition], strict=True)
+                if math.isfinite(theirs.error_mm) and math.isfinite(ours.error_mm)
+            ]
+            if method in FAMILIES and ratios:
+                metric = f"marker_{name.replace('error', 'error_ratio')}"
+                output.measure(f"{metric}/{method}_over_ours/{condition}", distribution(ratios))
 
 
 def draw_errors(scores: list[Score]) -> Figure:
@@ -385,6 +396,8 @@ def draw_errors(scores: list[Score]) -> Figure:
     for column, condition in enumerate(names):
         for method, colour in colours.items():
             cell = [s for s in scores if (s.method, s.condition) == (method, condition)]
+            if not cell:
+                continue
             distances = np.array([score.distance for score in cell])
             found = np.mean([math.isfinite(score.error_mm) for score in cell])
             label = f"{method.replace('_', ' ')}: {found:.0%} found"
