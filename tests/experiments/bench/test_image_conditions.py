@@ -71,7 +71,7 @@ def test_exposure_saturates_and_goes_through_the_cameras_gamma(condition):
     got = take(levels, quiet, 0.0, np.random.default_rng(0))
     light = np.minimum(condition.gain * levels, 255.0) / 255.0
     assert got == pytest.approx(255.0 * light**CAMERA.gamma, abs=0.5)
-    # A quarter of white, two stops over, is white.
+    # 0.31 of white, two stops over, is white.
     assert (got == 255).sum() == (3 if condition is OVEREXPOSED else 0)
 
 
@@ -79,7 +79,7 @@ def test_linearised_images_are_proportional_to_radiance():
     quiet = dataclasses.replace(LINEARISED, noise_db=math.inf)
     levels = np.array([[[0.0, 20.0, 60.0, 100.0, 200.0, 250.0]]])
     got = take(levels, quiet, 0.0, np.random.default_rng(0))
-    assert got == pytest.approx(levels * 255.0 / 250.0, abs=2.0)
+    assert got == pytest.approx(levels * 255.0 / 250.0, abs=4.5)  # of 4 a level
 
 
 @pytest.mark.parametrize("condition", [CLEAN, NOISE])
