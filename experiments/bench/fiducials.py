@@ -56,7 +56,7 @@ from perception.markers.blobs import detect_blobs
 from perception.markers.bodies import match_bodies, triangulate
 from perception.markers.poses import BodyPrior
 
-POSES, QUICK_POSES = 32, 1
+POSES, QUICK_POSES = 64, 1
 """Number of poses; powers of two, as a Sobol sequence is balanced."""
 QUICK_CONDITIONS = (CLEAN, BLUR, NOISE)
 LOWEST = {"range": 0.35, "slant": 0.0, "axis": 0.0, "roll": -30.0, "u": -1.0, "v": -1.0, "blur": 0}
