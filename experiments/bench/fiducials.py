@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import qmc
 
-from experiments.bench.image_conditions import BLUR, CLEAN, CONDITIONS, NOISE, Condition, take
+from experiments.bench.image_conditions import BLUR, CLEAN, CONDITIONS, Condition, take
 from experiments.bench.tags import (
     FAMILIES,
     BodyPose,
@@ -58,7 +58,7 @@ from perception.markers.poses import BodyPrior
 
 POSES, QUICK_POSES = 64, 1
 """Number of poses; powers of two, as a Sobol sequence is balanced."""
-QUICK_CONDITIONS = (CLEAN, BLUR, NOISE)
+QUICK_CONDITIONS = (CLEAN, BLUR)
 LOWEST = {"range": 0.35, "slant": 0.0, "axis": 0.0, "roll": -30.0, "u": -1.0, "v": -1.0, "blur": 0}
 HIGHEST = {"range": 1.1, "slant": 60.0, "axis": 360.0, "roll": 30.0, "u": 1.0, "v": 1.0,
            "blur": 180.0}  # fmt: skip
