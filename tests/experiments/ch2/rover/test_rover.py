@@ -114,12 +114,11 @@ def test_information_excitation_beats_the_constant_one_and_both_tell_their_uncer
     for excitation in ("constant", "information"):
         result = run_rover_trial(RoverTrial("sim", excitation, seed))
         sigma = sigmas[excitation] = np.sqrt(np.diag(result.estimate.covariance))
-        # A tenth is left by what the model leaves out: the wheels' own motion under the base.
-        error = np.abs(result.estimate.parameters - truth)
-        assert np.all(error < 4.0 * sigma + 0.1 * truth)
-        assert 0.5 < result.estimate.chi_square < 4.0
-    # Four to nine times in five seeds, but for the stiffness, which any motion shows.
-    assert np.all(sigmas["information"][:4] < 0.5 * sigmas["constant"][:4])
+        assert np.all(np.abs(result.estimate.parameters - truth) < 4.0 * sigma)
+        # Readings are foreseen to their own noise; where the arm hardly moves, better than feared.
+        assert 0.3 < result.estimate.chi_square < 1.5
+    # But for the stiffness, which any motion shows, and for what the model misses under both.
+    assert np.all(sigmas["information"][:4] < 0.7 * sigmas["constant"][:4])
     assert np.all(sigmas["information"] < 0.5 * np.abs(truth))
     assert result.tilt_nrmse < 10.0
 
