@@ -10,7 +10,8 @@ The compliant base under its moving arm, chapter 2:
 - `information`: bits known of each parameter, and identifiability (section 2.6.1).
 - `excitation`: choice of the next excitation by a criterion (eq. 2-13).
 - `identifier`: excitation and estimation in turns, on the simplified plant.
-- `pitch`, `rover_identifier`: the same on the rover, in its pitch alone.
+- `pitch_model`: a rover's pitch under its arm, and what its inclinometer shows (section 2.6.2).
+- `pitch`, `rover_identifier`: fit, excitation and doubts on the rover, in its pitch alone.
 
 The arm on known ground, section 6.2:
 

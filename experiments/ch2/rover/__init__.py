@@ -3,5 +3,6 @@
 - `rover`: the experiment: options, metrics, Table 2-2, figures 2-9 to 2-12 and a recording.
 - `laboratory`: the true values, measured on the model as in a laboratory.
 - `trial`: one identification through the robot contract.
+- `confidence`: errors beside the laboratory, coverage, and false confidence.
 - `movie`: a moving picture.
 """

@@ -49,9 +49,10 @@ def _end_first_stage(folder: Path) -> None:
             connection.robots,
             [team],
             connection.clock,
-            duration=20.0,
+            duration=45.0,
             until=lambda: any(team.ended),
         )
         assert [name for name, _ in team.ended] == ["identify"]
         for part in (team.master, team.slave):
-            assert part.belief.pitch is not None
+            assert part.belief.identification is not None
+            assert (part.belief.pitch is None) == bool(part.belief.doubts)
