@@ -39,7 +39,7 @@ def test_scene_has_the_simulation_options_of_the_project():
     assert option.timestep == 0.001
     assert option.solver == mujoco.mjtSolver.mjSOL_NEWTON
     assert option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
-    assert option.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert option.integrator == mujoco.mjtIntegrator.mjINT_EULER
     assert option.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE
     assert option.impratio == 10.0
 
