@@ -8,6 +8,7 @@ import pytest
 from models.as_made import AsMade
 from models.compose import FLAT, RobotPlacement, make_model, settle
 from models.datasheets import EXACT, SENSOR_ERRORS, TOLERANCES, SensorErrorSheet
+from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.describe import describe_placement
 from twin.hardware.calibration.calibration import calibration_path, read_calibration
@@ -207,3 +208,15 @@ def test_emulated_inclinometer_is_shaken_as_the_simulated_one_is():
     assert np.all(np.abs(apart) < 0.51 * count)
     shaken = np.array(read) - np.array(true_tilt)
     assert np.std(shaken) > np.std(true_tilt)  # 2.6 times as much
+
+
+@pytest.mark.parametrize("target", ["sim", "quantised"])
+def test_cameras_are_as_late_as_the_set_says(target):
+    for name, realism in REALISMS.items():
+        with connect(
+            target, robots=PLACES[:1], field=PLAIN, stereo=StereoConfig(2.0), realism=name
+        ) as link:
+            seen = link.robots[NAMES[0]].observe()
+            # The first pair was exposed before the start.
+            assert seen.time - seen.stereo.stamp == pytest.approx(realism.cameras.latency)
+    assert REALISMS["ideal"].cameras.latency == 0.0 < REALISMS["default"].cameras.latency
