@@ -14,6 +14,7 @@ import pytest
 import experiments
 from controllers.mission.site import SiteDrawing
 from controllers.mission.team import MissionTeam
+from experiments.__main__ import main
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from experiments.mission import mission
@@ -246,3 +247,17 @@ def _check_any_course(result: MissionResult) -> None:
         assert len(misses) <= 4
         assert len(misses) == 4 or np.all(misses[-1] < near + seen_within)
         assert (misses[:-1] > near - seen_within).any(axis=1).all()
+
+
+@pytest.mark.slow
+def test_robots_as_made_identify_themselves_alone(tmp_path: Path) -> None:
+    options = ["--seeds", "1", "--only", "identify", "--realism", "default", "--seed", "5"]
+    assert main(["mission", *options, "--out", str(tmp_path)]) == 0
+    measured = json.loads((tmp_path / "mission" / "metrics.json").read_text())["measured"]
+    for robot in (MASTER, SLAVE):
+        assert measured[f"identification_error_percent/{robot}"]["n"] == 1
+    assert measured["identification_chi_square"]["n"] == measured["identified_fraction"]["n"] == 2
+    # Two robots that are not alike, each beside its own laboratory.
+    table = (tmp_path / "mission" / "tables" / "identification.csv").read_text().splitlines()
+    assert len(table) == 3 and table[1].split(",")[1:] != table[2].split(",")[1:]
+    assert "success_fraction" not in measured
