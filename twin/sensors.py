@@ -61,9 +61,9 @@ class ChannelSpec:
         stale_after: Age from which a sample is stale [s]; None for three sampling periods
             (at least 0.1 s) and the delay.
         connected: False for a sensor that the robot lacks.
-        force_range: Of an inclinometer that refers to the specific force at its place, as masses on
-            springs do: the apparent tilt at which they stop, before the low pass [rad]. None for
-            one that shows the orientation itself.
+        force_range: Apparent tilt at which the masses of an inclinometer stop, before the low pass
+            [rad]: it refers to the specific force at its place. None for one that shows the
+            orientation itself.
     """
 
     noise: PerComponent = 0.0

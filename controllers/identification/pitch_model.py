@@ -45,8 +45,7 @@ class PitchSensors:
         tilt_sigma: Standard deviation of the inclinometer's noise [rad].
         tilt_period: Time between its samples [s].
         tilt_range: Apparent tilt beyond which its masses stop [rad].
-        tilt_height: Its height over the arm's force/torque sensor [m]; None for one that reads the
-            tilt itself.
+        tilt_height: Height of the inclinometer over the arm's force/torque sensor [m].
     """
 
     period: float = 0.01
@@ -58,7 +57,7 @@ class PitchSensors:
     tilt_sigma: float = np.deg2rad(0.05)
     tilt_period: float = 0.04
     tilt_range: float = np.deg2rad(20.0)
-    tilt_height: float | None = -0.036
+    tilt_height: float = -0.036
 
 
 class Nuisance(NamedTuple):
@@ -117,8 +116,8 @@ class PitchModel:
         """
         inertia, ry, rz, damping, stiffness = parameters
         turn = np.array([-stiffness, -damping, 0.0, 1.0]) / inertia
-        height = 0.0 if sensors.tilt_height is None else rz + sensors.tilt_height
-        apparent = np.eye(4)[_TILT] - (height + nuisance.mounting) / GRAVITY * turn
+        height = rz + sensors.tilt_height + nuisance.mounting
+        apparent = np.eye(4)[_TILT] - height / GRAVITY * turn
         pole = 2 * np.pi * sensors.tilt_bandwidth
         dynamics = np.zeros((4, 4))
         dynamics[_TILT, _RATE], dynamics[_RATE] = 1.0, turn

@@ -43,9 +43,8 @@ def seen(model: mujoco.MjModel) -> np.ndarray:
     return renderer().render(model, data, "eye", 170, 120)
 
 
-@pytest.mark.parametrize("camera", [INTRINSIC, 'fovy="50"'])
-def test_image_without_unseen_geoms_is_the_whole_scenes_bit_for_bit(monkeypatch, camera):
-    model = crowd(camera)
+def seen_alike(model: mujoco.MjModel, monkeypatch: pytest.MonkeyPatch) -> tuple[np.ndarray, int]:
+    """Return the image, the same with and without culling, and how many geoms culling keeps."""
     kept = []
 
     def watched(scene, *rest):
@@ -57,8 +56,16 @@ def test_image_without_unseen_geoms_is_the_whole_scenes_bit_for_bit(monkeypatch,
     image = seen(model)
     monkeypatch.setattr(twin.camera, "cull", lambda *_: None)
     np.testing.assert_array_equal(image, seen(model))
+    return image, kept[0]
+
+
+@pytest.mark.chosen_seed  # Others show other shares of the crowd.
+@pytest.mark.parametrize("camera", [INTRINSIC, 'fovy="50"'])
+def test_image_without_unseen_geoms_is_the_whole_scenes_bit_for_bit(monkeypatch, camera):
+    model = crowd(camera)
+    _, kept = seen_alike(model, monkeypatch)
     # A third of the bodies are in view.
-    assert 20 < kept[0] < 0.75 * model.ngeom
+    assert 20 < kept < 0.6 * model.ngeom
 
 
 def test_small_things_at_the_edges_of_a_near_view_stay(monkeypatch):
@@ -97,18 +104,9 @@ def test_image_with_shadows_of_what_is_out_of_view_is_the_whole_scenes_bit_for_b
     spec.lights[0].type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     spec.lights[0].pos, spec.lights[0].dir = [-4.0 * x, -4.0 * y, -4.0 * z], [x, y, z]
     spec.visual.map.shadowclip = 2.0
-    model, kept = spec.compile(), []
-
-    def watched(scene, *rest):
-        cull(scene, *rest)
-        nothing = int(mujoco.mjtGeom.mjGEOM_NONE)
-        kept.append(sum(geom.type != nothing for geom in scene.geoms[: scene.ngeom]))
-
-    monkeypatch.setattr(twin.camera, "cull", watched)
-    image = seen(model)
-    monkeypatch.setattr(twin.camera, "cull", lambda *_: None)
-    np.testing.assert_array_equal(image, seen(model))
-    assert kept[0] < model.ngeom
+    model = spec.compile()
+    image, kept = seen_alike(model, monkeypatch)
+    assert kept < model.ngeom
     # Without what throws shadows from out of the view, there would be fewer of them.
     monkeypatch.setattr(twin.camera, "cull", lambda *rest: cull(*rest[:4], rest[4][:0]))
     assert np.any(image != seen(model))

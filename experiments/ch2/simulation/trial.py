@@ -69,7 +69,7 @@ class PlantIdentification:
         told: (22,) whether the data at least halved the prior's deviation.
         chi_square: Mean squared residual over the noise's variance.
         converged: Whether our final fit says that it converged.
-        missed: By how much the best of the trial's other starts has less of the sum of squares.
+        missed: Sum of squares of our final fit less that of the best of the trial's other starts.
         bits: (n, 22) mutual information on each parameter at every replanning [bit].
         arm_angles: (3, m) arm angle in each mode [rad].
         plan_seconds: Time that each plan took [s].

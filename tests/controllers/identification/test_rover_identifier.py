@@ -1,5 +1,6 @@
 """Which excitation the identifier swings in each window, and what it compares with rest."""
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import pytest
 
 from controllers.identification.arm_motion import CONSTANT, Excitation
 from controllers.identification.rover_identifier import (
+    ROVER_ARM_LIMITS,
     RoverIdentifier,
     RoverIdentifierConfig,
     SwingingArm,
@@ -102,3 +104,17 @@ def test_no_step_waits_for_a_compiler(tmp_path: Path) -> None:
     )
     built, after, estimates = map(int, ran.stdout.split())
     assert built == after > 0 and estimates == 3
+
+
+def test_repeated_identification_forgets_all_and_keeps_to_its_new_limits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    identifier = swing("random", monkeypatch)
+    assert identifier.log.times and not identifier.done
+    gentle = dataclasses.replace(ROVER_ARM_LIMITS, acceleration=2.0)
+    identifier.repeat(gentle)
+    assert identifier.config.limits == gentle and not identifier.log.times
+    monkeypatch.setattr(identifier, "_data", lambda: None)
+    monkeypatch.setattr(identifier.fit, "fit", lambda data, iterations=30: None)
+    swing_through(identifier)
+    assert len(identifier.log.times) == 120 and len(identifier.log.excitations) == 3
