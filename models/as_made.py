@@ -6,17 +6,53 @@ with encoder, friction and rotor, is followed by ``x_play`` about the same axis 
 """
 
 import dataclasses
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Sequence
 
 import mujoco
 import numpy as np
 
 from models.datasheets import TOLERANCES, Tolerances
+from perception.geometry.checks import check_numbers
 
 PLAY_DAMPING = 0.01
 """Damping of a gear's play [N m s/rad]. Assumption: grease; it settles a joint without load."""
 _PLAY_STOP = (0.002, 1.0)  # solref of the teeth: the hardest at a physics step of 1 ms
 _ROVER, _ARM, _HEAD, _TYRES = range(4)  # Streams of random numbers, one for each part.
+_BOX = (0.05, 0.05, 0.025)  # Half sizes of a payload [m].
+
+
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """What happened to a robot since it was made.
+
+    Attributes:
+        payload: Mass of a box on the rear deck [kg].
+        payload_place: Centre of the box in the rover's frame, rightward and forward [m].
+        springs: Stiffness of the wheels' springs over that when it was made.
+        worn_wheel: Name of a wheel with another tyre friction, such as ``rear_left``; empty for
+            none.
+        grip: That wheel's friction over that when it was made.
+    """
+
+    payload: float = 0.0
+    payload_place: tuple[float, float] = (0.0, -0.11)
+    springs: float = 1.0
+    worn_wheel: str = ""
+    grip: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot happen.
+
+        Raises:
+            ValueError: Naming the field.
+        """
+        check_numbers("change", self, "springs", "grip")
+        if not 0.0 <= self.payload < math.inf:
+            raise ValueError(f"change payload = {self.payload}: expected 0 or a positive number")
+
+
+UNCHANGED = Change()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,10 +62,12 @@ class AsMade:
     Attributes:
         seed: Random seed of all that the drawing leaves open, not negative.
         tolerances: How far it may lie from the drawing.
+        change: What happened to it since.
     """
 
     seed: int
     tolerances: Tolerances = TOLERANCES
+    change: Change = UNCHANGED
 
     def __post_init__(self) -> None:
         """Refuse a seed that NumPy refuses.
@@ -75,6 +113,35 @@ def alter_rover(rover: mujoco.MjSpec, made: AsMade) -> None:
         friction = made.generator(_TYRES).uniform(*tolerances.tyre_friction)
         for wheel in wheels:
             _tyre(rover, wheel).friction[0] = friction
+    _change(rover, made.change, wheels)
+
+
+def _change(rover: mujoco.MjSpec, change: Change, wheels: Sequence[mujoco.MjsBody]) -> None:
+    """Change a rover that was made.
+
+    Raises:
+        ValueError: If it has no such wheel.
+    """
+    for wheel in wheels:
+        wheel.joints[0].stiffness[0] *= change.springs
+    if change.worn_wheel:
+        names = [wheel.name.removesuffix("_wheel") for wheel in wheels]
+        if change.worn_wheel not in names:
+            raise ValueError(f"no wheel {change.worn_wheel!r}; available: {', '.join(names)}")
+        tyre = _tyre(rover, wheels[names.index(change.worn_wheel)])
+        tyre.friction[0] *= change.grip
+    if change.payload > 0.0:
+        deck = rover.geom("rear_deck")
+        top = deck.pos[2] + deck.size[2] + _BOX[2]
+        box = rover.body("rear_chassis").add_body(name="payload", pos=[*change.payload_place, top])
+        box.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=_BOX,
+            mass=change.payload,
+            contype=0,
+            conaffinity=0,
+            group=deck.group,
+        )
 
 
 def alter_arm(arm: mujoco.MjSpec, made: AsMade) -> None:

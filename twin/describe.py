@@ -218,7 +218,8 @@ def _wheel(
         spring = float(model.jnt_stiffness[sliding[0]])
         damper = float(model.dof_damping[model.jnt_dofadr[sliding[0]]])
     mass = float(model.body_mass[body])
-    return WheelDescription(name, np.asarray(centre), float(radius), mass, spring, damper)
+    friction = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
+    return WheelDescription(name, np.asarray(centre), float(radius), mass, spring, damper, friction)
 
 
 def _arm(

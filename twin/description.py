@@ -120,6 +120,7 @@ class WheelDescription:
         mass: Mass of the parts that move with the wheel [kg].
         spring: Stiffness of its spring [N/m]; infinite for a wheel that is fixed to the body.
         damper: Damping of its spring [N s/m].
+        friction: Dry friction of its gear [N m].
     """
 
     name: str
@@ -128,6 +129,7 @@ class WheelDescription:
     mass: float
     spring: float
     damper: float
+    friction: float
 
 
 @dataclasses.dataclass(frozen=True)

@@ -95,7 +95,7 @@ class PitchMisfit:
 
     moment: float = 0.03
     moment_share: float = 0.015
-    parameters: tuple[float, float, float, float, float] = (0.07, 0.012, 0.002, 0.09, 0.05)
+    parameters: tuple[float, float, float, float, float] = (0.075, 0.013, 0.002, 0.15, 0.06)
 
 
 ROVER_MISFIT = PitchMisfit()
@@ -106,6 +106,13 @@ def physical(coordinates: FloatArray) -> FloatArray:
     parameters = coordinates[: len(NAMES)].copy()
     parameters[_LOGARITHMIC] = np.exp(parameters[_LOGARITHMIC])
     return parameters
+
+
+def search_coordinates(parameters: FloatArray) -> FloatArray:
+    """Return (5,) search coordinates of the physical parameters: positive ones as logarithms."""
+    coordinates = parameters.copy()
+    coordinates[_LOGARITHMIC] = np.log(coordinates[_LOGARITHMIC])
+    return coordinates
 
 
 def _scale(parameters: FloatArray) -> FloatArray:

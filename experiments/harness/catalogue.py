@@ -61,6 +61,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.ch2.friction",
     ),
     Experiment(
+        name="ch2-diagnosis",
+        summary="a load, soft springs or a worn tyre is named after one identification",
+        thesis="chapter 2, beyond it",
+        module="experiments.ch2.diagnosis",
+    ),
+    Experiment(
         name="ch3-planar",
         summary="planar worlds are mapped, each next view chosen by any of seven methods",
         thesis="figures 3-6, 3-8, 3-12 to 3-21",
