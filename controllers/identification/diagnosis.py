@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from controllers.identification.pitch import PitchEstimate, search_coordinates
+from controllers.identification.pitch import search_coordinates
 from controllers.identification.wheel_grip import WheelGrips
 from controllers.motion.base_tilt import drawn_springs
 from perception.geometry.arrays import FloatArray
@@ -76,18 +76,18 @@ ROVER_UNCHANGED = Unchanged(
 
 
 def base_changes(
-    estimate: PitchEstimate, robot: RobotDescription, unchanged: Unchanged = ROVER_UNCHANGED
+    parameters: FloatArray, robot: RobotDescription, unchanged: Unchanged = ROVER_UNCHANGED
 ) -> tuple[Change, ...]:
     """Return how far each change of the base and its springs is from chance.
 
     Args:
-        estimate: Identification of the robot, which can be believed.
+        parameters: (5,) of an identification that can be believed, in the order of `pitch.NAMES`.
         robot: The robot as drawn.
         unchanged: Identifications of unchanged robots.
     """
     pitch, _ = drawn_springs(robot)
     drawn = np.array([pitch.inertia, *pitch.lever, pitch.damping, pitch.stiffness])
-    off = search_coordinates(estimate.parameters) - search_coordinates(drawn) - unchanged.mean
+    off = search_coordinates(parameters) - search_coordinates(drawn) - unchanged.mean
     precision = np.linalg.inv(unchanged.covariance)
 
     def shift(along: FloatArray) -> tuple[float, float]:

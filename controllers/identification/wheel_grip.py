@@ -76,10 +76,9 @@ class WheelGripProbe:
         ValueError: If it has no arm or not four wheels.
     """
 
-    def __init__(
-        self, robot: RobotDescription, config: WheelGripConfig = WheelGripConfig()
-    ) -> None:  # noqa: B008
-        self._base, self._robot, self.config = KnownBase.of_robot(robot), robot, config
+    def __init__(self, robot: RobotDescription, config: WheelGripConfig | None = None) -> None:
+        self._base, self._robot = KnownBase.of_robot(robot), robot
+        self.config = config or WheelGripConfig()
         self.reset()
 
     def reset(self) -> None:

@@ -176,7 +176,7 @@ def diagnose(trial: DiagnosisTrial) -> Diagnosis:
             connection.robots, [probe], connection.clock, [], _LONGEST, until=lambda: probe.done
         )
     grips, doubts = probe.estimate(), estimate.doubts(config.prior)
-    base = () if doubts else base_changes(estimate, drawn)
+    base = () if doubts else base_changes(estimate.parameters, drawn)
     changes = (*base, *tyre_changes(grips, drawn))
     return Diagnosis(trial, placement.made.change.worn_wheel, estimate, doubts, grips, changes)
 

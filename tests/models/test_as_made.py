@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.as_made import AsMade, alter_arm
+from models.as_made import AsMade, Change, alter_arm
 from models.compose import ARM_JOINTS, LABORATORY, WHEELS, RobotPlacement, load_part, make_model
 from models.datasheets import ARM_MOTOR, EXACT, HARSH_TOLERANCES, ROVER, TOLERANCES
 from tests.models.scenes import PLAIN, Scene, make_scene, settle, warnings
@@ -252,3 +252,48 @@ def test_impossible_ways_of_making_are_refused():
         AsMade(-1)
     with pytest.raises(ValueError, match="nothing but name, position and yaw"):
         RobotPlacement(model="mine.xml", made=AsMade(0))
+
+
+def test_payload_is_a_box_on_the_rear_deck():
+    made = AsMade(3, change=Change(payload=1.0, payload_place=(0.02, -0.1)))
+    before, after = rover(dataclasses.replace(made, change=Change())), rover(made)
+    assert after.body_mass.sum() - before.body_mass.sum() == pytest.approx(1.0)
+    box = after.body("rover1/payload")
+    assert after.body(box.parentid[0]).name == "rover1/rear_chassis"
+    deck, half = after.geom("rover1/rear_deck"), after.geom_size[box.geomadr[0]]
+    assert box.pos[2] - half[2] == pytest.approx(deck.pos[2] + deck.size[2])
+    np.testing.assert_array_equal(box.pos[:2], (0.02, -0.1))
+    sides = 2.0 * half
+    about_x = (sides[1] ** 2 + sides[2] ** 2) / 12.0  # of a homogeneous box, per kg
+    assert np.isclose(box.inertia, about_x).any()
+
+
+def test_change_of_springs_and_of_a_tyre_leaves_all_else():
+    made = AsMade(4, change=Change(springs=0.5, worn_wheel="rear_left", grip=0.5))
+    before, after = rover(dataclasses.replace(made, change=Change())), rover(made)
+    springs = [joint.id for joint in suspensions(before)]
+    tyre = before.geom("rover1/rear_left_tyre").id
+    assert after.geom_friction[tyre, 0] == pytest.approx(0.5 * before.geom_friction[tyre, 0])
+    np.testing.assert_allclose(after.jnt_stiffness[springs], 0.5 * before.jnt_stiffness[springs])
+    after.geom_friction[tyre, 0] = before.geom_friction[tyre, 0]
+    after.jnt_stiffness[springs] = before.jnt_stiffness[springs]
+    for name in ("body_mass", "body_ipos", "geom_size", "dof_damping", "geom_friction"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name), name)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"springs": 0.0}, "change springs = 0.0"),
+        ({"payload": -1.0}, "change payload = -1.0"),
+        ({"payload": float("nan")}, "change payload = nan"),
+    ],
+)
+def test_change_that_cannot_be_is_refused(fields, words):
+    with pytest.raises(ValueError, match=words):
+        Change(**fields)
+
+
+def test_wheel_that_no_rover_has_is_refused():
+    with pytest.raises(ValueError, match="no wheel 'left'; available: front_left"):
+        rover(AsMade(1, change=Change(worn_wheel="left", grip=0.5)))
