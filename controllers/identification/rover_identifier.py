@@ -28,7 +28,7 @@ from controllers.identification.pitch_model import PitchSensors, predict_tilt, s
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_choice
 from perception.geometry.gravity import GRAVITY
-from twin.description import ArmDescription
+from twin.description import RobotDescription
 from twin.robot import ArmMode, Command, Observation, RobotError
 
 EXCITATIONS = ("constant", "random", *CRITERIA)
@@ -57,8 +57,18 @@ class SwingingArm:
     shoulder: tuple[float, float]
 
     @classmethod
-    def of(cls, arm: ArmDescription) -> "SwingingArm":
-        """Return the part of an arm as drawn, stretched at angle zero, beyond its second joint."""
+    def of(cls, robot: RobotDescription) -> "SwingingArm":
+        """Return the part of a robot's arm, stretched at angle zero, beyond its second joint.
+
+        Args:
+            robot: The robot as drawn.
+
+        Raises:
+            ValueError: If it has no arm.
+        """
+        if robot.arm is None:
+            raise ValueError(f"robot {robot.name!r} has no arm to swing")
+        arm = robot.arm
         _, *swinging = arm.joints
         masses = np.array([joint.body.mass for joint in swinging])
         steps = [joint.transform_link_to_parent.translation for joint in swinging]

@@ -163,8 +163,8 @@ def run(options: Options, output: Output) -> None:
 def diagnose(trial: DiagnosisTrial) -> Diagnosis:
     """Let one robot identify itself, spin its wheels, and say what changed."""
     drawn, placement = describe_rover(ROBOT), trial.placement
-    assert drawn.arm is not None and placement.made is not None
-    config = RoverIdentifierConfig(ROBOT, SwingingArm.of(drawn.arm))
+    assert placement.made is not None
+    config = RoverIdentifierConfig(ROBOT, SwingingArm.of(drawn))
     ground = int(np.random.default_rng([trial.seed, 2]).integers(2**31))
     field = dataclasses.replace(FIELD, seed=ground)
     with connect(

@@ -31,10 +31,9 @@ class SwingArm:
     name = "identify"
 
     def __init__(self, belief: MissionBelief, rng: np.random.Generator) -> None:
-        assert belief.robot.arm is not None
         self.done = False
         self._belief, self._gentler = belief, list(GENTLER)
-        config = RoverIdentifierConfig(belief.robot.name, SwingingArm.of(belief.robot.arm))
+        config = RoverIdentifierConfig(belief.robot.name, SwingingArm.of(belief.robot))
         self._identifier = RoverIdentifier(config, rng)
 
     def step(self, seen: Observation) -> Command:

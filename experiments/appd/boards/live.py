@@ -9,14 +9,18 @@ from typing import cast
 
 import numpy as np
 
-from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
+from controllers.identification.rover_identifier import (
+    RoverIdentifier,
+    RoverIdentifierConfig,
+    SwingingArm,
+)
 from controllers.motion.simple_motions import WaveMotion
 from experiments.appd.boards.trial import PERIOD, ROBOT
-from experiments.ch2.rover.trial import known_swinging_arm
 from models.compose import RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.clock import WallClock
 from twin.connect import LineConfig, connect
+from twin.describe import describe_rover
 from twin.hardware.board_robot import BoardRobot
 from twin.hardware.board_set import WiredBoards
 from twin.hardware.connect_boards import (
@@ -82,7 +86,11 @@ def compare_boards(config: IdentityTrial) -> BoardComparison:
     """Let the identification of ``ch2-rover`` run on quantised and on emulated boards."""
     approach, rest, duration = config.times
     identifier = RoverIdentifierConfig(
-        ROBOT, known_swinging_arm(), approach=approach, rest=rest, duration=duration
+        ROBOT,
+        SwingingArm.of(describe_rover(ROBOT)),
+        approach=approach,
+        rest=rest,
+        duration=duration,
     )
     kept: dict[str, _Keep] = {}
     damaged = 0

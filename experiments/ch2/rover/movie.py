@@ -8,11 +8,16 @@ import tyro
 from numpy.typing import NDArray
 from PIL import Image
 
-from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
-from experiments.ch2.rover.trial import ROBOT, known_swinging_arm
+from controllers.identification.rover_identifier import (
+    RoverIdentifier,
+    RoverIdentifierConfig,
+    SwingingArm,
+)
+from experiments.ch2.rover.trial import ROBOT
 from experiments.harness.recording import write_gif
 from models.compose import FLAT, RobotPlacement, build_scene, compile_scene, settle
 from twin.camera import renderer
+from twin.describe import describe_rover
 from twin.loop import LoopRecorder, Tick, run
 from twin.simulation import Simulation
 
@@ -55,7 +60,7 @@ def film(seconds: float, rate: float, seed: int) -> list[NDArray[np.uint8]]:
     )
     model = compile_scene(spec)
     simulation = Simulation(model, [ROBOT], seed=seed, data=settle(model, 1.0))
-    config = RoverIdentifierConfig(ROBOT, known_swinging_arm(), duration=seconds)
+    config = RoverIdentifierConfig(ROBOT, SwingingArm.of(describe_rover(ROBOT)), duration=seconds)
     controller = RoverIdentifier(config, np.random.default_rng(seed))
     lead = round((config.approach + config.rest) / 0.01)
     filming = Filming(simulation, lead, round(100 / rate))

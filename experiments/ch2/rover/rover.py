@@ -16,6 +16,7 @@ from controllers.identification.rover_identifier import (
     EXCITATIONS,
     RoverIdentifier,
     RoverIdentifierConfig,
+    SwingingArm,
 )
 from experiments.ch2.rover.confidence import RobotIdentification, measure_confidence
 from experiments.ch2.rover.laboratory import laboratory_values
@@ -24,7 +25,6 @@ from experiments.ch2.rover.trial import (
     RoverIdentification,
     RoverTrial,
     error_percent,
-    known_swinging_arm,
     run_rover_trial,
 )
 from experiments.harness import contract
@@ -44,6 +44,7 @@ from perception.geometry.arrays import FloatArray
 from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
+from twin.describe import describe_rover
 from twin.loop import LoopRecorder, Tick
 from twin.realism import RealismName
 from twin.recording.layout import default_blueprint
@@ -214,7 +215,7 @@ def record_run(options: Options, output: Output) -> str:
     chosen = options.chosen()
     config = RoverIdentifierConfig(
         ROBOT,
-        known_swinging_arm(),
+        SwingingArm.of(describe_rover(ROBOT)),
         "information" if "information" in chosen else chosen[0],
         duration=options.duration,
     )

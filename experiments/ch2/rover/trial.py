@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import mujoco
 import numpy as np
 
 from controllers.identification.information import mutual_information
@@ -18,13 +17,12 @@ from controllers.identification.rover_identifier import (
     RoverIdentifierConfig,
     SwingingArm,
 )
-from models.compose import FLAT, LABORATORY, RobotPlacement, make_model
+from models.compose import LABORATORY, RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, connect
-from twin.describe import descendants
-from twin.loop import LoopRecorder, Tick, run
+from twin.describe import describe_rover
+from twin.loop import LoopRecorder, run
 from twin.realism import RealismName, make_robots
-from twin.simulation import Simulation
 
 ROBOT = "rover1"
 
@@ -66,32 +64,6 @@ class RoverTrial:
         return robot
 
 
-def known_swinging_arm() -> SwingingArm:
-    """Return the mass properties of the rover's stretched arm, from its datasheet's model."""
-    model = make_model(FLAT, [RobotPlacement(ROBOT)])
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    shoulder = model.body(f"{ROBOT}/upper_arm").id
-    bodies = np.flatnonzero(descendants(model, shoulder))
-    base = data.body(f"{ROBOT}/chassis")
-    rotation, pivot = base.xmat.reshape(3, 3), data.xpos[shoulder]
-    masses = model.body_mass[bodies]
-    centres = (data.xipos[bodies] - pivot) @ rotation
-    centre = masses @ centres / masses.sum()
-    inertia = 0.0
-    for index, mass, place in zip(bodies, masses, centres):
-        axes = rotation.T @ data.ximat[index].reshape(3, 3)
-        inertia += (axes @ np.diag(model.body_inertia[index]) @ axes.T)[0, 0]
-        inertia += mass * np.sum((place - centre)[1:] ** 2)
-    mount = (pivot - data.site(f"{ROBOT}/arm_base").xpos) @ rotation
-    return SwingingArm(
-        mass=float(masses.sum()),
-        inertia=float(inertia),
-        centre=(float(centre[1]), float(centre[2])),
-        shoulder=(float(mount[1]), float(mount[2])),
-    )
-
-
 def identify(
     connection: Connection,
     config: RoverIdentifierConfig,
@@ -113,7 +85,7 @@ class RoverIdentification:
         estimate: Final estimate.
         unidentifiable: Names of the parameters that the data leave unknown.
         doubts: Why the estimate is not to be used; none if it is.
-        tilt_nrmse: Error of the predicted tilt of an unseen motion [%].
+        tilt_nrmse: Error of the predicted inclinometer in an unseen motion [%].
         history: (n, 5) estimates after every window, SI units.
         bits: (n, 5) mutual information on each parameter [bit].
         excitations: (n, 3) offset [rad], amplitude [rad] and frequency [rad/s] of every window.
@@ -141,7 +113,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     seed, plan, other = trial.seeds
     config = RoverIdentifierConfig(
         ROBOT,
-        known_swinging_arm(),
+        SwingingArm.of(describe_rover(ROBOT)),
         trial.excitation,
         duration=trial.duration,
     )
@@ -154,10 +126,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     ) as connection:
         controller = identify(connection, config, np.random.default_rng(plan))
         unseen = dataclasses.replace(config, excitation="random", duration=trial.unseen)
-        truth = TrueTilt(connection.simulation) if connection.simulation else None
-        trying = identify(
-            connection, unseen, np.random.default_rng(other), [truth] if truth else []
-        )
+        trying = identify(connection, unseen, np.random.default_rng(other))
     log, estimate = controller.log, controller.fit.estimate
     sigmas = np.array([np.sqrt(np.diag(e.covariance)) for e in log.estimates])
     parameters = np.array([e.parameters for e in log.estimates])
@@ -166,7 +135,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
         estimate=estimate,
         unidentifiable=tuple(estimate.unidentifiable(config.prior)),
         doubts=estimate.doubts(config.prior),
-        tilt_nrmse=tilt_nrmse(estimate.parameters, trying, truth),
+        tilt_nrmse=tilt_nrmse(estimate.parameters, trying),
         history=parameters,
         bits=np.array(bits),
         excitations=np.array(log.excitations),
@@ -177,31 +146,13 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     )
 
 
-class TrueTilt(LoopRecorder):
-    """Records the chassis' true pitch at every tick, for the score alone."""
+def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier) -> float:
+    """Return the r.m.s. error of the predicted inclinometer over its own r.m.s., in percent.
 
-    def __init__(self, simulation: Simulation) -> None:
-        """Watch a scene."""
-        self._chassis = simulation.data.body(f"{ROBOT}/chassis")
-        self.values: list[float] = []
-
-    def record(self, tick: Tick) -> None:
-        """Take one tick."""
-        self.values.append(float(np.arcsin(self._chassis.xmat.reshape(3, 3)[2, 1])))
-
-
-def tilt_nrmse(parameters: FloatArray, trying: RoverIdentifier, truth: TrueTilt | None) -> float:
-    """Return the r.m.s. error of the predicted tilt over the tilt's own r.m.s., in percent.
-
-    In simulation the prediction is held against the true tilt; on a real robot against the
-    inclinometer, whose known noise is subtracted from the error.
+    The sensor's known noise is subtracted from both.
     """
     log, sensors = trying.log, trying.config.sensors
-    wrench = np.array(log.wrench)
-    predicted = predict_tilt(parameters, wrench, sensors)
-    if truth is not None:
-        tilt = np.array(truth.values[-len(wrench) :])
-        return float(100 * np.std(tilt - predicted[:, 0]) / np.std(tilt))
+    predicted = predict_tilt(parameters, np.array(log.wrench), sensors)
     tilt = np.array(log.tilt)
     noise = sensors.tilt_sigma**2
     wrong = max(float(np.var(tilt - predicted[log.tilt_indices, 2])) - noise, 0.0)

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -16,6 +17,8 @@ from controllers.identification.rover_identifier import (
     RoverIdentifierConfig,
     SwingingArm,
 )
+from models.compose import FLAT, RobotPlacement, make_model
+from twin.describe import describe_rover
 from twin.robot import Channel, Observation, Validity
 
 ROBOT = "rover1"
@@ -118,3 +121,32 @@ def test_repeated_identification_forgets_all_and_keeps_to_its_new_limits(
     monkeypatch.setattr(identifier.fit, "fit", lambda data, iterations=30: None)
     swing_through(identifier)
     assert len(identifier.log.times) == 120 and len(identifier.log.excitations) == 3
+
+
+def test_swinging_arm_is_that_of_the_compiled_model():
+    """Masses, centres and inertias of all bodies beyond the shoulder, as MuJoCo has them."""
+    model = make_model(FLAT, [RobotPlacement("rover1")])
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    shoulder = model.body("rover1/upper_arm").id
+    bodies = [shoulder]
+    for body in range(shoulder + 1, model.nbody):
+        if model.body_parentid[body] in bodies:
+            bodies.append(body)
+    rotation, pivot = data.body("rover1/chassis").xmat.reshape(3, 3), data.xpos[shoulder]
+    masses, centres = model.body_mass[bodies], (data.xipos[bodies] - pivot) @ rotation
+    centre = masses @ centres / masses.sum()
+    axes = rotation.T @ data.ximat[bodies].reshape(-1, 3, 3)
+    inertia = np.einsum("nj,nj->", axes[:, 0] ** 2, model.body_inertia[bodies])
+    inertia += masses @ np.sum((centres - centre)[:, 1:] ** 2, axis=1)
+    arm = SwingingArm.of(describe_rover("rover1"))
+    assert arm.mass == pytest.approx(masses.sum())
+    assert arm.inertia == pytest.approx(inertia)
+    np.testing.assert_allclose(arm.centre, centre[1:], atol=1e-9)
+    mount = (pivot - data.site("rover1/arm_base").xpos) @ rotation
+    np.testing.assert_allclose(arm.shoulder, mount[1:], atol=1e-9)
+
+
+def test_robot_without_an_arm_cannot_swing_it():
+    with pytest.raises(ValueError, match="robot 'rover1' has no arm to swing"):
+        SwingingArm.of(dataclasses.replace(describe_rover("rover1"), arm=None))

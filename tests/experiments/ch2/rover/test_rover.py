@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from controllers.identification.pitch import NAMES
-from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
+from controllers.identification.rover_identifier import (
+    RoverIdentifier,
+    RoverIdentifierConfig,
+    SwingingArm,
+)
 from experiments.__main__ import main
 from experiments.ch2.rover.laboratory import laboratory_values
 from experiments.ch2.rover.rover import _errors
 from experiments.ch2.rover.trial import (
     ROBOT,
     RoverTrial,
-    known_swinging_arm,
     run_rover_trial,
 )
 from models.as_made import AsMade
@@ -22,6 +25,7 @@ from models.datasheets import ROVER, TABLE_2_2_TRUTH
 from perception.geometry.gravity import GRAVITY
 from tests.models.scenes import make_scene
 from twin.connect import connect
+from twin.describe import describe_rover
 from twin.loop import run
 from twin.robot import RobotError
 
@@ -88,7 +92,8 @@ def test_each_seed_has_a_robot_of_its_own_under_every_excitation():
 @pytest.mark.parametrize("sensor", ["arm_base_wrench", "inclinometer", "arm_angles"])
 def test_a_disconnected_sensor_is_named(sensor):
     controller = RoverIdentifier(
-        RoverIdentifierConfig(ROBOT, known_swinging_arm()), np.random.default_rng(0)
+        RoverIdentifierConfig(ROBOT, SwingingArm.of(describe_rover(ROBOT))),
+        np.random.default_rng(0),
     )
     with connect("sim", robots=[RobotPlacement(ROBOT)]) as connection:
         connection.robots[ROBOT].sensors.disconnect(sensor)

@@ -13,11 +13,15 @@ import cv2
 import numpy as np
 import pytest
 
-from controllers.identification.rover_identifier import RoverIdentifier, RoverIdentifierConfig
-from experiments.ch2.rover.trial import known_swinging_arm
+from controllers.identification.rover_identifier import (
+    RoverIdentifier,
+    RoverIdentifierConfig,
+    SwingingArm,
+)
 from models.compose import PayloadConfig, RobotPlacement
 from twin.camera import StereoConfig
 from twin.connect import LineConfig, connect
+from twin.describe import describe_rover
 from twin.hardware.connect_boards import emulated_wiring, wired_robot
 from twin.hardware.emulator.__main__ import Emulator
 from twin.hardware.emulator.process import EmulatorProcess
@@ -82,7 +86,9 @@ SHORT = {"approach": 0.5, "rest": 0.2, "duration": 0.8}
 
 
 def configured(**changes):
-    return RoverIdentifierConfig(ROBOT, known_swinging_arm(), "information", **changes)
+    return RoverIdentifierConfig(
+        ROBOT, SwingingArm.of(describe_rover(ROBOT)), "information", **changes
+    )
 
 
 @pytest.mark.chosen_seed  # The same as in the process of the boards, where nothing shifts it.
