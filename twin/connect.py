@@ -50,13 +50,13 @@ class LineConfig:
 
     Attributes:
         bus_faults: Share of damaged exchanges with emulated motor boards, 0 to 1.
-        modems: Properties of the radio's modems.
+        modems: Properties of the radio's modems; None for those of the realism.
         radio_rng: Random generator for the radio's byte errors and session numbers; None for one
             drawn from the seed.
     """
 
     bus_faults: float = 0.0
-    modems: ModemConfig = dataclasses.field(default_factory=ModemConfig)
+    modems: ModemConfig | None = None
     radio_rng: np.random.Generator | None = None
 
 
@@ -111,7 +111,8 @@ def connect(
         target: One of `TARGETS`.
         robots: Names and initial poses of simulated and emulated robots.
         field: Ground of a simulated scene.
-        realism: How far simulated and emulated robots and their sensors are from their drawings.
+        realism: How far simulated and emulated robots and their sensors are from their drawings,
+            and what the radio between them loses.
         stereo: Stereo heads of simulated, quantised and emulated robots; None leaves the channel
             missing.
         seed: Random seed of all sensor noise, and of each robot and its sensors as made.
@@ -144,7 +145,8 @@ def connect(
         simulation = simulate(scene, chosen.suite)
         bare = Connection(simulation.robots, simulation, simulation)
     radio_rng = lines.radio_rng or np.random.default_rng([seed, 6])
-    links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, lines.modems)
+    modems = lines.modems or chosen.modems
+    links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, modems)
     return dataclasses.replace(bare, links=links)
 
 

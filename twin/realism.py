@@ -10,13 +10,16 @@ import numpy as np
 from models.as_made import AsMade
 from models.compose import RobotPlacement
 from models.datasheets import (
+    HARSH_RADIO,
     HARSH_SENSOR_ERRORS,
     HARSH_TOLERANCES,
+    RADIO,
     SENSOR_ERRORS,
     TOLERANCES,
     SensorErrorSheet,
     Tolerances,
 )
+from twin.hardware.emulator.modem import ModemConfig
 from twin.optics.realism import CAMERA_SETS, IDEAL_CAMERA, CameraRealism
 from twin.sensors import DATASHEET, SensorSuite
 
@@ -34,24 +37,30 @@ class Realism:
         tolerances: Tolerances from which each robot is made; None for robots that are their
             drawings.
         cameras: Light, lenses and mountings of the stereo heads.
+        modems: Delay, byte errors and losses of the radio between two robots.
     """
 
     suite: SensorSuite = DATASHEET
     sensor_errors: SensorErrorSheet | None = None
     tolerances: Tolerances | None = None
     cameras: CameraRealism = IDEAL_CAMERA
+    modems: ModemConfig = ModemConfig()
 
 
 REALISMS: Mapping[RealismName, Realism] = MappingProxyType(
     {
         "ideal": Realism(),
         "default": Realism(
-            sensor_errors=SENSOR_ERRORS, tolerances=TOLERANCES, cameras=CAMERA_SETS["default"]
+            sensor_errors=SENSOR_ERRORS,
+            tolerances=TOLERANCES,
+            cameras=CAMERA_SETS["default"],
+            modems=ModemConfig.of(RADIO),
         ),
         "harsh": Realism(
             sensor_errors=HARSH_SENSOR_ERRORS,
             tolerances=HARSH_TOLERANCES,
             cameras=CAMERA_SETS["harsh"],
+            modems=ModemConfig.of(HARSH_RADIO),
         ),
     }
 )

@@ -24,6 +24,7 @@ from models.datasheets.motors import (
     PowerStageSheet,
     PulseClockSheet,
 )
+from models.datasheets.radio import HARSH_RADIO, RADIO, RadioSheet
 from models.datasheets.rover import ROVER, RoverSheet
 from models.datasheets.sensors import (
     CAMERA,
@@ -73,6 +74,7 @@ __all__ = [
     "FORCE_TORQUE",
     "ForceTorqueSheet",
     "HAND",
+    "HARSH_RADIO",
     "HARSH_SENSOR_ERRORS",
     "HARSH_TOLERANCES",
     "HandSheet",
@@ -92,10 +94,12 @@ __all__ = [
     "PULSE_CLOCK",
     "PowerStageSheet",
     "PulseClockSheet",
+    "RADIO",
     "ROD_ARM",
     "ROVER",
     "ROVER_RATED_SPEED",
     "RPM",
+    "RadioSheet",
     "RodArm",
     "RoverSheet",
     "SENSOR_ERRORS",

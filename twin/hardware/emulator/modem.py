@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Sequence
 
 import numpy as np
 
+from models.datasheets import RadioSheet
 from perception.geometry.checks import check_numbers
 from twin.hardware.background import repeating
 from twin.hardware.emulator.ports import PseudoTerminal
@@ -34,6 +35,7 @@ class ModemConfig:
         flip: Share of hits that change the byte to another.
         loss: Share of hits that lose it.
         insertion: Share of hits that put a random byte before it.
+        packet_loss: Probability that all bytes of one `Line.put`, a packet on the air, are lost.
         buffer: Bytes that wait to be sent; what comes beyond them is lost, as without flow control.
     """
 
@@ -43,7 +45,23 @@ class ModemConfig:
     flip: float = 1.0
     loss: float = 1.0
     insertion: float = 1.0
+    packet_loss: float = 0.0
     buffer: int = 1024
+
+    @classmethod
+    def of(cls, radio: RadioSheet) -> "ModemConfig":
+        """Return modems as a data sheet has them; a bit error changes its byte.
+
+        Args:
+            radio: Data sheet of the modems.
+        """
+        return cls(
+            delay=radio.delay,
+            error_rate=-math.expm1(8.0 * math.log1p(-radio.bit_error_rate)),
+            loss=0.0,
+            insertion=0.0,
+            packet_loss=radio.packet_loss,
+        )
 
     def __post_init__(self) -> None:
         """Refuse numbers that no modem can have.
@@ -52,9 +70,11 @@ class ModemConfig:
             ValueError: Naming the field and its value.
         """
         check_numbers("modem", self, "baud", "buffer")
-        check_numbers("modem", self, "delay", "error_rate", "flip", "loss", "insertion", zero=True)
-        if self.error_rate > 1.0:
-            raise ValueError(f"modem error_rate must be a probability, got {self.error_rate}")
+        check_numbers("modem", self, "delay", "flip", "loss", "insertion", zero=True)
+        check_numbers("modem", self, "error_rate", "packet_loss", zero=True)
+        for name in ("error_rate", "packet_loss"):
+            if getattr(self, name) > 1.0:
+                raise ValueError(f"modem {name} must be a probability, got {getattr(self, name)}")
         if self.error_rate > 0.0 and self.flip + self.loss + self.insertion == 0.0:
             raise ValueError("modem error_rate is positive, but flip, loss and insertion are zero")
 
@@ -64,7 +84,7 @@ class Line:
 
     Args:
         config: Properties of the modems.
-        rng: Random generator for the byte errors.
+        rng: Random generator for byte errors and lost packets.
     """
 
     def __init__(self, config: ModemConfig, rng: np.random.Generator) -> None:
@@ -79,12 +99,13 @@ class Line:
 
     def put(self, data: bytes, now: float) -> None:
         """Take bytes from a computer at `now` [s]."""
+        lost = self._config.packet_loss > 0.0 and self._rng.random() < self._config.packet_loss
         for byte in data:
             if (self._free - now) / self._duration > self._config.buffer - 0.5:
                 return
             self._free = max(now, self._free) + self._duration
             arrived = self._corrupt(byte)
-            if arrived:
+            if arrived and not lost:
                 self._coming.append((self._free + self._config.delay, arrived))
 
     def take(self, now: float) -> bytes:

@@ -6,9 +6,11 @@ import time
 import numpy as np
 import pytest
 
+from models.datasheets import HARSH_RADIO, RADIO
 from twin.hardware.emulator.modem import Line, ModemConfig, VirtualModems, pty_modems
 from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedLink
+from twin.hardware.radio.frames import Frame, encode_frame
 from twin.hardware.radio.handshake import HandshakeConfig, HandshakeLink
 from twin.hardware.serial_link import LinkError, SerialLink
 
@@ -33,6 +35,35 @@ def test_modem_has_the_configured_rate_delay_and_byte_errors():
         arrived = line.take(math.inf)
         assert len(arrived) == pytest.approx(expected * 1e5, abs=150)
         assert flip == 0 or sum(map(bool, arrived)) == pytest.approx(1000, abs=120)
+
+
+@pytest.mark.parametrize("radio", [RADIO, HARSH_RADIO])
+def test_radio_of_a_data_sheet_loses_as_many_frames_as_its_bits_and_packets_say(radio):
+    """A frame arrives if its packet does, and all bits of it and of the zero before it."""
+    count, body = 6000, bytes(range(1, 61))
+    modems = VirtualModems(ModemConfig.of(radio), np.random.default_rng(7))
+    sender, receiver = (FramedLink(end, np.random.default_rng(0)) for end in modems.ends)
+    arrived = 0
+    for frame in range(count):
+        modems.time = 0.2 * frame
+        sender.send_latest(body)
+        sender.poll()
+        arrived += len(receiver.poll().messages)
+    size = len(encode_frame(Frame(2, 0, 1, 1, body)))
+    intact, loss = (1.0 - radio.bit_error_rate) ** 8, radio.packet_loss
+    expected = (1.0 - loss) * intact**size * (loss + (1.0 - loss) * intact)
+    deviation = math.sqrt(count * expected * (1.0 - expected))
+    assert abs(arrived - count * expected) < 4.0 * deviation + 1.0
+
+
+def test_lost_packet_takes_its_time_on_the_line():
+    line = Line(ModemConfig(packet_loss=1.0), np.random.default_rng(0))
+    line.put(bytes(96), 0.0)
+    assert line.next_arrival() == math.inf
+    line = Line(ModemConfig(packet_loss=0.5), np.random.default_rng(2))
+    for packet in range(1000):
+        line.put(bytes([packet % 256] * 8), 0.0)
+    assert not len(line.take(math.inf)) % 8
 
 
 def exchange(links, now, wait, messages):

@@ -201,7 +201,7 @@ def test_numbers_that_no_link_or_modem_can_have_are_refused():
             FramedConfig(**numbers)
     with pytest.raises(ValueError, match="send_within"):
         HandshakeConfig(send_within=0.0)
-    for numbers in ({"error_rate": 2.0}, {"delay": -1.0}, {"buffer": 0}):
+    for numbers in ({"error_rate": 2.0}, {"packet_loss": 1.1}, {"delay": -1.0}, {"buffer": 0}):
         with pytest.raises(ValueError, match=next(iter(numbers))):
             ModemConfig(**numbers)
 
