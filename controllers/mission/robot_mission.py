@@ -40,7 +40,7 @@ class RobotMission:
     Attributes:
         belief: Estimates of the robot.
         stage: Present stage.
-        ended: Names of the completed stages and their end times [s].
+        ended: Names of the completed stages.
         over: Whether the last stage has ended.
     """
 
@@ -52,7 +52,7 @@ class RobotMission:
         stages: Iterator[MissionStage],
     ) -> None:
         self.belief = belief
-        self.ended: list[tuple[str, float]] = []
+        self.ended: list[str] = []
         self.over = False
         self._partner, self._exchange, self._stages = partner, exchange, stages
         self.stage = next(stages)
@@ -83,7 +83,7 @@ class RobotMission:
         other = self._exchange.read(self._partner, StagesDone)
         done = other is not None and other.count > len(self.ended)
         if self.stage.done and done and not self.over:
-            self.ended.append((self.stage.name, seen.time))
+            self.ended.append(self.stage.name)
             following = next(self._stages, None)
             self.over = following is None
             self.stage = following or self.stage

@@ -87,10 +87,9 @@ class MissionTeam:
         return self.master.over and self.slave.over
 
     @property
-    def ended(self) -> list[tuple[str, float]]:
-        """Names of the completed stages and the times at which both robots had ended them [s]."""
-        pairs = zip(self.master.ended, self.slave.ended)
-        return [(name, max(one, two)) for (name, one), (_, two) in pairs]
+    def ended(self) -> list[str]:
+        """Names of the stages that both robots have completed."""
+        return [name for name, _ in zip(self.master.ended, self.slave.ended)]
 
 
 def _master_stages(

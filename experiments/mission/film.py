@@ -61,8 +61,8 @@ class _StepPictures(LoopRecorder):
         """Take one tick."""
         simulation = self._mission.connection.simulation
         if simulation is not None:
-            for name, ended in self._mission.team.ended[len(self.steps) :]:
-                self.steps.append((name, ended, scene_picture(simulation, SITE_VIEW)))
+            for name in self._mission.team.ended[len(self.steps) :]:
+                self.steps.append((name, tick.time, scene_picture(simulation, SITE_VIEW)))
 
 
 class _Notes(LoopRecorder):

@@ -109,7 +109,7 @@ class StageResult:
 
     Attributes:
         name: Name of the stage.
-        ended: Robot time at which both robots had ended the stage [s].
+        ended: Time of the loop's clock at which both robots had ended the stage [s].
         master_error: (3,) error of the slot's position as the master estimates it, slot frame [m].
         master_sigma: (3,) standard deviations that the master expects, robot frame [m].
         slave_error: (3,) error of the slot's position as the slave estimates it, slot frame [m].
@@ -187,9 +187,9 @@ class MissionScorer(LoopRecorder):
         stage = mission.team.master.stage
         if isinstance(stage, PlaceCamera) and stage.stops > len(self.misses):
             self.misses.append(_miss(mission.poses(MASTER), stage.station))
-        for name, ended in mission.team.ended[len(self.stages) :]:
+        for name in mission.team.ended[len(self.stages) :]:
             tilt = np.asarray(tick.observations[MASTER].inclinometer.value, dtype=float)
-            self.stages.append(self._result(name, ended, tilt))
+            self.stages.append(self._result(name, tick.time, tilt))
 
     def _result(self, name: str, ended: float, tilt: FloatArray) -> StageResult:
         team = self._mission.team
@@ -247,10 +247,10 @@ def perform(mission: Mission, recorders: Sequence[LoopRecorder] = ()) -> Mission
             mission.connection.clock,
             [scorer, *recorders],
             LIMIT,
-            until=lambda: team.over or mission.trial.only in dict(team.ended),
+            until=lambda: team.over or mission.trial.only in team.ended,
         )
         wall = summary.wall / max(summary.duration, 1e-9)
-        ended = team.over or mission.trial.only in dict(team.ended)
+        ended = team.over or mission.trial.only in team.ended
         reason = "" if ended else f"out of time in {team.slave.stage.name}"
     except (RobotError, PlacementError) as error:
         reason = str(error)

@@ -52,7 +52,7 @@ def _end_first_stage(folder: Path) -> None:
             duration=45.0,
             until=lambda: any(team.ended),
         )
-        assert [name for name, _ in team.ended] == ["identify"]
+        assert team.ended == ["identify"]
         for part in (team.master, team.slave):
             assert part.belief.identification is not None
             assert (part.belief.pitch is None) == bool(part.belief.doubts)
