@@ -27,6 +27,7 @@ from twin.link import Link
 from twin.optics.realism import IDEAL_CAMERA
 from twin.realism import Realism, RealismName, make_robots, realism_of
 from twin.robot import Robot
+from twin.robot_clock import give_clocks
 from twin.servo import SERVO_PERIOD
 from twin.simulation import Simulation
 
@@ -111,11 +112,11 @@ def connect(
         target: One of `TARGETS`.
         robots: Names and initial poses of simulated and emulated robots.
         field: Ground of a simulated scene.
-        realism: How far simulated and emulated robots and their sensors are from their drawings,
-            and what the radio between them loses.
+        realism: How far simulated and emulated robots, their sensors and clocks are from their
+            drawings, and what the radio between them loses.
         stereo: Stereo heads of simulated, quantised and emulated robots; None leaves the channel
             missing.
-        seed: Random seed of all sensor noise, and of each robot and its sensors as made.
+        seed: Random seed of all sensor noise, and of each robot, its sensors and clock as made.
         lines: Simulated radio and damage on emulated lines; None for the default.
 
     Raises:
@@ -147,7 +148,8 @@ def connect(
     radio_rng = lines.radio_rng or np.random.default_rng([seed, 6])
     modems = lines.modems or chosen.modems
     links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, modems)
-    return dataclasses.replace(bare, links=links)
+    clocked = bare.robots if chosen.clock is None else give_clocks(bare.robots, chosen.clock, seed)
+    return dataclasses.replace(bare, robots=clocked, links=links)
 
 
 def wirings_of(target: str) -> tuple[Wiring, ...]:

@@ -1,7 +1,7 @@
 """The radio between two robots, as a controller uses it.
 
-`twin.connect.connect` gives each robot its end, simulated or on a real modem; both keep the same
-time as the robots' observations. Nothing here waits: a controller calls `poll` once a tick.
+`twin.connect.connect` gives each robot its end, simulated or on a real modem. Nothing here waits: a
+controller calls `poll` once a tick.
 """
 
 from typing import NamedTuple, Protocol

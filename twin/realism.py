@@ -10,12 +10,15 @@ import numpy as np
 from models.as_made import AsMade
 from models.compose import RobotPlacement
 from models.datasheets import (
+    CLOCK,
+    HARSH_CLOCK,
     HARSH_RADIO,
     HARSH_SENSOR_ERRORS,
     HARSH_TOLERANCES,
     RADIO,
     SENSOR_ERRORS,
     TOLERANCES,
+    ClockSheet,
     SensorErrorSheet,
     Tolerances,
 )
@@ -38,6 +41,7 @@ class Realism:
             drawings.
         cameras: Light, lenses and mountings of the stereo heads.
         modems: Delay, byte errors and losses of the radio between two robots.
+        clock: How far each robot's clock is off; None for the world's time.
     """
 
     suite: SensorSuite = DATASHEET
@@ -45,6 +49,7 @@ class Realism:
     tolerances: Tolerances | None = None
     cameras: CameraRealism = IDEAL_CAMERA
     modems: ModemConfig = ModemConfig()
+    clock: ClockSheet | None = None
 
 
 REALISMS: Mapping[RealismName, Realism] = MappingProxyType(
@@ -55,12 +60,14 @@ REALISMS: Mapping[RealismName, Realism] = MappingProxyType(
             tolerances=TOLERANCES,
             cameras=CAMERA_SETS["default"],
             modems=ModemConfig.of(RADIO),
+            clock=CLOCK,
         ),
         "harsh": Realism(
             sensor_errors=HARSH_SENSOR_ERRORS,
             tolerances=HARSH_TOLERANCES,
             cameras=CAMERA_SETS["harsh"],
             modems=ModemConfig.of(HARSH_RADIO),
+            clock=HARSH_CLOCK,
         ),
     }
 )

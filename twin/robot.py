@@ -136,7 +136,7 @@ class Observation(NamedTuple):
     """All that a controller learns of a robot.
 
     Attributes:
-        time: Robot time [s].
+        time: Robot time [s], by the robot's own clock, as are all stamps.
         wheel_speeds: (wheels,) [rad/s], in the order of the description, positive forward.
         centre_angle: (1,) roll of the rear half relative to the front half [rad].
         arm_angles: (joints,) [rad], in the order of the description.
@@ -297,12 +297,15 @@ class Robot(Protocol):
     Attributes:
         name: Name of the robot.
         description: The robot as drawn; readable in every state.
-        fault: Reason for the state ERROR; empty in the other states.
     """
 
     name: str
     description: RobotDescription
-    fault: str
+
+    @property
+    def fault(self) -> str:
+        """Reason for the state ERROR; empty in the other states."""
+        ...
 
     @property
     def lifecycle(self) -> Lifecycle:

@@ -59,7 +59,7 @@ class InsertionMaster:
             seen: Observation of the master.
         """
         command, self.sent = self.marker_guide.step(_bare(seen))
-        self._link.send(self.sent)
+        self._link.send(self.sent, seen.time)
         return command
 
 
@@ -90,7 +90,7 @@ class InsertionSlave:
         Args:
             seen: Observation of the slave.
         """
-        views, inserter = self._link.receive(), self.inserter
+        views, inserter = self._link.receive(seen.time), self.inserter
         period, inserts = inserter.config.period, inserter.stage is InsertionStage.INSERT
         sensed = self._sensing.step(_bare(seen), period, contact=inserts, obstacles=True)
         self.failed = sensed.failed

@@ -12,6 +12,7 @@ rover without arm, above the middle of the wheelbase.
 from models.datasheets.arms import ARM, ROD_ARM, ArmSheet, RodArm
 from models.datasheets.braid import BRAID, MUSCLE_WIRE, BraidSheet, MuscleWireSheet
 from models.datasheets.card import CARD_AND_SLOT, HAND, CardAndSlotSheet, HandSheet
+from models.datasheets.clocks import CLOCK, HARSH_CLOCK, ClockSheet
 from models.datasheets.motors import (
     ARM_MOTOR,
     POWER_STAGE,
@@ -66,14 +67,17 @@ __all__ = [
     "CAMERA",
     "CAMERA_CALIBRATION",
     "CARD_AND_SLOT",
+    "CLOCK",
     "CameraCalibrationSheet",
     "CameraSheet",
     "CardAndSlotSheet",
+    "ClockSheet",
     "DEGREE",
     "EXACT",
     "FORCE_TORQUE",
     "ForceTorqueSheet",
     "HAND",
+    "HARSH_CLOCK",
     "HARSH_RADIO",
     "HARSH_SENSOR_ERRORS",
     "HARSH_TOLERANCES",

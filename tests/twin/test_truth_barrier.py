@@ -27,6 +27,7 @@ from twin.describe import describe, describe_rover
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import run
 from twin.robot import Command, Observation, WheelMode
+from twin.robot_clock import ClockedRobot, RobotClock
 from twin.sensor_bank import SensorBank
 from twin.sensors import DATASHEET
 from twin.simulation import SimRobot, Simulation
@@ -39,6 +40,8 @@ TRUTH = (
     SensorBank,
     StereoRig,
     Renderer,
+    ClockedRobot,
+    RobotClock,
 )
 
 

@@ -99,7 +99,7 @@ class InsertCard:
         """Move the arm to its initial pose of the insertion, then insert."""
         if self._begun:
             return self.slave.step(seen)
-        self._link.receive()  # Discard guidance from before the stage.
+        self._link.receive(seen.time)  # Discard guidance from before the stage.
         command = self._move.command(seen)
         ready = self._exchange.read(self._partner, ArmReady)
         if ready is not None and ready.ready and self._move.is_there(seen):

@@ -106,7 +106,7 @@ class FindCard:
             elif seen.time > self._aimed + _SPOT:
                 if self._slave.exchange.read(self._slave.name, CardMet) is None:
                     self._search_on(seen)
-        self._slave.exchange.guidance[self._name].send(guidance)
+        self._slave.exchange.guidance[self._name].send(guidance, seen.time)
         return command
 
     def _begin(self, seen: Observation) -> MarkerGuide:
@@ -163,7 +163,7 @@ class TurnInView:
     def step(self, seen: Observation) -> Command:
         """Average guidance at rest, turn, and average guidance again."""
         self._rolling.update(seen, PERIOD)
-        views = self._exchange.guidance[self._name].receive()
+        views = self._exchange.guidance[self._name].receive(seen.time)
         if self._drive is not None:
             command = self._drive.step(seen)
             if not self._drive.done:

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.guidance import Guidance, GuidanceError, unpack
+from controllers.insertion.guidance import Guidance, GuidanceError, GuidanceLink, unpack
+from models.datasheets import CLOCK, HARSH_CLOCK, HARSH_RADIO, RADIO
 from perception.geometry.se3 import adjoint
 from twin.hardware.emulator.modem import ModemConfig, VirtualModems
 from twin.hardware.radio.framed_radio import FramedLink
-from twin.link import MESSAGE_LIMIT
+from twin.link import MESSAGE_LIMIT, Polled
+from twin.robot_clock import RobotClock
 
 PLACE_STEP, TURN_STEP = 2e-5, 1e-4
 
@@ -111,3 +113,68 @@ def test_radio_with_byte_errors_loses_messages_but_never_changes_one():
     order = [sent.index(message) for message in received]
     assert order == sorted(order)
     assert slave._parser.rejected > 0
+
+
+@pytest.mark.parametrize(
+    ("radio", "sheet"), [(RADIO, CLOCK), (HARSH_RADIO, HARSH_CLOCK)], ids=["default", "harsh"]
+)
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_receiver_knows_when_images_were_taken_though_the_clocks_disagree(radio, sheet, sign):
+    """Five minutes in which the clocks drift apart, as far as they may."""
+    clocks = RobotClock(sheet.offset, sign * sheet.drift), RobotClock(0.0, -sign * sheet.drift)
+    rng = np.random.default_rng(3)
+    modems = VirtualModems(ModemConfig.of(radio), rng)
+    master, slave = (GuidanceLink(FramedLink(end, rng)) for end in modems.ends)
+    taken, errors, excess, late = 0.0, [], [], []
+    for tick in range(300 * 100):
+        modems.time = 0.01 * tick
+        there, here = (clock.read(modems.time) for clock in clocks)
+        guidance = None
+        if tick % 25 == 0:  # A picture takes a quarter of a second to its use.
+            taken = modems.time - 0.25
+            stamp = clocks[0].read(taken)
+            guidance = Guidance(stamp, True, True, RigidTransform.identity(), np.eye(6) * 1e-6)
+        master.send(guidance, there)
+        for view in slave.receive(here):
+            errors.append(view.time - clocks[1].read(taken))
+            excess.append(abs(errors[-1]) - slave.offset_limit)
+            late.append(modems.time - taken)
+    assert len(errors) > 0.9 * (1.0 - radio.packet_loss) * 1200
+    assert max(excess) < 1e-3  # The stamp's own rounding.
+    # At the start an answer may wait behind guidance.
+    settled = np.abs(errors[20:])
+    assert np.max(late) > 0.3 > 30 * np.max(settled) and np.median(settled) < 5e-3
+    # Half the round trip of a question: 17 bytes and the modem each way, polled every tick.
+    assert slave.offset_limit < 17 / 960 + radio.delay + 0.02 + 0.01
+
+
+def test_slot_and_card_wait_for_the_first_answer_and_nothing_else_is_answered():
+    sent: list[bytes] = []
+
+    class Ear:
+        """A link that hears one message and notes what is sent."""
+
+        def __init__(self, *heard):
+            self._heard = list(heard)
+
+        def send_latest(self, message):
+            sent.append(message)
+
+        def poll(self):
+            heard, self._heard = self._heard, []
+            return Polled(heard, [])
+
+        send = None
+
+    view = Guidance(1.0, True, True, RigidTransform.identity(), 1e-6 * np.eye(6)).pack()
+    slave = GuidanceLink(Ear(view))
+    assert slave.receive(7.0) == [] and np.isnan(slave.offset) and slave.offset_limit == np.inf
+    (question,) = sent
+    master = GuidanceLink(Ear(question))
+    master.send(None, 5.0)
+    slave._link = Ear(sent[-1], view)
+    (seen,) = slave.receive(7.2)
+    assert slave.offset == pytest.approx(5.0 - 7.1) and seen.time == pytest.approx(3.1)
+    assert slave.offset_limit == pytest.approx(0.1 + 1e-3)
+    with pytest.raises(GuidanceError, match="0x15"):
+        GuidanceLink(Ear(view)).send(None, 5.0)

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.card_inserter import InsertionStage
@@ -24,7 +25,7 @@ MASTER, SLAVE = "rover1", "rover2"
 def heard_of(distance: float) -> list[Guidance]:
     """Return what the slave hears of one look that places the slot so far from the card [m]."""
     pose = RigidTransform.from_translation([distance, 0.0, 0.0])
-    looks = iter([Guidance(0.0, True, True, pose, np.eye(6) * 1e-6)])
+    looks = iter([None] * 20 + [Guidance(0.15, True, True, pose, np.eye(6) * 1e-6)])
     received: list[Guidance] = []
     time = 0.0
 
@@ -55,6 +56,7 @@ def heard_of(distance: float) -> list[Guidance]:
 def test_look_arrives_by_radio():
     (look,) = heard_of(0.3)
     np.testing.assert_allclose(look.transform_slot_to_card.translation, [0.3, 0.0, 0.0], atol=2e-5)
+    assert look.time == pytest.approx(0.15, abs=2e-3)
 
 
 def test_look_that_no_message_can_tell_is_left_out():

@@ -71,12 +71,12 @@ class HandLink:
         self.incoming: list[Guidance] = []
         self.sent: list[Guidance | None] = []
 
-    def receive(self) -> list[Guidance]:
+    def receive(self, now: float) -> list[Guidance]:
         """Return the guidance received since the last call."""
         views, self.incoming = self.incoming, []
         return views
 
-    def send(self, guidance: Guidance | None) -> None:
+    def send(self, guidance: Guidance | None, now: float) -> None:
         """Note what is sent."""
         self.sent.append(guidance)
 

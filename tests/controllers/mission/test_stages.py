@@ -260,7 +260,7 @@ def test_slave_inserts_once_its_arm_is_home_and_the_master_is_ready() -> None:
     inserter = types.SimpleNamespace(over=False)
 
     def step(seen: Observation) -> Command:
-        taken.append(links[SLAVE].receive())
+        taken.append(links[SLAVE].receive(seen.time))
         return Command(np.ones(4), HOME)
 
     stage.slave = typing.cast(typing.Any, types.SimpleNamespace(step=step, inserter=inserter))
