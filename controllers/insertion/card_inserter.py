@@ -218,7 +218,8 @@ class CardInserter:
             return
         driven, turn = self._odometry.distance - before, self._odometry.turned - turned
         card = self._odometry.pose() @ self._arm.card_frame(angles)
-        self.belief.note(seen.time, card, driven, turn, self.config.period)
+        slip = self._odometry.slip()
+        self.belief.note(seen.time, card, driven, turn, self.config.period, slip)
 
     def _listen(self, views: Sequence[Guidance]) -> None:
         for view in views:

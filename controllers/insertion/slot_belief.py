@@ -17,6 +17,7 @@ from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, point_jacobian, transport_covariance
 
 _SIMULTANEOUS = 0.05  # Largest time difference of images and joint angles [s].
+_NO_SLIP = np.zeros(6)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,9 +73,16 @@ class SlotBelief:
         self._config = config
         self._where: deque[tuple[float, FloatArray]] = deque()
         self._drifted = np.zeros(3)  # Distance, turn and time since the last view.
+        self._slip = self._slip_before = _NO_SLIP  # Now and at the last view.
 
     def note(
-        self, time: float, card_in_start: FloatArray, driven: float, turned: float, period: float
+        self,
+        time: float,
+        card_in_start: FloatArray,
+        driven: float,
+        turned: float,
+        period: float,
+        slip: FloatArray = _NO_SLIP,
     ) -> None:
         """Store the card's pose, and accumulate the motion for the drift.
 
@@ -84,11 +92,13 @@ class SlotBelief:
             driven: Distance driven since the last call [m].
             turned: Angle turned since the last call [rad].
             period: Time since the last call [s].
+            slip: (6,) twist by which dead reckoning errs if the turn share does, see `Odometry`.
         """
         self._where.append((time, card_in_start))
         while self._where[0][0] < time - self._config.memory:
             self._where.popleft()
         self._drifted += [driven, turned, period]
+        self._slip = slip
 
     def deviation(self) -> float:
         """Return the largest standard deviation of the slot's position in its plane [m]."""
@@ -147,3 +157,5 @@ class SlotBelief:
         # The card's position approximates the robot's centre of rotation.
         robot = RigidTransform.from_matrix(self._where[-1][1])
         self.covariance = self.covariance + transport_covariance(robot, drift + rest)
+        slip, self._slip_before = self._slip - self._slip_before, self._slip
+        self.covariance += np.outer(slip, slip)

@@ -1,9 +1,10 @@
 """Estimates of one robot of a mission: first from the drawing, then measured or received."""
 
 import dataclasses
+import math
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.identification.pitch import PitchEstimate
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
@@ -11,11 +12,16 @@ from controllers.mapping.shared_map import SharedMap
 from controllers.mission.exchange import Exchange, SlotPose, TurnShare
 from controllers.mission.site import SiteDrawing
 from controllers.motion.base_tilt import TiltAxis, drawn_springs, roll_axis
-from controllers.motion.driving import SkidSteer
+from controllers.motion.driving import Odometry, SkidSteer
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, transport_covariance
 from twin.description import RobotDescription
 from twin.robot import Observation, RobotError
+
+ROLLING = TurnShare(1.0, 0.3)
+"""Turn share that nobody has identified. Assumption: wheels keep all to half of a turn."""
+_UNLIKE = 0.025
+"""Standard deviation of two robots' difference: 12 as made scattered by 0.0175 on flat ground."""
 
 
 @dataclasses.dataclass
@@ -32,8 +38,8 @@ class MissionBelief:
             it failed.
         identification: Latest identification of the pitch dynamics, used or not; None before it.
         doubts: Why the latest identification is not used, in words; none if it is.
-        turn_share: Actual turn of the skidding rover over that of rolling wheels; 1 until
-            identified.
+        turn_share: Actual turn of the skidding rover over that of rolling wheels; until identified
+            1, and as uncertain as wheels that may scrub.
         map: Map of the site; None without one.
         localization: Localization of the robot on the map, once it has found the panel.
     """
@@ -46,7 +52,7 @@ class MissionBelief:
     pitch: PitchEstimate | None = None
     identification: PitchEstimate | None = None
     doubts: tuple[str, ...] = ()
-    turn_share: float = 1.0
+    turn_share: TurnShare = ROLLING
     map: SharedMap | None = None
     localization: RobotLocalization | None = None
 
@@ -78,7 +84,7 @@ class MissionBelief:
 
     def steer(self) -> SkidSteer:
         """Return the kinematics of the robot's wheels with the identified turn share."""
-        return SkidSteer.of(self.robot, self.turn_share)
+        return SkidSteer.of(self.robot, self.turn_share.share, self.turn_share.deviation)
 
     def springs(self) -> tuple[TiltAxis, TiltAxis]:
         """Return pitch and roll dynamics; those of the drawing where none were identified."""
@@ -124,6 +130,23 @@ class MissionBelief:
         self.transform_slot_to_level = to_level * slot
         self.slot_covariance = transport_covariance(to_level, covariance)
 
+    def reckon(self, odometry: Odometry) -> None:
+        """Update the slot's pose by the robot's own dead reckoning of a drive.
+
+        Args:
+            odometry: Dead reckoning since the slot's pose was that of the belief.
+        """
+        x, y = odometry.place
+        to_robot = RigidTransform.from_components(
+            [x, y, 0.0], Rotation.from_euler("z", odometry.yaw)
+        ).inv()
+        far, turned, slip = odometry.distance, odometry.turned, odometry.slip()
+        place = 0.02 + 0.05 * far
+        added = np.diag(np.square([0.02, 0.02, 0.03 + 0.05 * turned, place, place, 0.01]))
+        moved = self.slot_covariance + np.outer(slip, slip)
+        self.transform_slot_to_level = to_robot * self.transform_slot_to_level
+        self.slot_covariance = transport_covariance(to_robot, moved) + added
+
     def receive(self, exchange: Exchange, partner: str) -> None:
         """Take over the slot's pose and the turn share that the partner posted.
 
@@ -133,7 +156,8 @@ class MissionBelief:
         """
         self.partner = exchange.read(partner, SlotPose) or self.partner
         share = exchange.read(partner, TurnShare)
-        self.turn_share = share.share if share is not None else self.turn_share
+        if share is not None:
+            self.turn_share = TurnShare(share.share, math.hypot(share.deviation, _UNLIKE))
 
 
 def tilt_of(seen: Observation, robot: str) -> FloatArray:

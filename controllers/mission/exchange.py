@@ -75,9 +75,11 @@ class TurnShare:
 
     Attributes:
         share: Actual turn over that of rolling wheels.
+        deviation: Standard deviation of the share in another turn.
     """
 
     share: float
+    deviation: float
 
 
 @dataclasses.dataclass(frozen=True)

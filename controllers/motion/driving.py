@@ -29,12 +29,14 @@ class SkidSteer:
         wheel_radius: [m].
         half_track: Distance of a wheel from the middle plane [m].
         turn_share: Turn rate over that of rolling wheels, (v_right - v_left) / track.
+        turn_sigma: Standard deviation of `turn_share`.
         most: Largest speed of a wheel [rad/s].
     """
 
     wheel_radius: float
     half_track: float
     turn_share: float = 1.0
+    turn_sigma: float = 0.0
     most: float = 5.0
 
     def __post_init__(self) -> None:
@@ -43,17 +45,21 @@ class SkidSteer:
         Raises:
             ValueError: Naming the number and what is valid.
         """
-        check_numbers("skid steering", self)
+        check_numbers("skid steering", self, "wheel_radius", "half_track", "turn_share", "most")
+        check_numbers("skid steering", self, "turn_sigma", zero=True)
 
     @classmethod
-    def of(cls, robot: RobotDescription, turn_share: float = 1.0) -> "SkidSteer":
+    def of(
+        cls, robot: RobotDescription, turn_share: float = 1.0, turn_sigma: float = 0.0
+    ) -> "SkidSteer":
         """Return the wheels of a robot as drawn.
 
         Args:
             robot: The rover.
             turn_share: Share of rolling wheels' turn rate.
+            turn_sigma: Standard deviation of that share.
         """
-        return cls(robot.wheel_radius, robot.half_track, turn_share)
+        return cls(robot.wheel_radius, robot.half_track, turn_share, turn_sigma)
 
     def wheel_speeds(self, forward: float, turn: float) -> FloatArray:
         """Return (4,) wheel speeds for a motion [rad/s], in the order of `WHEELS`.
@@ -109,6 +115,7 @@ class Odometry:
         self.yaw = float(yaw)
         self.distance = self.turned = 0.0
         self._steer = steer
+        self._slopes = np.zeros(3)  # Derivatives of place and yaw by the turn share.
         self._lag = tilt_lag
         self._tilt: FloatArray | None = None
 
@@ -122,7 +129,11 @@ class Odometry:
             return
         forward, turn = self._steer.motion(observation.wheel_speeds.value)
         middle = self.yaw + 0.5 * turn * period
-        self.place += forward * period * np.array([-math.sin(middle), math.cos(middle)])
+        step = forward * period * np.array([-math.sin(middle), math.cos(middle)])
+        turning = turn * period / self._steer.turn_share
+        self._slopes[:2] += (self._slopes[2] + 0.5 * turning) * np.array([-step[1], step[0]])
+        self._slopes[2] += turning
+        self.place += step
         self.yaw += turn * period
         self.distance += abs(forward) * period
         self.turned += abs(turn) * period
@@ -131,6 +142,16 @@ class Odometry:
     def tilt(self) -> FloatArray:
         """(2,) smoothed pitch and roll [rad]; zeros before the first sample."""
         return np.zeros(2) if self._tilt is None else self._tilt
+
+    def slip(self) -> FloatArray:
+        """Return (6,) twist in the frame of the start, by which the pose errs if the share does.
+
+        It is that of one standard deviation: ``true = from_exp_coords(slip) * pose`` of a robot
+        that keeps so much more of its turns.
+        """
+        x, y = self.place
+        aside, ahead, turn = self._steer.turn_sigma * self._slopes
+        return np.array([0.0, 0.0, turn, aside + turn * y, ahead - turn * x, 0.0])
 
     def pose(self) -> FloatArray:
         """Return (4, 4) from the robot to the frame of the start; height is not known."""

@@ -94,7 +94,8 @@ def run(options: Options, output: Output) -> None:
             ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``stops`` and ``card_off_middle_mm`` of
             whole missions and without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
             ``card_off_middle_more_by_mm/without_<stage>`` (where both inserted),
-            ``wall_over_sim_time`` and the errors of the estimates after each stage.
+            ``wall_over_sim_time``, ``turn_share/<stage>``, ``turn_share_sigma/<stage>`` and the
+            errors of the estimates after each stage.
     """
     check_calibrations(options.robot)
     seeds = options.job_seeds(20, 1)
@@ -250,11 +251,16 @@ def _measure_stages(results: Results, output: Output) -> None:
         )
         output.measure(f"slot_error_mm/master/{name}", distribution(master))
         output.measure(f"slot_error_mm/slave/{name}", distribution(slave))
-        ends, shares = ([getattr(e, what) for e in known] for what in ("ended", "turn_share"))
-        values = (ends, master, slave, shares)
+        ends, shares, sigmas = (
+            [getattr(e, what) for e in known]
+            for what in ("ended", "turn_share", "turn_share_sigma")
+        )
+        output.measure(f"turn_share/{name}", distribution(shares))
+        output.measure(f"turn_share_sigma/{name}", distribution(sigmas))
+        values = (ends, master, slave, shares, sigmas)
         rows.append([name, *(float(np.median(each)) for each in values)])
     columns = ["after", "time [s]", "slot from the master, error [mm]",
-               "slot from the slave, error [mm]", "share of a turn"]  # fmt: skip
+               "slot from the slave, error [mm]", "share of a turn", "its deviation"]  # fmt: skip
     output.table("stages", columns, rows)
 
 

@@ -115,6 +115,7 @@ class StageResult:
         slave_error: (3,) error of the slot's position as the slave estimates it, slot frame [m].
         slave_sigma: (3,) standard deviations that the slave expects, robot frame [m].
         turn_share: Share of rolling wheels' turn that skidding leaves, as identified by then.
+        turn_share_sigma: Its standard deviation.
     """
 
     name: str
@@ -124,6 +125,7 @@ class StageResult:
     slave_error: FloatArray
     slave_sigma: FloatArray
     turn_share: float
+    turn_share_sigma: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,7 +205,8 @@ class MissionScorer(LoopRecorder):
             _sigma(believed, covariance),
             _offset(slave, held.transform_slot_to_level),
             _sigma(held.transform_slot_to_level, held.slot_covariance),
-            held.turn_share,
+            held.turn_share.share,
+            held.turn_share.deviation,
         )
 
 

@@ -34,8 +34,8 @@ _AROUND = ((0.0, -0.25), (0.0, 0.25), (0.25, 0.0), (-0.25, 0.0))
 _SPOT = 3.0  # Time for one direction of the search, with the motion there [s].
 _PATIENCE = 15.0  # Longest time to wait for views [s].
 _GATE = 30.0  # Squared Mahalanobis distance beyond which a detection is not the card.
-_STIRRED = np.diag(np.square([0.05, 0.05, _TURN, 0.05, 0.05, 0.02]))
-"""Covariance of the change of the slot's pose in the robot's frame by a turn to and fro."""
+_STIRRED = np.diag(np.square([0.05, 0.05, 0.05, 0.05, 0.05, 0.02]))
+"""Covariance of what else a turn on rocks may change of the slot's pose in the robot's frame."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -149,16 +149,15 @@ class TurnInView:
         self._belief, self._exchange, self._name = belief, exchange, belief.robot.name
         arm = CardArm(belief.robot, belief.site.insertion.tip)
         self._transform_card_to_robot = arm.transform_card_to_robot(belief.home)
-        self._pose = SlotPose(belief.transform_slot_to_level, belief.slot_covariance)
+        self._tilt, self._met = np.zeros(2), False
         self._rest, self._since = ArmMove(belief.home), math.nan
         self._turns = [_TURN, -_TURN] if turns else []
         self._drive: DriveToPose | None = None
-        self._steer = SkidSteer.of(belief.robot)
-        self._rolling = Odometry(self._steer)
-        self._seen: list[float] = []  # Yaws measured by the master since the last turn [rad].
-        self._yaws: list[
-            tuple[float, float]
-        ] = []  # Measured yaw and that by odometry after each turn [rad].
+        self._rolling = Odometry(SkidSteer.of(belief.robot))
+        # Yaws measured by the master since the last turn [rad], and their variances.
+        self._seen: list[tuple[float, float]] = []
+        # After each turn the yaw as measured, its variance, and that of rolling wheels [rad].
+        self._yaws: list[tuple[float, float, float]] = []
 
     def step(self, seen: Observation) -> Command:
         """Average guidance at rest, turn, and average guidance again."""
@@ -168,6 +167,7 @@ class TurnInView:
             command = self._drive.step(seen)
             if not self._drive.done:
                 return command
+            self._belief.reckon(self._drive.odometry)
             self._drive, self._since, self._seen = None, seen.time, []
             self._rest = ArmMove(self._belief.home)
         command = self._rest.command(seen)
@@ -176,13 +176,14 @@ class TurnInView:
                 self._since = seen.time
             return command
         if seen.inclinometer.usable:
-            tilt = np.asarray(seen.inclinometer.value, dtype=float)
-            self._pose = dataclasses.replace(self._pose, tilt=tilt)
+            self._tilt = np.asarray(seen.inclinometer.value, dtype=float)
         for view in views:
             if view.time >= self._since + 1.0 and view.transform_slot_to_card is not None:
                 self._take(view.transform_slot_to_card, view.covariance)
         if len(self._seen) >= _VIEWS:
-            self._yaws.append((float(np.mean(self._seen)), self._rolling.yaw))
+            # Views of one pose share most of their error: three tell hardly more than one.
+            yaw, variance = np.mean(self._seen, axis=0).tolist()
+            self._yaws.append((yaw, variance, self._rolling.yaw))
             self._turn_on()
         elif seen.time > self._since + _PATIENCE:
             self._end()
@@ -190,30 +191,56 @@ class TurnInView:
 
     def _take(self, transform_slot_to_card: RigidTransform, covariance: FloatArray) -> None:
         """Update the slot's pose from guidance, unless another object was mistaken for the card."""
-        card = self._transform_card_to_robot
-        slot, covariance = card * transform_slot_to_card, transport_covariance(card, covariance)
-        off = slot * self._pose.transform_slot_to_robot.inv()
-        error = np.asarray(off.as_exp_coords())
-        expected = self._pose.covariance + covariance + _STIRRED
+        card, belief = self._transform_card_to_robot, self._belief
+        slot, in_robot = card * transform_slot_to_card, transport_covariance(card, covariance)
+        error = np.asarray((slot * belief.transform_slot_to_level.inv()).as_exp_coords())
+        expected = belief.slot_covariance + in_robot + _STIRRED
         if error @ np.linalg.solve(expected, error) > _GATE:
             return
         self._exchange.post(self._name, CardMet())
-        forward = transform_slot_to_card.inv().rotation.as_matrix()[:, 1]
-        self._seen.append(math.atan2(-forward[2], forward[1]))
-        self._pose = SlotPose(slot, covariance, self._pose.tilt, met=True)
-        self._belief.transform_slot_to_level, self._belief.slot_covariance = slot, covariance
+        to_slot = transform_slot_to_card.inv().rotation.as_matrix()
+        forward, normal = to_slot[:, 1], to_slot[0]
+        variance = float(normal @ covariance[:3, :3] @ normal)
+        self._seen.append((math.atan2(-forward[2], forward[1]), variance))
+        self._met = True
+        belief.transform_slot_to_level, belief.slot_covariance = slot, in_robot
 
     def _turn_on(self) -> None:
         """Begin the next turn; after the last one identify the turn share."""
         if self._turns:
-            self._drive = DriveToPose(self._steer, [0.0, 0.0, self._turns.pop(0)])
+            self._drive = DriveToPose(self._belief.steer(), [0.0, 0.0, self._turns.pop(0)])
             return
         if len(self._yaws) > 1:
-            seen, rolled = np.abs(np.diff(np.array(self._yaws), axis=0)).sum(axis=0)
-            self._belief.turn_share = float(seen / rolled)
-            self._exchange.post(self._name, TurnShare(self._belief.turn_share))
+            self._belief.turn_share = turn_share(*np.transpose(self._yaws))
+            self._exchange.post(self._name, self._belief.turn_share)
         self._end()
 
     def _end(self) -> None:
-        self._exchange.post(self._name, self._pose)
+        belief = self._belief
+        pose = SlotPose(
+            belief.transform_slot_to_level, belief.slot_covariance, self._tilt, self._met
+        )
+        self._exchange.post(self._name, pose)
         self.done = True
+
+
+def turn_share(yaws: FloatArray, variances: FloatArray, rolled: FloatArray) -> TurnShare:
+    """Return the share of rolling wheels' turns that a robot kept in turns to and fro.
+
+    Args:
+        yaws: (N,) measured yaw before, between and after the turns [rad].
+        variances: (N,) variance of each.
+        rolled: (N,) yaw of rolling wheels at the same times [rad].
+
+    Returns:
+        The share; its deviation is that of a turn to come, in which measurement and skidding may
+        err as in these.
+    """
+    turns, rolls = np.diff(yaws), np.abs(np.diff(rolled))
+    share = float(np.abs(turns).sum() / rolls.sum())
+    # A yaw between two turns to opposite sides counts twice.
+    signs = np.concatenate([[0.0], np.sign(turns), [0.0]])
+    measured = np.square(signs[:-1] - signs[1:]) @ variances / rolls.sum() ** 2
+    shares = np.abs(turns) / rolls
+    scatter = float(np.var(shares, ddof=1)) if len(shares) > 1 else 0.0
+    return TurnShare(share, math.sqrt(measured + scatter * (1.0 + 1.0 / len(shares))))

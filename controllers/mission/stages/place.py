@@ -15,7 +15,6 @@ from controllers.insertion.camera_station import (
     camera_arm,
     stereo_geometry,
 )
-from controllers.insertion.card_arm import planar
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.belief import MissionBelief, tilt_of
@@ -23,7 +22,6 @@ from controllers.motion.arm_move import ArmMove
 from controllers.motion.drive_to_pose import DriveToPose
 from controllers.placement.mapped_ground import MappedGround
 from perception.geometry.arrays import FloatArray
-from perception.geometry.se3 import transport_covariance
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
@@ -113,7 +111,7 @@ class PlaceCamera:
             return self._drive.step(seen)
         if self._look is None:
             self.stops += 1
-            self._reckon()
+            self._belief.reckon(self._drive.odometry)
             if self._belief.map is None:
                 self.done = True
                 return self._fold.command(seen)
@@ -123,17 +121,6 @@ class PlaceCamera:
         if self._look.sees(seen):
             self._take(seen)
         return command
-
-    def _reckon(self) -> None:
-        """Transform the slot's pose to the new robot frame by dead reckoning."""
-        odometry, belief = self._drive.odometry, self._belief
-        x, y = odometry.place
-        moved = RigidTransform.from_matrix(planar([x, y, odometry.yaw]))
-        belief.transform_slot_to_level = moved.inv() * belief.transform_slot_to_level
-        far, turned = odometry.distance, odometry.turned
-        place = 0.02 + 0.05 * far
-        added = np.diag(np.square([0.02, 0.02, 0.03 + 0.05 * turned, place, place, 0.01]))
-        belief.slot_covariance = transport_covariance(moved.inv(), belief.slot_covariance) + added
 
     def _begin_search(self) -> None:
         """Begin the search in the panel's expected direction."""

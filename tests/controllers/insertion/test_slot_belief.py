@@ -208,3 +208,21 @@ def test_deviation_before_the_robot_has_moved_is_the_maps() -> None:
     prior = np.diag([1e-12] * 3 + [9e-6, 4e-6, 1e-6])
     belief = SlotBelief(RigidTransform.identity(), prior, BeliefConfig())
     assert belief.deviation() == pytest.approx(3e-3)
+
+
+def test_error_of_the_turn_share_moves_the_slot_with_the_turns_since_the_last_view():
+    """To and fro it cancels; drawn again and again, the slot strays by its covariance."""
+    twist = np.array([0.0, 0.0, 0.03, 0.02, -0.01, 0.0])
+    belief = SlotBelief(SLOT, PRIOR, STILL)
+    belief.note(0.0, np.eye(4), 0.0, 0.0, 0.0, twist)
+    belief.deviation()
+    moved = belief.covariance - PRIOR
+    np.testing.assert_allclose(moved, np.outer(twist, twist), atol=1e-15)
+    rng, strayed = np.random.default_rng(4), []
+    for _ in range(2000):
+        reckoned = RigidTransform.from_exp_coords(rng.normal() * twist)
+        strayed.append((reckoned.inv() * SLOT * SLOT.inv()).as_exp_coords())
+    np.testing.assert_allclose(np.cov(np.transpose(strayed)), moved, atol=0.1 * moved.max())
+    belief.note(0.0, np.eye(4), 0.0, 0.0, 0.0, twist)
+    belief.deviation()
+    np.testing.assert_allclose(belief.covariance - PRIOR, moved, atol=1e-15)

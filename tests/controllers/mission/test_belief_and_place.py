@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.camera_station import CameraStation, camera_arm, stereo_geometry
 from controllers.mapping.localization import RobotLocalization, level_target, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
-from controllers.mission.belief import MissionBelief, tilt_of
+from controllers.mission.belief import ROLLING, MissionBelief, tilt_of
 from controllers.mission.exchange import Exchange, SlotPose, TurnShare
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import SiteDrawing
@@ -221,12 +221,15 @@ def test_robot_adopts_the_estimates_of_its_partner(site: SiteDrawing) -> None:
     belief, exchange = master_of(site), Exchange({})
     drawn = belief.partner.transform_slot_to_robot
     belief.receive(exchange, SLAVE)
-    assert belief.partner.transform_slot_to_robot is drawn and belief.turn_share == 1.0
+    assert belief.partner.transform_slot_to_robot is drawn and belief.turn_share == ROLLING
     pose = SlotPose(RigidTransform.from_translation([0.1, 0.9, 0.2]), np.eye(6), met=True)
     exchange.post(SLAVE, pose)
-    exchange.post(SLAVE, TurnShare(0.7))
+    exchange.post(SLAVE, TurnShare(0.7, 0.04))
     belief.receive(exchange, SLAVE)
-    assert belief.partner is pose and belief.turn_share == 0.7
+    assert belief.partner is pose and belief.turn_share.share == 0.7
+    # The other robot's wheels are not its own.
+    assert 0.04 < belief.turn_share.deviation < 0.06
+    assert belief.steer().turn_sigma == belief.turn_share.deviation
     # A message of the other robot's is not its own.
     assert exchange.read(MASTER, SlotPose) is None
 

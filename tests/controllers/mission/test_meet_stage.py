@@ -11,8 +11,9 @@ from controllers.insertion.card_arm import CardArm
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.marker_guide import MarkerGuide
 from controllers.mapping.localization import tilt_to_level
+from controllers.mission.belief import ROLLING
 from controllers.mission.exchange import CardMet, SlotPose, TurnShare
-from controllers.mission.stages.meet import FindCard, GuidedSlave, TurnInView
+from controllers.mission.stages.meet import FindCard, GuidedSlave, TurnInView, turn_share
 from perception.geometry.se3 import transport_covariance
 from tests.controllers.mission.hand_made import (
     HOME,
@@ -85,8 +86,41 @@ def test_slave_turns_half_a_radian_left_and_back_and_learns_the_share_of_both_tu
     np.testing.assert_allclose(rolled[1:], [0.49, 0.0], atol=0.02)
     share = (0.6 * left + 0.8 * right) / (left + right)
     posted = meeting.exchange.read(SLAVE, TurnShare)
-    assert posted is not None
-    assert posted.share == meeting.belief.turn_share == pytest.approx(share, abs=1e-9)
+    assert posted is not None and posted == meeting.belief.turn_share
+    assert posted.share == pytest.approx(share, abs=1e-9)
+    # Of two turns, and a third to come: sqrt(0.2^2 / 2 * 3 / 2); the views are exact.
+    assert posted.deviation == pytest.approx(0.2 * math.sqrt(0.75), rel=1e-4)
+
+
+def test_slot_is_where_the_turn_leaves_it_though_the_share_is_not_known_yet() -> None:
+    meeting = Meeting(left=0.7, right=0.7)
+    while not meeting.rover.drives:
+        meeting.run(meeting.rover.seen.time + 0.01, every=7)
+    while meeting.rover.drives:
+        meeting.run(meeting.rover.seen.time + 0.01)
+    belief = meeting.belief
+    true = meeting.rover.pose.inv() * meeting.slot
+    error = (true * belief.transform_slot_to_level.inv()).as_exp_coords()
+    # Rolling wheels turn half a radian, these 0.35; the share is 1 within 0.3.
+    assert error[2] == pytest.approx(0.15, abs=0.01)
+    assert error @ np.linalg.solve(belief.slot_covariance, error) < 1.5
+
+
+def test_share_of_turns_errs_by_its_deviation() -> None:
+    """Measured turns and skidding as they may be, again and again."""
+    rng, rolled = np.random.default_rng(0), np.array([0.0, 0.5, 0.0])
+    variances, scatter, squares = np.square([0.02, 0.03, 0.01]), 0.05, []
+    for _ in range(4000):
+        shares = 0.65 + scatter * rng.normal(size=3)
+        yaws = np.concatenate([[0.0], np.cumsum(shares[:2] * np.diff(rolled))])
+        found = turn_share(yaws + np.sqrt(variances) * rng.normal(size=3), variances, rolled)
+        squares.append([(found.share - shares[2]) ** 2, found.deviation**2])
+    off, expected = np.mean(squares, axis=0)
+    before, between, after = variances
+    true = 1.5 * scatter**2 + before + 4.0 * between + after
+    assert off == pytest.approx(true, rel=0.06)
+    # What the first and the last yaw add to the scatter of two turns is counted once more.
+    assert expected == pytest.approx(true + 3.0 * (before + after), rel=0.06)
 
 
 def test_slave_does_not_turn_before_three_views_have_met_the_card() -> None:
@@ -130,6 +164,7 @@ def test_slave_that_is_not_detected_ends_after_15_s_with_the_drawn_pose() -> Non
     posted = meeting.exchange.read(SLAVE, SlotPose)
     assert posted is not None and not posted.met
     assert posted.transform_slot_to_robot is drawn and posted.covariance is covariance
+    np.testing.assert_array_equal(posted.tilt, TILT)
     assert meeting.exchange.read(SLAVE, TurnShare) is None
     assert meeting.exchange.read(SLAVE, CardMet) is None
 
@@ -153,7 +188,8 @@ def test_slave_that_does_not_turn_posts_the_measured_pose_in_its_frame() -> None
     for found in (posted.covariance, meeting.belief.slot_covariance):
         np.testing.assert_allclose(found, transport_covariance(CARD, sigmas), atol=1e-15)
     np.testing.assert_array_equal(posted.tilt, TILT)
-    assert meeting.exchange.read(SLAVE, TurnShare) is None and meeting.belief.turn_share == 1.0
+    assert meeting.exchange.read(SLAVE, TurnShare) is None
+    assert meeting.belief.turn_share == ROLLING
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -163,8 +199,8 @@ def test_pose_beyond_the_gate_of_all_three_covariances_is_not_the_card(
 ) -> None:
     meeting = Meeting()
     prior, measured = 0.03**2, 0.04**2
-    # A turn to and fro: 0.05 rad of tilt, 0.5 rad of yaw, 0.05 m and, in height, 0.02 m.
-    turn = np.square([0.05, 0.05, 0.5, 0.05, 0.05, 0.02])[axis]
+    # What else a turn may change: 0.05 rad, 0.05 m and, in height, 0.02 m.
+    turn = np.square([0.05, 0.05, 0.05, 0.05, 0.05, 0.02])[axis]
     meeting.belief.slot_covariance = prior * np.eye(6)
     meeting.stage = TurnInView(meeting.belief, meeting.exchange, turns=True)
     meeting.rest()

@@ -20,7 +20,7 @@ from controllers.insertion.team import ARM_REACH
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
 from controllers.mission.belief import MissionBelief
-from controllers.mission.exchange import ArmReady
+from controllers.mission.exchange import ArmReady, TurnShare
 from controllers.mission.stages import identify
 from controllers.mission.stages.identify import SwingArm
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
@@ -65,7 +65,7 @@ def off_axis(angles: np.ndarray, point: np.ndarray) -> np.ndarray:
 def test_master_folds_its_arm_and_drives_to_the_station_by_its_own_turn_share() -> None:
     belief, station = belief_of(MASTER), station_ahead(-0.2, 0.4, 0.5)
     slot, prior = belief.transform_slot_to_level, np.diag(np.square([1, 2, 3, 4, 5, 6])) * 1e-4
-    belief.slot_covariance, belief.turn_share = prior, 0.7
+    belief.slot_covariance, belief.turn_share = prior, TurnShare(0.7, 0.05)
     stage = PlaceCamera(belief, station)
     rover = KinematicRover(MASTER, HOME + [0.5, 0.2, 0.0, -0.1], left=0.7, right=0.7)
     while np.abs(rover.command.arm - HOME).max() > 0.05:
@@ -84,7 +84,10 @@ def test_master_folds_its_arm_and_drives_to_the_station_by_its_own_turn_share() 
     # 2 cm and 5 % of the distance; 0.03 rad and 5 % of the turns; 0.02 rad of tilt; 1 cm of height.
     place, turn = 0.02 + 0.05 * rover.driven, 0.03 + 0.05 * rover.turned
     added = np.diag(np.square([0.02, 0.02, turn, place, place, 0.01]))
-    covariance = transport_covariance(rover.pose.inv(), prior) + added
+    # And what an error of the turn share makes of the drive.
+    slip = stage._drive.odometry.slip()
+    moved = prior + np.outer(slip, slip)
+    covariance = transport_covariance(rover.pose.inv(), moved) + added
     np.testing.assert_allclose(belief.slot_covariance, covariance, atol=1e-9)
     np.testing.assert_allclose(rover.command.arm, HOME, atol=1e-9)
     assert not rover.drives

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.localization import tilt_to_level
 from controllers.motion.driving import Odometry, SkidSteer, TurnShareDrive, identify_turn_share
@@ -156,6 +157,8 @@ def test_share_of_mujocos_rover_brings_dead_reckoning_to_its_true_heading(slip_d
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="turn_share = 0"):
         SkidSteer(0.05, 0.15, turn_share=0.0)
+    with pytest.raises(ValueError, match="turn_sigma = -0.1"):
+        SkidSteer(0.05, 0.15, turn_sigma=-0.1)
     with pytest.raises(ValueError, match="wheel_radius"):
         SkidSteer(math.nan, 0.15)
     straight = np.ones((100, 4))
@@ -175,3 +178,24 @@ def test_identification_drive_curves_to_the_left_and_then_to_the_right_in_equal_
         assert forward == pytest.approx(0.06)
         turns.append(turn)
     np.testing.assert_allclose(turns, np.repeat([0.25, -0.25, 0.25, -0.25], 150))
+
+
+def wound(share, sigma=0.0):
+    """Return dead reckoning of a winding drive by wheels that keep a share of its turns."""
+    odometry = Odometry(SkidSteer(0.05, 0.15, share, sigma), (0.3, -0.2), 0.4)
+    rng = np.random.default_rng(2)
+    for speeds in np.repeat(rng.uniform(-1.0, 3.0, (12, 2)), 25, axis=0):
+        left, right = speeds
+        wheels = Channel(np.array([left, right, left, right]), 0.0, Validity.MEASURED)
+        odometry.update(Observation(0.0, wheel_speeds=wheels), PERIOD)
+    return odometry
+
+
+def test_slip_is_what_a_share_off_by_its_deviation_makes_of_the_pose():
+    odometry, sigma = wound(0.6, 0.05), 0.05
+    step = 1e-5
+    less, more = (RigidTransform.from_matrix(wound(0.6 + s).pose()) for s in (-step, step))
+    slope = (more * less.inv()).as_exp_coords() / (2.0 * step)
+    np.testing.assert_allclose(odometry.slip(), sigma * slope, atol=1e-8)
+    assert np.abs(odometry.slip()[2]) > 0.005
+    np.testing.assert_array_equal(wound(0.6).slip(), 0.0)
