@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.compose import FieldConfig, RobotPlacement, make_model
-from models.datasheets import ARM_MOTOR, CAMERA, ROVER, WHEEL_MOTOR
+from models.datasheets import ARM_MOTOR, CAMERA, ROVER, TOLERANCES, WHEEL_MOTOR
 from perception.geometry.arrays import FloatArray
 from twin.camera import camera_model, camera_pose
 from twin.description import (
@@ -219,7 +219,9 @@ def _wheel(
         damper = float(model.dof_damping[model.jnt_dofadr[sliding[0]]])
     mass = float(model.body_mass[body])
     friction = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
-    return WheelDescription(name, np.asarray(centre), float(radius), mass, spring, damper, friction)
+    sigma = TOLERANCES.spring / math.sqrt(3.0)  # uniform
+    place = np.asarray(centre)
+    return WheelDescription(name, place, float(radius), mass, spring, damper, friction, sigma)
 
 
 def _arm(

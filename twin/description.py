@@ -121,6 +121,7 @@ class WheelDescription:
         spring: Stiffness of its spring [N/m]; infinite for a wheel that is fixed to the body.
         damper: Damping of its spring [N s/m].
         friction: Dry friction of its gear [N m].
+        spring_sigma: Standard deviation of the stiffness by its tolerance, as a share of it.
     """
 
     name: str
@@ -130,6 +131,7 @@ class WheelDescription:
     spring: float
     damper: float
     friction: float
+    spring_sigma: float
 
 
 @dataclasses.dataclass(frozen=True)

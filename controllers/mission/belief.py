@@ -90,7 +90,7 @@ class MissionBelief:
         """Return pitch and roll dynamics; those of the drawing where none were identified."""
         if self.pitch is None:
             return drawn_springs(self.robot)
-        pitch = TiltAxis.of(self.pitch.parameters)
+        pitch = TiltAxis.of(self.pitch)
         return pitch, roll_axis(pitch, self.robot)
 
     def slot_in_robot(self, tilt: FloatArray) -> tuple[RigidTransform, FloatArray]:

@@ -5,14 +5,21 @@ robot's frame when the arm reaches out, by stiffness and levers (Thesis eq. 2-1 
 """
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.identification.pitch import NAMES, PitchEstimate
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 from twin.description import RobotDescription
+
+_LEVER = 0.03
+"""Standard deviation of the levers by the drawing [m]. Assumption: where braked tyres roll."""
+_CENTRE_JOINT = 1.0 / 3.0 / math.sqrt(3.0)
+"""R.m.s. share by which eq. A-1 makes roll too stiff: none to a third, by the centre joint."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,12 +32,16 @@ class TiltAxis:
         stiffness: Stiffness of the tilt [N m/rad].
         lever: (2,) from that line to the arm's base [m]: forward and up for pitch, leftward and up
             for roll, (ry, rz) of `controllers.identification.pitch`.
+        covariance: (3, 3) covariance of the two levers and the stiffness; zeros if they are known.
     """
 
     inertia: float
     damping: float
     stiffness: float
     lever: tuple[float, float]
+    covariance: FloatArray = dataclasses.field(
+        default_factory=lambda: np.zeros((3, 3)), compare=False
+    )
 
     def __post_init__(self) -> None:
         """Refuse a base that does not swing back.
@@ -41,10 +52,11 @@ class TiltAxis:
         check_numbers("tilt model", self, "inertia", "damping", "stiffness")
 
     @classmethod
-    def of(cls, parameters: ArrayLike) -> "TiltAxis":
-        """Return the axis that `PitchEstimate.parameters` (5,) describe."""
-        inertia, ry, rz, damping, stiffness = np.asarray(parameters, dtype=float).tolist()
-        return cls(inertia, damping, stiffness, (ry, rz))
+    def of(cls, estimate: PitchEstimate) -> "TiltAxis":
+        """Return the axis as it was identified."""
+        inertia, ry, rz, damping, stiffness = estimate.parameters.tolist()
+        kept = [NAMES.index(name) for name in ("ry", "rz", "k_pitch")]
+        return cls(inertia, damping, stiffness, (ry, rz), estimate.covariance[np.ix_(kept, kept)])
 
 
 def roll_axis(pitch: TiltAxis, robot: RobotDescription) -> TiltAxis:
@@ -55,12 +67,11 @@ def roll_axis(pitch: TiltAxis, robot: RobotDescription) -> TiltAxis:
         robot: The rover as drawn.
     """
     ratio = (robot.half_track / robot.half_wheelbase) ** 2
-    return TiltAxis(
-        pitch.inertia * ratio,
-        pitch.damping * ratio,
-        pitch.stiffness * ratio,
-        (0.0, pitch.lever[1]),
-    )
+    stiffness, scale = pitch.stiffness * ratio, np.diag([0.0, 1.0, ratio])
+    own = np.diag(np.square([_LEVER, 0.0, _CENTRE_JOINT * stiffness]))
+    covariance = scale @ pitch.covariance @ scale + own
+    lever = (0.0, pitch.lever[1])
+    return TiltAxis(pitch.inertia * ratio, pitch.damping * ratio, stiffness, lever, covariance)
 
 
 def drawn_springs(robot: RobotDescription) -> tuple[TiltAxis, TiltAxis]:
@@ -79,14 +90,18 @@ def drawn_springs(robot: RobotDescription) -> tuple[TiltAxis, TiltAxis]:
     if robot.arm is None:
         raise ValueError(f"robot {robot.name!r} has no arm: nothing tilts it")
     far = np.array([wheel.centre[1] for wheel in robot.wheels])
-    masses, springs, dampers = np.array(
-        [(wheel.mass, wheel.spring, wheel.damper) for wheel in robot.wheels]
+    masses, springs, dampers, sigmas = np.array(
+        [(wheel.mass, wheel.spring, wheel.damper, wheel.spring_sigma) for wheel in robot.wheels]
     ).T
     body, mount = robot.body, robot.arm.transform_base_to_robot.translation
     height = body.centre[2] + robot.centre_height
     inertia = body.inertia[0, 0] + body.mass * height**2 - masses @ far**2
     lever = (float(mount[1]), float(mount[2]) + robot.centre_height)
-    pitch = TiltAxis(float(inertia), float(dampers @ far**2), float(springs @ far**2), lever)
+    variance = float(np.square(sigmas * springs) @ far**4)  # Each spring by itself.
+    covariance = np.diag([_LEVER**2, _LEVER**2, variance])
+    pitch = TiltAxis(
+        float(inertia), float(dampers @ far**2), float(springs @ far**2), lever, covariance
+    )
     return pitch, roll_axis(pitch, robot)
 
 
@@ -103,6 +118,23 @@ def tilting_moments(pitch: TiltAxis, roll: TiltAxis) -> FloatArray:
             [roll.lever[1], 0.0, roll.lever[0], 0.0, 1.0, 0.0],
         ]
     )
+
+
+def moment_variances(pitch: TiltAxis, roll: TiltAxis, change: ArrayLike) -> FloatArray:
+    """Return (2,) variances of moments that would tilt as the errors of levers and stiffness do.
+
+    Args:
+        pitch: Tilt of the base about x.
+        roll: Tilt of the base about y.
+        change: (6,) of the wrench by the rover on its arm, in and about the arm's base [N, N m].
+    """
+    wrench = np.asarray(change, dtype=float)
+    moments, (x, y, z) = tilting_moments(pitch, roll) @ wrench, wrench[:3]
+    rows = (
+        (pitch, np.array([-z, y, -moments[0] / pitch.stiffness])),
+        (roll, np.array([-z, -x, -moments[1] / roll.stiffness])),
+    )
+    return np.array([row @ axis.covariance @ row for axis, row in rows])
 
 
 class BaseTilt:

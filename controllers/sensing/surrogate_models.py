@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.kinematics.rigid_motion import FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_motion import BaseMotionFilter, level_of
-from controllers.motion.base_tilt import TiltAxis, tilting_moments
+from controllers.motion.base_tilt import TiltAxis, moment_variances, tilting_moments
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 from perception.geometry.gravity import GRAVITY
@@ -303,8 +303,6 @@ class TiltModelConfig:
         bandwidth: First-order corner frequency of the inclinometer [Hz].
         height: Its height over the arm's base [m]: it refers to the specific force at its place.
         moment: Standard deviation of the moment that the model does not know [N m].
-        gain: Relative standard deviation of the moment that it knows.
-        lever: Standard deviation of the levers [m]: an arm that only swings hardly shows them.
         ground_drift: Growth of the slope's deviation at rest [rad/sqrt(s)].
         drive_drift: Growth of the slope's deviation by driving [rad/sqrt(m)]. Measured over 0.4 m
             of ground with 2 cm of relief and rocks of 2 to 5 cm: 0.157 in pitch, 0.112 in roll
@@ -318,8 +316,6 @@ class TiltModelConfig:
     bandwidth: float = 6.0
     height: float = -0.036
     moment: float = 0.02
-    gain: float = 0.1
-    lever: float = 0.03
     ground_drift: float = 1e-4
     drive_drift: float = 0.16
     wheel_radius: float = 0.08
@@ -387,9 +383,8 @@ class TiltModel:
         turns = tilting_moments(self.config.pitch, self.config.roll)
         change = wrench - self._rest
         moments = turns @ change
-        across = change[2] ** 2 + change[[1, 0]] ** 2
-        unsure = self.config.moment**2 + (self.config.gain * moments) ** 2
-        unsure += self.config.lever**2 * across
+        unsure = moment_variances(self.config.pitch, self.config.roll, change)
+        unsure += self.config.moment**2
         if wrench_covariance is not None:
             unsure += np.einsum("ij,jk,ik->i", turns, np.asarray(wrench_covariance), turns)
         drift = self.config.ground_drift**2 * dt + self.config.drive_drift**2 * self._driven(

@@ -4,9 +4,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from controllers.motion.base_tilt import BaseTilt, TiltAxis, drawn_springs
+from controllers.identification.pitch import NAMES, PitchData, PitchFit, PitchSensors
+from controllers.motion.base_tilt import (
+    BaseTilt,
+    TiltAxis,
+    drawn_springs,
+    moment_variances,
+    roll_axis,
+)
 from experiments.ch5.insertion_scene import SLAVE, transform
 from models.compose import ARM_JOINTS
+from models.datasheets import TOLERANCES
 from perception.geometry.gravity import GRAVITY
 from tests.controllers.insertion.scenes import card_arm, fresh
 from twin.describe import describe_rover
@@ -94,6 +102,61 @@ def test_a_force_at_the_tilt_axis_tilts_nothing_and_one_above_it_by_its_lever():
     np.testing.assert_allclose(base.tilt([0.0, 3.0, 0.0, 0.0, 0.0, 0.0]), [0.2 * 3.0 / 300.0, 0.0])
     base = BaseTilt(TiltAxis(0.1, 2.0, 300.0, (0.0, 0.0)), pitch, np.zeros(3))
     np.testing.assert_allclose(base.tilt([0.0, 3.0, 0.0, 0.0, 0.0, 0.0]), np.zeros(2))
+
+
+def redrawn(axis: TiltAxis, rng: np.random.Generator) -> TiltAxis:
+    """Return an axis as it may truly be."""
+    root = np.linalg.cholesky(axis.covariance + 1e-18 * np.eye(3))
+    y, z, stiffness = np.array([*axis.lever, axis.stiffness]) + root @ rng.normal(size=3)
+    return TiltAxis(axis.inertia, axis.damping, float(stiffness), (float(y), float(z)))
+
+
+def test_predicted_tilt_errs_by_the_covariance_of_levers_and_stiffness():
+    rng = np.random.default_rng(0)
+    mixed = np.array([[4e-4, 1e-4, 0.05], [1e-4, 2e-4, -0.03], [0.05, -0.03, 90.0]])
+    pitch = TiltAxis(0.1, 2.0, 300.0, (0.14, 0.18), mixed)
+    roll = TiltAxis(0.1, 2.0, 250.0, (0.03, 0.17), 0.7 * mixed)
+    change = np.array([2.0, -3.0, 5.0, 0.6, -0.9, 0.2])
+    drawn = [
+        BaseTilt(redrawn(pitch, rng), redrawn(roll, rng), np.zeros(3)).tilt(change)
+        for _ in range(8000)
+    ]
+    stiffness = np.array([pitch.stiffness, roll.stiffness])
+    expected = np.sqrt(moment_variances(pitch, roll, change)) / stiffness
+    np.testing.assert_allclose(np.std(drawn, axis=0), expected, rtol=0.04)
+
+
+def test_drawn_springs_are_as_uncertain_as_four_springs_of_the_tolerance():
+    rover, rng = describe_rover(), np.random.default_rng(1)
+    pitch, roll = drawn_springs(rover)
+    wheels = np.array([(wheel.spring, wheel.centre[1]) for wheel in rover.wheels])
+    share = TOLERANCES.spring
+    made = rng.uniform(1.0 - share, 1.0 + share, (20_000, 4)) * wheels[:, 0] @ wheels[:, 1] ** 2
+    assert np.sqrt(pitch.covariance[2, 2]) == pytest.approx(np.std(made), rel=0.02)
+    # Uniform within 30 % is 17 % of each, so half of that of four alike.
+    relative = np.sqrt(pitch.covariance[2, 2]) / pitch.stiffness
+    assert relative == pytest.approx(share / np.sqrt(3.0) / 2.0, rel=0.02)
+    # Roll is by eq. A-1 beside: too stiff by none to a third.
+    more = np.hypot(relative, 1.0 / 3.0 / np.sqrt(3.0))
+    assert np.sqrt(roll.covariance[2, 2]) / roll.stiffness == pytest.approx(more)
+
+
+def test_identified_springs_keep_the_covariance_of_the_fit():
+    rng = np.random.default_rng(3)
+    wrench = np.cumsum(rng.normal(size=(400, 6)), axis=0) * 0.05
+    indices = np.arange(4, 400, 4)
+    estimate = PitchFit(PitchSensors()).fit(
+        PitchData.of(wrench, indices, 1e-3 * rng.normal(size=len(indices)))
+    )
+    pitch = TiltAxis.of(estimate)
+    kept = [NAMES.index(name) for name in ("ry", "rz", "k_pitch")]
+    np.testing.assert_array_equal([*pitch.lever, pitch.stiffness], estimate.parameters[kept])
+    np.testing.assert_array_equal(pitch.covariance, estimate.covariance[np.ix_(kept, kept)])
+    roll = roll_axis(pitch, describe_rover())
+    assert roll.covariance[1, 1] == pitch.covariance[1, 1]
+    assert roll.covariance[1, 2] / roll.stiffness == pytest.approx(
+        pitch.covariance[1, 2] / pitch.stiffness
+    )
 
 
 def test_the_arm_weighs_what_hangs_on_its_sensor():

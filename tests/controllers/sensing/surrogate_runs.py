@@ -91,7 +91,7 @@ def tilt_config() -> TiltModelConfig:
     quarter = np.column_stack([y, -x, z, ny, -nx, nz])
     indices = np.arange(4, LEARNT, 4)
     axes = [
-        TiltAxis.of(PitchFit(PitchSensors()).fit(PitchData.of(w, indices, t[indices])).parameters)
+        TiltAxis.of(PitchFit(PitchSensors()).fit(PitchData.of(w, indices, t[indices])))
         for w, t in ((wrench, tilt[:, 0]), (quarter, tilt[:, 1]))
     ]
     return TiltModelConfig(axes[0], axes[1])
