@@ -72,7 +72,7 @@ ROVER_UNCHANGED = Unchanged(
         ]
     ),
 )
-"""125 rovers as made, on rough ground; `ch2-diagnosis` measures the same of its own."""
+"""125 rovers as made, on rough ground; `ch2-diagnosis` writes the same of its own as a table."""
 
 
 def base_changes(

@@ -157,6 +157,8 @@ def run(options: Options, output: Output) -> None:
     results = sweep(diagnose, trials, options, output, label="robots")
     _measure(results, output)
     output.table("diagnoses", *_table(results))
+    off = [_beyond_drawing(each) for each in results if each.trial.case == "unchanged"]
+    output.table("unchanged", NAMES, off)
     output.figure("changes", _figure(results))
 
 
@@ -207,17 +209,13 @@ def _measure(results: Sequence[Diagnosis], output: Output) -> None:
     output.measure("false_alarm_fraction", alarms)
     most = f"<= {FALSE_ALARMS:g}"
     output.check("false alarms", alarms["mean"], most, alarms["mean"] <= FALSE_ALARMS)
-    used = [each for each in results if not each.doubts]
     output.measure("identified_fraction", success_fraction(not each.doubts for each in results))
-    off = np.array([_beyond_drawing(each) for each in used if each.trial.case == "unchanged"])
-    if len(off) > len(NAMES):
-        output.measure("unchanged_mean", off.mean(axis=0))
-        output.measure("unchanged_covariance", np.cov(off.T))
     errors = [abs(error) for each in results for error in _grip_errors(each)]
     output.measure("wheel_friction_error_percent", distribution(errors))
 
 
 def _beyond_drawing(result: Diagnosis) -> FloatArray:
+    """Return how far an identification is from the drawing (5,), as `Unchanged` counts it."""
     pitch, _ = drawn_springs(describe_rover(ROBOT))
     drawn = np.array([pitch.inertia, *pitch.lever, pitch.damping, pitch.stiffness])
     return search_coordinates(result.estimate.parameters) - search_coordinates(drawn)
