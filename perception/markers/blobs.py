@@ -222,9 +222,9 @@ def _sums(
     window: RimWindow,
     pixels: PixelNoise,
     equations: NormalEquations,
-    own: bool,
+    equate: bool,
 ) -> None:
-    """Sum up the squares of a trial with the weights of p; if they are one, normal equations too.
+    """Sum up the squares of a trial with the weights of p; if asked, its normal equations too.
 
     p and trial are an ellipse, the background and the contrast.
     """
@@ -244,14 +244,13 @@ def _sums(
                 continue
             part = _covered(p, x - p[0], y - p[1], slopes)
             weight = 1.0 / (noise**2 + (sampling * p[6]) ** 2 * 4.0 * part * (1.0 - part))
-            if not own:
-                part = _covered(trial, x - trial[0], y - trial[1], slopes)
+            part = _covered(trial, x - trial[0], y - trial[1], slopes)
             error = image[y, x] - trial[5] - trial[6] * part
             sums[0] += weight * error * error
             sums[1] += error * error
             sums[2] += 1.0
-            if own:
-                jac[:5] = p[6] * slopes
+            if equate:
+                jac[:5] = trial[6] * slopes
                 jac[5], jac[6] = 1.0, part
                 for i in range(7):
                     gradient[i] += weight * jac[i] * error
@@ -289,6 +288,52 @@ def _proper(trial: Any, start: Any) -> bool:
 
 
 @numba.njit(cache=True)
+def _descend(
+    image: Any,
+    p: Any,
+    window: RimWindow,
+    pixels: PixelNoise,
+    equations: NormalEquations,
+    fixed: bool,
+) -> float:
+    """Bring an ellipse (7,) nearer to the least squares; return its last change [px], or 0 at rest.
+
+    Weights follow the ellipse. With a rim that is no ellipse's they may chase it for ever; fixed
+    ones let it settle.
+    """
+    start, (normal, gradient, sums) = window.first, equations
+    spare = NormalEquations(np.empty((7, 7)), np.empty(7), sums)
+    trial, weighing, damping, change = np.empty(7), p.copy(), 1e-3, np.inf
+    for _ in range(_ITERATIONS):
+        if not fixed:
+            weighing[:] = p
+        _sums(image, weighing, p, window, pixels, equations, True)
+        cost, better = sums[0], False
+        for _ in range(4):
+            damped = normal.copy()
+            for i in range(7):
+                damped[i, i] = damped[i, i] * (1.0 + damping) + 1e-9
+            step = np.sum(_inverse(damped) * gradient, axis=1)
+            change = np.max(np.abs(step[:2]))
+            trial[:] = p + step
+            if _proper(trial, start):
+                _sums(image, weighing, trial, window, pixels, spare, False)
+                if sums[0] < cost:
+                    better = True
+                    break
+            damping *= 10.0
+        if better:
+            p[:] = trial
+            damping = max(damping * 0.1, 1e-6)
+        # The model has kinks where a part of a pixel is just covered: there a fit may halt.
+        if change < (_STEP if better else _HALT):
+            return 0.0
+        if not better:
+            break
+    return change
+
+
+@numba.njit(cache=True)
 def _fit(image: Any, start: Any, pixels: PixelNoise, found: MeasuredEllipses, number: int) -> bool:
     """Fit an ellipse of one grey level on another to an image, by weighted least squares.
 
@@ -315,43 +360,21 @@ def _fit(image: Any, start: Any, pixels: PixelNoise, found: MeasuredEllipses, nu
     inside = image[top : bottom + 1, left : right + 1]
     low, high = float(np.min(inside)), float(np.max(inside))
     p[5], p[6] = low, max(high - low, 1.0)
-    normal, gradient, sums = np.empty((7, 7)), np.empty(7), np.empty(3)
-    equations = NormalEquations(normal, gradient, sums)
-    spare = NormalEquations(np.empty((7, 7)), np.empty(7), sums)
-    trial, damping, done, change = np.empty(7), 1e-3, False, np.inf
-    for _ in range(_ITERATIONS):
+    normal, sums = np.empty((7, 7)), np.empty(3)
+    equations = NormalEquations(normal, np.empty(7), sums)
+    for fixed in (False, True):
+        change = _descend(image, p, window, pixels, equations, fixed)
         _sums(image, p, p, window, pixels, equations, True)
-        cost, better = sums[0], False
-        for _ in range(4):
-            damped = normal.copy()
-            for i in range(7):
-                damped[i, i] = damped[i, i] * (1.0 + damping) + 1e-9
-            step = np.sum(_inverse(damped) * gradient, axis=1)
-            change = np.max(np.abs(step[:2]))
-            trial[:] = p + step
-            if _proper(trial, start):
-                _sums(image, p, trial, window, pixels, spare, False)
-                if sums[0] < cost:
-                    better = True
-                    break
-            damping *= 10.0
-        if better:
-            p[:] = trial
-            damping = max(damping * 0.1, 1e-6)
-        # The model has kinks where a part of a pixel is just covered: there a fit may halt.
-        if change < (_STEP if better else _HALT):
-            done = True
-        if done or not better:
+        for i in range(7):
+            normal[i, i] += 1e-9
+        covariance = _inverse(normal)
+        # What the weights do not explain, the background's texture or a rim that is no ellipse.
+        excess = max(sums[0] / max(sums[2] - 7.0, 1.0), 1.0)
+        # A blurred rim leaves the fit wandering, but within what its covariance says.
+        own = math.sqrt(excess * max(covariance[0, 0], covariance[1, 1]))
+        if change <= max(_HALT, own):
             break
-    _sums(image, p, p, window, pixels, equations, True)
-    for i in range(7):
-        normal[i, i] += 1e-9
-    covariance = _inverse(normal)
-    # What the weights do not explain, the background's texture or a rim that is no ellipse.
-    excess = max(sums[0] / max(sums[2] - 7.0, 1.0), 1.0)
-    # A blurred rim leaves the fit wandering, but within what its covariance says.
-    own = math.sqrt(excess * max(covariance[0, 0], covariance[1, 1]))
-    if not done and change > max(_HALT, own):
+    else:
         return False
     found.ellipses[number] = p[:5]
     found.covariances[number] = excess * covariance[:5, :5]
