@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.arrays import FloatArray
-from perception.geometry.pinhole import Pinhole
+from perception.geometry.pinhole import EXACT_CALIBRATION, Pinhole, StereoCalibration
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,11 +142,15 @@ class StereoHeadDescription:
         camera: Intrinsics of either camera.
         baseline: Distance from the left to the right camera along the camera's x [m].
         transform_camera_to_wrist: Transform from the left camera to the arm's last link.
+        calibration: What the head's calibration states of its own errors.
+        exposure: Exposure time of a pair, as set [s]; 0 for images that no motion blurs.
     """
 
     camera: Pinhole
     baseline: float
     transform_camera_to_wrist: RigidTransform
+    calibration: StereoCalibration = EXACT_CALIBRATION
+    exposure: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,12 +22,13 @@ from models.datasheets import (
     SensorErrorSheet,
     Tolerances,
 )
+from twin.description import RobotDescription
 from twin.hardware.emulator.modem import ModemConfig
 from twin.optics.realism import CAMERA_SETS, IDEAL_CAMERA, CameraRealism
-from twin.sensors import DATASHEET, SensorSuite
+from twin.sensors import DATASHEET, SensorSuite, with_errors
 
 RealismName = Literal["ideal", "default", "harsh"]
-_MAKING = 11  # Stream of random numbers of a connection's seed.
+_MAKING, _ERRORS = 11, 12  # Streams of random numbers of a connection's seed.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,3 +115,40 @@ def make_robots(
         else dataclasses.replace(robot, made=AsMade(own, tolerances))
         for robot, own in zip(robots, seeds.tolist())
     )
+
+
+def sensor_suites(
+    suite: SensorSuite,
+    errors: SensorErrorSheet | None,
+    robots: Sequence[RobotDescription],
+    seed: int,
+) -> list[SensorSuite]:
+    """Return each robot's sensors with the errors that they keep.
+
+    Args:
+        suite: Sensors as their makers state them, or those behind the robots' boards.
+        errors: Largest errors; None for none.
+        robots: Robots of a scene as drawn.
+        seed: Random seed of the connection, as `twin.connect.connect` takes it.
+    """
+    if errors is None:
+        return [suite] * len(robots)
+    return [
+        with_errors(suite, errors, robot, np.random.default_rng([seed, _ERRORS, index]))
+        for index, robot in enumerate(robots)
+    ]
+
+
+def with_cameras(robot: RobotDescription, cameras: CameraRealism) -> RobotDescription:
+    """Return a robot as drawn whose stereo head states its calibration's errors and its exposure.
+
+    Args:
+        robot: Description of the robot; one without a head stays as it is.
+        cameras: Deviations and exposure of such heads, never what was drawn for one of them.
+    """
+    if robot.head is None:
+        return robot
+    head = dataclasses.replace(
+        robot.head, calibration=cameras.calibration, exposure=cameras.exposure
+    )
+    return dataclasses.replace(robot, head=head)

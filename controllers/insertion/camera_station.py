@@ -231,6 +231,6 @@ def camera_arm(robot: RobotDescription) -> tuple[SerialChain, StereoHeadDescript
 
 
 def stereo_geometry(robot: RobotDescription) -> StereoGeometry:
-    """Return the nominal geometry of a rover's stereo head."""
+    """Return the nominal geometry of a rover's stereo head, with the errors that it may have."""
     head = camera_arm(robot)[1]
-    return StereoGeometry(*head.camera.intrinsics, head.baseline)
+    return StereoGeometry(*head.camera.intrinsics, head.baseline, head.calibration)

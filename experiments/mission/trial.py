@@ -230,7 +230,7 @@ def prepared(trial: MissionTrial):  # noqa: ANN201
         seed=trial.seed,
     ) as connection:
         config = MissionConfig(trial.without, trial.scans)
-        team = MissionTeam(roles(), site, config, team_rng, connection.links)
+        team = MissionTeam(roles(trial.realism), site, config, team_rng, connection.links)
         yield Mission(trial, scene, team, connection)
 
 

@@ -16,6 +16,47 @@ NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclasses.dataclass(frozen=True)
+class StereoCalibration:
+    """What the calibration of a stereo head leaves unknown: standard deviations; 0 if exact.
+
+    Attributes:
+        focal: Relative error of the focal lengths, common to both eyes.
+        principal: Error of the optical axes' column and row, common to both eyes [px].
+        eye_turn: Error of each eye's orientation in the head, about each axis [rad].
+        eye_shift: Error of each eye's position in the head, along each axis [m].
+        head_turn: Error of the head's orientation on its mount, about each axis [rad].
+        head_shift: Error of the head's position on its mount, along each axis [m].
+    """
+
+    focal: float = 0.0
+    principal: float = 0.0
+    eye_turn: float = 0.0
+    eye_shift: float = 0.0
+    head_turn: float = 0.0
+    head_shift: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no standard deviation.
+
+        Raises:
+            ValueError: Naming it.
+        """
+        for name, value in vars(self).items():
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"calibration {name} must be finite and >= 0, got {value}")
+
+    def mount_covariance(self) -> FloatArray:
+        """Return the covariance (6, 6) of xi [rad, m] of the left eye on the mount, its frame."""
+        turn = self.head_turn**2 + self.eye_turn**2
+        shift = self.head_shift**2 + self.eye_shift**2
+        return np.diag([turn] * 3 + [shift] * 3)
+
+
+EXACT_CALIBRATION = StereoCalibration()
+"""A head that is its drawing."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Pinhole:
     """Intrinsics of a camera without distortion.
 

@@ -51,7 +51,9 @@ class MarkerPairs:
         right: Markers of the right image, (P,).
         indices: (P, 2) indices of the markers in the left and the right image.
         points: (P, 3) triangulated centres [m], left camera.
-        covariances: (P, 3, 3) [m^2].
+        covariances: (P, 3, 3) [m^2], without the calibration's errors.
+        by_calibration: (P, 3, 9) shift of each point by each of the errors that all points share,
+            `stereo.geometry.CALIBRATION_ERRORS` [m].
     """
 
     left: Markers
@@ -59,6 +61,7 @@ class MarkerPairs:
     indices: NDArray[np.intp]
     points: FloatArray
     covariances: FloatArray
+    by_calibration: FloatArray
 
 
 def triangulate(
@@ -85,7 +88,10 @@ def triangulate(
     seen[:, 1] = (rows[0] * variances[1] + rows[1] * variances[0]) / (variances[0] + variances[1])
     points = geometry.points(seen)
     depths = np.nan_to_num(points[:, 2])
-    fits = np.abs(rows[0] - rows[1]) < ROW + 3.0 * np.sqrt(variances[0] + variances[1])
+    shared = geometry.calibration_jacobian(np.where(depths[:, None] > 0.0, points, [0.0, 0.0, 1.0]))
+    apart = variances[0] + variances[1]
+    apart += np.square(shared[:, 0, 1] - shared[:, 1, 1]).sum(axis=-1)
+    fits = np.abs(rows[0] - rows[1]) < ROW + 3.0 * np.sqrt(apart)
     fits &= (depths > 0.9 * expected.nearest) & (depths < 1.1 * expected.farthest)
     with np.errstate(divide="ignore"):
         across = 0.5 * expected.diameter * geometry.fy / depths
@@ -95,7 +101,7 @@ def triangulate(
         size = np.maximum(narrow * np.sqrt(markers.ellipses[chosen, 2]), markers.axes[chosen, 0])
         slack = 1.0 + 0.5 / np.maximum(across, 1e-9)
         fits &= (size < SIZE * slack * narrow * across) & (across < SIZE * slack * size)
-    one, two, points = one[fits], two[fits], points[fits]
+    one, two, points, shared = one[fits], two[fits], points[fits], shared[fits]
     noise = np.zeros((len(one), 3, 3))
     noise[:, :2, :2] = left.centre_covariances[one]
     noise[:, 2, :2] = noise[:, :2, 2] = left.centre_covariances[one][:, 0]
@@ -107,7 +113,9 @@ def triangulate(
         np.column_stack([one, two]),
         points,
         back @ noise @ np.swapaxes(back, 1, 2),
-    )
+        back @ np.stack([shared[:, 0, 0], shared[:, :, 1].mean(axis=1),
+                         shared[:, 0, 0] - shared[:, 1, 0]], axis=1),
+    )  # fmt: skip
 
 
 def find_bodies(
@@ -214,7 +222,10 @@ def _candidates(pairs: MarkerPairs, cad: BodyCad) -> list[list[int]]:
     apart = np.linalg.norm(pairs.points[:, None] - pairs.points, axis=2)
     along = (pairs.points[:, None] - pairs.points) / np.maximum(apart, 1e-9)[..., None]
     variance = np.einsum("abi,aij,abj->ab", along, pairs.covariances, along)
-    allowed = DISTANCE + 3.0 * np.sqrt(variance + variance.T)
+    # Points move together by the calibration's errors; their distances feel the difference.
+    moved = pairs.by_calibration[:, None] - pairs.by_calibration
+    shared = np.square(np.einsum("abi,abik->abk", along, moved)).sum(axis=-1)
+    allowed = DISTANCE + 3.0 * np.sqrt(variance + variance.T + shared)
     found: list[tuple[float, list[int]]] = []
     for chosen in _assignments(between, apart, allowed, []):
         grid = np.ix_(chosen, chosen)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import exp_twist, log_twist
-from perception.stereo.geometry import StereoGeometry
+from perception.stereo.geometry import CALIBRATION_ERRORS, StereoGeometry
 
 _TURNS = 61  # Of the grid about the line through two markers.
 _SCAN = np.linspace(-1.6, 1.6, 2 * _TURNS + 1)  # Turns about it, from a fit [rad].
@@ -61,10 +61,15 @@ class BodyPrior:
         transform_body_to_camera: The pose.
         information: (6, 6) inverse covariance of xi, rotation then translation, in
             ``true = from_exp_coords(xi) * transform_body_to_camera``; zeros for what is unknown.
+        by_calibration: (6, 9) xi by each of `stereo.geometry.CALIBRATION_ERRORS`, for a pose that
+            the same cameras measured before.
     """
 
     transform_body_to_camera: RigidTransform
     information: FloatArray
+    by_calibration: FloatArray = dataclasses.field(
+        default_factory=lambda: np.zeros((6, CALIBRATION_ERRORS))
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +95,8 @@ class BodyFit:
         transform_body_to_camera: Pose of the body in the left camera's frame.
         covariance: (6, 6) covariance of xi, rotation [rad] then translation [m], in
             ``true = from_exp_coords(xi) * transform_body_to_camera``.
+        by_calibration: (6, 9) xi by each of `stereo.geometry.CALIBRATION_ERRORS`; their part of the
+            covariance, which all bodies in view share.
         misfit: Squared error of the fit over its degrees of freedom; about 1.
         turn_sigma: Standard deviation of the turn about the line through the two markers that are
             farthest apart [rad].
@@ -98,6 +105,7 @@ class BodyFit:
 
     transform_body_to_camera: RigidTransform
     covariance: FloatArray
+    by_calibration: FloatArray
     misfit: float
     turn_sigma: float
     ellipses: FloatArray
@@ -149,7 +157,7 @@ def fit_body(
     if not bool(problem.allowed(pose[None])[0]):
         return None
     freedom = discs.ellipses.size - 6 + (0 if prior is None else 6)
-    covariance = np.linalg.inv(normal)
+    covariance, by_calibration = problem.uncertainty(pose, normal)
     curvature = 1.0 / float(twist @ normal @ twist)
     weights = np.exp(-0.5 * (costs - min(float(costs.min()), cost)))
     variance = float(np.sum(weights * _SCAN**2) / weights.sum())
@@ -164,7 +172,7 @@ def fit_body(
             covariance = covariance + weight / (1.0 + weight) * np.outer(away, away)
     turn = float(np.sqrt(axis @ covariance[:3, :3] @ axis))
     estimate = RigidTransform.from_matrix(pose)
-    return BodyFit(estimate, covariance, cost / freedom, turn, discs.ellipses)
+    return BodyFit(estimate, covariance, by_calibration, cost / freedom, turn, discs.ellipses)
 
 
 class _Problem:
@@ -178,14 +186,24 @@ class _Problem:
             values, vectors = np.linalg.eigh(prior.information)
             root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
             back = prior.transform_body_to_camera.inv().as_matrix()
-        self._count = discs.ellipses[..., 0].size * 5 + (0 if prior is None else 6)
+        size = discs.ellipses.size
+        self._count = size + (0 if prior is None else 6)
+        # All discs share the calibration's errors, which move their centres.
+        shared = np.zeros((*discs.ellipses.shape, CALIBRATION_ERRORS))
+        shared[..., :2, :] = np.swapaxes(geometry.calibration_jacobian(discs.points), 0, 1)
+        shared = shared.reshape(size, -1)
+        total = shared @ shared.T
+        for disc, own in enumerate(discs.covariances.reshape(-1, 5, 5)):
+            total[5 * disc : 5 * disc + 5, 5 * disc : 5 * disc + 5] += own
+        whiten = np.asarray(np.linalg.inv(np.linalg.cholesky(total)), dtype=float)
+        self._shared: FloatArray = whiten @ shared
         self._terms = DiscTerms(
             np.array(cad.points, dtype=float),
             np.array(cad.normal, dtype=float),
             radius,
             tuple(map(float, (*geometry.intrinsics[2:], geometry.baseline))),
             np.ascontiguousarray(discs.ellipses),
-            np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(discs.covariances)), dtype=float),
+            whiten,
             np.ascontiguousarray(back),
             np.ascontiguousarray(root),
         )
@@ -195,6 +213,26 @@ class _Problem:
         rows = np.empty((len(poses), self._count))
         _write_residuals(np.ascontiguousarray(poses), self._terms, rows)
         return rows
+
+    def uncertainty(self, pose: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the covariance (6, 6) of a solution, and its xi by the calibration's errors.
+
+        The prior is weighted as if independent of the images; what both share of the calibration
+        is counted here.
+
+        Args:
+            pose: (4, 4) solution.
+            normal: (6, 6) normal equations there.
+        """
+        rows = self.residuals(_NUDGES @ pose)[:, : len(self._shared)]
+        slopes = (rows[1:7] - rows[7:]) / (2.0 * _STEPS[:, None])
+        covariance = np.asarray(np.linalg.inv(normal), dtype=float)
+        by_images = -covariance @ slopes @ self._shared
+        if self._prior is None:
+            return covariance, by_images
+        by_prior = covariance @ self._prior.information @ self._prior.by_calibration
+        both = by_images @ by_prior.T
+        return covariance + both + both.T, by_images + by_prior
 
     def allowed(self, poses: FloatArray) -> NDArray[np.bool_]:
         """Return (P,) which poses show the markers' faces, the right way up."""
@@ -249,6 +287,7 @@ def _turned(
 
 
 _ITERATIONS = 12
+_UNSEEN = 1e6  # [px, px^2]
 
 
 class DiscTerms(NamedTuple):
@@ -260,7 +299,7 @@ class DiscTerms(NamedTuple):
         radius: Radius of the discs [m].
         eyes: fx, fy, cx, cy [px] and the baseline [m].
         ellipses: (2, N, 5) ellipses that were seen, left and right.
-        whiten: (2, N, 5, 5) roots of the inverses of their covariances.
+        whiten: (10 N, 10 N) root of the inverse of their covariance.
         back: (4, 4) from the camera to the body, by the prior.
         root: (6, 6) root of the prior's information.
     """
@@ -321,12 +360,12 @@ def _write_residuals(poses: Any, terms: DiscTerms, rows: Any) -> None:
     """Write whitened residuals (P, R) of poses (P, 4, 4), and those of the prior if there is room.
 
     The ellipses are those of `ellipses.project_discs`; a disc that is not wholly ahead
-    costs 1e6 in each number.
+    is `_UNSEEN` off in each number.
     """
     points, normal, radius, eyes, ellipses, whiten, back, root = terms
     fx, fy, cx, cy, baseline = eyes
     count = len(points)
-    seen = np.empty(5)
+    apart, seen = np.empty(10 * count), np.empty(5)
     for p in range(len(poses)):
         turn, place = np.ascontiguousarray(poses[p, :3, :3]), poses[p, :3, 3]
         n = turn @ normal
@@ -343,17 +382,14 @@ def _write_residuals(poses: Any, terms: DiscTerms, rows: Any) -> None:
                 d22 = z * z - square * (1.0 - n[2] * n[2])
                 first = 5 * (eye * count + k)
                 if not (d22 > 0.0 and z > 0.0):
-                    rows[p, first : first + 5] = 1e6
+                    apart[first : first + 5] = _UNSEEN
                     continue
                 u, v = d02 / d22, d12 / d22
                 seen[0], seen[1] = fx * u + cx, fy * v + cy
                 seen[2] = fx * fx * (u * u - d00 / d22)
                 seen[3] = fx * fy * (u * v - d01 / d22)
                 seen[4] = fy * fy * (v * v - d11 / d22)
-                for i in range(5):
-                    total = 0.0
-                    for j in range(5):
-                        total += whiten[eye, k, i, j] * (seen[j] - ellipses[eye, k, j])
-                    rows[p, first + i] = total
+                apart[first : first + 5] = seen - ellipses[eye, k]
+        rows[p, : 10 * count] = whiten @ apart
         if rows.shape[1] > 10 * count:
             rows[p, 10 * count :] = root @ log_twist(np.ascontiguousarray(poses[p]) @ back)

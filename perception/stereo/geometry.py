@@ -1,15 +1,22 @@
 """Geometry of a rectified stereo pair: pixels and disparity to points, and their covariance.
 
-The frame is that of the left camera, as in `perception.geometry.pinhole`.
+Errors of the calibration are common to all that a head sees: `CALIBRATION_ERRORS` numbers, each
+with a deviation of one, move points in both images by `StereoGeometry.calibration_jacobian`. The
+frame is that of the left camera, as in `perception.geometry.pinhole`.
 """
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from perception.geometry.arrays import FloatArray
-from perception.geometry.pinhole import Pinhole
+from perception.geometry.pinhole import EXACT_CALIBRATION, Pinhole, StereoCalibration
+from perception.geometry.se3 import point_jacobian
+
+CALIBRATION_ERRORS = 9
+"""Focal length, principal point (2), and of the right eye to the left its turn (3), shift (3)."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,12 +25,14 @@ class StereoGeometry(Pinhole):
 
     Attributes:
         baseline: Distance from the left to the right camera, along x [m].
+        calibration: What calibration leaves unknown of the two cameras.
 
     Raises:
         ValueError: If the intrinsics are none, or the baseline is not positive.
     """
 
     baseline: float
+    calibration: StereoCalibration = EXACT_CALIBRATION
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -88,3 +97,26 @@ class StereoGeometry(Pinhole):
         back = np.linalg.inv(self.projection_jacobian(points))
         weighted = back * np.asarray(sigma, dtype=float)[..., None, :]
         return weighted @ np.swapaxes(weighted, -1, -2)
+
+    def calibration_jacobian(self, points: ArrayLike) -> FloatArray:
+        """Return how errors of the calibration move points in both images.
+
+        Args:
+            points: (..., 3) points [m], left camera frame.
+
+        Returns:
+            (..., 2, 2, 9) shift in the left and the right image of column and row [px] by each of
+            the `CALIBRATION_ERRORS`, whose standard deviations are one.
+        """
+        p, how = np.asarray(points, dtype=float), self.calibration
+        moved = np.zeros((*p.shape[:-1], 2, 2, CALIBRATION_ERRORS))
+        right = p - [self.baseline, 0.0, 0.0]
+        focal = np.array([self.fx, self.fy])
+        for eye, seen in enumerate((p, right)):
+            moved[..., eye, :, 0] = how.focal * focal * seen[..., :2] / seen[..., 2:]
+        moved[..., 0, 1] = moved[..., 1, 2] = how.principal
+        # Seen from an eye that is off by xi, a point moves by minus xi.
+        deviations = math.sqrt(2.0) * np.repeat([how.eye_turn, how.eye_shift], 3)
+        by_eye = self.projection_jacobian(right)[..., :2, :] @ point_jacobian(right)
+        moved[..., 1, :, 3:] = -by_eye * deviations
+        return moved

@@ -220,3 +220,17 @@ def test_cameras_are_as_late_as_the_set_says(target):
             # The first pair was exposed before the start.
             assert seen.time - seen.stereo.stamp == pytest.approx(realism.cameras.latency, rel=2e-4)
     assert REALISMS["ideal"].cameras.latency == 0.0 < REALISMS["default"].cameras.latency
+
+
+def test_head_is_described_by_the_deviations_of_its_set_and_by_nothing_drawn():
+    described = []
+    for seed in (1, 2):
+        with connect(
+            robots=PLACES, field=PLAIN, seed=seed, stereo=StereoConfig(), realism="harsh"
+        ) as link:
+            described += [robot.description.head for robot in link.robots.values()]
+    cameras = REALISMS["harsh"].cameras
+    for head in described:
+        assert head.calibration == cameras.calibration
+        assert head.calibration.eye_turn == cameras.eye_turn > 0.0
+        assert head.exposure == cameras.exposure

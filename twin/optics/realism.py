@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from models.datasheets import CAMERA, CAMERA_CALIBRATION, LENS, POOR_CAMERA_CALIBRATION
-from perception.geometry.pinhole import Pinhole
+from perception.geometry.pinhole import Pinhole, StereoCalibration
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +48,18 @@ class CameraRealism:
     head_shift: float = 0.0
     eye_turn: float = 0.0
     eye_shift: float = 0.0
+
+    @property
+    def calibration(self) -> StereoCalibration:
+        """What the calibration of such a head states of its own errors."""
+        return StereoCalibration(
+            self.focal_error,
+            self.principal_error,
+            self.eye_turn,
+            self.eye_shift,
+            self.head_turn,
+            self.head_shift,
+        )
 
     def __post_init__(self) -> None:
         """Refuse numbers that describe no camera.

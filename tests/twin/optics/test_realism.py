@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.datasheets import CAMERA, LENS
+from perception.stereo.geometry import StereoGeometry
 from twin.optics.realism import CAMERA_SETS, DEFAULT_CAMERA, IDEAL_CAMERA, CameraRealism, MadeHead
 
 LEFT = RigidTransform.from_components([1.0, 2.0, 0.5], Rotation.from_euler("xyz", [1.0, 0.4, 0.2]))
@@ -94,3 +95,36 @@ def test_every_set_lasts_longer_than_its_exposure_and_read_out():
 def test_impossible_camera_is_refused_by_name(changes):
     with pytest.raises(ValueError, match=f"camera .*{'latency' if len(changes) > 1 else ''}"):
         CameraRealism(**changes)
+
+
+def test_points_through_drawn_heads_scatter_as_the_stated_calibration_says():
+    """By its jacobian, which the markers' fits use; all points of a head move together."""
+    realism = dataclasses.replace(DEFAULT_CAMERA, head_turn=0.0, head_shift=0.0)
+    geometry = StereoGeometry(*CAMERA.pinhole.intrinsics, CAMERA.baseline, realism.calibration)
+    points = np.array([[0.02, -0.1, 0.35], [-0.08, 0.05, 0.6]])
+    columns, rows, disparities = geometry.project(points).T
+    drawn = np.stack([columns, rows, columns - disparities, rows], axis=-1)
+    seen = []
+    for seed in range(4000):
+        made = MadeHead.draw(realism, np.random.default_rng((5, seed)))
+        lens = made.lens(CAMERA.pinhole)
+        left, right = made.poses((LEFT, RIGHT))
+        seen.append(
+            np.hstack([lens.pixels(points), lens.pixels((right.inv() * left).apply(points))])
+        )
+    errors = (np.array(seen) - drawn).reshape(len(seen), -1)
+    jacobian = geometry.calibration_jacobian(points).reshape(8, -1)
+    stated, found = jacobian @ jacobian.T, np.cov(errors.T)
+    deviations = np.sqrt(np.diag(stated))
+    np.testing.assert_allclose(
+        found / np.outer(deviations, deviations),
+        stated / np.outer(deviations, deviations),
+        atol=5.0 * np.sqrt(2.0 / len(seen)),
+    )
+    # Rows of the two eyes differ by what the datasheet's words say: some tenths of a pixel.
+    assert 0.1 < np.std(errors[:, 1] - errors[:, 3]) < 0.3
+
+
+def test_head_that_is_its_drawing_moves_no_point():
+    geometry = StereoGeometry(*CAMERA.pinhole.intrinsics, CAMERA.baseline, IDEAL_CAMERA.calibration)
+    assert not geometry.calibration_jacobian([0.1, 0.1, 0.5]).any()

@@ -3,8 +3,6 @@
 import dataclasses
 import json
 
-import numpy as np
-
 from models.compose import (
     FLAT,
     FieldConfig,
@@ -19,12 +17,12 @@ from twin.describe import describe_placement
 from twin.hardware.calibration.calibration import calibration_path, load_calibration
 from twin.hardware.calibration.section import from_table
 from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
-from twin.sensors import SensorSuite, with_errors
+from twin.realism import sensor_suites, with_cameras
+from twin.sensors import SensorSuite
 from twin.simulation import Simulation
 
 SETTLING = 1.0
 """Duration of settling before time zero [s]."""
-_ERRORS = 12  # Stream of random numbers of a scene's seed.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,17 +66,12 @@ def simulate(config: SceneConfig, suite: SensorSuite) -> Simulation:
     """
     model = make_model(config.field, config.robots)
     drawn = [describe_placement(robot) for robot in config.robots]
-    errors = config.sensor_errors
-    suites = [
-        with_errors(suite, errors, robot, np.random.default_rng([config.seed, _ERRORS, index]))
-        if errors is not None
-        else suite
-        for index, robot in enumerate(drawn)
-    ]
+    if config.stereo is not None:
+        drawn = [with_cameras(robot, config.stereo.realism) for robot in drawn]
     return Simulation(
         model,
         drawn,
-        suite=suites,
+        suite=sensor_suites(suite, config.sensor_errors, drawn, config.seed),
         stereo=config.stereo,
         seed=config.seed,
         data=settle(model, SETTLING),
