@@ -7,6 +7,7 @@ slot within the arm's reach (chapter 4), again and again as the card comes neare
 
 import dataclasses
 import math
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,11 @@ from controllers.insertion.guidance import Guidance
 from controllers.insertion.watching import SeenParts, WatchPlan, best_angles
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
-from perception.geometry.se3 import composed_covariance, inverse_covariance
+from perception.geometry.se3 import adjoint, transport_covariance
 from perception.markers.bodies import find_bodies
 from perception.markers.ellipses import MarkerExpectation
 from perception.markers.poses import BodyCad, BodyFit, BodyPrior
-from perception.stereo.geometry import StereoGeometry
+from perception.stereo.geometry import CALIBRATION_ERRORS, StereoGeometry
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
 
@@ -40,6 +41,10 @@ class MarkerGuideConfig:
         again: Time between choices of the camera pose [s].
         better: Factor by which another camera pose must rate higher.
         rate: Largest rate of a joint while the camera moves [rad/s].
+        exposure: Exposure time of the images [s].
+        blur: Largest motion of a marker's image within an exposure, by the camera's own motion
+            [px]: a quarter of the radius of a marker at half a metre.
+        memory: Time for which joint angles are stored [s]: longer than an image is under way.
         period: Servo tick [s].
     """
 
@@ -53,6 +58,9 @@ class MarkerGuideConfig:
     again: float = 1.0
     better: float = 1.15
     rate: float = 0.5
+    exposure: float = 0.0
+    blur: float = 1.0
+    memory: float = 1.0
     period: float = 0.01
 
 
@@ -95,6 +103,9 @@ class MarkerGuide:
         self._arm, self._geometry = arm, geometry
         self._goal = angles
         self._wanted = np.empty(0)  # Joint angles; empty before the first step.
+        self._angles: deque[tuple[float, FloatArray]] = deque()
+        self._slot_by_calibration = np.zeros((6, CALIBRATION_ERRORS))
+        self._slot_camera: RigidTransform | None = None  # Camera that the slot was last seen by.
         self._stamp, self._next = math.nan, 0.0
         self._found = False
         self._pair: NDArray[np.uint8] = np.empty(0, np.uint8)
@@ -115,32 +126,41 @@ class MarkerGuide:
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         if not len(self._wanted):
             self._wanted = angles.copy()
+        self._note(seen.arm_angles.stamp, angles)
         guidance = None
         if seen.stereo.usable and seen.stereo.stamp != self._stamp:
             self._stamp = seen.stereo.stamp
-            guidance = self._view(np.asarray(seen.stereo.value, dtype=np.uint8), angles)
+            guidance = self._view(np.asarray(seen.stereo.value, dtype=np.uint8))
         # Until the first detection the camera keeps its pose.
         if self._found and seen.time >= self._next:
             self._next = seen.time + self.config.again
             self._place()
         return self._move(), guidance
 
-    def _view(self, pair: NDArray[np.uint8], angles: FloatArray) -> Guidance:
+    def _note(self, time: float, angles: FloatArray) -> None:
+        """Store joint angles by their time."""
+        self._angles.append((time, angles))
+        while self._angles[0][0] < time - self.config.memory:
+            self._angles.popleft()
+
+    def _angles_at(self, time: float) -> FloatArray:
+        """Return the joint angles (4,) at a time, the nearest ones if it is beyond the memory."""
+        times, angles = zip(*self._angles, strict=True)
+        return np.array([np.interp(time, times, joint) for joint in np.transpose(angles)])
+
+    def _view(self, pair: NDArray[np.uint8]) -> Guidance:
         """Detect card and slot in a pair; a repeated pair is of a frozen camera and gives none."""
         frozen, self._pair = np.array_equal(self._pair, pair), pair
         if frozen:
             self.fits = (None, None)
             return Guidance(self._stamp, False, False)
-        config, camera = self.config, self._arm.tool_in_robot(angles)
+        config, camera = self.config, self._arm.tool_in_robot(self._angles_at(self._stamp))
         to_camera = camera.inv()
-        turn, place = np.square(config.wander)
-        covariance = self.slot_covariance + np.diag([turn] * 3 + [place] * 3)
-        slot = to_camera * self.transform_slot_to_robot
-        covariance = composed_covariance(to_camera, np.zeros((6, 6)), covariance)
+        slot, covariance, slot_shared = self._slot_before(camera)
         loose = np.diag([config.turned**-2] * 3 + [0.0] * 3)
         priors = (
             BodyPrior(to_camera * self.transform_card_to_robot, loose),
-            BodyPrior(slot, np.asarray(np.linalg.inv(covariance), dtype=float)),
+            BodyPrior(slot, np.asarray(np.linalg.inv(covariance), dtype=float), slot_shared),
         )
         bodies, (near, far) = (config.card, config.slot), self._ranges(to_camera)
         expected = MarkerExpectation(near, far, config.diameter)
@@ -151,15 +171,39 @@ class MarkerGuide:
         self._found |= card_fit is not None or slot_fit is not None
         if slot_fit is not None:
             slot, covariance = slot_fit.transform_body_to_camera, slot_fit.covariance
+            slot_shared, self._slot_camera = slot_fit.by_calibration, camera
             self.transform_slot_to_robot = camera * slot
-            self.slot_covariance = composed_covariance(camera, np.zeros((6, 6)), covariance)
+            self.slot_covariance = transport_covariance(camera, covariance)
+            self._slot_by_calibration = adjoint(camera) @ slot_shared
         if card_fit is None:
             return Guidance(self._stamp, False, slot_fit is not None)
         card = card_fit.transform_body_to_camera
         self.transform_card_to_robot = camera * card
-        back = inverse_covariance(card, card_fit.covariance)
-        relative = composed_covariance(card.inv(), back, covariance)
+        # What the calibration moves alike cancels.
+        both = slot_shared @ card_fit.by_calibration.T
+        apart = covariance + card_fit.covariance - both - both.T
+        relative = transport_covariance(card.inv(), apart)
         return Guidance(self._stamp, True, slot_fit is not None, card.inv() * slot, relative)
+
+    def _slot_before(self, camera: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatArray]:
+        """Return the slot in the camera before a view, its covariance and xi by the calibration.
+
+        An error of the head's mounting cancels for a camera that has not moved since the slot was
+        seen: of xi in the mount, the motion M leaves (adjoint(M) - 1) xi.
+
+        Args:
+            camera: Transform from the camera to the robot.
+        """
+        to_camera, before = camera.inv(), self._slot_camera
+        turn, place = np.square(self.config.wander)
+        covariance = self.slot_covariance + np.diag([turn] * 3 + [place] * 3)
+        left = np.eye(6) if before is None else adjoint(to_camera * before) - np.eye(6)
+        mount = left @ self._geometry.calibration.mount_covariance() @ left.T
+        return (
+            to_camera * self.transform_slot_to_robot,
+            transport_covariance(to_camera, covariance) + mount,
+            adjoint(to_camera) @ self._slot_by_calibration,
+        )
 
     def _ranges(self, to_camera: RigidTransform) -> tuple[float, float]:
         """Return the range of distances at which markers are expected [m]."""
@@ -194,6 +238,15 @@ class MarkerGuide:
             step = self._goal - self._wanted
             # All joints arrive at the same time.
             step = step * min(1.0, most / max(float(np.abs(step).max()), 1e-12))
+            step = step * min(1.0, self.config.blur / max(self._blur(step), 1e-12))
             self._wanted = self._wanted + step
             rates = step / self.config.period
         return Command(still, self._wanted, WheelMode.SPEED, ArmMode.POSITION, rates)
+
+    def _blur(self, step: FloatArray) -> float:
+        """Return how far a tick's step (4,) [rad] moves a marker's image in an exposure [px]."""
+        cameras = self._arm.tool_in_robot(np.stack([self._wanted, self._wanted + step]))
+        markers = self._parts().markers()
+        before, after = (self._geometry.pixels(camera.inv().apply(markers)) for camera in cameras)
+        moved = float(np.nan_to_num(np.linalg.norm(after - before, axis=1)).max())
+        return moved * self.config.exposure / self.config.period

@@ -162,7 +162,14 @@ def marker_guide(
     """
     arm, head = camera_arm(robot)
     plan = watch_plan(head, drawing) if placed else None
-    config = MarkerGuideConfig(drawing.card, drawing.slot, drawing.marker_diameter, plan, detector)
+    config = MarkerGuideConfig(
+        drawing.card,
+        drawing.slot,
+        drawing.marker_diameter,
+        plan,
+        detector,
+        exposure=head.exposure,
+    )
     return MarkerGuide(config, arm, stereo_geometry(robot), slot, card, angles)
 
 

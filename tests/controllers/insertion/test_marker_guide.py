@@ -11,6 +11,7 @@ from controllers.insertion import marker_guide
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.insertion.watching import best_angles
 from experiments.ch5.insertion_scene import MASTER, SLAVE, best_station
+from perception.geometry.pinhole import StereoCalibration
 from tests.controllers.insertion.scenes import (
     ARM,
     DRAWING,
@@ -22,6 +23,7 @@ from tests.controllers.insertion.scenes import (
     true_parts,
 )
 from twin.camera import StereoConfig, StereoRig
+from twin.optics.realism import DEFAULT_CAMERA
 from twin.robot import MISSING, ArmMode, Channel, Observation, Validity, WheelMode
 
 PRIOR = np.diag([4.5e-3**2] * 3 + [1.7e-3**2] * 3)
@@ -235,3 +237,141 @@ def test_camera_leaves_its_place_only_for_one_that_is_clearly_better(
     assert guide.moves == 4 * moves
     assert np.any(command.arm != eyes.angles) == bool(moves)
     assert np.abs(command.arm_rates).max() <= config.rate + 1e-9
+
+
+def guide_of_prior(eyes, prior=PRIOR, **changes) -> MarkerGuide:
+    """A guide whose prior of the slot is the truth."""
+    made = eyes.marker_guide(prior_error=False)
+    slot, card = made.transform_slot_to_robot, made.transform_card_to_robot
+    config = dataclasses.replace(made.config, **changes)
+    return MarkerGuide(config, ARM, EYES, (slot, prior), card, eyes.angles)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.25])
+def test_pair_that_is_late_belongs_to_the_joint_angles_of_its_stamp(eyes, late):
+    """The arm turns at half a radian a second; the pair is of before, when the slot was seen."""
+    eyes.place((0.0, 0.0))
+    guide, true = guide_of_prior(eyes), true_parts(eyes.data)
+    seen, begun = eyes.observe(0.0), np.array(eyes.angles)
+    for tick in range(26):
+        time = 0.01 * tick
+        angles = begun + np.array([0.5, 0.0, 0.0, 0.0]) * time
+        unseen = time < late
+        command, guidance = guide.step(
+            Observation(
+                time,
+                arm_angles=Channel(angles, time, Validity.MEASURED),
+                stereo=MISSING if unseen else seen.stereo,
+            )
+        )
+        if guidance is not None:
+            break
+    assert guidance is not None and guidance.card_seen and guidance.slot_seen
+    assert time == pytest.approx(late)
+    # A mispaired camera would put the slot 125 mrad times half a metre aside.
+    for found, wanted in (
+        (guide.transform_slot_to_robot, true.slot_pose),
+        (guide.transform_card_to_robot, true.card_pose),
+    ):
+        assert np.linalg.norm(found.translation - wanted.translation) < 4e-3
+
+
+def test_joint_angles_between_two_ticks_are_interpolated(eyes, monkeypatch):
+    used = []
+    real = marker_guide.find_bodies
+    monkeypatch.setattr(marker_guide, "find_bodies", lambda *a: used.append(a) or real(*a))
+    guide, pair = guide_of_prior(eyes), eyes.rig.capture(eyes.data, (eyes.rng, eyes.rng))
+    begun, rate = np.array(eyes.angles), np.array([0.3, -0.2, 0.1, 0.0])
+    for tick in range(4):
+        time = 0.01 * tick
+        last = tick == 3
+        stereo = Channel(pair, 0.013, Validity.MEASURED) if last else MISSING
+        angles = Channel(begun + rate * time, time, Validity.MEASURED)
+        guide.step(Observation(time, arm_angles=angles, stereo=stereo))
+    (_, _, _, _, _, (_, slot)) = used[0]
+    camera = ARM.tool_in_robot(begun + rate * 0.013)
+    expected = camera.inv() * true_parts(eyes.data).slot_pose
+    np.testing.assert_allclose(
+        slot.transform_body_to_camera.as_matrix(), expected.as_matrix(), atol=1e-9
+    )
+
+
+def test_images_of_markers_move_less_than_the_allowed_blur_while_the_camera_moves(eyes):
+    """Against the projection of the markers at each commanded posture; half a radian a second
+    blurs them by four pixels or more."""
+    eyes.place((0.0, 0.0))
+    exposure, blur = 1.0 / 60.0, 0.8
+    goal = eyes.angles + [0.1, -0.08, 0.1, 0.05]
+    ways = []
+    for allowed in (blur, 1e9):
+        made = guide_of_prior(eyes, exposure=exposure, blur=allowed)
+        guide = MarkerGuide(
+            made.config, ARM, EYES, (made.transform_slot_to_robot, PRIOR),
+            made.transform_card_to_robot, goal,
+        )  # fmt: skip
+        seen = eyes.observe()
+        wanted = np.array([guide.step(seen)[0].arm for _ in range(300)])
+        assert np.abs(np.diff(wanted, axis=0)).max() <= 0.5 * 0.01 + 1e-12
+        markers = true_parts(eyes.data).markers()
+        pixels = np.array(
+            [EYES.pixels(ARM.tool_in_robot(angles).inv().apply(markers)) for angles in wanted]
+        )
+        ways.append(np.linalg.norm(np.diff(pixels, axis=0), axis=-1).max() * exposure / 0.01)
+        np.testing.assert_allclose(wanted[-1], goal, atol=1e-9)
+    # The guide knows the markers' places to some millimetres.
+    assert ways[0] < 1.1 * blur
+    assert ways[1] > 4.0
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.3])
+def test_error_of_the_heads_mounting_enters_by_as_much_as_the_camera_has_moved(eyes, turned):
+    """Against drawn mountings: of a camera that stays, nothing is left of it."""
+    eyes.place((0.0, 0.0))
+    calibration = StereoCalibration(head_turn=3e-3, head_shift=1e-3)
+    made = guide_of_prior(eyes, np.zeros((6, 6)))
+    config = dataclasses.replace(made.config, wander=(0.0, 0.0))
+    geometry = dataclasses.replace(EYES, calibration=calibration)
+    slot = made.transform_slot_to_robot
+    guide = MarkerGuide(config, ARM, geometry, (slot, PRIOR), slot, eyes.angles)
+    guide.step(eyes.observe())
+    guide.slot_covariance = np.zeros((6, 6))
+    before = ARM.tool_in_robot(eyes.angles)
+    camera = ARM.tool_in_robot(eyes.angles + turned * np.array([1.0, 0.5, -0.5, 0.0]))
+    _, stated, _ = guide._slot_before(camera)
+    seen = before.inv() * guide.transform_slot_to_robot
+    rng, drawn = np.random.default_rng(3), []
+    for _ in range(4000 if turned else 10):
+        mount = RigidTransform.from_exp_coords(rng.standard_normal(6) * np.repeat([3e-3, 1e-3], 3))
+        true = (camera * mount).inv() * (before * mount) * seen
+        drawn.append((true * (camera.inv() * before * seen).inv()).as_exp_coords())
+    drawn = np.array(drawn)
+    if not turned:
+        np.testing.assert_allclose(stated, 0.0, atol=1e-20)
+        np.testing.assert_allclose(drawn, 0.0, atol=1e-12)
+        return
+    found, sigma = drawn.T @ drawn / len(drawn), np.sqrt(np.diag(stated))
+    scale = np.outer(sigma, sigma)
+    np.testing.assert_allclose(found / scale, stated / scale, atol=0.15)
+
+
+def test_pose_of_a_head_as_made_is_consistent_with_what_its_calibration_states(eyes):
+    """Heads drawn by their calibration's deviations, each with its own card and slot in view."""
+    squares, found = [], 0
+    cameras = dataclasses.replace(DEFAULT_CAMERA, latency=1e-2)
+    for seed in range(8):
+        eyes.place(((-1) ** seed * 4e-3, 0.02))
+        config = StereoConfig(realism=cameras)
+        eyes.rig = StereoRig(eyes.model, f"{MASTER}/", config, np.random.SeedSequence(seed))
+        made = eyes.marker_guide()
+        geometry = dataclasses.replace(EYES, calibration=cameras.calibration)
+        guide = MarkerGuide(
+            made.config, ARM, geometry, (made.transform_slot_to_robot, PRIOR),
+            made.transform_card_to_robot, eyes.angles,
+        )  # fmt: skip
+        _, guidance = guide.step(eyes.observe())
+        assert guidance is not None
+        if guidance.transform_slot_to_card is not None and guidance.slot_seen:
+            found += 1
+            squares.append(square(eyes, guidance))
+    assert found >= 7
+    assert 1.5 < np.mean(squares) < 11.0
