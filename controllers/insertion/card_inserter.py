@@ -113,8 +113,8 @@ class CardInserter:
         guide: Force guidance of the insertion; None before it begins.
         contact: (6,) force and moment on the card less the tare, card frame [N, N m].
         belief: Estimate of the slot's pose.
-        error: (5,) error of the card from its stand-off in the last view, see `to_plane`; NaN
-            before the first.
+        error: (5,) error of the card from its stand-off by the last view and its own motion since,
+            see `to_plane`; NaN before the first.
     """
 
     def __init__(
@@ -227,8 +227,8 @@ class CardInserter:
                 self._last_view = self._time
             if self.stage is InsertionStage.INSERT or self.over or not self.belief.take(view):
                 continue
-            assert view.transform_slot_to_card is not None
-            self.error = to_plane(view.transform_slot_to_card.inv().as_matrix())
+            assert self.belief.transform_slot_to_card is not None
+            self.error = to_plane(self.belief.transform_slot_to_card.inv().as_matrix())
             self.error[1] += self.config.stand_off
             across, turn = self.config.aligned
             fits = np.all(np.abs(self.error[:3]) < [across, across, turn])

@@ -62,6 +62,8 @@ class SlotBelief:
         covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * slot_in_start``.
         innovation: Squared Mahalanobis distance of the last view from the estimate.
         refused: Number of consecutive refused views.
+        transform_slot_to_card: The last used view, moved on by the card's own motion since its
+            images; None before the first.
     """
 
     def __init__(
@@ -70,6 +72,7 @@ class SlotBelief:
         self.slot_in_start = transform_slot_to_start.as_matrix()
         self.covariance = np.array(covariance, dtype=float)
         self.innovation, self.refused = math.nan, 0
+        self.transform_slot_to_card: RigidTransform | None = None
         self._config = config
         self._where: deque[tuple[float, FloatArray]] = deque()
         self._drifted = np.zeros(3)  # Distance, turn and time since the last view.
@@ -136,6 +139,8 @@ class SlotBelief:
             self.covariance = self.covariance + np.outer(error, error)
             total = self.covariance + noise
         self.refused = 0
+        now = RigidTransform.from_matrix(self._where[-1][1])
+        self.transform_slot_to_card = now.inv() * card * seen
         gain = np.linalg.solve(total, self.covariance).T
         corrected = RigidTransform.from_exp_coords(gain @ error) * believed
         self.slot_in_start = corrected.as_matrix()

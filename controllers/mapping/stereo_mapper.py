@@ -165,7 +165,7 @@ class StereoMapper:
         view = StereoView(
             robot=name,
             number=head.taken,
-            time=seen.time,
+            time=seen.stereo.stamp,
             angles=angles,
             tilt=tilt,
             arms=dict(arms),

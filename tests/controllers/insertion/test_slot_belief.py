@@ -226,3 +226,18 @@ def test_error_of_the_turn_share_moves_the_slot_with_the_turns_since_the_last_vi
     belief.note(0.0, np.eye(4), 0.0, 0.0, 0.0, twist)
     belief.deviation()
     np.testing.assert_allclose(belief.covariance - PRIOR, moved, atol=1e-15)
+
+
+def test_late_view_is_moved_on_by_what_the_card_has_moved_since_its_images() -> None:
+    """Closed form: the slot is at rest, so where the card went is what the view lacks."""
+    belief = SlotBelief(SLOT, PRIOR, STILL)
+    path = cards(np.random.default_rng(4), 30)
+    guidance = look(0.05, path[5], SLOT, 1e-8 * np.eye(6))
+    for tick, card in enumerate(path):
+        belief.note(0.01 * tick, card.as_matrix(), 0.0, 0.0, 0.01)
+    assert belief.transform_slot_to_card is None
+    assert belief.take(guidance)
+    assert belief.transform_slot_to_card is not None
+    now = (path[-1].inv() * SLOT).as_matrix()
+    np.testing.assert_allclose(belief.transform_slot_to_card.as_matrix(), now, atol=1e-12)
+    assert not np.allclose(guidance.transform_slot_to_card.as_matrix(), now, atol=0.1)
