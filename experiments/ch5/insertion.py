@@ -30,6 +30,7 @@ from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CARD_AND_SLOT, INCH
 from perception.markers.bodies import DETECTORS
+from twin.realism import RealismName
 
 PLACEMENTS = ("optimal", "random")
 THESIS = {
@@ -52,10 +53,13 @@ class Options(contract.Options):
 
     Attributes:
         detector: Marker detector: blob, or tht for the thesis' own.
+        realism: How far robots, their sensors and cameras are from their drawings: ideal, default
+            or harsh; with any but ideal each seed has robots of its own.
         parts: Which parts to run: table, impossible, noise, faults (unless said, all).
     """
 
     detector: str = "blob"
+    realism: RealismName = "ideal"
     parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -89,7 +93,12 @@ def run(options: Options, output: Output) -> None:
     runs = {"table": _table, "impossible": _impossible, "noise": _noise, "faults": _faults}
     quick = ("table", "impossible")
     base = InsertionTrial(
-        CARD_AND_SLOT.slot_widths[-1], True, 0, turn_share, detector=options.detector
+        CARD_AND_SLOT.slot_widths[-1],
+        True,
+        0,
+        turn_share,
+        detector=options.detector,
+        realism=options.realism,
     )
     for part in options.parts or (quick if options.quick else PARTS):
         runs[part](options, base, output)

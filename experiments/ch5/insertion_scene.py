@@ -27,6 +27,7 @@ from models.datasheets import CARD_AND_SLOT
 from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 from twin.describe import body_pose, describe_rover
+from twin.realism import RealismName, make_robots
 
 MASTER, SLAVE = "rover1", "rover2"
 FIELD = FieldConfig(
@@ -110,16 +111,21 @@ def place_insertion(scene: InsertionScene) -> tuple[FieldConfig, tuple[RobotPlac
     return field, (master, slave)
 
 
-def compile_insertion(scene: InsertionScene) -> mujoco.MjModel:
+def compile_insertion(
+    scene: InsertionScene, realism: RealismName = "ideal", seed: int = 0
+) -> mujoco.MjModel:
     """Compile a scene.
 
     Args:
         scene: Poses of the robots, slot and ground.
+        realism: How far the robots are from their drawings.
+        seed: Random seed of the robots as made.
 
     Raises:
         ValueError: If the slot's width or a start is impossible.
     """
-    return make_model(*place_insertion(scene))
+    field, robots = place_insertion(scene)
+    return make_model(field, make_robots(robots, realism, seed))
 
 
 def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:

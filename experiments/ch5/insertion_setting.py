@@ -14,6 +14,7 @@ from controllers.insertion.camera_station import (
 from controllers.insertion.card_arm import CardArm
 from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
 from controllers.insertion.guidance import GuidanceLink
+from controllers.insertion.marker_guide import MarkerGuide
 from controllers.insertion.team import (
     InsertionMaster,
     InsertionSlave,
@@ -44,6 +45,7 @@ from twin.camera import StereoConfig
 from twin.describe import describe_rover
 from twin.hardware.emulator.modem import virtual_links
 from twin.link import Link
+from twin.realism import RealismName, realism_of, sensor_suites, with_cameras
 from twin.robot import Robot
 from twin.simulation import Simulation
 
@@ -67,6 +69,7 @@ class InsertionTrial:
         turn_share: Share of a turn that the slave's skidding leaves, as identified.
         noise_db: Signal-to-noise ratio of the cameras [dB].
         detector: Name of the marker detector.
+        realism: How far robots, sensors and cameras are from their drawings.
         fault: Name of the `Fault` that happens; empty for none.
         trace: Whether the result holds the course.
     """
@@ -77,6 +80,7 @@ class InsertionTrial:
     turn_share: float
     noise_db: float = NOISE_DB
     detector: str = "blob"
+    realism: RealismName = "ideal"
     fault: str = ""
     trace: bool = False
 
@@ -111,7 +115,9 @@ def prepare(trial: InsertionTrial) -> Setting:
     # The simulation draws its noise from children of the seed itself.
     streams = np.random.default_rng((trial.seed, 1)).spawn(4)
     scene_rng, view_rng, prior_rng, radio_rng = streams
-    master, slave = describe_rover(MASTER), describe_rover(SLAVE, card=True)
+    realism = realism_of(trial.realism)
+    master = with_cameras(describe_rover(MASTER), realism.cameras)
+    slave = describe_rover(SLAVE, card=True)
     drawing = insertion_drawing(trial.width)
     if trial.optimal:
         station = best_station(trial.width)
@@ -122,32 +128,43 @@ def prepare(trial: InsertionTrial) -> Setting:
     # The master came by dead reckoning, and knows where it is by the map.
     x, y, heading = np.array(station.place) + 0.01 * scene_rng.normal(size=3)
     scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field)
-    model = compile_insertion(scene)
+    model = compile_insertion(scene, trial.realism, trial.seed)
+    slot_error, card_error, slave_error = prior_rng.normal(size=(3, 6))
+
+    def guide_from(data: mujoco.MjData, angles: FloatArray) -> MarkerGuide:
+        card = transform_between(data, f"{SLAVE}/card", f"{MASTER}/chassis")
+        return marker_guide(
+            master,
+            drawing,
+            _mapped_slot(data, MASTER, slot_error),
+            _mapped(card, card_error)[0],
+            angles,
+            trial.optimal,
+            trial.detector,
+        )
+
+    # The camera is placed by the map before the task begins. On rough ground another posture of the
+    # arm may let a robot slide by centimetres: the map is of the place where it comes to rest.
+    begin_with_camera_at(model, station.angles)
+    angles = guide_from(settle(model), station.angles).begin()
+    begin_with_camera_at(model, angles)
     begun = settle(model)
-    guide = marker_guide(
-        master,
-        drawing,
-        _mapped_slot(begun, MASTER, prior_rng),
-        _mapped(transform_between(begun, f"{SLAVE}/card", f"{MASTER}/chassis"), prior_rng)[0],
-        station.angles,
-        trial.optimal,
-        trial.detector,
-    )
-    # The camera is placed by the map before the task begins.
-    begin_with_camera_at(model, guide.begin())
+    guide = guide_from(begun, angles)
+    drawn = [master, slave]
     simulation = Simulation(
         model,
-        [MASTER, SLAVE],
-        stereo=StereoConfig(RATE, trial.noise_db),
+        drawn,
+        suite=sensor_suites(realism.suite, realism.sensor_errors, drawn, trial.seed),
+        stereo=StereoConfig(RATE, trial.noise_db, realism=realism.cameras),
         seed=trial.seed,
-        data=settle(model),
+        data=begun,
     )
     springs = drawn_springs(slave)
     inserter = CardInserter(
         CardInserterConfig(guide_config(drawing, springs[0])),
         CardArm(slave, drawing.tip),
         SkidSteer.of(slave, trial.turn_share),
-        *_mapped_slot(simulation.data, SLAVE, prior_rng),
+        *_mapped_slot(begun, SLAVE, slave_error),
     )
     sensing = surrogate_sensing(slave, drawing.tip, springs)
     links: dict[str, Link] = dict(
@@ -165,18 +182,23 @@ def prepare(trial: InsertionTrial) -> Setting:
 
 
 def _mapped_slot(
-    data: mujoco.MjData, robot: str, rng: np.random.Generator
+    data: mujoco.MjData, robot: str, error: FloatArray
 ) -> tuple[RigidTransform, FloatArray]:
     """Return the transform from the slot to a robot as the map has it, and its covariance."""
-    return _mapped(transform_between(data, "slot", f"{robot}/chassis"), rng)
+    return _mapped(transform_between(data, "slot", f"{robot}/chassis"), error)
 
 
-def _mapped(pose: RigidTransform, rng: np.random.Generator) -> tuple[RigidTransform, FloatArray]:
-    """Return a pose as the map has it, and its covariance: errors about the pose's own place."""
+def _mapped(pose: RigidTransform, error: FloatArray) -> tuple[RigidTransform, FloatArray]:
+    """Return a pose as the map has it, and its covariance: errors about the pose's own place.
+
+    Args:
+        pose: True pose.
+        error: (6,) error in deviations of the map.
+    """
     deviations = np.array([MAP_TURN] * 3 + [MAP_PLACE] * 3)
-    error = RigidTransform.from_exp_coords(deviations * rng.normal(size=6))
+    moved = RigidTransform.from_exp_coords(deviations * error)
     believed = RigidTransform.from_components(
-        pose.translation + error.translation, error.rotation * pose.rotation
+        pose.translation + moved.translation, moved.rotation * pose.rotation
     )
     place = RigidTransform.from_translation(believed.translation)
     return believed, transport_covariance(place, np.diag(deviations**2))

@@ -3,9 +3,11 @@
 import contextlib
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import CameraStation
 from controllers.insertion.card_inserter import InsertionStage
@@ -22,6 +24,7 @@ from twin.loop import LoopRecorder, Tick, run
 
 LIMIT = 90.0
 """Longest trial [s]."""
+_TICKS = 100  # Servo ticks for which the truth is kept: longer than any pair is under way.
 STAGES = tuple(InsertionStage)
 COURSE = (
     "time",
@@ -103,12 +106,14 @@ class Scorer(LoopRecorder):
         self.whole: list[bool] = []
         self.nees: list[float] = []
         self._setting, self._stamp = setting, math.nan
+        self._truths: deque[tuple[float, RigidTransform]] = deque(maxlen=_TICKS)
 
     def record(self, tick: Tick) -> None:
         """Take one tick."""
         team, data = self._setting.team, self._setting.simulation.data
         inserter, sent = team.slave.inserter, team.master.sent
         force = contact_force(self._setting.simulation.model, data)
+        self._truths.append((tick.time, transform_between(data, "slot", f"{SLAVE}/card")))
         self.peak = max(self.peak, float(np.linalg.norm(force)))
         self.finite &= bool(np.isfinite(data.qpos).all())
         if inserter.guide is not None and math.isnan(self.hand_over[0]):
@@ -118,7 +123,7 @@ class Scorer(LoopRecorder):
             self._stamp = stereo.stamp
             self.whole.append(None not in team.master.marker_guide.fits)
         if sent is not None and sent.transform_slot_to_card is not None:
-            truth = transform_between(data, "slot", f"{SLAVE}/card")
+            truth = self._truth_at(sent.time)
             error = np.asarray((truth * sent.transform_slot_to_card.inv()).as_exp_coords())
             self.nees.append(float(error @ np.linalg.solve(sent.covariance, error)) / error.size)
         if self._setting.trial.trace:
@@ -126,6 +131,10 @@ class Scorer(LoopRecorder):
             pose = card_in_slot(data)
             row = [tick.time, *pose[:4], *inserter.error[:3], *felt, *force[:2], stage]
             self.course.append([float(value) for value in row])
+
+    def _truth_at(self, time: float) -> RigidTransform:
+        """Return the true transform from the slot to the card at the time of a pair."""
+        return min(self._truths, key=lambda entry: abs(entry[0] - time))[1]
 
 
 def perform(setting: Setting, recorders: Sequence[LoopRecorder] = ()) -> InsertionOutcome:
