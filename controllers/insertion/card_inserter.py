@@ -272,7 +272,7 @@ class CardInserter:
                 self._enter(InsertionStage.ALIGN)
         # While the robot is far away, the card stays within easy reach of the arm.
         away = max(gap, 0.0) if self.stage is InsertionStage.APPROACH else 0.0
-        rates = self._bring(slot @ planar([0.0, -config.stand_off - away, 0.0]))
+        rates = self._bring(slot, np.array([0.0, -config.stand_off - away, 0.0]))
         if self.stage is InsertionStage.ALIGN:
             waited = self._time - self._since
             tared = len(self._tare) * config.period >= config.settle - 1e-9
@@ -291,22 +291,35 @@ class CardInserter:
         turn = min(max(curve * abs(speed), -config.turn), config.turn)
         return self._steer.wheel_speeds(speed, turn)
 
-    def _bring(self, card: FloatArray) -> FloatArray:
-        """Move the commanded joints a step towards a pose of the card; return their rates."""
+    def _bring(self, slot: FloatArray, pose: FloatArray) -> FloatArray:
+        """Move the commanded joints a step towards a pose (3,) of the card; return their rates."""
         config, now = self.config, self._arm.card_frame(self._wanted)
-        way = card[:3, 3] - now[:3, 3]
+        way = (slot @ planar(pose))[:3, 3] - now[:3, 3]
         most, step = config.card_speed * config.period, config.card_turn * config.period
         place = now[:3, 3] + way * min(1.0, most / max(float(np.linalg.norm(way)), 1e-9))
         pitch = pitch_of(now)
-        pitch += min(max(pitch_of(card) - pitch, -step), step)
-        return self._command_card(place, pitch)
+        pitch += min(max(self._pitch_at(slot, pose) - pitch, -step), step)
+        rates = self._command_card(place, pitch)
+        return _STILL if rates is None else rates
 
-    def _command_card(self, place: FloatArray, pitch: float) -> FloatArray:
-        """Set the commanded joints for a position and pitch, if in reach; return their rates."""
+    def _pitch_at(self, slot: FloatArray, pose: FloatArray) -> float:
+        """Return the pitch of the card at which it has the turn of a pose (3,) in the slot's plane.
+
+        On a robot that rolls by 14 degrees on a rock, 5 degrees of yaw are a degree of turn as
+        well: the pitch is chosen by the turn that the card has, not as if it lay in the plane.
+        """
+        now = self._arm.card_frame(self._wanted)
+        return pitch_of(now) + float(pose[2] - to_plane(inverse(slot) @ now)[2])
+
+    def _command_card(self, place: FloatArray, pitch: float) -> FloatArray | None:
+        """Set the commanded joints for a position and pitch; return their rates.
+
+        None if it is out of reach; the joints then stay where they are.
+        """
         target = self._arm.angles_at(place, pitch, self._wanted)
         rates = (target - self._wanted) / self.config.period
         if not np.all(np.abs(rates) <= _ELBOW):
-            return _STILL
+            return None
         self._wanted = target
         return rates
 
@@ -327,8 +340,10 @@ class CardInserter:
 
     def _insert(self, angles: FloatArray) -> Command:
         assert self.guide is not None
-        card = self._slot_now() @ planar(self.guide.step(self.contact[[0, 1, 5]]))
-        rates = self._command_card(card[:3, 3], pitch_of(card))
+        pose, slot = self.guide.step(self.contact[[0, 1, 5]]), self._slot_now()
+        rates = self._command_card((slot @ planar(pose))[:3, 3], self._pitch_at(slot, pose))
+        if rates is None:
+            return self._fail("out of reach", angles)
         if self.guide.phase is Phase.DONE:
             self._enter(InsertionStage.DONE)
         elif self.guide.phase is Phase.FAILED:

@@ -6,13 +6,15 @@ import functools
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from controllers.insertion.card_arm import inverse, pitch_of, to_plane
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
 from controllers.mapping.localization import tilt_to_level
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from models import datasheets
-from tests.controllers.insertion.kinematic import Slave
+from tests.controllers.insertion.kinematic import SLOT, Slave
 from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Channel, Validity, WheelMode
 
@@ -363,3 +365,35 @@ def test_outlying_guidance_message_moves_nothing_far():
         slave.drive(inserter.step(slave.observe(), [look]))
     after = inserter.belief.slot_in_start
     np.testing.assert_allclose(after, before, atol=1e-4)
+
+
+def test_card_is_brought_without_turn_in_the_slots_plane_by_a_robot_that_rolls() -> None:
+    """By the pose that the joints give; the slot's own pitch would leave roll times yaw."""
+    slave, roll, yaw = Slave((0.0, -0.62, 0.0)), 0.25, 0.08
+    inserter = slave.inserter()
+    inserter.step(slave.observe(), [])
+    tilted = np.eye(4)
+    tilted[:3, :3] = Rotation.from_euler("yz", [roll, yaw]).as_matrix()
+    level = inverse(slave.robot()) @ SLOT
+    about = slave.arm.card_frame(slave.angles)
+    slot = level.copy()
+    slot[:3, :3] = tilted[:3, :3] @ level[:3, :3]
+    slot[:3, 3] = about[:3, 3] + slot[:3, :3] @ [0.0, 0.015, 0.0]
+    for _ in range(300):
+        inserter._bring(slot, np.array([0.0, -0.015, 0.0]))
+    card = slave.arm.card_frame(inserter._wanted)
+    across, ahead, turn, *_ = to_plane(inverse(slot) @ card)
+    np.testing.assert_allclose([across, ahead, turn], [0.0, -0.015, 0.0], atol=1e-4)
+    # What the slot's pitch would have left.
+    assert abs(pitch_of(card) - pitch_of(slot)) > 0.5 * roll * yaw
+
+
+def test_arm_that_does_not_reach_where_force_guides_it_fails_and_is_not_done(monkeypatch) -> None:
+    """The guide goes by its own commands: a card that stays where it is would count as seated."""
+    slave = Slave((0.01, -0.72, 0.04))
+    inserter = slave.inserter()
+    slave.run(inserter, 40.0, until=lambda: inserter.stage is InsertionStage.INSERT)
+    assert inserter.stage is InsertionStage.INSERT
+    monkeypatch.setattr(slave.arm, "angles_at", lambda *_: np.full(4, np.nan))
+    slave.run(inserter, 40.0, until=lambda: inserter.over)
+    assert inserter.stage is InsertionStage.FAILED and inserter.reason == "out of reach"
