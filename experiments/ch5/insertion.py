@@ -2,7 +2,8 @@
 
 Rough ground, springs, radio, stereo images, wrench: the controllers get what the robots measure and
 nothing else. Trials are paired by their seeds: both placements get the same ground, starts, errors
-of the map and noise. Four parts: Table 5-1, what must fail, ten times the camera noise, and faults.
+of the map and noise. Each width of the slot has seeds of its own. Four parts: Table 5-1, what must
+fail, ten times the camera noise, and faults.
 """
 
 import dataclasses
@@ -107,12 +108,11 @@ def run(options: Options, output: Output) -> None:
 def _table(options: Options, base: InsertionTrial, output: Output) -> None:
     """Measure Table 5-1 and draw a success and a failure."""
     widths = CARD_AND_SLOT.slot_widths[-1:] if options.quick else CARD_AND_SLOT.slot_widths
-    seeds = options.job_seeds(30, 1)
     jobs = [
         dataclasses.replace(base, width=width, optimal=placement == "optimal", seed=seed)
         for width in widths
         for placement in PLACEMENTS
-        for seed in seeds
+        for seed in width_seeds(options, width)
     ]
     results = sweep(run_trial, jobs, options, output, label="insertions")
     cells: Cells = {}
@@ -128,6 +128,20 @@ def _table(options: Options, base: InsertionTrial, output: Output) -> None:
     _tabulate(jobs, results, output)
     output.figure("table_5-1", draw_table(shares, widths, THESIS))
     _show(jobs, results, options, output)
+
+
+def width_seeds(options: Options, width: float) -> list[int]:
+    """Return the seeds of a slot's trials, which no other width has.
+
+    Args:
+        options: Options of the run.
+        width: Width between the slot's walls [m].
+    """
+    stream = CARD_AND_SLOT.slot_widths.index(width)
+    return [
+        int(np.random.SeedSequence([seed, stream]).generate_state(1)[0])
+        for seed in options.job_seeds(30, 1)
+    ]
 
 
 def _measure_cells(cells: Cells, shares: Shares, widths: Sequence[float], output: Output) -> None:

@@ -35,6 +35,15 @@ def test_unknown_detector_and_part_are_refused(tmp_path):
         ch5_insertion.Options(out=tmp_path, parts=("table", "chair"))
 
 
+def test_each_width_has_seeds_of_its_own_and_more_of_them_extend_the_list(tmp_path):
+    options = ch5_insertion.Options(out=tmp_path, seeds=8)
+    by_width = [ch5_insertion.width_seeds(options, w) for w in CARD_AND_SLOT.slot_widths]
+    assert len({seed for seeds in by_width for seed in seeds}) == 8 * len(by_width)
+    fewer = ch5_insertion.Options(out=tmp_path, seeds=3)
+    for width, seeds in zip(CARD_AND_SLOT.slot_widths, by_width, strict=True):
+        assert ch5_insertion.width_seeds(fewer, width) == seeds[:3]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", [Fault.HIDDEN, Fault.WRENCH])
 def test_fault_ends_as_stated_with_bounded_force(fault):
