@@ -157,7 +157,7 @@ def run(options: Options, output: Output) -> None:
     results = sweep(diagnose, trials, options, output, label="robots")
     _measure(results, output)
     output.table("diagnoses", *_table(results))
-    off = [_beyond_drawing(each) for each in results if each.trial.case == "unchanged"]
+    off = [_beyond_drawing(r).tolist() for r in results if r.trial.case == "unchanged"]
     output.table("unchanged", NAMES, off)
     output.figure("changes", _figure(results))
 
