@@ -60,7 +60,7 @@ class Options(contract.Options):
     """
 
     detector: str = "blob"
-    realism: RealismName = "ideal"
+    realism: RealismName = "default"
     parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
