@@ -18,9 +18,4 @@ The arm on known ground, section 6.2:
 - `arm_sensing`: log of a run, and joint and base motion from it.
 - `payload`: what the gripper holds (section 6.2 c).
 - `friction`: friction under the wheels and onset of slip (section 6.2 b).
-
-What has changed since the drawing:
-
-- `wheel_grip`: friction under each wheel, from its own spin.
-- `diagnosis`: a load on the base, soft springs or a worn tyre, by name and size.
 """

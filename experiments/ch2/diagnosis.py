@@ -14,22 +14,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.identification.arm_motion import ArmLimits
-from controllers.identification.diagnosis import (
-    NOTICED,
-    Change,
-    base_changes,
-    noticed,
-    tyre_changes,
-)
 from controllers.identification.pitch import NAMES, PitchEstimate, search_coordinates
 from controllers.identification.rover_identifier import (
     ROVER_ARM_LIMITS,
     RoverIdentifierConfig,
     SwingingArm,
 )
-from controllers.identification.wheel_grip import WheelGripProbe, WheelGrips
 from controllers.mission.stages.identify import GENTLER
 from controllers.motion.base_tilt import drawn_springs
+from controllers.sensing.diagnosis import (
+    NOTICED,
+    Change,
+    base_changes,
+    noticed,
+    tyre_changes,
+)
+from controllers.sensing.wheel_grip import WheelGripProbe, WheelGrips
 from experiments.ch2.rover.trial import identify
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, success_fraction

@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from controllers.identification.diagnosis import Change
 from controllers.identification.pitch import PitchFit
 from controllers.identification.pitch_model import PitchSensors
-from controllers.identification.wheel_grip import WheelGrips
+from controllers.sensing.diagnosis import Change
+from controllers.sensing.wheel_grip import WheelGrips
 from experiments.__main__ import main
 from experiments.ch2.diagnosis import CASES, PLACES, WEAKER, Diagnosis, DiagnosisTrial
 

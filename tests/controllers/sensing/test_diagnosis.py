@@ -5,7 +5,9 @@ import pytest
 import scipy.optimize
 import scipy.stats
 
-from controllers.identification.diagnosis import (
+from controllers.identification.pitch import physical, search_coordinates
+from controllers.motion.base_tilt import drawn_springs
+from controllers.sensing.diagnosis import (
     GRIP_SIGMA,
     NOTICED,
     ROVER_UNCHANGED,
@@ -14,9 +16,7 @@ from controllers.identification.diagnosis import (
     noticed,
     tyre_changes,
 )
-from controllers.identification.pitch import physical, search_coordinates
-from controllers.identification.wheel_grip import WheelGrips
-from controllers.motion.base_tilt import drawn_springs
+from controllers.sensing.wheel_grip import WheelGrips
 from twin.describe import describe_rover
 
 ROBOT = describe_rover()

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from controllers.identification.pitch import search_coordinates
-from controllers.identification.wheel_grip import WheelGrips
 from controllers.motion.base_tilt import drawn_springs
+from controllers.sensing.wheel_grip import WheelGrips
 from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription
 
@@ -81,7 +81,8 @@ def base_changes(
     """Return how far each change of the base and its springs is from chance.
 
     Args:
-        parameters: (5,) of an identification that can be believed, in the order of `pitch.NAMES`.
+        parameters: (5,) of an identification that can be believed, in the order of
+            `controllers.identification.pitch.NAMES`.
         robot: The robot as drawn.
         unchanged: Identifications of unchanged robots.
     """

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from controllers.identification.arm_sensing import IdentificationError
-from controllers.identification.wheel_grip import WheelGripConfig, WheelGripProbe
+from controllers.sensing.wheel_grip import WheelGripConfig, WheelGripProbe
 from models.as_made import AsMade, Change
 from models.compose import WHEELS, FieldConfig, RobotPlacement
 from models.datasheets import EXACT
