@@ -6,7 +6,6 @@ with encoder, friction and rotor, is followed by ``x_play`` about the same axis 
 """
 
 import dataclasses
-import math
 from collections.abc import Collection, Sequence
 
 import mujoco
@@ -48,8 +47,7 @@ class Change:
             ValueError: Naming the field.
         """
         check_numbers("change", self, "springs", "grip")
-        if not 0.0 <= self.payload < math.inf:
-            raise ValueError(f"change payload = {self.payload}: expected 0 or a positive number")
+        check_numbers("change", self, "payload", zero=True)
 
 
 UNCHANGED = Change()

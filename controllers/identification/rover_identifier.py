@@ -40,6 +40,11 @@ ROVER_ARM_LIMITS = ArmLimits(
 down on level ground."""
 
 
+_GENTLER = (0.6,)
+"""Shares of the arm's usual acceleration at which an identification in doubt is repeated: a wheel
+that lifts or slips ruins the fit."""
+
+
 @dataclasses.dataclass(frozen=True)
 class SwingingArm:
     """Mass properties of the stretched arm, which swings about the shoulder in the pitch plane.
@@ -184,6 +189,7 @@ class RoverIdentifier:
     def __init__(self, config: RoverIdentifierConfig, generator: np.random.Generator) -> None:
         self.config = config
         self._generator = generator
+        self._gentler = [share * config.limits.acceleration for share in _GENTLER]
         self._window = round(REPLAN_PERIOD / config.sensors.period)
         self.reset()
         self._rehearse()
@@ -203,10 +209,14 @@ class RoverIdentifier:
         self._motion: Trajectory | None = None
         self._search: Iterator[None] | None = None
 
-    def repeat(self, limits: ArmLimits) -> None:
-        """Start again within other limits of the arm's motion."""
+    def repeat(self) -> bool:
+        """Start again with a gentler motion, and return whether there was one left."""
+        if not self._gentler:
+            return False
+        limits = dataclasses.replace(self.config.limits, acceleration=self._gentler.pop(0))
         self.config = dataclasses.replace(self.config, limits=limits)
         self.reset()
+        return True
 
     @property
     def done(self) -> bool:

@@ -1,8 +1,8 @@
 """Surrogate sensing, and diagnosis: what sensors should read, and what has changed on a robot.
 
 - `surrogate_models`: the wrench under the arm by its motion, and the base's tilt by that wrench.
-- `surrogate`: monitors that replace a sensor that is missing or wrong by its
-  prediction (figure 5-6).
+- `surrogate`: monitors that replace a sensor that is missing or wrong by its prediction (Thesis
+  figure 5-6).
 - `wheel_grip`: friction under each wheel, from its own spin.
 - `diagnosis`: a load on the base, soft springs or a worn tyre, by name and size.
 """

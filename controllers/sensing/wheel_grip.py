@@ -53,7 +53,8 @@ class WheelGrips:
     """Friction under each wheel.
 
     Attributes:
-        friction: (wheels,) coefficients; NaN for a wheel that did not slip alone.
+        friction: (wheels,) coefficients; NaN for a wheel that bears nothing, did not slip alone, or
+            not alike both ways, as beside a stone.
         loads: (wheels,) normal forces at rest, as drawn [N].
     """
 
@@ -134,7 +135,8 @@ class WheelGripProbe:
             wheel, way = divmod(index, 2)
             mean = np.abs(speeds[counted & (turn == index)].mean(axis=0))
             others = np.delete(mean, wheel)
-            if mean[wheel] > config.still and np.all(others < config.still):
+            alone = mean[wheel] > config.still and np.all(others < config.still)
+            if alone and loads[wheel] > 0.0:
                 torque = self._torque(wheel, float(mean[wheel]))
                 friction[wheel, way] = torque / (wheels[wheel].radius * loads[wheel])
         unlike = np.abs(np.diff(friction, axis=1)[:, 0]) > config.unlike * friction.max(axis=1)

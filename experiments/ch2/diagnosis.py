@@ -13,47 +13,38 @@ from typing import ClassVar, Literal, get_args
 import numpy as np
 from matplotlib.figure import Figure
 
-from controllers.identification.arm_motion import ArmLimits
-from controllers.identification.pitch import NAMES, PitchEstimate, search_coordinates
+from controllers.identification.pitch import NAMES, PitchEstimate
 from controllers.identification.rover_identifier import (
-    ROVER_ARM_LIMITS,
+    RoverIdentifier,
     RoverIdentifierConfig,
     SwingingArm,
 )
-from controllers.mission.stages.identify import GENTLER
-from controllers.motion.base_tilt import drawn_springs
 from controllers.sensing.diagnosis import (
     NOTICED,
-    Change,
+    Finding,
     base_changes,
+    beyond_drawing,
     noticed,
     tyre_changes,
 )
 from controllers.sensing.wheel_grip import WheelGripProbe, WheelGrips
-from experiments.ch2.rover.trial import identify
+from experiments.ch5 import insertion_scene
 from experiments.harness import contract
 from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models import as_made
-from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part
-from perception.geometry.arrays import FloatArray
+from models.compose import WHEELS, RobotPlacement, load_part
 from twin.connect import Connection, connect
 from twin.describe import describe_rover
 from twin.loop import run as run_loop
 from twin.realism import make_robots
 
 ROBOT = "rover1"
-FIELD = FieldConfig(
-    size=(3.0, 3.0),
-    relief=0.02,
-    cell=0.1,
-    rocks=50,
-    rock_radius=(0.02, 0.05),
-    texture_pixels=16,
-    friction=None,
+FIELD = dataclasses.replace(
+    insertion_scene.FIELD, size=(3.0, 3.0), rocks=50, texture_pixels=16, friction=None
 )
-"""Ground as rough and stony as the mission's; each robot has its own tyres."""
+"""Ground as rough and stony as the insertion's and the mission's; each robot has its own tyres."""
 Case = Literal["unchanged", "load", "springs", "tyre"]
 CASES: tuple[Case, ...] = get_args(Case)
 WORDS = {"load": "load on the base", "springs": "soft springs", "tyre": "worn tyre"}
@@ -121,7 +112,7 @@ class Diagnosis:
     estimate: PitchEstimate
     doubts: tuple[str, ...]
     grips: WheelGrips
-    changes: tuple[Change, ...]
+    changes: tuple[Finding, ...]
 
     @property
     def named(self) -> str:
@@ -157,8 +148,9 @@ def run(options: Options, output: Output) -> None:
     results = sweep(diagnose, trials, options, output, label="robots")
     _measure(results, output)
     output.table("diagnoses", *_table(results))
-    off = [_beyond_drawing(r).tolist() for r in results if r.trial.case == "unchanged"]
-    output.table("unchanged", NAMES, off)
+    usual = [r.estimate.parameters for r in results if r.trial.case == "unchanged"]
+    drawn = describe_rover(ROBOT)
+    output.table("unchanged", NAMES, [beyond_drawing(each, drawn).tolist() for each in usual])
     output.figure("changes", _figure(results))
 
 
@@ -187,14 +179,12 @@ def _identified(
     connection: Connection, config: RoverIdentifierConfig, rng: np.random.Generator
 ) -> PitchEstimate:
     """Return an identification, repeated as the mission repeats one that is in doubt."""
-    gentler = list(GENTLER)
+    identifier = RoverIdentifier(config, rng)
     while True:
-        estimate = identify(connection, config, rng).fit.estimate
-        if not (estimate.doubts(config.prior) and gentler):
+        run_loop(connection.robots, [identifier], connection.clock, [], config.total)
+        estimate = identifier.finish()
+        if not (estimate.doubts(config.prior) and identifier.repeat()):
             return estimate
-        acceleration = gentler.pop(0) * ROVER_ARM_LIMITS.acceleration
-        limits: ArmLimits = dataclasses.replace(ROVER_ARM_LIMITS, acceleration=acceleration)
-        config = dataclasses.replace(config, limits=limits)
 
 
 def _measure(results: Sequence[Diagnosis], output: Output) -> None:
@@ -212,13 +202,6 @@ def _measure(results: Sequence[Diagnosis], output: Output) -> None:
     output.measure("identified_fraction", success_fraction(not each.doubts for each in results))
     errors = [abs(error) for each in results for error in _grip_errors(each)]
     output.measure("wheel_friction_error_percent", distribution(errors))
-
-
-def _beyond_drawing(result: Diagnosis) -> FloatArray:
-    """Return how far an identification is from the drawing (5,), as `Unchanged` counts it."""
-    pitch, _ = drawn_springs(describe_rover(ROBOT))
-    drawn = np.array([pitch.inertia, *pitch.lever, pitch.damping, pitch.stiffness])
-    return search_coordinates(result.estimate.parameters) - search_coordinates(drawn)
 
 
 def _grip_errors(result: Diagnosis) -> list[float]:

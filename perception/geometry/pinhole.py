@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -41,9 +42,7 @@ class StereoCalibration:
         Raises:
             ValueError: Naming it.
         """
-        for name, value in vars(self).items():
-            if not 0.0 <= value < math.inf:
-                raise ValueError(f"calibration {name} must be finite and >= 0, got {value}")
+        check_numbers("calibration", self, zero=True)
 
     def mount_covariance(self) -> FloatArray:
         """Return the covariance (6, 6) of xi [rad, m] of the left eye on the mount, its frame."""

@@ -1,7 +1,5 @@
 """Stage ``identify``, chapter 2: a rover swings its arm and identifies its pitch dynamics."""
 
-import dataclasses
-
 import numpy as np
 
 from controllers.identification.rover_identifier import (
@@ -11,10 +9,6 @@ from controllers.identification.rover_identifier import (
 )
 from controllers.mission.belief import MissionBelief
 from twin.robot import Command, Observation
-
-GENTLER = (0.6,)
-"""Shares of the usual acceleration of the arm at which an identification that failed is repeated: a
-wheel that lifts or slips ruins the fit."""
 
 
 class SwingArm:
@@ -32,7 +26,7 @@ class SwingArm:
 
     def __init__(self, belief: MissionBelief, rng: np.random.Generator) -> None:
         self.done = False
-        self._belief, self._gentler = belief, list(GENTLER)
+        self._belief = belief
         config = RoverIdentifierConfig(belief.robot.name, SwingingArm.of(belief.robot))
         self._identifier = RoverIdentifier(config, rng)
 
@@ -47,12 +41,10 @@ class SwingArm:
         return command
 
     def _judge(self) -> None:
-        belief, config = self._belief, self._identifier.config
+        belief = self._belief
         belief.identification = estimate = self._identifier.fit.estimate
-        belief.doubts = estimate.doubts(config.prior)
-        if belief.doubts and self._gentler:
-            acceleration = self._gentler.pop(0) * config.limits.acceleration
-            self._identifier.repeat(dataclasses.replace(config.limits, acceleration=acceleration))
+        belief.doubts = estimate.doubts(self._identifier.config.prior)
+        if belief.doubts and self._identifier.repeat():
             return
         self.done = True
         if not belief.doubts:

@@ -109,18 +109,22 @@ def test_no_step_waits_for_a_compiler(tmp_path: Path) -> None:
     assert built == after > 0 and estimates == 3
 
 
-def test_repeated_identification_forgets_all_and_keeps_to_its_new_limits(
+def test_repeated_identification_forgets_all_and_is_gentler_once(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     identifier = swing("random", monkeypatch)
     assert identifier.log.times and not identifier.done
-    gentle = dataclasses.replace(ROVER_ARM_LIMITS, acceleration=2.0)
-    identifier.repeat(gentle)
+    gentle = dataclasses.replace(
+        ROVER_ARM_LIMITS, acceleration=pytest.approx(0.6 * ROVER_ARM_LIMITS.acceleration)
+    )
+    assert identifier.repeat()
     assert identifier.config.limits == gentle and not identifier.log.times
     monkeypatch.setattr(identifier, "_data", lambda: None)
     monkeypatch.setattr(identifier.fit, "fit", lambda data, iterations=30: None)
     swing_through(identifier)
     assert len(identifier.log.times) == 120 and len(identifier.log.excitations) == 3
+    assert not identifier.repeat() and identifier.config.limits == gentle
+    assert len(identifier.log.times) == 120
 
 
 def test_swinging_arm_is_that_of_the_compiled_model():

@@ -53,3 +53,9 @@ def test_wheel_that_stands_still_tells_nothing():
 def test_probe_says_when_it_has_not_finished():
     with pytest.raises(IdentificationError, match="not all wheels have spun"):
         WheelGripProbe(ROBOT).estimate()
+
+
+def test_wheel_that_bears_nothing_tells_nothing(monkeypatch):
+    """On three wheels the fourth spins in the air, and its friction is no number."""
+    monkeypatch.setattr(WheelGripProbe, "_loads", lambda *_: np.array([20.0, 0.0, 12.0, 12.0]))
+    assert np.isnan(spin(0.6, Change()).friction).tolist() == [False, True, False, False]

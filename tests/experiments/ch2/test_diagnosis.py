@@ -8,7 +8,7 @@ import pytest
 
 from controllers.identification.pitch import PitchFit
 from controllers.identification.pitch_model import PitchSensors
-from controllers.sensing.diagnosis import Change
+from controllers.sensing.diagnosis import Finding
 from controllers.sensing.wheel_grip import WheelGrips
 from experiments.__main__ import main
 from experiments.ch2.diagnosis import CASES, PLACES, WEAKER, Diagnosis, DiagnosisTrial
@@ -35,9 +35,9 @@ def test_one_seed_is_one_robot_whatever_happened_to_it():
 
 
 def test_only_the_right_name_and_wheel_count():
-    worn = Change("worn tyre rear_left", 0.5, 0.05, 6.0)
-    load = Change("load on the base", 0.03, 0.01, 3.0)
-    slight = Change("soft springs", 0.9, 0.1, 1.0)
+    worn = Finding("worn tyre rear_left", 0.5, 0.05, 6.0)
+    load = Finding("load on the base", 0.03, 0.01, 3.0)
+    slight = Finding("soft springs", 0.9, 0.1, 1.0)
     assert told("tyre", "rear_left", worn, slight).right
     assert not told("tyre", "rear_right", worn, slight).right
     assert told("tyre", "rear_left", worn, load).named == "worn tyre rear_left"
