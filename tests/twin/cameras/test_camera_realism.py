@@ -10,8 +10,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from models.datasheets import CAMERA
 from perception.geometry.pinhole import Pinhole
+from tests.twin.cameras.test_camera import noise, settled
 from tests.twin.scene import SERVO, compile_scene
-from tests.twin.test_camera import noise, settled
 from twin.camera import StereoConfig, StereoHead, StereoRig, camera_model, camera_pose, renderer
 from twin.optics.flow import View, block_lens
 from twin.optics.realism import DEFAULT_CAMERA, HARSH_CAMERA, IDEAL_CAMERA, CameraRealism
