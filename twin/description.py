@@ -47,6 +47,9 @@ class JointDescription:
         friction: Dry friction of gear and motor at the joint [N m, or N for a slide].
         cover_points: (k, 3) points in the link's frame [m]; spheres about them of the arm's
             `cover_radius` cover the link.
+        zero_sigma: Standard deviation of the measured position's zero, with the gear's play
+            [rad or m].
+        place_sigma: Standard deviation of the joint's place along each axis [m].
     """
 
     name: str
@@ -58,6 +61,8 @@ class JointDescription:
     rotor_inertia: float = 0.0
     friction: float = 0.0
     cover_points: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
+    zero_sigma: float = 0.0
+    place_sigma: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """How far simulated robots and their sensors are from their drawings: sets by name."""
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Literal
@@ -137,6 +138,35 @@ def sensor_suites(
         with_errors(suite, errors, robot, np.random.default_rng([seed, _ERRORS, index]))
         for index, robot in enumerate(robots)
     ]
+
+
+def as_stated(robot: RobotDescription, named: RealismName | Realism) -> RobotDescription:
+    """Return a robot as drawn that states how far robots of a set may be off, as makers do.
+
+    Args:
+        robot: Description of the robot.
+        named: Set with the tolerances, never what was drawn for one robot.
+    """
+    chosen = realism_of(named)
+    stated = with_cameras(robot, chosen.cameras)
+    if stated.arm is None:
+        return stated
+    zero = chosen.sensor_errors.encoder_zero if chosen.sensor_errors else 0.0
+    play, length = (
+        (0.5 * chosen.tolerances.backlash[1], chosen.tolerances.length)
+        if chosen.tolerances
+        else (0.0, 0.0)
+    )
+    # Uniform to either side; a gear rests on either end of its play.
+    joints = [
+        dataclasses.replace(
+            joint,
+            zero_sigma=math.hypot(zero, play) / math.sqrt(3.0),
+            place_sigma=length / math.sqrt(3.0),
+        )
+        for joint in stated.arm.joints
+    ]
+    return dataclasses.replace(stated, arm=dataclasses.replace(stated.arm, joints=tuple(joints)))
 
 
 def with_cameras(robot: RobotDescription, cameras: CameraRealism) -> RobotDescription:

@@ -105,7 +105,8 @@ class MarkerGuide:
         self._wanted = np.empty(0)  # Joint angles; empty before the first step.
         self._angles: deque[tuple[float, FloatArray]] = deque()
         self._slot_by_calibration = np.zeros((6, CALIBRATION_ERRORS))
-        self._slot_camera: RigidTransform | None = None  # Camera that the slot was last seen by.
+        # xi of the camera by errors of arm and head when the slot was last seen, robot frame.
+        self._seen_with: FloatArray | None = None
         self._stamp, self._next = math.nan, 0.0
         self._found = False
         self._pair: NDArray[np.uint8] = np.empty(0, np.uint8)
@@ -154,9 +155,10 @@ class MarkerGuide:
         if frozen:
             self.fits = (None, None)
             return Guidance(self._stamp, False, False)
-        config, camera = self.config, self._arm.tool_in_robot(self._angles_at(self._stamp))
+        config, angles = self.config, self._angles_at(self._stamp)
+        camera = self._arm.tool_in_robot(angles)
         to_camera = camera.inv()
-        slot, covariance, slot_shared = self._slot_before(camera)
+        slot, covariance, slot_shared = self._slot_before(angles)
         loose = np.diag([config.turned**-2] * 3 + [0.0] * 3)
         priors = (
             BodyPrior(to_camera * self.transform_card_to_robot, loose),
@@ -171,7 +173,7 @@ class MarkerGuide:
         self._found |= card_fit is not None or slot_fit is not None
         if slot_fit is not None:
             slot, covariance = slot_fit.transform_body_to_camera, slot_fit.covariance
-            slot_shared, self._slot_camera = slot_fit.by_calibration, camera
+            slot_shared, self._seen_with = slot_fit.by_calibration, self._arm.error_jacobian(angles)
             self.transform_slot_to_robot = camera * slot
             self.slot_covariance = transport_covariance(camera, covariance)
             self._slot_by_calibration = adjoint(camera) @ slot_shared
@@ -185,23 +187,24 @@ class MarkerGuide:
         relative = transport_covariance(card.inv(), apart)
         return Guidance(self._stamp, True, slot_fit is not None, card.inv() * slot, relative)
 
-    def _slot_before(self, camera: RigidTransform) -> tuple[RigidTransform, FloatArray, FloatArray]:
+    def _slot_before(self, angles: FloatArray) -> tuple[RigidTransform, FloatArray, FloatArray]:
         """Return the slot in the camera before a view, its covariance and xi by the calibration.
 
-        An error of the head's mounting cancels for a camera that has not moved since the slot was
-        seen: of xi in the mount, the motion M leaves (adjoint(M) - 1) xi.
+        Errors of arm and head cancel for a camera that has not moved since the slot was seen.
 
         Args:
-            camera: Transform from the camera to the robot.
+            angles: (4,) joint angles at the view [rad].
         """
-        to_camera, before = camera.inv(), self._slot_camera
+        to_camera = self._arm.tool_in_robot(angles).inv()
         turn, place = np.square(self.config.wander)
         covariance = self.slot_covariance + np.diag([turn] * 3 + [place] * 3)
-        left = np.eye(6) if before is None else adjoint(to_camera * before) - np.eye(6)
-        mount = left @ self._geometry.calibration.mount_covariance() @ left.T
+        left = self._arm.error_jacobian(angles)
+        if self._seen_with is not None:
+            left = left - self._seen_with
+        covariance += left @ self._arm.error_covariance() @ left.T
         return (
             to_camera * self.transform_slot_to_robot,
-            transport_covariance(to_camera, covariance) + mount,
+            transport_covariance(to_camera, covariance),
             adjoint(to_camera) @ self._slot_by_calibration,
         )
 

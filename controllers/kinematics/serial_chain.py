@@ -19,6 +19,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion, LinkMotion
 from perception.geometry.arrays import FloatArray
+from perception.geometry.se3 import adjoint
 from twin.description import ArmDescription, JointDescription, RigidBody, RobotDescription
 
 
@@ -54,6 +55,8 @@ class SerialChain:
         transform_base_to_robot: Transform from the base to the robot frame.
         transform_tool_to_link: Transform from the tool, such as a camera, to the last link.
         cover_radius: Radius of the spheres about the joints' cover points [m].
+        mount_covariance: (6, 6) covariance of xi of the tool's mounting, rotation [rad] then
+            translation [m], in its own frame.
 
     Raises:
         ValueError: If there is no joint, or one's axis is not a unit vector, naming it.
@@ -68,6 +71,7 @@ class SerialChain:
         default_factory=RigidTransform.identity
     )
     cover_radius: float = 0.0
+    mount_covariance: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((6, 6)))
     limits: FloatArray = dataclasses.field(init=False, repr=False)
     """(n, 2) lowest and highest joint positions [rad or m]."""
     rotor_inertia: FloatArray = dataclasses.field(init=False, repr=False)
@@ -137,7 +141,10 @@ class SerialChain:
         if robot.arm is None:
             raise ValueError(f"robot {robot.name} has no arm: there is no chain to build")
         head = robot.head
-        return cls.from_description(robot.arm, head.transform_camera_to_wrist if head else None)
+        if head is None:
+            return cls.from_description(robot.arm)
+        chain = cls.from_description(robot.arm, head.transform_camera_to_wrist)
+        return dataclasses.replace(chain, mount_covariance=head.calibration.mount_covariance())
 
     def __len__(self) -> int:
         """Return the number of joints."""
@@ -221,6 +228,34 @@ class SerialChain:
         slides = self._arrays.slides[:, None]
         linear = np.where(slides, axes, np.cross(axes, tool - origins))
         return np.concatenate([linear, np.where(slides, 0.0, axes)], axis=1).T
+
+    def error_jacobian(self, positions: ArrayLike) -> FloatArray:
+        """Return (6, 6 + n): xi of the tool in the robot frame by errors that last.
+
+        These are xi of the tool's mounting, in its own frame, and the positions' zeros [rad or m];
+        xi is a rotation [rad], then a translation [m].
+
+        Args:
+            positions: (n,) [rad or m].
+
+        Raises:
+            ValueError: As `link_frames`.
+        """
+        linear, angular = np.vsplit(self.jacobian(positions), 2)
+        tool = self.tool_in_robot(positions)
+        at_origin = linear - np.cross(angular, tool.translation, axis=0)
+        return np.hstack([adjoint(tool), np.vstack([angular, at_origin])])
+
+    def error_covariance(self) -> FloatArray:
+        """Return the covariance (6 + n, 6 + n) of the errors of `error_jacobian`.
+
+        Joints out of place move the tool; their part counts as the mounting's.
+        """
+        zeros = np.array([joint.zero_sigma for joint in self.joints])
+        places = sum(joint.place_sigma**2 for joint in self.joints)
+        covariance = np.diag(np.concatenate([[0.0] * 3, [places] * 3, np.square(zeros)]))
+        covariance[:6, :6] += self.mount_covariance
+        return covariance
 
     def inverse_dynamics(
         self,

@@ -10,15 +10,13 @@ covariance.
 import dataclasses
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray, IndexArray
 from perception.geometry.se3 import adjoint, transport_covariance
 from perception.registration.fiducial_map import PosePrior
-
-SHARED = 12
-"""Number of error parameters that all views share: the robot's pose, its head's mounting."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,23 +27,15 @@ class LocalizationConfig:
         tilt: Deviation of the measured tilt about each axis [rad]: the inclinometer's noise.
         yaw: Deviation of the base's yaw on its springs [rad].
         place: Deviation of the base's position on its springs along each axis [m].
-        mount_turn: Deviation of the head's mounting about each axis [rad].
-        mount_place: Deviation of the head's mounting along each axis [m].
     """
 
     tilt: float = 0.001
     yaw: float = 0.001
     place: float = 0.001
-    mount_turn: float = 0.004
-    mount_place: float = 0.001
 
     def base_covariance(self) -> FloatArray:
         """Return the covariance (6, 6) of xi = (rotation, translation) of the base, robot frame."""
         return np.diag(np.square([self.tilt, self.tilt, self.yaw] + 3 * [self.place]))
-
-    def mount_covariance(self) -> FloatArray:
-        """Return the covariance (6, 6) of xi of the head's mounting, camera frame."""
-        return np.diag(np.square(3 * [self.mount_turn] + 3 * [self.mount_place]))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,17 +59,17 @@ class RobotLocalization:
     Attributes:
         arm: Chain of the arm, with the left camera as its tool.
         transform_level_to_world: Transform from the robot frame, brought level, to the world.
-        covariance: (6, 6) covariance of xi of that transform, in the world, without the error of
-            the head's mounting.
-        transform_sighting_to_world: Transform from the camera to the world at the detection of the
-            target. The error of the head's mounting cancels at this pose.
+        covariance: (6, 6) covariance of xi of that transform, in the world, without the lasting
+            errors of arm and head (`SerialChain.error_covariance`).
+        by_arm: (6, 6 + joints) xi of the camera, in the world, by these errors at the detection of
+            the target; there they cancel.
         config: Standard deviations of arm and inclinometer.
     """
 
     arm: SerialChain
     transform_level_to_world: RigidTransform
     covariance: FloatArray
-    transform_sighting_to_world: RigidTransform
+    by_arm: FloatArray
     config: LocalizationConfig = LocalizationConfig()
 
     def camera(self, angles: FloatArray, tilt: FloatArray) -> CameraPose:
@@ -89,18 +79,21 @@ class RobotLocalization:
             angles: (joints,) joint angles of the arm [rad].
             tilt: (2,) pitch and roll of the robot [rad].
         """
-        prior = self.prior(angles, tilt, np.arange(SHARED))
-        shared = prior.by_offsets @ self.shared_covariance() @ prior.by_offsets.T
-        return CameraPose(prior.transform_camera_to_world, shared + prior.covariance)
+        shared = self.shared_covariance()
+        prior = self.prior(angles, tilt, np.arange(len(shared)))
+        own = prior.by_offsets @ shared @ prior.by_offsets.T
+        return CameraPose(prior.transform_camera_to_world, own + prior.covariance)
 
     def shared_covariance(self) -> FloatArray:
-        """Return the covariance (12, 12) of the errors common to all views.
+        """Return the covariance (12 + joints, 12 + joints) of the errors common to all views.
 
-        They are the twists of the robot's pose, world, and of the head's mounting, camera frame.
+        They are the twist of the robot's pose, world, and the lasting errors of arm and head.
         """
-        shared = np.zeros((SHARED, SHARED))
-        shared[:6, :6], shared[6:, 6:] = self.covariance, self.config.mount_covariance()
-        return shared
+        return np.asarray(block_diag(self.covariance, self.arm.error_covariance()))
+
+    def robot_covariance(self) -> FloatArray:
+        """Return the covariance (6, 6) of the level frame with the errors of arm and head."""
+        return self.covariance + self.by_arm @ self.arm.error_covariance() @ self.by_arm.T
 
     def prior(self, angles: FloatArray, tilt: FloatArray, offsets: IndexArray) -> PosePrior:
         """Return the camera's pose with the common part of its error as separate offsets.
@@ -108,12 +101,13 @@ class RobotLocalization:
         Args:
             angles: (joints,) joint angles of the arm [rad].
             tilt: (2,) pitch and roll of the robot [rad].
-            offsets: (12,) indices of the offsets whose covariance is `shared_covariance`.
+            offsets: (12 + joints,) indices of the offsets whose covariance is `shared_covariance`.
         """
-        pose = self.transform_level_to_world * camera_in_level(self.arm, angles, tilt)
-        mount = adjoint(pose) - adjoint(self.transform_sighting_to_world)
-        own = transport_covariance(self.transform_level_to_world, self.config.base_covariance())
-        return PosePrior(pose, own, offsets, np.hstack([np.eye(6), mount]))
+        level = self.transform_level_to_world
+        pose = level * camera_in_level(self.arm, angles, tilt)
+        left = arm_errors(self.arm, angles, tilt, level) - self.by_arm
+        own = transport_covariance(level, self.config.base_covariance())
+        return PosePrior(pose, own, offsets, np.hstack([np.eye(6), left]))
 
 
 def tilt_to_level(tilt: FloatArray) -> RigidTransform:
@@ -124,6 +118,24 @@ def tilt_to_level(tilt: FloatArray) -> RigidTransform:
 def camera_in_level(arm: SerialChain, angles: FloatArray, tilt: FloatArray) -> RigidTransform:
     """Return the transform from the left camera to the level robot frame."""
     return tilt_to_level(tilt) * arm.tool_in_robot(angles)
+
+
+def arm_errors(
+    arm: SerialChain,
+    angles: FloatArray,
+    tilt: FloatArray,
+    transform_level_to_world: RigidTransform,
+) -> FloatArray:
+    """Return (6, 6 + joints): xi of the left camera, world, by the errors of arm and head.
+
+    Args:
+        arm: Chain of the arm, with the left camera as its tool.
+        angles: (joints,) joint angles of the arm [rad].
+        tilt: (2,) pitch and roll of the robot [rad].
+        transform_level_to_world: Transform from the robot frame, brought level, to the world.
+    """
+    upright = transform_level_to_world * tilt_to_level(tilt)
+    return adjoint(upright) @ arm.error_jacobian(angles)
 
 
 def level_target(transform_target_to_level: RigidTransform) -> RigidTransform:
@@ -164,4 +176,5 @@ def localize(
     pose = camera.transform_camera_to_world
     level = pose * camera_in_level(arm, angles, tilt).inv()
     covariance = camera.covariance + transport_covariance(level, how.base_covariance())
-    return RobotLocalization(arm, level, covariance, pose, how)
+    by_arm = arm_errors(arm, angles, tilt, level)
+    return RobotLocalization(arm, level, covariance, by_arm, how)

@@ -107,13 +107,15 @@ class SharedMap:
         Three markers are enough: their distances identify them.
         """
         markers = self.cad.points[target.indices]
-        known = KnownPoints(markers, np.broadcast_to(_KNOWN * np.eye(3), (len(markers), 3, 3)))
         sight = Sighting(
             target.image_points, np.broadcast_to(sigma, (len(markers), 3)), self.geometry
         )
         seen = self.geometry.points(target.image_points)
         try:
             start = kabsch_pose(markers, seen, np.ones(len(markers)))
+            # What errors of the calibration do to the image, markers out of place would do as well.
+            moved = (start.rotation @ self.geometry.calibration_shifts(seen)).reshape(-1, 9)
+            known = KnownPoints(markers, _KNOWN * np.eye(len(moved)) + moved @ moved.T)
             found = solve(start, known, sight)
         except RegistrationError:
             return None

@@ -124,7 +124,7 @@ class MissionBelief:
         assert self.map is not None and self.map.transform_target_to_world is not None
         to_world = self.map.transform_target_to_world
         to_level = found.transform_level_to_world.inv()
-        covariance = composed_covariance(to_world, found.covariance, self.site.covariance)
+        covariance = composed_covariance(to_world, found.robot_covariance(), self.site.covariance)
         self.localization = found
         slot = to_world * self.site.transform_slot_to_panel
         self.transform_slot_to_level = to_level * slot

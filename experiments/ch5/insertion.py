@@ -21,7 +21,6 @@ from experiments.ch5.insertion_figures import (
     draw_table,
 )
 from experiments.ch5.insertion_film import film_trial
-from experiments.ch5.insertion_identify import identify_slip
 from experiments.ch5.insertion_setting import NOISE_DB, InsertionTrial
 from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
 from experiments.harness import contract
@@ -88,16 +87,12 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``success/<optimal or random>/<width>``, ``mcnemar_p/<width>``,
             ``success/impossible`` and more, and the figures 5-11 to 5-14.
     """
-    turn_share, sigma = identify_slip(options.job_seeds(1, 1)[0])
-    output.measure("turn_share", turn_share)
-    output.measure("turn_share_sigma", sigma)
     runs = {"table": _table, "impossible": _impossible, "noise": _noise, "faults": _faults}
     quick = ("table", "impossible")
     base = InsertionTrial(
         CARD_AND_SLOT.slot_widths[-1],
         True,
         0,
-        turn_share,
         detector=options.detector,
         realism=options.realism,
     )

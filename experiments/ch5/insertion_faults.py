@@ -95,7 +95,7 @@ class FaultInjector:
             robot: Name of the robot.
             seen: Observation without the fault.
         """
-        age = self._age(seen.time)
+        age = self._age(self._clock())  # A robot's own clock may be off.
         if age < 0.0:
             return seen
         return self._eyes(seen, age) if robot == MASTER else self._senses(seen, age)

@@ -1,4 +1,7 @@
-"""Drive on flat ground in which a rover of ``ch5-insertion`` identifies its slip by its heading."""
+"""Drive on flat ground by which the slip of a rover of ``ch5-insertion`` is measured."""
+
+import dataclasses
+import functools
 
 from controllers.motion.driving import SkidSteer, TurnShareDrive
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
@@ -6,20 +9,22 @@ from twin.describe import describe_rover
 from twin.loop import run
 from twin.simulation import Simulation
 
-ROBOT = "rover1"
 DRIVE = 6.0
 """Length of the drive [s]."""
 
 
-def identify_slip(seed: int) -> tuple[float, float]:
-    """Return the share of a turn that skidding leaves, and its standard deviation.
+@functools.cache
+def identify_slip(robot: RobotPlacement, seed: int) -> float:
+    """Return the share of a turn that skidding leaves of a robot's turns.
 
     Args:
+        robot: Robot, as drawn or as made; its place does not count.
         seed: Seed of the sensors' noise.
     """
-    model = make_model(FieldConfig(texture_pixels=16), [RobotPlacement(ROBOT, stereo=False)])
-    simulation = Simulation(model, [ROBOT], seed=seed, data=settle(model))
-    drive = TurnShareDrive(ROBOT, SkidSteer.of(describe_rover(ROBOT)), simulation.period)
+    bare = dataclasses.replace(robot, position=(0.0, 0.0), yaw=0.0, stereo=False, card=False)
+    model = make_model(FieldConfig(texture_pixels=16), [bare])
+    simulation = Simulation(model, [robot.name], seed=seed, data=settle(model))
+    drive = TurnShareDrive(robot.name, SkidSteer.of(describe_rover(robot.name)), simulation.period)
     run(simulation.robots, [drive], simulation, duration=DRIVE)
     simulation.close()
-    return drive.finish()
+    return drive.finish()[0]

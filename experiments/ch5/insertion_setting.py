@@ -26,6 +26,7 @@ from controllers.insertion.team import (
 from controllers.motion.base_tilt import drawn_springs
 from controllers.motion.driving import SkidSteer
 from experiments.ch5.insertion_faults import Fault, FaultInjector
+from experiments.ch5.insertion_identify import identify_slip
 from experiments.ch5.insertion_scene import (
     FIELD,
     MASTER,
@@ -35,6 +36,7 @@ from experiments.ch5.insertion_scene import (
     best_station,
     compile_insertion,
     insertion_drawing,
+    place_insertion,
     transform_between,
 )
 from models import datasheets
@@ -45,17 +47,44 @@ from twin.camera import StereoConfig
 from twin.describe import describe_rover
 from twin.hardware.emulator.modem import virtual_links
 from twin.link import Link
-from twin.realism import RealismName, realism_of, sensor_suites, with_cameras
+from twin.realism import RealismName, as_stated, make_robots, realism_of, sensor_suites
 from twin.robot import Robot
+from twin.robot_clock import give_clocks
 from twin.simulation import Simulation
 
-MAP_PLACE, MAP_TURN = 1.7e-3, 4.5e-3
-"""Error of the map: deviations of place [m] and turn [rad] along each axis. `ch3-stereo` measured
-95th percentiles of 4.8 mm (`camera_error_mm/information/corrected`) and 12.6 mrad
-(`frame_turn_mrad`), which are 2.8 deviations of three equal normal axes."""
 RATE = 4.0
 """Pairs of images a second (thesis: 3 to 4)."""
 NOISE_DB = datasheets.CAMERA.signal_to_noise_db
+
+
+@dataclasses.dataclass(frozen=True)
+class Arrival:
+    """Where the stages before an insertion leave the robots, and how well these know the slot.
+
+    Attributes:
+        slave: Middle and half width of the slave's distance beside and behind the slot [m] and of
+            its yaw [rad], uniform.
+        station: Deviations of the master from its camera station along each axis [m], and of its
+            heading [rad].
+        slot: Deviations of the slot's attitude about [rad] and position along each axis [m], as
+            each robot knows it: the master, the slave.
+        share: Deviation of the slave's turn share from the ground's.
+    """
+
+    slave: tuple[tuple[float, float, float], tuple[float, float, float]]
+    station: tuple[float, float]
+    slot: tuple[tuple[float, float], tuple[float, float]]
+    share: float
+
+
+MAPPED = (4.5e-3, 1.7e-3)
+"""Error of the map. `ch3-stereo` measured 95th percentiles of 4.8 mm
+(`camera_error_mm/information/corrected`) and 12.6 mrad (`frame_turn_mrad`), which are 2.8
+deviations of three equal normal axes."""
+AS_MAPPED = Arrival(((0.0, 0.85, 0.0), (0.03, 0.05, 0.07)), (0.01, 0.01), (MAPPED, MAPPED), 0.0)
+"""Ideal robots, that only the map's errors lead astray."""
+AS_IN_MISSION = AS_MAPPED
+"""What `mission` measured."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +95,6 @@ class InsertionTrial:
         width: Width between the slot's walls [m].
         optimal: Whether the camera is placed optimally, or at random.
         seed: Seed of field, initial poses, errors and noise, the same for both placements.
-        turn_share: Share of a turn that the slave's skidding leaves, as identified.
         noise_db: Signal-to-noise ratio of the cameras [dB].
         detector: Name of the marker detector.
         realism: How far robots, sensors and cameras are from their drawings.
@@ -77,7 +105,6 @@ class InsertionTrial:
     width: float
     optimal: bool
     seed: int
-    turn_share: float
     noise_db: float = NOISE_DB
     detector: str = "blob"
     realism: RealismName = "ideal"
@@ -116,7 +143,7 @@ def prepare(trial: InsertionTrial) -> Setting:
     streams = np.random.default_rng((trial.seed, 1)).spawn(4)
     scene_rng, view_rng, prior_rng, radio_rng = streams
     realism = realism_of(trial.realism)
-    master = with_cameras(describe_rover(MASTER), realism.cameras)
+    master = as_stated(describe_rover(MASTER), realism)
     slave = describe_rover(SLAVE, card=True)
     drawing = insertion_drawing(trial.width)
     if trial.optimal:
@@ -124,20 +151,24 @@ def prepare(trial: InsertionTrial) -> Setting:
     else:
         station = random_camera_station(master, drawing, view_rng)
     field = dataclasses.replace(FIELD, seed=int(scene_rng.integers(2**31)), texture_pixels=512)
-    beside, ahead, yaw = scene_rng.uniform([-0.03, 0.80, -0.07], [0.03, 0.90, 0.07])
+    arrival = AS_MAPPED if trial.realism == "ideal" else AS_IN_MISSION
+    middle, width = np.array(arrival.slave)
+    beside, ahead, yaw = middle + width * scene_rng.uniform(-1.0, 1.0, 3)
     # The master came by dead reckoning, and knows where it is by the map.
-    x, y, heading = np.array(station.place) + 0.01 * scene_rng.normal(size=3)
+    away = np.array([arrival.station[0], *arrival.station]) * scene_rng.normal(size=3)
+    x, y, heading = np.array(station.place) + away
     scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field)
     model = compile_insertion(scene, trial.realism, trial.seed)
     slot_error, card_error, slave_error = prior_rng.normal(size=(3, 6))
+    known_to_master, known_to_slave = arrival.slot
 
     def guide_from(data: mujoco.MjData, angles: FloatArray) -> MarkerGuide:
         card = transform_between(data, f"{SLAVE}/card", f"{MASTER}/chassis")
         return marker_guide(
             master,
             drawing,
-            _mapped_slot(data, MASTER, slot_error),
-            _mapped(card, card_error)[0],
+            _mapped_slot(data, MASTER, known_to_master, slot_error),
+            _mapped(card, known_to_slave, card_error)[0],
             angles,
             trial.optimal,
             trial.detector,
@@ -163,14 +194,16 @@ def prepare(trial: InsertionTrial) -> Setting:
     inserter = CardInserter(
         CardInserterConfig(guide_config(drawing, springs[0])),
         CardArm(slave, drawing.tip),
-        SkidSteer.of(slave, trial.turn_share),
-        *_mapped_slot(begun, SLAVE, slave_error),
+        SkidSteer.of(slave, _turn_share(trial, scene, arrival, prior_rng), arrival.share),
+        *_mapped_slot(begun, SLAVE, known_to_slave, slave_error),
     )
     sensing = surrogate_sensing(slave, drawing.tip, springs)
     links: dict[str, Link] = dict(
-        virtual_links([MASTER, SLAVE], lambda: simulation.time, radio_rng)
+        virtual_links([MASTER, SLAVE], lambda: simulation.time, radio_rng, realism.modems)
     )
     robots: dict[str, Robot] = dict(simulation.robots)
+    if realism.clock is not None:
+        robots = give_clocks(robots, realism.clock, trial.seed)
     if trial.fault:
         fault = FaultInjector(Fault[trial.fault], lambda: inserter.stage, lambda: simulation.time)
         robots, links = fault.robots(robots), fault.links(links)
@@ -181,21 +214,32 @@ def prepare(trial: InsertionTrial) -> Setting:
     return Setting(trial, scene, simulation, robots, team, station)
 
 
+def _turn_share(
+    trial: InsertionTrial, scene: InsertionScene, arrival: Arrival, rng: np.random.Generator
+) -> float:
+    """Return the slave's turn share as identified: that of the robot as made, with an error."""
+    _, slave = make_robots(place_insertion(scene)[1], trial.realism, trial.seed)
+    return identify_slip(slave, trial.seed) + arrival.share * float(rng.normal())
+
+
 def _mapped_slot(
-    data: mujoco.MjData, robot: str, error: FloatArray
+    data: mujoco.MjData, robot: str, known: tuple[float, float], error: FloatArray
 ) -> tuple[RigidTransform, FloatArray]:
     """Return the transform from the slot to a robot as the map has it, and its covariance."""
-    return _mapped(transform_between(data, "slot", f"{robot}/chassis"), error)
+    return _mapped(transform_between(data, "slot", f"{robot}/chassis"), known, error)
 
 
-def _mapped(pose: RigidTransform, error: FloatArray) -> tuple[RigidTransform, FloatArray]:
+def _mapped(
+    pose: RigidTransform, known: tuple[float, float], error: FloatArray
+) -> tuple[RigidTransform, FloatArray]:
     """Return a pose as the map has it, and its covariance: errors about the pose's own place.
 
     Args:
         pose: True pose.
-        error: (6,) error in deviations of the map.
+        known: Deviations of the turn about [rad] and the place along each axis [m].
+        error: (6,) error in these deviations.
     """
-    deviations = np.array([MAP_TURN] * 3 + [MAP_PLACE] * 3)
+    deviations = np.repeat(known, 3)
     moved = RigidTransform.from_exp_coords(deviations * error)
     believed = RigidTransform.from_components(
         pose.translation + moved.translation, moved.rotation * pose.rotation

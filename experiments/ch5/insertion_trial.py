@@ -113,7 +113,8 @@ class Scorer(LoopRecorder):
         team, data = self._setting.team, self._setting.simulation.data
         inserter, sent = team.slave.inserter, team.master.sent
         force = contact_force(self._setting.simulation.model, data)
-        self._truths.append((tick.time, transform_between(data, "slot", f"{SLAVE}/card")))
+        now = tick.observations[MASTER].time  # By the clock that stamps what the master sends.
+        self._truths.append((now, transform_between(data, "slot", f"{SLAVE}/card")))
         self.peak = max(self.peak, float(np.linalg.norm(force)))
         self.finite &= bool(np.isfinite(data.qpos).all())
         if inserter.guide is not None and math.isnan(self.hand_over[0]):

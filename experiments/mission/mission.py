@@ -57,7 +57,7 @@ class Options(contract.Options):
 
     robot: str = "sim"
     without: tuple[str, ...] = ()
-    realism: RealismName = "ideal"
+    realism: RealismName = "default"
     only: Literal["identify", "all"] = "all"
 
     def __post_init__(self) -> None:
@@ -94,8 +94,9 @@ def run(options: Options, output: Output) -> None:
             ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``stops`` and ``card_off_middle_mm`` of
             whole missions and without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
             ``card_off_middle_more_by_mm/without_<stage>`` (where both inserted),
-            ``wall_over_sim_time``, ``turn_share/<stage>``, ``turn_share_sigma/<stage>`` and the
-            errors of the estimates after each stage.
+            ``last_stop_miss_mm``, ``last_stop_miss_deg``, ``wall_over_sim_time``,
+            ``turn_share/<stage>``, ``turn_share_sigma/<stage>``, ``slave_place/<stage>/<part>`` and
+            the errors of the estimates after each stage.
     """
     check_calibrations(options.robot)
     seeds = options.job_seeds(20, 1)
@@ -234,6 +235,8 @@ def _measure_stops(kind: str, results: Results, output: Output) -> None:
         ("stops", [len(misses) for misses in stops]),
         ("first_stop_miss_mm", [1e3 * misses[0, 0] for misses in stops]),
         ("first_stop_miss_deg", [float(np.degrees(misses[0, 1])) for misses in stops]),
+        ("last_stop_miss_mm", [1e3 * misses[-1, 0] for misses in stops]),
+        ("last_stop_miss_deg", [float(np.degrees(misses[-1, 1])) for misses in stops]),
     ):
         _measure_some(f"{name}{_suffix(kind)}", values, output)
 
@@ -251,6 +254,12 @@ def _measure_stages(results: Results, output: Output) -> None:
         )
         output.measure(f"slot_error_mm/master/{name}", distribution(master))
         output.measure(f"slot_error_mm/slave/{name}", distribution(slave))
+        for robot, turns in zip(("master", "slave"), np.degrees([e.turns for e in known]).T):
+            output.measure(f"slot_error_deg/{robot}/{name}", distribution(turns))
+        for what, values in zip(
+            ("x_m", "y_m", "yaw_rad"), np.transpose([e.slave_place for e in known])
+        ):
+            output.measure(f"slave_place/{name}/{what}", distribution(values))
         ends, shares, sigmas = (
             [getattr(e, what) for e in known]
             for what in ("ended", "turn_share", "turn_share_sigma")

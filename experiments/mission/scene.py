@@ -25,7 +25,7 @@ from models.compose import FieldConfig, RobotPlacement, make_model
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
 from twin.describe import describe_rover
-from twin.realism import RealismName, realism_of, with_cameras
+from twin.realism import RealismName, as_stated
 
 INITIAL_POSES = {MASTER: (0.82, -0.35, math.pi / 2), SLAVE: (0.0, -0.92, 0.0)}
 """Nominal initial poses of the robots: x, y [m] and yaw [rad], world."""
@@ -103,8 +103,7 @@ def roles(realism: RealismName = "ideal") -> MissionRoles:
     """Return the descriptions of both robots; the slave holds the card.
 
     Args:
-        realism: Set whose stated deviations their stereo heads' calibrations have.
+        realism: Set whose stated tolerances they have.
     """
-    cameras = realism_of(realism).cameras
     robots = describe_rover(MASTER), describe_rover(SLAVE, card=True)
-    return MissionRoles(*(with_cameras(robot, cameras) for robot in robots))
+    return MissionRoles(*(as_stated(robot, realism) for robot in robots))

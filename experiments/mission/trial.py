@@ -116,6 +116,9 @@ class StageResult:
         slave_sigma: (3,) standard deviations that the slave expects, robot frame [m].
         turn_share: Share of rolling wheels' turn that skidding leaves, as identified by then.
         turn_share_sigma: Its standard deviation.
+        turns: (2,) angles between the slot's attitude and that as master and slave estimate it
+            [rad].
+        slave_place: (3,) true x, y [m] and yaw [rad] of the slave, ground frame.
     """
 
     name: str
@@ -126,6 +129,8 @@ class StageResult:
     slave_sigma: FloatArray
     turn_share: float
     turn_share_sigma: float
+    turns: FloatArray
+    slave_place: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -198,15 +203,21 @@ class MissionScorer(LoopRecorder):
         master, slave = self._mission.poses(MASTER), self._mission.poses(SLAVE)
         believed, covariance = team.master.belief.slot_in_robot(tilt)
         held = team.slave.belief
+        (first, turn), (second, other) = (
+            _offset(master, believed),
+            _offset(slave, held.transform_slot_to_level),
+        )
         return StageResult(
             name,
             ended,
-            _offset(master, believed),
+            first,
             _sigma(believed, covariance),
-            _offset(slave, held.transform_slot_to_level),
+            second,
             _sigma(held.transform_slot_to_level, held.slot_covariance),
             held.turn_share.share,
             held.turn_share.deviation,
+            np.array([turn, other]),
+            _place(slave),
         )
 
 
@@ -303,21 +314,28 @@ def run_mission(trial: MissionTrial) -> MissionResult:
 
 def _miss(poses: Mapping[str, RigidTransform], station: CameraStation) -> tuple[float, float]:
     """Return a robot's distance from a camera station [m] and from its heading [rad]."""
-    if not poses:
-        return math.nan, math.nan
-    ground = insertion_drawing(CARD_AND_SLOT.slot_widths[-1]).transform_slot_to_ground
-    robot = ground * poses["slot"].inv() * poses["chassis"]
-    x, y, yaw = station.place
-    ahead = robot.rotation.apply([0.0, 1.0, 0.0])
-    turn = math.remainder(math.atan2(-ahead[0], ahead[1]) - yaw, 2.0 * math.pi)
-    return math.hypot(robot.translation[0] - x, robot.translation[1] - y), abs(turn)
+    x, y, yaw = _place(poses) - station.place
+    return math.hypot(x, y), abs(math.remainder(yaw, 2.0 * math.pi))
 
 
-def _offset(poses: Mapping[str, RigidTransform], believed: RigidTransform) -> FloatArray:
+def _place(poses: Mapping[str, RigidTransform]) -> FloatArray:
+    """Return a robot's x, y [m] and yaw [rad] in the ground frame, (3,)."""
     if not poses:
         return np.full(3, np.nan)
-    true = poses["chassis"].inv() * poses["slot"]
-    return np.asarray((true.inv() * believed).translation)
+    ground = insertion_drawing(CARD_AND_SLOT.slot_widths[-1]).transform_slot_to_ground
+    robot = ground * poses["slot"].inv() * poses["chassis"]
+    ahead = robot.rotation.apply([0.0, 1.0, 0.0])
+    return np.array([*robot.translation[:2], math.atan2(-ahead[0], ahead[1])])
+
+
+def _offset(
+    poses: Mapping[str, RigidTransform], believed: RigidTransform
+) -> tuple[FloatArray, float]:
+    """Return the error (3,) of the slot's position, slot frame [m], and of its attitude [rad]."""
+    if not poses:
+        return np.full(3, np.nan), math.nan
+    error = poses["slot"].inv() * poses["chassis"] * believed
+    return np.asarray(error.translation), float(error.rotation.magnitude())
 
 
 def _sigma(believed: RigidTransform, covariance: FloatArray) -> FloatArray:

@@ -101,7 +101,7 @@ def triangulate(
         size = np.maximum(narrow * np.sqrt(markers.ellipses[chosen, 2]), markers.axes[chosen, 0])
         slack = 1.0 + 0.5 / np.maximum(across, 1e-9)
         fits &= (size < SIZE * slack * narrow * across) & (across < SIZE * slack * size)
-    one, two, points, shared = one[fits], two[fits], points[fits], shared[fits]
+    one, two, points = one[fits], two[fits], points[fits]
     noise = np.zeros((len(one), 3, 3))
     noise[:, :2, :2] = left.centre_covariances[one]
     noise[:, 2, :2] = noise[:, :2, 2] = left.centre_covariances[one][:, 0]
@@ -113,9 +113,8 @@ def triangulate(
         np.column_stack([one, two]),
         points,
         back @ noise @ np.swapaxes(back, 1, 2),
-        back @ np.stack([shared[:, 0, 0], shared[:, :, 1].mean(axis=1),
-                         shared[:, 0, 0] - shared[:, 1, 0]], axis=1),
-    )  # fmt: skip
+        geometry.calibration_shifts(points),
+    )
 
 
 def find_bodies(

@@ -264,8 +264,11 @@ def _matched(
     """Return the largest set of points whose mutual distances are those of the CAD."""
     between = np.linalg.norm(cad.points[:, None] - cad.points, axis=2)
     apart = np.linalg.norm(points[:, None] - points, axis=2)
-    position_sigma = np.sqrt(np.trace(geometry.covariance(points, sigma), axis1=1, axis2=2))
-    allowed = DISTANCE + 3.0 * np.hypot(position_sigma[:, None], position_sigma)
+    variances = np.trace(geometry.covariance(points, sigma), axis1=1, axis2=2)
+    # Points move together by the calibration's errors; their distances feel the difference.
+    moved = geometry.calibration_shifts(points)
+    shared = np.square(moved[:, None] - moved).sum(axis=(-2, -1))
+    allowed = DISTANCE + 3.0 * np.sqrt(variances[:, None] + variances + shared)
     nothing: list[tuple[int, int]] = []
     best = max(
         _assignments(between, apart, allowed, nothing),

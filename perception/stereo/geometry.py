@@ -120,3 +120,18 @@ class StereoGeometry(Pinhole):
         by_eye = self.projection_jacobian(right)[..., :2, :] @ point_jacobian(right)
         moved[..., 1, :, 3:] = -by_eye * deviations
         return moved
+
+    def calibration_shifts(self, points: ArrayLike) -> FloatArray:
+        """Return how errors of the calibration move triangulated points.
+
+        Args:
+            points: (..., 3) points [m], left camera frame.
+
+        Returns:
+            (..., 3, 9) shift of a point, triangulated by its column and row in the left image and
+            its disparity, by each of the `CALIBRATION_ERRORS` [m].
+        """
+        left, right = np.moveaxis(self.calibration_jacobian(points), -3, 0)
+        disparity = left[..., :1, :] - right[..., :1, :]
+        image = np.concatenate([left, disparity], axis=-2)
+        return np.asarray(np.linalg.solve(self.projection_jacobian(points), image), dtype=float)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from controllers.insertion.camera_station import camera_arm
-from controllers.mapping.localization import RobotLocalization, tilt_to_level
+from controllers.mapping.localization import RobotLocalization, arm_errors, tilt_to_level
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.belief import MissionBelief
@@ -83,7 +83,8 @@ def _partner_place(
     arm, pose = camera_arm(partner)[0], belief.partner
     to_world = here.transform_level_to_world * belief.transform_slot_to_level
     there = to_world * pose.transform_slot_to_robot.inv()
-    covariance = composed_covariance(there, here.covariance, pose.covariance)
+    covariance = composed_covariance(there, here.robot_covariance(), pose.covariance)
     level = there * tilt_to_level(pose.tilt).inv()
-    sighting = there * arm.tool_in_robot(partner.arm.home)
-    return RobotLocalization(arm, level, covariance, sighting, here.config)
+    by_arm = arm_errors(arm, partner.arm.home, pose.tilt, level)
+    by_arm[:, :6] = 0.0  # Its card was seen, not what its head sees: the joints' errors cancel.
+    return RobotLocalization(arm, level, covariance, by_arm, here.config)

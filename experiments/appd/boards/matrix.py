@@ -71,8 +71,6 @@ PAUSE, TIMES = 1.0, 4
 _PATIENCE, _ENDING = 30.0, 5.0  # [s]
 _TRIES = 10
 _DEPTH = 0.5  # share of the slot's depth at which an insertion is stored
-_TURN_SHARE = 0.6
-"""Share of a turn that skidding leaves; it matters little where the rover is near the slot."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -333,7 +331,7 @@ def insertion_start() -> tuple[SceneConfig, FloatArray]:
     Raises:
         ExperimentError: If the card does not get there.
     """
-    setting = prepare(InsertionTrial(CARD_AND_SLOT.slot_widths[-1], True, 1, _TURN_SHARE))
+    setting = prepare(InsertionTrial(CARD_AND_SLOT.slot_widths[-1], True, 1))
     depth = setting.team.slave.inserter.config.guide.depth
     with contextlib.closing(setting.simulation) as simulation:
 

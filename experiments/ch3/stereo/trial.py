@@ -15,6 +15,7 @@ from experiments.ch3.stereo.figures import panorama
 from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
 from perception.geometry.arrays import FloatArray
+from perception.geometry.pinhole import StereoCalibration
 from perception.registration.target import TargetCad
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
@@ -31,7 +32,7 @@ BOX = ((-1.8, -2.4, -0.2), (1.8, 1.4, 0.68))
 """Corners of the map [m], about the target."""
 MOUNT_ERROR = (0.004, 0.001)
 """Standard deviations of the rotation [rad] and position [m] of a head's mounting against its
-drawing; assumed, and known to the robots as such (`LocalizationConfig`)."""
+drawing; assumed, and stated by its calibration."""
 IMAGE_RATE = 0.5  # Rate of the pairs [Hz]; in software one takes some 0.3 s to render.
 LONGEST = 300.0  # Greatest duration of a run [s]
 
@@ -265,5 +266,9 @@ def _drawn(scene: StereoScene, name: str, rng: np.random.Generator) -> RobotDesc
     assert drawn.head is not None
     off = RigidTransform.from_exp_coords(np.repeat(MOUNT_ERROR, 3) * rng.standard_normal(6))
     mounted = drawn.head.transform_camera_to_wrist * off
-    head = dataclasses.replace(drawn.head, transform_camera_to_wrist=mounted)
+    head = dataclasses.replace(
+        drawn.head,
+        transform_camera_to_wrist=mounted,
+        calibration=StereoCalibration(head_turn=MOUNT_ERROR[0], head_shift=MOUNT_ERROR[1]),
+    )
     return dataclasses.replace(drawn, head=head)

@@ -14,6 +14,7 @@ from controllers.mapping.localization import (
 )
 from models.datasheets import ARM
 from twin.describe import describe_rover
+from twin.realism import as_stated
 from twin.sensor_bank import tilt
 
 HOME = np.array(ARM.home)
@@ -22,7 +23,7 @@ TARGET = RigidTransform.from_components([0.2, 1.1, 0.05], Rotation.from_euler("z
 
 @pytest.fixture(scope="module")
 def arm():
-    return SerialChain.of_robot(describe_rover())
+    return SerialChain.of_robot(as_stated(describe_rover(), "default"))
 
 
 def test_tilt_is_that_of_the_inclinometer():
@@ -53,40 +54,46 @@ def test_camera_is_found_where_it_truly_is_after_arm_and_base_have_moved(arm):
 
 
 def test_covariance_is_that_of_drawn_errors(arm):
-    """The base has errors of its own at the target and now; the head's mounting has one error."""
+    """The base has errors of its own at the target and now; head and joints have one each."""
     rng = np.random.default_rng(0)
     angles = HOME + [0.8, 0.2, -0.3, 0.4]
     level = np.zeros(2)
     seen = CameraPose(camera_in_level(arm, HOME, level), 1e-8 * np.eye(6))
     nominal = localize(arm, HOME, level, seen)
-    base, mount = nominal.config.base_covariance(), nominal.config.mount_covariance()
-    first, second, head = (
-        RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), covariance, 4000))
-        for covariance in (base, base, mount)
+    base, lasting = nominal.config.base_covariance(), arm.error_covariance()
+    first, second = (
+        RigidTransform.from_exp_coords(rng.multivariate_normal(np.zeros(6), base, 4000))
+        for _ in range(2)
     )
+    errors = rng.multivariate_normal(np.zeros(10), lasting, 4000)
+    head, zeros = RigidTransform.from_exp_coords(errors[:, :6]), errors[:, 6:]
     shift = RigidTransform.from_exp_coords(1e-4 * rng.standard_normal((4000, 6)))
     at_target = shift * seen.transform_camera_to_world
-    place = at_target * (camera_in_level(arm, HOME, level) * head).inv() * first
-    true = place * second * camera_in_level(arm, angles, level) * head
+    place = at_target * (camera_in_level(arm, HOME + zeros, level) * head).inv() * first
+    true = place * second * camera_in_level(arm, angles + zeros, level) * head
     estimate = nominal.camera(angles, level).transform_camera_to_world
     drawn = np.cov((true * estimate.inv()).as_exp_coords().T)
     claimed = nominal.camera(angles, level).covariance
     np.testing.assert_allclose(np.sqrt(np.diag(claimed)), np.sqrt(np.diag(drawn)), rtol=0.05)
+    placed = np.cov((place * nominal.transform_level_to_world.inv()).as_exp_coords().T)
+    claimed = nominal.robot_covariance()
+    np.testing.assert_allclose(np.sqrt(np.diag(claimed)), np.sqrt(np.diag(placed)), rtol=0.05)
 
 
 def test_prior_moves_with_what_is_shared_as_the_camera_truly_does(arm):
-    """The localization has a small error, and so has the head's mounting."""
+    """The localization has a small error, and so have the head's mounting and the joints."""
     rng = np.random.default_rng(1)
     place, seat = 1e-4 * rng.standard_normal((2, 6))
+    zeros = 1e-4 * rng.standard_normal(4)
     angles, level = HOME + [0.8, 0.2, -0.3, 0.4], np.zeros(2)
     robot = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
     head = RigidTransform.from_exp_coords(seat)
-    sighting = robot * camera_in_level(arm, HOME, level) * head
+    sighting = robot * camera_in_level(arm, HOME + zeros, level) * head
     estimate = RigidTransform.from_exp_coords(-place) * sighting
     localization = localize(arm, HOME, level, CameraPose(estimate, np.zeros((6, 6))))
-    prior = localization.prior(angles, level, np.arange(12))
-    moved = prior.at(np.append(place, seat))
-    true = robot * camera_in_level(arm, angles, level) * head
+    prior = localization.prior(angles, level, np.arange(16))
+    moved = prior.at(np.concatenate([place, seat, zeros]))
+    true = robot * camera_in_level(arm, angles + zeros, level) * head
     np.testing.assert_allclose(moved.as_matrix(), true.as_matrix(), atol=2e-7)
 
 

@@ -27,7 +27,7 @@ from twin.robot import Command, Observation
 
 ARM = camera_arm(ROVERS[MASTER])[0]
 TO_WORLD = transform_robot_to_ground(MASTER)
-FOUND = RobotLocalization(ARM, TO_WORLD, 1e-4 * np.eye(6), TO_WORLD)
+FOUND = RobotLocalization(ARM, TO_WORLD, 1e-4 * np.eye(6), np.zeros((6, 10)))
 
 
 class SharedViews:
@@ -119,9 +119,9 @@ def test_views_are_fused_in_order_once_the_robot_is_localized(
         expected = FOUND.camera(view.angles, TILT).transform_camera_to_world
         assert view.correction is not None and view.prediction is not None
         np.testing.assert_allclose(fused.as_matrix(), expected.as_matrix(), atol=1e-12)
-        # All views share the errors of the robot's pose and of its head's mounting.
+        # All views share the errors of the robot's pose, its head and its joints.
         np.testing.assert_array_equal(prior.offsets, priors[0].offsets)
-        assert len(prior.offsets) == 12
+        assert len(prior.offsets) == 16
 
 
 def test_search_ends_without_the_target_after_the_further_views(priors: list[PosePrior]) -> None:

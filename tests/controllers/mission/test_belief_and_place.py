@@ -70,7 +70,7 @@ def test_localization_and_the_site_drawing_give_the_slot_pose(site: SiteDrawing)
     belief = master_of(site)
     belief.map = _map(site.target)
     belief.map.transform_target_to_world = to_world
-    localization = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), level_to_world)
+    localization = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), np.zeros((6, 10)))
     belief.localize(localization)
     expected = to_level * site.transform_slot_to_panel
     np.testing.assert_allclose(
@@ -131,7 +131,7 @@ def _with_map(site: SiteDrawing, points: np.ndarray) -> MissionBelief:
     """Return belief whose map holds points of the level ground below the slot [m]."""
     belief = master_of(site)
     level_to_world = RigidTransform.from_components([0.3, 0.2, 0.1], Rotation.from_euler("z", 0.5))
-    localization = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), level_to_world)
+    localization = RobotLocalization(ARM, level_to_world, np.zeros((6, 6)), np.zeros((6, 10)))
     to_world = (
         level_to_world
         * belief.transform_slot_to_level

@@ -63,7 +63,7 @@ def shared_map() -> SharedMap:
 def localization_of(name: str) -> RobotLocalization:
     """Return where a rover is in the panel's frame, with both where drawn."""
     to_world = PANEL_TO_GROUND.inv() * transform_robot_to_ground(name)
-    return RobotLocalization(CAMERA_ARM, to_world, 1e-6 * np.eye(6), to_world)
+    return RobotLocalization(CAMERA_ARM, to_world, 1e-6 * np.eye(6), np.zeros((6, 10)))
 
 
 def test_master_that_has_found_the_panel_knows_the_map_and_the_slot() -> None:

@@ -126,7 +126,7 @@ def off_station(station: CameraStation, side: float, ahead: float, turn: float):
     to_level = below * planar_pose(side, ahead, turn) * planar_pose(x, y, yaw).inv()
     slot = to_level * SITE.insertion.transform_slot_to_ground
     to_world = SITE.transform_slot_to_panel * slot.inv()
-    return RobotLocalization(CAMERA_ARM, to_world, 1e-8 * np.eye(6), to_world)
+    return RobotLocalization(CAMERA_ARM, to_world, 1e-8 * np.eye(6), np.zeros((6, 10)))
 
 
 NEAR = station_ahead(0.0, 0.1, 0.2)  # The drive does not back off.

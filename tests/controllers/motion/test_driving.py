@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.mapping.localization import tilt_to_level
 from controllers.motion.driving import Odometry, SkidSteer, TurnShareDrive, identify_turn_share
-from experiments.ch5.insertion_identify import ROBOT, identify_slip
+from experiments.ch5.insertion_identify import identify_slip
 from models.compose import RobotPlacement
 from tests.models.scenes import make_scene
 from twin.describe import describe_rover
@@ -17,6 +17,7 @@ from twin.robot import MISSING, ArmMode, Channel, Command, Observation, Validity
 from twin.simulation import Simulation
 
 STEER = SkidSteer(0.05, 0.15, turn_share=0.6)
+ROBOT = "rover1"
 ROLLING = SkidSteer.of(describe_rover(ROBOT))
 PERIOD = 0.01
 
@@ -137,8 +138,8 @@ def test_share_of_a_synthetic_drive_is_found_within_its_deviation():
 
 
 def test_share_of_mujocos_rover_brings_dead_reckoning_to_its_true_heading(slip_drive):
-    share, deviation = identify_slip(0)
-    assert 0.2 < share < 1.0 and deviation < 0.01
+    share = identify_slip(RobotPlacement(ROBOT), 0)
+    assert 0.2 < share < 1.0
     speeds, yaw, period = slip_drive
     errors = {}
     for name, steer in (

@@ -22,7 +22,7 @@ WIDTH = CARD_AND_SLOT.slot_widths[1]
 
 @contextlib.contextmanager
 def prepared(seed, **changes):
-    setting = prepare(InsertionTrial(WIDTH, True, seed, 0.7, **changes))
+    setting = prepare(InsertionTrial(WIDTH, True, seed, **changes))
     with contextlib.closing(setting.simulation):
         yield setting
 
@@ -79,9 +79,13 @@ def test_guidance_is_scored_by_where_the_card_was_when_its_images_were_taken():
             sent = None
             if late >= 0:
                 covariance = 1e-6 * np.eye(6)
-                sent = Guidance(0.01 * late, True, True, poses[late], covariance)
+                # The master's clock is 3 s ahead.
+                sent = Guidance(3.0 + 0.01 * late, True, True, poses[late], covariance)
             setting.team.master.sent = sent
-            observations = {name: robot.observe() for name, robot in setting.robots.items()}
+            observations = {
+                name: robot.observe()._replace(time=3.0 * (name == MASTER) + 0.01 * tick)
+                for name, robot in setting.robots.items()
+            }
             scorer.record(Tick(tick, 0.01 * tick, observations, {}))
         np.testing.assert_allclose(scorer.nees, 0.0, atol=1e-9)
         assert len(scorer.nees) == 15

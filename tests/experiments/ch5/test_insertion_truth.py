@@ -83,7 +83,7 @@ def blind(request):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mujoco, "MjData", lambda model: made.append(real(model)) or made[-1])
         patch.setattr(StereoRig, "capture", lambda *_: np.zeros((2, 492, 510), np.uint8))
-        trial = InsertionTrial(HARD, request.param, 4, 0.7)
+        trial = InsertionTrial(HARD, request.param, 4)
         still = prepare(trial)
         held = Notes(still)
         run(still.simulation.robots, [Hold()], still.simulation, [held], FIRST)

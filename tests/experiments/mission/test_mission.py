@@ -99,7 +99,9 @@ def of_stages(*names: str) -> MissionResult:
     for name in names:
         length = float(len(name))
         error = np.array([length, 0.0, 0.0])
-        stages.append(StageResult(name, length, error, error, error, error, length, length))
+        stages.append(
+            StageResult(name, length, error, error, error, error, length, length, error[:2], error)
+        )
     return MissionResult(True, "", 1.0, 1.0, 2.0, 0.0, 0.0, tuple(stages), np.zeros((0, 2)))
 
 
