@@ -87,7 +87,7 @@ class SharedMap:
         target = find_target(pair, self.geometry, self.cad, sigma)
         if target is None:
             return None
-        camera = self._camera_at(target, np.asarray(sigma, dtype=float))
+        camera = self.camera_at(target, np.asarray(sigma, dtype=float))
         if camera is None:
             return None
         if self.transform_target_to_world is None:
@@ -101,10 +101,18 @@ class SharedMap:
         )
         return localize(arm, angles, tilt, in_world, config)
 
-    def _camera_at(self, target: SeenTarget, sigma: FloatArray) -> CameraPose | None:
-        """Return the camera's pose in the target's frame; None if the markers do not fit.
+    def camera_at(self, target: SeenTarget, sigma: FloatArray) -> CameraPose | None:
+        """Return the camera's pose in the target's frame.
 
         Three markers are enough: their distances identify them.
+
+        Args:
+            target: Markers of the target as a view shows them.
+            sigma: (3,) standard deviations of a marker's column, row and disparity [px].
+
+        Returns:
+            The pose, whose covariance includes the errors of the head's calibration; None if the
+            markers do not fit.
         """
         markers = self.cad.points[target.indices]
         sight = Sighting(

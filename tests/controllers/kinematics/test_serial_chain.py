@@ -16,9 +16,11 @@ from controllers.kinematics.rigid_motion import (
 )
 from controllers.kinematics.serial_chain import SerialChain
 from models.compose import ARM_JOINTS, FieldConfig, RobotPlacement, make_model
+from models.datasheets import CAMERA_CALIBRATION, SENSOR_ERRORS, TOLERANCES
 from perception.geometry.gravity import GRAVITY
 from twin.describe import body_pose, camera_in_world, describe
 from twin.description import JointDescription, RigidBody
+from twin.realism import as_stated
 
 MODEL = make_model(FieldConfig(texture_pixels=16), [RobotPlacement("rover1", (0.3, -0.2), 0.7)])
 MODEL.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -234,3 +236,29 @@ def test_bad_chains_and_states_are_refused():
             ARM.tool_in_robot(bad)
     with pytest.raises(ValueError, match="rover1 has no arm"):
         SerialChain.of_robot(dataclasses.replace(ROBOT, arm=None))
+
+
+@pytest.mark.parametrize("angles", ANGLES)
+def test_tool_moves_by_errors_of_mounting_and_joints_as_a_finite_difference_says(angles):
+    step, slopes = 1e-6, []
+    for axis in range(10):
+        ends = []
+        for sign in (1.0, -1.0):
+            error = sign * step * np.eye(10)[axis]
+            mounted = ARM.tool_in_robot(angles + error[6:])
+            ends.append(mounted * RigidTransform.from_exp_coords(error[:6]))
+        slopes.append((ends[0] * ends[1].inv()).as_exp_coords() / (2.0 * step))
+    np.testing.assert_allclose(ARM.error_jacobian(angles), np.transpose(slopes), atol=1e-8)
+
+
+def test_arm_as_drawn_has_no_errors_and_a_stated_one_those_of_its_sheets():
+    assert not ARM.error_covariance().any()
+    stated = SerialChain.of_robot(as_stated(ROBOT, "default")).error_covariance()
+    assert np.array_equal(stated, np.diag(np.diag(stated)))
+    turn, shift, zero = np.sqrt(np.diag(stated))[[0, 3, 6]]
+    sheet, made = CAMERA_CALIBRATION, TOLERANCES
+    assert turn == pytest.approx(np.hypot(sheet.head_turn, sheet.eye_turn))
+    joints = 4 * made.length**2 / 3.0  # uniform
+    assert shift == pytest.approx(np.sqrt(sheet.head_shift**2 + sheet.eye_shift**2 + joints))
+    play = made.backlash[1] / 2.0
+    assert zero == pytest.approx(np.hypot(SENSOR_ERRORS.encoder_zero, play) / np.sqrt(3.0))
