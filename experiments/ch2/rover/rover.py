@@ -146,8 +146,10 @@ def _measure(results: Results, truths: Truths, output: Output) -> None:
         )
         lost = {name for t in trials for name in t.unidentifiable}
         output.measure(f"unidentifiable/{excitation}", sorted(lost))
-        for name, column_errors in zip(NAMES, errors.T):
+        gains = np.transpose([t.acceleration_gain for t in trials])
+        for name, column_errors, gain in zip(NAMES, errors.T, gains, strict=True):
             output.measure(f"error_percent/{excitation}/{name}", distribution(column_errors))
+            output.measure(f"acceleration_gain/{excitation}/{name}", distribution(gain))
         steps = 1e3 * np.concatenate([np.ravel(t.step_seconds) for t in trials])
         output.measure(f"step_ms/{excitation}", distribution(steps))
     if "information" in medians:

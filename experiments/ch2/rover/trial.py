@@ -17,6 +17,7 @@ from controllers.identification.rover_identifier import (
     RoverIdentifierConfig,
     SwingingArm,
 )
+from experiments.ch2.rover.acceleration import acceleration_gain
 from models.compose import LABORATORY, RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, connect
@@ -86,6 +87,7 @@ class RoverIdentification:
         unidentifiable: Names of the parameters that the data leave unknown.
         doubts: Why the estimate is not to be used; none if it is.
         tilt_nrmse: Error of the predicted inclinometer in an unseen motion [%].
+        acceleration_gain: (5,) see `acceleration_gain`, in this motion.
         history: (n, 5) estimates after every window, SI units.
         bits: (n, 5) mutual information on each parameter [bit].
         excitations: (n, 3) offset [rad], amplitude [rad] and frequency [rad/s] of every window.
@@ -99,6 +101,7 @@ class RoverIdentification:
     unidentifiable: tuple[str, ...]
     doubts: tuple[str, ...]
     tilt_nrmse: float
+    acceleration_gain: FloatArray
     history: FloatArray
     bits: FloatArray
     excitations: FloatArray
@@ -136,6 +139,13 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
         unidentifiable=tuple(estimate.unidentifiable(config.prior)),
         doubts=estimate.doubts(config.prior),
         tilt_nrmse=tilt_nrmse(estimate.parameters, trying),
+        acceleration_gain=acceleration_gain(
+            estimate.parameters,
+            np.array(log.wrench),
+            log.tilt_indices,
+            config.sensors,
+            config.prior,
+        ),
         history=parameters,
         bits=np.array(bits),
         excitations=np.array(log.excitations),
