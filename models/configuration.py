@@ -121,17 +121,19 @@ class PayloadConfig:
         mass: Mass of the box [kg].
         centre: Centre of the box from the grip point, in the wrist's frame [m].
         half_size: Half of its edges [m].
+        taken: Time from which the gripper bears its weight [s]; before, it weighs nothing.
     """
 
     mass: float
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     half_size: tuple[float, float, float] = (0.02, 0.02, 0.02)
+    taken: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse impossible payloads.
 
         Raises:
-            ValueError: If mass or size is not positive.
+            ValueError: If mass or size is not positive, or the time is negative.
         """
         require(0.0 < self.mass < math.inf, "payload mass", self.mass, "a positive mass [kg]")
         require(finite(*self.centre), "payload centre", self.centre, "three finite numbers [m]")
@@ -140,6 +142,9 @@ class PayloadConfig:
             "payload half_size",
             self.half_size,
             "three positive lengths [m]",
+        )
+        require(
+            0.0 <= self.taken < math.inf, "payload taken", self.taken, "a time of 0 or later [s]"
         )
 
 

@@ -23,6 +23,7 @@ from twin.robot import Channel, Command, Lifecycle, Observation, RobotError, app
 from twin.sensor_bank import SavedBank, SensorBank, wire
 from twin.sensors import DATASHEET, SensorSuite, channel_widths
 from twin.servo import SERVO_PERIOD, Servo, ServoConfig
+from twin.taken_load import TakenLoad
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _AT_REST = Command()
@@ -259,6 +260,7 @@ class Simulation:
         stereo: StereoConfig | None = None,
         seed: int = 0,
         data: mujoco.MjData | None = None,
+        loads: Sequence[TakenLoad] = (),
     ) -> None:
         """Find the robots in the scene, and configure them at rest.
 
@@ -271,6 +273,7 @@ class Simulation:
                 does a scene without their cameras.
             seed: Random seed of all noise; one seed gives one run, bit for bit.
             data: State of the scene, if another owner (dm_control) holds it.
+            loads: Payloads that grippers take in the course of the run.
 
         Raises:
             ValueError: If an actuator is missing, the tick is no multiple of the physics step, or
@@ -299,6 +302,7 @@ class Simulation:
             for robot, sensors, rng in zip(drawn, suites, map(np.random.default_rng, seeds))
         }
         self._robots = tuple(self.robots.values())
+        self._loads = tuple(loads)
         cameras = {model.camera(index).name for index in range(model.ncam)}
         self.heads = {
             name: StereoHead(model, f"{name}/", stereo, source)
@@ -323,6 +327,8 @@ class Simulation:
             RobotError: If a robot cannot follow its command, or the physics diverged.
         """
         self.drive()
+        for load in self._loads:
+            load.weigh(self._time)
         mujoco.mj_step2(self.model, self.data)
         if self.substeps > 1:
             mujoco.mj_step(self.model, self.data, self.substeps - 1)
@@ -381,6 +387,8 @@ class Simulation:
         if not (fits and saved.robots.keys() == self.robots.keys()):
             raise ValueError("the saved run is of another scene")
         mujoco.mj_setState(self.model, self.data, saved.physics, _STATE)
+        for load in self._loads:
+            load.weigh(self.data.time)
         mujoco.mj_step1(self.model, self.data)
         # Force and acceleration sensors cannot be recomputed from this half of a step.
         self.data.sensordata[:] = saved.sensordata

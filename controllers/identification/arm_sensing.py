@@ -168,7 +168,7 @@ def filter_alike(values: FloatArray, window: int, stride: int = 1) -> FloatArray
     """
     flat = values.reshape(len(values), -1)
     means = sliding_window_view(flat, window, axis=0)[::stride] @ raised_cosine(window)
-    return means.reshape(-1, *values.shape[1:])
+    return means.reshape(len(means), *values.shape[1:])
 
 
 def raised_cosine(window: int) -> FloatArray:

@@ -7,6 +7,11 @@ same filter, and phi follows by weighted least squares with its
 covariance. If no body could have that phi, the nearest one that a body can have is taken, nearest
 in the same weights.
 
+An arm as made weighs otherwise than its drawing by as much as a small payload, and its wrench
+sensor is off by more. So it swings empty first, takes the payload, and swings alike again. What
+the drawing and the calibrations leave unknown is solved for beside phi (`arm_deviations`), and is
+the same in both swings.
+
 Only sensors of the physical rover are used: neither accelerometer, nor gyro, nor heading.
 """
 
@@ -16,8 +21,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
+from controllers.identification.arm_deviations import (
+    ArmDeviations,
+    deviation_columns,
+    leant,
+    loaded,
+)
 from controllers.identification.arm_sensing import (
     CHANNELS,
+    ArmRecord,
     IdentificationError,
     ObservationLog,
     SensingConfig,
@@ -29,6 +41,8 @@ from controllers.kinematics.rigid_motion import COUNT, INERTIA_ELEMENTS, NAMES, 
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation
+
+_ROUNDS = 2  # The columns of the unknowns depend on the payload: they are made anew as often.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +62,11 @@ class SwingConfig:
     fade: float = 2.0
 
 
+WIDE_SWING = SwingConfig(middle=(0.0, 1.3, -0.7, 0.0), amplitude=(1.4, 0.6, 0.7, 1.0))
+"""A swing under which weight and moments vary apart, as telling a mass from the sensor's cross-talk
+needs: half the deviation of a small payload's centre."""
+
+
 @dataclasses.dataclass(frozen=True)
 class PayloadIdentifierConfig:
     """Prior knowledge and settings of a payload's identification.
@@ -62,6 +81,9 @@ class PayloadIdentifierConfig:
         resolution: The mass is identifiable when its standard deviation is below this fraction of
             the largest one; first moments and inertias when theirs are below this fraction of
             m d and m d^2, with the mass m that was found.
+        deviations: What is unknown of arm and sensors; None for ones that are their drawings.
+        empty: Time for which the arm swings before it takes the payload [s].
+        rest: Time for which it then rests to take it [s].
     """
 
     arm: SerialChain
@@ -71,6 +93,19 @@ class PayloadIdentifierConfig:
     window: int = 59
     scales: tuple[float, float] = (0.3, 0.15)
     resolution: float = 0.1
+    deviations: ArmDeviations | None = None
+    empty: float = 0.0
+    rest: float = 4.0
+
+    @property
+    def taken(self) -> float:
+        """Time at which the resting gripper takes the payload [s]; 0 to hold it from the start."""
+        return self.empty + 0.75 * self.rest if self.empty else 0.0
+
+    @property
+    def begin(self) -> float:
+        """Time at which the arm begins to swing with the payload [s]."""
+        return self.empty + self.rest if self.empty else 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,12 +114,13 @@ class PayloadEstimate:
 
     Attributes:
         parameters: (10,) in the order of `rigid_motion.NAMES`, of a body that can exist.
-        covariance: (10, 10) of the linear estimate, from the sensor's noise; where `chi_squared`
-            is above 1, times that.
+        covariance: (10, 10) of the linear estimate, from the sensor's noise and what else is
+            unknown; where `chi_squared` is above 1, times that.
         linear: (10,) the linear estimate, whether or not a body can have it.
         chi_squared: Chi squared of the linear fit per degree of freedom; 1 when all is noise.
         unidentifiable: Names of parameters that the motion did not show.
-        residual: (m, 6) what the fit leaves of the filtered wrench, in standard deviations.
+        residual: (m, 6) what the fit leaves of the filtered wrench, in standard deviations; of both
+            swings if there were two.
         times: (m,) of the equations [s].
     """
 
@@ -106,6 +142,13 @@ class PayloadEstimate:
         """Centre of mass (3,) in the wrist's frame [m]."""
         return self.parameters[1:4] / self.parameters[0]
 
+    @property
+    def centre_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the centre of mass [m^2], to first order."""
+        # Of the first moments, less what the mass alone would move them by.
+        moments = np.eye(4)[1:] - np.outer(self.centre, np.eye(4)[0])
+        return moments @ self.covariance[:4, :4] @ moments.T / self.mass**2
+
 
 class PayloadIdentifier:
     """Swings one robot's arm and identifies what its gripper holds.
@@ -123,8 +166,10 @@ class PayloadIdentifier:
     def reset(self) -> None:
         """Forget what was measured."""
         self._log = ObservationLog("payload identification", CHANNELS)
-        self._start: FloatArray | None = None
-        self._begin = 0.0
+        self._empty = ObservationLog("payload identification", CHANNELS)
+        self._part = -1
+        self._start = np.empty(0)
+        self._begin = self._since = 0.0
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Record, and swing on.
@@ -132,12 +177,21 @@ class PayloadIdentifier:
         Raises:
             IdentificationError: If a sensor that is needed is missing or reads nonsense.
         """
-        seen = observations[self._robot]
-        self._log.take(seen)
-        if self._start is None:
-            self._start = seen.arm_angles.value.astype(float)
+        seen, config = observations[self._robot], self._config
+        if self._part < 0:
             self._begin = seen.time
-        angles, rates = swing_targets(self._config.swing, self._start, seen.time - self._begin)
+        time = seen.time - self._begin
+        # Empty, at rest, and with the payload.
+        part = 2 if time >= config.begin else 1 if time >= config.empty else 0
+        log = self._empty if part == 0 else self._log
+        log.take(seen)
+        if part != self._part:
+            self._part, self._since = part, time
+            self._start = seen.arm_angles.value.astype(float)
+        swing = config.swing
+        if part == 1:
+            swing = dataclasses.replace(swing, amplitude=(0.0,) * len(swing.amplitude))
+        angles, rates = swing_targets(swing, self._start, time - self._since)
         return {self._robot: Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)}
 
     def estimate(self) -> PayloadEstimate:
@@ -146,8 +200,12 @@ class PayloadIdentifier:
         Raises:
             IdentificationError: If the run is too short.
         """
-        self._log.forget_before(self._begin + self._config.swing.fade)
-        return estimate_payload(self._log, self._config)
+        config = self._config
+        self._log.forget_before(self._begin + config.begin + config.swing.fade)
+        if not config.empty:
+            return estimate_payload(self._log, config)
+        self._empty.forget_before(self._begin + config.swing.fade)
+        return estimate_payload(self._log, config, self._empty)
 
 
 def swing_targets(
@@ -169,38 +227,90 @@ def swing_targets(
     return start + share * (swung - start), share * rate + growth * (swung - start)
 
 
-def estimate_payload(log: ObservationLog, config: PayloadIdentifierConfig) -> PayloadEstimate:
+def estimate_payload(
+    log: ObservationLog, config: PayloadIdentifierConfig, empty: ObservationLog | None = None
+) -> PayloadEstimate:
     """Return the payload that explains a run.
 
     Args:
-        log: Log of the channels of `arm_sensing.CHANNELS`.
+        log: Log of the channels of `arm_sensing.CHANNELS`, with the payload.
         config: Known arm, motion and noise.
+        empty: Log of the same channels without the payload; None for none.
 
     Raises:
-        IdentificationError: If the run is too short, or does not show the mass.
+        IdentificationError: If a run is too short, or does not show the mass.
+    """
+    swings = [(_record(log, config), True)]
+    if empty is not None:
+        swings.append((_record(empty, config), False))
+    scales = parameter_scales(*config.scales)
+    payload, excess = np.zeros(COUNT), 1.0
+
+    def solve() -> tuple[_Solution, FloatArray]:
+        parts = [_equations(record, held, payload, config) for record, held in swings]
+        rows, columns, right, times = (np.concatenate(part) for part in zip(*parts))
+        return _Solution.of(rows, columns, right, scales, excess), times
+
+    for _ in range(_ROUNDS):
+        solved, _ = solve()
+        payload, excess = solved.linear, max(1.0, solved.chi_squared)
+    return _judge(*solve(), config)
+
+
+def _record(log: ObservationLog, config: PayloadIdentifierConfig) -> ArmRecord:
+    """Return a swing that is long enough for two windows.
+
+    Six numbers from one window cannot fix ten parameters; two windows leave two to judge them by.
     """
     record = read_arm(log, config.sensing)
-    stride = (config.window + 1) // 2
-    # Six numbers from one window cannot fix ten parameters; two windows leave two to judge them by.
-    needed = config.window + stride
+    needed = config.window + _stride(config)
     if len(record.times) < needed:
         raise IdentificationError(
             f"a run of {len(record.times)} ticks is too short for two windows of {config.window}; "
             f"at least {needed} are needed"
         )
-    motion = record.angles, record.rates, record.accelerations
-    left, matrix, times = (
-        filter_alike(values, config.window, stride)
-        for values in (
-            record.wrench - config.arm.inverse_dynamics(*motion, record.base)[1],
-            wrench_regressor(config.arm.last_link_motion(*motion, record.base)),
-            record.times,
-        )
+    return record
+
+
+def _equations(
+    record: ArmRecord, held: bool, payload: FloatArray, config: PayloadIdentifierConfig
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return a swing's equations rows phi + columns v = right over their noise, and their times.
+
+    Args:
+        record: Motion of the arm, and wrench.
+        held: Whether it held the payload.
+        payload: (10,) parameters as estimated so far.
+        config: Known arm and what is unknown of it.
+    """
+    arm, deviations = config.arm, config.deviations
+    columns = np.zeros((len(record.times), 6, 0))
+    if deviations is not None:
+        carried = float(held) * payload
+        record = leant(record, loaded(arm, carried), deviations.usual_play)
+        columns = deviation_columns(record, arm, carried, deviations)
+    motion = record.angles, record.rates, record.accelerations, record.base
+    rows = float(held) * wrench_regressor(arm.last_link_motion(*motion))
+    right = (record.wrench - arm.inverse_dynamics(*motion)[1])[..., None]
+    times = filter_alike(record.times, config.window, _stride(config))
+    return (
+        _weighed(rows, config),
+        _weighed(columns, config),
+        _weighed(right, config)[:, 0],
+        times,
     )
+
+
+def _stride(config: PayloadIdentifierConfig) -> int:
+    return (config.window + 1) // 2
+
+
+def _weighed(values: FloatArray, config: PayloadIdentifierConfig) -> FloatArray:
+    """Return (6 m, k) of wrenches (n, 6, k): filtered, over the deviation of the filtered noise."""
     gain = float(np.sum(raised_cosine(config.window) ** 2))
     sigma = np.array(config.wrench_noise) * np.sqrt(gain)
-    rows = (matrix / sigma[:, None]).reshape(-1, COUNT)
-    return _solve(rows, (left / sigma).ravel(), times, config)
+    filtered = filter_alike(values, config.window, _stride(config)) / sigma[:, None]
+    return filtered.reshape(6 * len(filtered), values.shape[-1])
 
 
 def parameter_scales(mass: float, distance: float) -> FloatArray:
@@ -208,22 +318,73 @@ def parameter_scales(mass: float, distance: float) -> FloatArray:
     return mass * np.array([1.0] + [distance] * 3 + [distance**2] * 6)
 
 
-def _solve(
-    rows: FloatArray, right: FloatArray, times: FloatArray, config: PayloadIdentifierConfig
+@dataclasses.dataclass(frozen=True)
+class _Solution:
+    """Solution of weighted equations, whose errors have unit variance if all is as modelled.
+
+    Attributes:
+        linear: (10,) parameters.
+        information: (10, 10) of the parameters over their scales; the unknowns beside them do not
+            count as known.
+        chi_squared: Per degree of freedom.
+        excess: Variance of the equations' errors that the information and the solution count with:
+            1 or, where it is above, chi squared of an earlier solution.
+        residual: (n,) what the solution leaves, in the weights given.
+    """
+
+    linear: FloatArray
+    information: FloatArray
+    chi_squared: float
+    excess: float
+    residual: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        rows: FloatArray,
+        columns: FloatArray,
+        right: FloatArray,
+        scales: FloatArray,
+        chi_squared: float = 1.0,
+    ) -> "_Solution":
+        """Solve rows phi + columns v = right, where v has unit deviations.
+
+        Args:
+            rows: (n, 10) of the parameters.
+            columns: (n, k) of the unknowns beside them.
+            right: (n,) right sides.
+            scales: (10,) sizes of the parameters.
+            chi_squared: Variance of the equations' errors by an earlier solution.
+        """
+        count, excess = columns.shape[1], max(1.0, chi_squared)
+        scaled = rows * scales
+        # Errors beyond the noise are in the equations; the unknowns keep their deviations.
+        prior = np.sqrt(excess) * np.eye(count, COUNT + count, COUNT)
+        solved = np.linalg.lstsq(
+            np.concatenate([np.concatenate([scaled, columns], axis=1), prior]),
+            np.concatenate([right, np.zeros(count)]),
+            rcond=1e-9,
+        )[0]
+        linear, unknown = solved[:COUNT] * scales, solved[COUNT:]
+        residual = right - rows @ linear - columns @ unknown
+        known, shared = columns.T @ columns + excess * np.eye(count), columns.T @ scaled
+        information = (scaled.T @ scaled - shared.T @ np.linalg.solve(known, shared)) / excess
+        # Residual and unknowns together: as many squares as equations, less the parameters.
+        squares = float(residual @ residual + excess * unknown @ unknown)
+        return cls(linear, information, squares / (right.size - COUNT), excess, residual)
+
+
+def _judge(
+    solved: _Solution, times: FloatArray, config: PayloadIdentifierConfig
 ) -> PayloadEstimate:
-    """Solve the weighted equations rows phi = right, whose errors have unit variance."""
+    """Return the estimate of a solution: a body that can exist, its covariance, what is hidden."""
     mass, distance = config.scales
     scales = parameter_scales(mass, distance)
-    scaled = rows * scales
-    linear = np.linalg.lstsq(scaled, right, rcond=1e-9)[0] * scales
-    information = scaled.T @ scaled
-    residual = right - rows @ linear
-    chi_squared = float(residual @ residual) / (residual.size - COUNT)
     # The unit matrix says that no parameter is larger than its scale: directions that no motion
     # showed keep that much.
-    relative = max(1.0, chi_squared) * np.linalg.inv(information + np.eye(COUNT))
-    covariance = relative * np.outer(scales, scales)
-    physical = physical_parameters(linear, information, scales)
+    relative = np.linalg.inv(solved.information + np.eye(COUNT) / solved.excess)
+    covariance: FloatArray = np.outer(scales, scales) * relative
+    physical = physical_parameters(solved.linear, solved.information, scales)
     sizes = parameter_scales(max(float(physical[0]), 1e-3 * mass), distance)
     sizes[0] = mass
     sigmas = np.sqrt(np.diag(covariance)) / sizes
@@ -233,7 +394,13 @@ def _solve(
     if "mass" in hidden:
         raise IdentificationError("the motion does not show the payload's mass")
     return PayloadEstimate(
-        physical, covariance, linear, chi_squared, hidden, residual.reshape(-1, 6), times
+        physical,
+        covariance,
+        solved.linear,
+        solved.chi_squared,
+        hidden,
+        solved.residual.reshape(-1, 6),
+        times,
     )
 
 

@@ -11,6 +11,7 @@ from controllers.kinematics.serial_chain import SerialChain
 from experiments.__main__ import main
 from experiments.ch2 import friction as ch2_friction
 from experiments.ch2 import payload as ch2_payload
+from experiments.ch2.deviations import arm_deviations
 from experiments.harness.contract import OptionError
 from models.compose import PayloadConfig
 from twin.connect import connect
@@ -26,6 +27,29 @@ def test_payload_on_the_rover_is_within_the_bars():
     truth = ch2_payload.true_body(BOX)
     assert estimate.mass == pytest.approx(truth.mass, rel=0.01)
     np.testing.assert_allclose(estimate.centre, truth.centre, atol=0.003)
+
+
+@pytest.mark.slow
+def test_payload_on_a_rover_as_made_is_within_what_the_estimate_states():
+    found = ch2_payload.identify(BOX, seed=1, duration=12.0, realism="default")
+    truth = ch2_payload.true_body(BOX)
+    assert abs(found.mass - truth.mass) < 4.0 * np.sqrt(found.covariance[0, 0])
+    error = found.centre - truth.centre
+    assert error @ np.linalg.solve(found.centre_covariance, error) < 21.1  # 99.99 %
+    # Its arm alone may weigh 38 g more than drawn; the sensor's zero may be as much again.
+    assert np.sqrt(found.covariance[0, 0]) < 0.003
+
+
+def test_only_robots_that_are_their_drawings_have_nothing_unknown():
+    assert arm_deviations("ideal") is None
+    default, harsh = arm_deviations("default"), arm_deviations("harsh")
+    assert default is not None and harsh is not None
+    # Uniform to either side: a share of 5 %, a zero of 0.5 % of 200 N.
+    assert default.mass == pytest.approx(0.05 / np.sqrt(3.0))
+    assert default.zero[2] == pytest.approx(1.0 / np.sqrt(3.0))
+    # A moment of 5 N m may show as 1 % of 200 N, one of 1 N m as 0.4 N.
+    assert default.matrix[2, 3] == pytest.approx(0.4 / np.sqrt(3.0))
+    assert harsh.usual_play > default.usual_play
 
 
 def test_disconnected_wrench_sensor_is_one_clear_error():

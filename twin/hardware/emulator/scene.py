@@ -20,6 +20,7 @@ from twin.hardware.emulator.rover import ANALOGUE_SENSORS, EmulatedRover
 from twin.realism import sensor_suites, with_cameras
 from twin.sensors import SensorSuite
 from twin.simulation import Simulation
+from twin.taken_load import TakenLoad
 
 SETTLING = 1.0
 """Duration of settling before time zero [s]."""
@@ -65,6 +66,11 @@ def simulate(config: SceneConfig, suite: SensorSuite) -> Simulation:
         suite: Specification of the robots' sensors without their errors.
     """
     model = make_model(config.field, config.robots)
+    loads = [
+        TakenLoad(model, robot)
+        for robot in config.robots
+        if robot.payload is not None and robot.payload.taken > 0.0
+    ]
     drawn = [describe_placement(robot) for robot in config.robots]
     if config.stereo is not None:
         drawn = [with_cameras(robot, config.stereo.realism) for robot in drawn]
@@ -75,6 +81,7 @@ def simulate(config: SceneConfig, suite: SensorSuite) -> Simulation:
         stereo=config.stereo,
         seed=config.seed,
         data=settle(model, SETTLING),
+        loads=loads,
     )
 
 
