@@ -8,21 +8,16 @@ covariance with all of them in, and learns those that the motion shows.
 """
 
 import dataclasses
-from collections.abc import Iterator
 
 import numpy as np
 from scipy.ndimage import convolve1d
 from scipy.spatial.transform import RigidTransform
 
-from controllers.identification.arm_sensing import ArmRecord, raised_cosine
-from controllers.kinematics.rigid_motion import (
-    INERTIA_ELEMENTS,
-    FrameMotion,
-    inertial_parameters,
-)
+from controllers.identification.arm_sensing import ArmRecord, raised_cosine, weighed
+from controllers.kinematics.rigid_motion import INERTIA_ELEMENTS, inertial_parameters
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
-from twin.description import RigidBody
+from twin.description import JointDescription, RigidBody
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,16 +91,86 @@ def leaning(record: ArmRecord, arm: SerialChain) -> FloatArray:
     return -np.tanh(smooth / _LEANING)
 
 
-def leant(record: ArmRecord, arm: SerialChain, usual_play: float) -> ArmRecord:
-    """Return a record with the links' angles, which the play of usual gears parts from encoders'.
+@dataclasses.dataclass(frozen=True)
+class ArmAsMade:
+    """An arm and its sensors that are off by some numbers of deviations.
 
-    Args:
-        record: Motion of arm and base, as measured.
-        arm: The arm as drawn, with its payload.
-        usual_play: Half of the play [rad].
+    Attributes:
+        arm: The empty arm as drawn.
+        deviations: Standard deviations of the unknowns.
+        unknowns: (k,) by how many deviations each unknown is off, in the order of
+            `deviation_columns`: of the flange and then of each link its body's mass, its centre's
+            three coordinates and, of a link, its joint's place; of each joint its zero and its
+            play; pitch and roll; of each component of the wrench its zero, drift, and shares of
+            all six.
     """
-    angles = record.angles + usual_play * leaning(record, arm)
-    return dataclasses.replace(record, angles=angles)
+
+    arm: SerialChain
+    deviations: ArmDeviations
+    unknowns: FloatArray
+
+    @classmethod
+    def drawn(cls, arm: SerialChain, deviations: ArmDeviations) -> "ArmAsMade":
+        """Return an arm that is its drawing."""
+        return cls(arm, deviations, np.zeros(_SENSOR.size + 2 + 9 * len(arm) + 4))
+
+    @property
+    def bodies(self) -> SerialChain:
+        """Arm as made."""
+        of = self.deviations
+        flange, links = self.unknowns[:4], self.unknowns[4 : 4 + 7 * len(self.arm)]
+        joints: list[JointDescription] = []
+        for joint, own in zip(self.arm.joints, links.reshape(-1, 7), strict=True):
+            place = joint.transform_link_to_parent
+            moved = RigidTransform.from_components(
+                place.translation + of.length * own[4:], place.rotation
+            )
+            body = _body(joint.body, own[:4], of)
+            joints.append(dataclasses.replace(joint, body=body, transform_link_to_parent=moved))
+        base = _body(self.arm.base, flange, of)
+        return dataclasses.replace(self.arm, base=base, joints=tuple(joints))
+
+    def motion(self, record: ArmRecord, payload: FloatArray | None = None) -> ArmRecord:
+        """Return the motion of links and base, of which encoders and inclinometer say a little.
+
+        Args:
+            record: Motion as measured.
+            payload: (10,) inertial parameters of the payload; None for none.
+        """
+        of, count = self.deviations, len(self.arm)
+        first = 4 + 7 * count
+        zeros, plays = self.unknowns[first : first + 2 * count].reshape(-1, 2).T
+        whole = self.arm if payload is None else loaded(self.arm, payload)
+        play = of.usual_play + of.play * plays
+        angles = record.angles + of.encoder * zeros + play * leaning(record, whole)
+        # A base that pitches and rolls by more than it shows feels gravity turned the other way.
+        pitch, roll = of.tilt * self.unknowns[first + 2 * count : first + 2 * count + 2]
+        felt = record.base.specific_force
+        base = dataclasses.replace(
+            record.base, specific_force=felt - np.cross([pitch, roll, 0.0], felt)
+        )
+        return dataclasses.replace(record, angles=angles, base=base)
+
+    def sensed(self, wrench: FloatArray, times: FloatArray) -> FloatArray:
+        """Return what the sensor shows of true wrenches (n, 6) at some times (n,)."""
+        shares, offsets = self._sensor(times)
+        return wrench @ shares.T + offsets
+
+    def felt(self, record: ArmRecord) -> FloatArray:
+        """Return the true wrenches (n, 6) behind those that the sensor showed."""
+        shares, offsets = self._sensor(record.times)
+        return np.asarray((record.wrench - offsets) @ np.linalg.inv(shares).T, dtype=float)
+
+    def _sensor(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (6, 6) shares of the components, and (n, 6) offsets at some times."""
+        of, own = self.deviations, self.unknowns[-_SENSOR.size :].reshape(_SENSOR.shape)
+        ramp = -np.expm1(-times / of.warm_up)
+        offsets = of.zero * own[:, 0] + ramp[:, None] * (of.drift * own[:, 1])
+        return np.eye(6) + of.matrix * own[:, 2:], offsets
+
+
+_SENSOR = np.zeros((6, 8))
+"""Unknowns of the wrench sensor: each component's zero, drift, and shares of all six."""
 
 
 def deviation_columns(
@@ -114,32 +179,50 @@ def deviation_columns(
     """Return (n, 6, k) by how much one deviation of each unknown moves the measured wrench.
 
     Args:
-        record: Motion of arm and base.
+        record: Motion of arm and base, as measured.
         arm: The empty arm as drawn.
         payload: (10,) inertial parameters of its payload as estimated so far, which deviates by
             nothing.
         deviations: Standard deviations of the unknowns.
     """
-    whole = loaded(arm, payload)
-    level, lean = _wrench(record, whole), leaning(record, whole)
-    columns = [_wrench(record, loaded(other, payload)) - level for other in _arms(arm, deviations)]
-    for joint in np.eye(len(arm)):
-        for shift in (deviations.encoder * joint, deviations.play * joint * lean):
-            turned = dataclasses.replace(record, angles=record.angles + shift)
-            columns.append(_wrench(turned, whole) - level)
-    for axis in np.eye(3)[:2]:
-        # A base that pitches and rolls by more than it shows feels gravity turned the other way.
-        base = record.base
-        turned = base.specific_force - deviations.tilt * np.cross(axis, base.specific_force)
-        tilted = FrameMotion(turned, base.angular_velocity, base.angular_acceleration)
-        columns.append(_wrench(dataclasses.replace(record, base=tilted), whole) - level)
-    ramp = -np.expm1(-record.times / deviations.warm_up)
-    for row, unit in enumerate(np.eye(6)):
-        columns.append(np.tile(deviations.zero[row] * unit, (len(level), 1)))
-        columns.append(deviations.drift[row] * ramp[:, None] * unit)
-        sizes = deviations.matrix[row]
-        columns += [(size * load)[:, None] * unit for size, load in zip(sizes, level.T)]
+    drawn = ArmAsMade.drawn(arm, deviations)
+    moved = drawn.motion(record, payload)
+    level, bodies = _wrench(moved, loaded(arm, payload)), 4 + 7 * len(arm)
+    columns: list[FloatArray] = []
+    for index, unit in enumerate(np.eye(len(drawn.unknowns))):
+        made = dataclasses.replace(drawn, unknowns=unit)
+        wrench = level
+        if index < bodies:
+            wrench = _wrench(moved, loaded(made.bodies, payload))
+        elif index < len(unit) - _SENSOR.size:
+            wrench = _wrench(made.motion(record, payload), loaded(arm, payload))
+        columns.append(made.sensed(wrench, record.times) - level)
     return np.stack(columns, axis=-1)
+
+
+def calibrate(record: ArmRecord, window: int, noise: FloatArray, drawn: ArmAsMade) -> ArmAsMade:
+    """Return the likeliest arm and sensors behind a swing without a payload, on a base that rests.
+
+    Args:
+        record: Motion of arm and base, and wrench, as measured.
+        window: Ticks under the filter of both sides.
+        noise: (6,) standard deviation of a wrench sample [N, N m].
+        drawn: Arm that is its drawing, and its deviations.
+    """
+    nothing = np.zeros(10)
+    columns = weighed(
+        deviation_columns(record, drawn.arm, nothing, drawn.deviations), window, noise
+    )
+    explained = _wrench(drawn.motion(record), drawn.arm)
+    right = weighed((record.wrench - explained)[..., None], window, noise)[:, 0]
+    unknowns, excess = np.zeros(columns.shape[1]), 1.0
+    for _ in range(3):
+        # Errors beyond the noise are in the equations; the unknowns keep their deviations.
+        normal = columns.T @ columns + excess * np.eye(columns.shape[1])
+        unknowns = np.linalg.solve(normal, columns.T @ right)
+        squares = float(np.sum((right - columns @ unknowns) ** 2) + excess * unknowns @ unknowns)
+        excess = max(1.0, squares / right.size)
+    return dataclasses.replace(drawn, unknowns=unknowns)
 
 
 def _wrench(record: ArmRecord, arm: SerialChain) -> FloatArray:
@@ -148,25 +231,8 @@ def _wrench(record: ArmRecord, arm: SerialChain) -> FloatArray:
     return arm.inverse_dynamics(*motion)[1]
 
 
-def _arms(arm: SerialChain, deviations: ArmDeviations) -> Iterator[SerialChain]:
-    """Yield arms that differ from the drawn one by one deviation of one number."""
-    for base in _bodies(arm.base, deviations):
-        yield dataclasses.replace(arm, base=base)
-    for index, joint in enumerate(arm.joints):
-        place = joint.transform_link_to_parent
-        moved = [
-            RigidTransform.from_components(place.translation + shift, place.rotation)
-            for shift in deviations.length * np.eye(3)
-        ]
-        changed = [dataclasses.replace(joint, body=b) for b in _bodies(joint.body, deviations)]
-        changed += [dataclasses.replace(joint, transform_link_to_parent=m) for m in moved]
-        for other in changed:
-            joints = (*arm.joints[:index], other, *arm.joints[index + 1 :])
-            yield dataclasses.replace(arm, joints=joints)
-
-
-def _bodies(body: RigidBody, deviations: ArmDeviations) -> Iterator[RigidBody]:
-    heavier = 1.0 + deviations.mass
-    yield RigidBody(heavier * body.mass, body.centre, heavier * body.inertia)
-    for shift in deviations.centre * np.eye(3):
-        yield RigidBody(body.mass, body.centre + shift, body.inertia)
+def _body(body: RigidBody, unknowns: FloatArray, deviations: ArmDeviations) -> RigidBody:
+    """Return a body off by so many deviations of its mass and of its centre's coordinates."""
+    heavier = 1.0 + deviations.mass * float(unknowns[0])
+    centre = body.centre + deviations.centre * unknowns[1:]
+    return RigidBody(heavier * body.mass, centre, heavier * body.inertia)

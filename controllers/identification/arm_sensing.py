@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike
 
 from controllers.kinematics.rigid_motion import FrameMotion
 from perception.geometry.arrays import FloatArray
@@ -175,6 +176,20 @@ def raised_cosine(window: int) -> FloatArray:
     """Return the weights (window,) of `filter_alike`; their sum is one."""
     weights = 1.0 - np.cos(2.0 * np.pi * np.arange(1, window + 1) / (window + 1))
     return weights / weights.sum()
+
+
+def weighed(values: FloatArray, window: int, noise: ArrayLike) -> FloatArray:
+    """Return (6 m, k) of wrenches (n, 6, k): filtered, over the deviation of the filtered noise.
+
+    Args:
+        values: Samples.
+        window: Ticks under the filter, odd; one equation each half window.
+        noise: (6,) standard deviation of a sample [N, N m].
+    """
+    gain = float(np.sum(raised_cosine(window) ** 2))
+    sigma = np.asarray(noise, dtype=float) * np.sqrt(gain)
+    filtered = filter_alike(values, window, (window + 1) // 2) / sigma[:, None]
+    return filtered.reshape(6 * len(filtered), values.shape[-1])
 
 
 def _differentiate(

@@ -20,6 +20,11 @@ Mechanics, all in the body frame at the rover's centre of gravity:
    So u is the friction that is being used: u <= mu always, and u = mu while all wheels slide,
    whatever the share of force and moment.
 
+An arm as made, and its sensors, are off by more than the arm can tell of the base. So it swings
+slowly before, on wheels that hold, and what its drawing leaves unknown is found (`arm_deviations`);
+then it turns stretched and slowly over its whole reach, and what the wrench shows there beyond what
+the arm explains is taken off all that follows, by the yaw.
+
 Slip shows in the yaw rate of the base, the leaky integral of its acceleration: on holding wheels
 the base only gives a little and comes back, so a slip is a turn by more than a small angle. While
 the arm's jerk sets the rover sliding, the filter blurs acceleration and wrench by a few ticks and u
@@ -33,8 +38,10 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.signal import lfilter
 
+from controllers.identification.arm_deviations import ArmAsMade, ArmDeviations, calibrate
 from controllers.identification.arm_sensing import (
     CHANNELS,
     ArmRecord,
@@ -43,10 +50,14 @@ from controllers.identification.arm_sensing import (
     filter_alike,
     read_arm,
 )
+from controllers.identification.payload import WIDE_SWING, SwingConfig, swing_targets
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import BoolArray, FloatArray
 from twin.description import RigidBody, RobotDescription
 from twin.robot import ArmMode, Command, Observation, WheelMode
+
+SWEEP_PEAK = 0.6495
+"""Largest sin(x) sin(x / 2)^2, as of the slow turn."""
 
 
 def normal_forces(force: FloatArray, moment: FloatArray, wheels: FloatArray) -> FloatArray:
@@ -145,6 +156,7 @@ class JerkConfig:
         rates: First and greatest yaw rate between two reversals [rad/s].
         growth: Added to the rate at each reversal [rad/s].
         approach: Time to take the posture [s].
+        sweep: Time of a slow turn to both sides in it, before the first jerk [s]; 0 for none.
     """
 
     posture: tuple[float, ...] = (0.0, 0.15, -0.1, 0.0)
@@ -152,6 +164,7 @@ class JerkConfig:
     rates: tuple[float, float] = (0.4, 4.6)
     growth: float = 0.2
     approach: float = 1.5
+    sweep: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,6 +189,11 @@ class FrictionConfig:
         margin: Possible excess of the friction in use, subtracted from the lower bound: a part of
             it, and a constant.
         rolling: Wheel speed above which a wheel rolled and did not only slide [rad/s].
+        deviations: What is unknown of arm and sensors; None for ones that are their drawings.
+        swing: Slow motion of the arm before the jerks, from which that is found.
+        calibration: Duration of that motion [s]; 0 for none.
+        swing_window: Ticks under the filter of both sides in that motion, odd.
+        wrench_noise: (6,) standard deviation of a wrench sample [N, N m].
     """
 
     arm: SerialChain
@@ -192,6 +210,11 @@ class FrictionConfig:
     base_sigma: tuple[float, float] = (3.0, 20.0)
     margin: tuple[float, float] = (0.35, 0.01)
     rolling: float = 0.3
+    deviations: ArmDeviations | None = None
+    swing: SwingConfig = WIDE_SWING
+    calibration: float = 0.0
+    swing_window: int = 199
+    wrench_noise: tuple[float, ...] = (0.1, 0.1, 0.1, 0.01, 0.01, 0.01)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -255,23 +278,31 @@ class FrictionProbe:
 
     def reset(self) -> None:
         """Forget what was measured."""
-        self._log = ObservationLog("friction estimation", (*CHANNELS, "wheel_speeds"))
+        channels = (*CHANNELS, "wheel_speeds")
+        self._log = ObservationLog("friction estimation", channels)
+        self._swing = ObservationLog("friction estimation", channels)
         self._start: FloatArray | None = None
+        self._posed: FloatArray | None = None
         self._begin = 0.0
         self._rate = self._config.jerks.rates[0]
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Record, and jerk on, with the wheels held.
+        """Record, and swing or jerk on, with the wheels held.
 
         Raises:
             IdentificationError: If a sensor that is needed is missing or reads nonsense.
         """
-        seen = observations[self._robot]
-        self._log.take(seen)
+        seen, config = observations[self._robot], self._config
         angles = seen.arm_angles.value.astype(float)
         if self._start is None:
             self._start, self._begin = angles, seen.time
-        targets, rates = self._targets(seen.time - self._begin, angles)
+        time = seen.time - self._begin
+        swinging = time < config.calibration
+        (self._swing if swinging else self._log).take(seen)
+        if swinging:
+            targets, rates = swing_targets(config.swing, self._start, time)
+        else:
+            targets, rates = self._targets(time - config.calibration, angles)
         command = Command(
             wheel_mode=WheelMode.SPEED, arm=targets, arm_mode=ArmMode.POSITION, arm_rates=rates
         )
@@ -281,9 +312,16 @@ class FrictionProbe:
         """Return joint angles and rates to ask for; the yaw is driven by its rate alone."""
         jerks = self._config.jerks
         posture, rates = np.array(jerks.posture), np.zeros(4)
-        if time < jerks.approach and self._start is not None:
+        if self._posed is None:
+            self._posed = angles
+        if time < jerks.approach:
             share = 0.5 - 0.5 * np.cos(np.pi * time / jerks.approach)
-            return self._start + share * (posture - self._start), rates
+            return self._posed + share * (posture - self._posed), rates
+        if time < jerks.approach + jerks.sweep:
+            # It begins and ends in the middle and at rest.
+            phase = 2.0 * np.pi * (time - jerks.approach) / jerks.sweep
+            posture[0] += jerks.reach * np.sin(phase) * np.sin(phase / 2.0) ** 2 / SWEEP_PEAK
+            return posture, rates
         if abs(self._rate) > jerks.rates[1]:
             posture[0] = np.clip(angles[0], -jerks.reach, jerks.reach)
             return posture, rates
@@ -298,21 +336,38 @@ class FrictionProbe:
         Raises:
             IdentificationError: If the run is too short.
         """
-        self._log.forget_before(self._begin + self._config.jerks.approach)
-        return estimate_friction(self._log, self._config)
+        config = self._config
+        self._log.forget_before(self._begin + config.calibration + config.jerks.approach)
+        if not config.calibration:
+            return estimate_friction(self._log, config)
+        self._swing.forget_before(self._begin + config.swing.fade)
+        return estimate_friction(self._log, config, self._swing)
 
 
-def estimate_friction(log: ObservationLog, config: FrictionConfig) -> FrictionEstimate:
+def estimate_friction(
+    log: ObservationLog, config: FrictionConfig, swing: ObservationLog | None = None
+) -> FrictionEstimate:
     """Return the friction of the ground by one run.
 
     Args:
-        log: Log of the channels of `arm_sensing.CHANNELS` and of ``wheel_speeds``.
+        log: Log of the channels of `arm_sensing.CHANNELS` and of ``wheel_speeds``, from the slow
+            turn or, without one, the first jerk on.
         config: Known arm and base, motion and thresholds.
+        swing: Log of the slow swing before; None for none.
 
     Raises:
         IdentificationError: If the run is too short.
     """
-    load = ground_load(read_arm(log, config.sensing), config)
+    record = read_arm(log, config.sensing)
+    if swing is not None and config.deviations is not None:
+        made = calibrate(
+            read_arm(swing, config.sensing),
+            config.swing_window,
+            np.array(config.wrench_noise),
+            ArmAsMade.drawn(config.arm, config.deviations),
+        )
+        record, config = tared(record, made, config)
+    load = ground_load(record, config)
     slipping = slides(load, config)
     braking = brakes(load, slipping, config)
     slipped = bool(np.any(braking))
@@ -327,6 +382,29 @@ def estimate_friction(log: ObservationLog, config: FrictionConfig) -> FrictionEs
         rolled=bool(np.max(np.abs(log.values("wheel_speeds"))) > config.rolling),
         load=load,
         slipping=slipping,
+    )
+
+
+def tared(
+    record: ArmRecord, made: ArmAsMade, config: FrictionConfig
+) -> tuple[ArmRecord, FrictionConfig]:
+    """Return a record as an exact arm with exact sensors shows it, and the settings with that arm.
+
+    Args:
+        record: Samples of the arm as measured, from the slow turn before the first jerk on.
+        made: Arm and sensors as calibrated.
+        config: Settings with the arm as drawn.
+    """
+    moved = dataclasses.replace(made.motion(record), wrench=made.felt(record))
+    arm, slow = made.bodies, record.times < record.times[0] + config.jerks.sweep
+    motion = moved.angles, moved.rates, moved.accelerations, moved.base
+    left = (moved.wrench - arm.inverse_dynamics(*motion)[1])[slow]
+    # What is left of cross-talk and tilt changes with the yaw.
+    turned = np.vander(record.angles[:, 0], 3)
+    offset = turned @ np.linalg.lstsq(turned[slow], left, rcond=None)[0]
+    return (
+        dataclasses.replace(moved, wrench=moved.wrench - offset),
+        dataclasses.replace(config, arm=arm),
     )
 
 
@@ -356,8 +434,9 @@ def loaded(load: GroundLoad, config: FrictionConfig) -> BoolArray:
 def brakes(load: GroundLoad, slipping: BoolArray, config: FrictionConfig) -> BoolArray:
     """Return (n,) whether friction alone braked a slide at each sample, with all wheels loaded.
 
-    What the integral of the yaw acceleration has left over may look like a slide on wheels that
-    hold again; there little friction is in use, so such samples are left out.
+    What the integral of the yaw acceleration has left over, or an error of arm or sensors has
+    brought into it, may look like a slide on wheels that hold; there less friction is in use
+    than they have held with, so such samples are left out.
 
     Args:
         load: Load that the ground supplied.
@@ -368,7 +447,11 @@ def brakes(load: GroundLoad, slipping: BoolArray, config: FrictionConfig) -> Boo
     if not np.any(sliding):
         return sliding
     usual = config.least_use * np.quantile(load.used[sliding], 0.9)
-    braking = sliding & (load.yaw_acceleration * load.yaw_rate < 0.0) & (load.used > usual)
+    # Wheels that held for a while with more than this do not slide with less.
+    lasting = median_filter(load.used, config.window)[loaded(load, config)]
+    held = (1.0 - config.margin[0]) * np.max(lasting, initial=0.0) - config.margin[1]
+    braking = sliding & (load.yaw_acceleration * load.yaw_rate < 0.0)
+    braking &= load.used > max(usual, held)
     return braking & (np.abs(load.yaw_rate) > config.slip_rates[1])
 
 

@@ -22,10 +22,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from controllers.identification.arm_deviations import (
+    ArmAsMade,
     ArmDeviations,
     deviation_columns,
-    leant,
-    loaded,
 )
 from controllers.identification.arm_sensing import (
     CHANNELS,
@@ -34,8 +33,8 @@ from controllers.identification.arm_sensing import (
     ObservationLog,
     SensingConfig,
     filter_alike,
-    raised_cosine,
     read_arm,
+    weighed,
 )
 from controllers.kinematics.rigid_motion import COUNT, INERTIA_ELEMENTS, NAMES, wrench_regressor
 from controllers.kinematics.serial_chain import SerialChain
@@ -146,8 +145,8 @@ class PayloadEstimate:
     def centre_covariance(self) -> FloatArray:
         """Covariance (3, 3) of the centre of mass [m^2], to first order."""
         # Of the first moments, less what the mass alone would move them by.
-        moments = np.eye(4)[1:] - np.outer(self.centre, np.eye(4)[0])
-        return moments @ self.covariance[:4, :4] @ moments.T / self.mass**2
+        moments = (np.eye(4)[1:] - np.outer(self.centre, np.eye(4)[0])) / self.mass
+        return np.asarray(moments @ self.covariance[:4, :4] @ moments.T, dtype=float)
 
 
 class PayloadIdentifier:
@@ -263,7 +262,7 @@ def _record(log: ObservationLog, config: PayloadIdentifierConfig) -> ArmRecord:
     Six numbers from one window cannot fix ten parameters; two windows leave two to judge them by.
     """
     record = read_arm(log, config.sensing)
-    needed = config.window + _stride(config)
+    needed = config.window + (config.window + 1) // 2
     if len(record.times) < needed:
         raise IdentificationError(
             f"a run of {len(record.times)} ticks is too short for two windows of {config.window}; "
@@ -283,34 +282,21 @@ def _equations(
         payload: (10,) parameters as estimated so far.
         config: Known arm and what is unknown of it.
     """
-    arm, deviations = config.arm, config.deviations
+    arm, deviations, window = config.arm, config.deviations, config.window
     columns = np.zeros((len(record.times), 6, 0))
     if deviations is not None:
         carried = float(held) * payload
-        record = leant(record, loaded(arm, carried), deviations.usual_play)
         columns = deviation_columns(record, arm, carried, deviations)
+        record = ArmAsMade.drawn(arm, deviations).motion(record, carried)
     motion = record.angles, record.rates, record.accelerations, record.base
     rows = float(held) * wrench_regressor(arm.last_link_motion(*motion))
     right = (record.wrench - arm.inverse_dynamics(*motion)[1])[..., None]
-    times = filter_alike(record.times, config.window, _stride(config))
     return (
-        _weighed(rows, config),
-        _weighed(columns, config),
-        _weighed(right, config)[:, 0],
-        times,
+        weighed(rows, window, config.wrench_noise),
+        weighed(columns, window, config.wrench_noise),
+        weighed(right, window, config.wrench_noise)[:, 0],
+        filter_alike(record.times, window, (window + 1) // 2),
     )
-
-
-def _stride(config: PayloadIdentifierConfig) -> int:
-    return (config.window + 1) // 2
-
-
-def _weighed(values: FloatArray, config: PayloadIdentifierConfig) -> FloatArray:
-    """Return (6 m, k) of wrenches (n, 6, k): filtered, over the deviation of the filtered noise."""
-    gain = float(np.sum(raised_cosine(config.window) ** 2))
-    sigma = np.array(config.wrench_noise) * np.sqrt(gain)
-    filtered = filter_alike(values, config.window, _stride(config)) / sigma[:, None]
-    return filtered.reshape(6 * len(filtered), values.shape[-1])
 
 
 def parameter_scales(mass: float, distance: float) -> FloatArray:

@@ -1,8 +1,9 @@
 """``ch2-friction``: the arm's jerks show the friction under the wheels, and when they slip.
 
-Each seed draws the ground's friction. The arm jerks twice: hard, to break the rover loose, and
-gently, where mostly a lower bound can be given. The controller sees the arm's encoders, the
-force/torque sensor, the inclinometer and the tachometers only; the truth is for scoring alone.
+Each seed makes a robot within its drawing's tolerances, tyres and all; of robots as drawn it draws
+the ground's friction. The arm jerks twice: hard, to break the rover loose, and gently, where mostly
+a lower bound can be given. The controller sees the arm's encoders, the force/torque sensor, the
+inclinometer and the tachometers only; the truth is for scoring alone.
 """
 
 import dataclasses
@@ -21,20 +22,25 @@ from controllers.identification.friction import (
     KnownBase,
 )
 from controllers.kinematics.serial_chain import SerialChain
+from experiments.ch2.deviations import arm_deviations
 from experiments.ch2.payload import JUDGED, judge_errors, run_recorded, sensing
 from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from models.compose import FieldConfig, RobotPlacement
+from models.as_made import alter_rover
+from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part
 from twin.connect import connect
 from twin.describe import describe_rover
+from twin.description import RobotDescription
+from twin.realism import RealismName, make_robots
 
 ROBOT = "rover1"
 FRICTIONS = (0.2, 0.9)
 EFFORTS = {"hard": JerkConfig().rates, "gentle": (0.4, 1.4)}  # first and last yaw rate [rad/s]
 DURATION = 13.0  # [s]
+CALIBRATION, SWEEP = 20.0, 6.0  # Slow motions of arms that are not their drawings [s].
 ERROR_BOUND = 15.0  # [%]
 HOLDS_BOUND = 0.95
 FIELD = FieldConfig(texture_pixels=64)
@@ -42,9 +48,15 @@ FIELD = FieldConfig(texture_pixels=64)
 
 @dataclasses.dataclass(frozen=True)
 class Options(contract.SimulatedOptions):
-    """Options of the friction estimation."""
+    """Options of the friction estimation.
+
+    Attributes:
+        realism: How far robots and their sensors are from their drawings: ideal, default or harsh;
+            with any but ideal each seed has a robot of its own.
+    """
 
     targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
+    realism: RealismName = "default"
 
 
 def run(options: Options, output: Output) -> None:
@@ -59,6 +71,7 @@ def run(options: Options, output: Output) -> None:
             seed,
             options.robot,
             effort,
+            options.realism,
             str(output.file("run.rrd"))
             if options.record and index == 0 and effort == "hard"
             else None,
@@ -86,32 +99,63 @@ def run(options: Options, output: Output) -> None:
 
 
 def probe(
-    friction: float, seed: int, effort: str, robot: str = "sim", record: str | None = None
+    friction: float | None,
+    seed: int,
+    effort: str,
+    robot: str = "sim",
+    realism: RealismName = "ideal",
+    record: str | None = None,
 ) -> FrictionEstimate:
     """Jerk an arm on some ground, and return what was estimated.
 
     Args:
-        friction: Friction coefficient of the ground.
-        seed: Seed of the sensor noise.
+        friction: Friction coefficient of the ground; None for that of the robot's own tyres.
+        seed: Seed of the robot as made, of its sensors' errors and of their noise.
         effort: Key of `EFFORTS`.
         robot: Robot to connect to, as `twin.connect.connect` takes it.
+        realism: How far the robot and its sensors are from their drawings.
         record: File for a recording, if any.
 
     Raises:
         IdentificationError: If a sensor is missing.
     """
     drawn = describe_rover(ROBOT)
+    config = friction_config(drawn, effort, realism)
+    controller = FrictionProbe(ROBOT, config)
+    field = dataclasses.replace(FIELD, friction=friction)
+    connection = connect(
+        robot, robots=[RobotPlacement(ROBOT)], field=field, realism=realism, seed=seed
+    )
+    run_recorded(connection, controller, config.calibration + config.jerks.sweep + DURATION, record)
+    return controller.estimate()
+
+
+def friction_config(drawn: RobotDescription, effort: str, realism: RealismName) -> FrictionConfig:
+    """Return the prior knowledge of the estimate, and its motions.
+
+    Args:
+        drawn: Robot as drawn.
+        effort: Key of `EFFORTS`.
+        realism: How far the robot and its sensors are from their drawings.
+    """
+    deviations, jerks = arm_deviations(realism), JerkConfig(rates=EFFORTS[effort])
     config = FrictionConfig(
         SerialChain.of_robot(drawn),
         KnownBase.of_robot(drawn),
         dataclasses.replace(sensing(), tilt_motion=False),
-        JerkConfig(rates=EFFORTS[effort]),
+        jerks,
     )
-    controller = FrictionProbe(ROBOT, config)
-    field = dataclasses.replace(FIELD, friction=friction)
-    connection = connect(robot, robots=[RobotPlacement(ROBOT)], field=field, seed=seed)
-    run_recorded(connection, controller, DURATION, record)
-    return controller.estimate()
+    if deviations is None:
+        return config
+    # At each reversal a link flies through its gear's play and hits the other side, of which no
+    # encoder tells: the window holds both, whose sum is nothing.
+    return dataclasses.replace(
+        config,
+        window=21,
+        jerks=dataclasses.replace(jerks, sweep=SWEEP),
+        deviations=deviations,
+        calibration=CALIBRATION,
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,12 +166,14 @@ class FrictionJob:
         seed: Random seed of the ground and of the sensor noise.
         robot: Robot to connect to, as `twin.connect.connect` takes it.
         effort: Strength of the jerks, a key of `EFFORTS`.
+        realism: How far the robot and its sensors are from their drawings.
         record: File for a recording, if any.
     """
 
     seed: int
     robot: str
     effort: str
+    realism: RealismName
     record: str | None = None
 
 
@@ -138,7 +184,7 @@ class FrictionRun:
     Attributes:
         seed: Random seed of the job.
         effort: Strength of the jerks.
-        friction: True friction coefficient of the ground.
+        friction: True friction coefficient between tyres and ground.
         estimate: Estimate of the friction by the run.
     """
 
@@ -160,13 +206,27 @@ def probe_one(config: FrictionJob) -> FrictionRun:
         ExperimentError: If a sensor is missing.
     """
     draws, noise = np.random.SeedSequence(config.seed).spawn(2)
-    friction = float(np.random.default_rng(draws).uniform(*FRICTIONS))
     seed = int(noise.generate_state(1)[0])
+    (robot,) = make_robots([RobotPlacement(ROBOT)], config.realism, seed)
+    ground = None if robot.made else float(np.random.default_rng(draws).uniform(*FRICTIONS))
     try:
-        estimate = probe(friction, seed, config.effort, config.robot, config.record)
+        estimate = probe(ground, seed, config.effort, config.robot, config.realism, config.record)
     except IdentificationError as error:
         raise ExperimentError(str(error)) from error
+    friction = ground if ground is not None else tyre_friction(robot)
     return FrictionRun(config.seed, config.effort, friction, estimate)
+
+
+def tyre_friction(robot: RobotPlacement) -> float:
+    """Return the friction coefficient of a robot's tyres, all alike, as made.
+
+    Args:
+        robot: Robot, and how it was made.
+    """
+    spec = load_part("rover")
+    if robot.made is not None:
+        alter_rover(spec, robot.made)
+    return float(spec.geom(f"{WHEELS[0]}_tyre").friction[0])
 
 
 def _measure(results: Sequence[FrictionRun], output: Output) -> None:

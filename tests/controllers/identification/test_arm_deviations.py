@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from controllers.identification.arm_deviations import (
+    ArmAsMade,
     ArmDeviations,
+    calibrate,
     deviation_columns,
     leaning,
-    leant,
     loaded,
 )
 from controllers.identification.arm_sensing import ArmRecord
@@ -39,6 +40,7 @@ DEVIATIONS = ArmDeviations(
     warm_up=600.0,
     matrix=0.006 * LOADS[:, None] / LOADS,
 )
+NO_PLAY = dataclasses.replace(DEVIATIONS, usual_play=0.0)
 TICKS = 60
 
 
@@ -84,8 +86,8 @@ def test_links_lean_down_in_their_gears_and_up_behind_the_shoulder(arm):
     np.testing.assert_allclose(forward[:, 0], 0.0, atol=1e-6)
     behind = leaning(at_rest([0.0, np.pi, 0.0, 0.0]), arm)
     np.testing.assert_allclose(behind[:, 1:3], 1.0, atol=1e-3)
-    record = leant(at_rest([0.0, 0.0, 0.0, 0.0]), arm, 3e-3)
-    assert record.angles[0, 1] == pytest.approx(-3e-3, rel=1e-3)
+    usual = ArmAsMade.drawn(arm, DEVIATIONS).motion(at_rest([0.0, 0.0, 0.0, 0.0]))
+    assert usual.angles[0, 1] == pytest.approx(-DEVIATIONS.usual_play, rel=1e-3)
 
 
 def test_a_payload_in_front_pulls_an_upright_wrist_over_to_the_other_side_of_its_play(arm):
@@ -98,7 +100,7 @@ def test_a_payload_in_front_pulls_an_upright_wrist_over_to_the_other_side_of_its
 
 
 def test_first_columns_are_the_weight_of_the_flange_and_of_its_moved_centre(arm):
-    columns = deviation_columns(at_rest([0.3, 1.0, -0.5, 0.2]), arm, np.zeros(10), DEVIATIONS)
+    columns = deviation_columns(at_rest([0.3, 1.0, -0.5, 0.2]), arm, np.zeros(10), NO_PLAY)
     weight = arm.base.mass * GRAVITY
     x, y, _ = arm.base.centre
     heavier = DEVIATIONS.mass * weight * np.array([0.0, 0.0, 1.0, y, -x, 0.0])
@@ -110,7 +112,7 @@ def test_first_columns_are_the_weight_of_the_flange_and_of_its_moved_centre(arm)
 
 def test_last_columns_are_zero_drift_and_cross_talk_of_the_sensor(arm):
     record = at_rest([0.3, 1.0, -0.5, 0.2])
-    columns = deviation_columns(record, arm, np.zeros(10), DEVIATIONS)[:, :, -48:]
+    columns = deviation_columns(record, arm, np.zeros(10), NO_PLAY)[:, :, -48:]
     still = np.zeros(4)
     load = arm.inverse_dynamics(record.angles[0], still, still, LEVEL)[1]
     warm = 1.0 - np.exp(-record.times / DEVIATIONS.warm_up)
@@ -127,7 +129,7 @@ def test_last_columns_are_zero_drift_and_cross_talk_of_the_sensor(arm):
 def test_columns_add_up_to_what_a_differently_made_arm_feels(arm):
     """An arm with all bodies heavier, turned joints and a tilted base, to first order."""
     record, payload = moving(np.random.default_rng(1)), inertial_parameters(BOX)
-    small = dataclasses.replace(DEVIATIONS, mass=1e-4, encoder=1e-5, tilt=1e-5)
+    small = dataclasses.replace(NO_PLAY, mass=1e-4, encoder=1e-5, tilt=1e-5)
     columns = deviation_columns(record, arm, payload, small)
 
     def heavier(body):
@@ -147,3 +149,58 @@ def test_columns_add_up_to_what_a_differently_made_arm_feels(arm):
     tilted = 4 + 9 * len(arm)
     chosen = columns[:, :, [0, *bodies, *turned, tilted]].sum(axis=2)
     np.testing.assert_allclose(chosen, change, atol=2e-3 * np.abs(change).max())
+
+
+def test_sensor_undone_gives_the_wrench_that_it_was_shown(arm):
+    rng = np.random.default_rng(3)
+    drawn = ArmAsMade.drawn(arm, DEVIATIONS)
+    made = dataclasses.replace(drawn, unknowns=rng.normal(size=drawn.unknowns.shape))
+    record, true = at_rest(np.zeros(4)), rng.normal(size=(TICKS, 6))
+    shown = dataclasses.replace(record, wrench=made.sensed(true, record.times))
+    assert np.abs(shown.wrench - true).max() > 0.1
+    np.testing.assert_allclose(made.felt(shown), true, atol=1e-9)
+
+
+def test_calibration_explains_an_unseen_motion_of_an_arm_that_was_made_differently(arm):
+    """Ten times as well as the drawing, from a swing with the sensor's noise."""
+    drawn = ArmAsMade.drawn(arm, DEVIATIONS)
+    noise = np.array([0.1] * 3 + [0.01] * 3)
+    ratios = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        made = dataclasses.replace(drawn, unknowns=rng.normal(size=drawn.unknowns.shape))
+
+        def shown(angles, made=made):
+            """What encoders and wrench sensor show; the angles change at an even rate."""
+            count = len(angles)
+            still = np.zeros((count, 3))
+            up = np.tile([0.0, 0.0, GRAVITY], (count, 1))
+            nothing = np.zeros((count, 6))
+            base = FrameMotion(up, still, still)
+            times, rest = 50.0 + 0.01 * np.arange(count), np.zeros((count, 4))
+            record = ArmRecord(times, angles, rest, rest, base, nothing)
+            moved = made.motion(record)
+            motion = moved.angles, moved.rates, moved.accelerations, moved.base
+            wrench = made.sensed(made.bodies.inverse_dynamics(*motion)[1], times)
+            return dataclasses.replace(record, wrench=wrench)
+
+        phases = np.linspace(0.0, 2.0 * np.pi, 2000)[:, None] * [3.0, 2.0, 5.0, 7.0]
+        swung = shown(np.array([0.0, 1.3, -0.7, 0.0]) + [1.4, 0.6, 0.7, 1.0] * np.sin(phases))
+        noisy = swung.wrench + noise * rng.normal(size=swung.wrench.shape)
+        found = calibrate(dataclasses.replace(swung, wrench=noisy), 99, noise, drawn)
+        unseen = shown(rng.uniform([-1.0, 0.7, -1.2, -0.8], [1.0, 1.8, 0.0, 0.8], (TICKS, 4)))
+        left = [
+            unseen.wrench
+            - each.sensed(
+                each.bodies.inverse_dynamics(
+                    *(getattr(each.motion(unseen), n) for n in ("angles", "rates")),
+                    unseen.accelerations,
+                    each.motion(unseen).base,
+                )[1],
+                unseen.times,
+            )
+            for each in (drawn, found)
+        ]
+        ratios.append([np.linalg.norm(part / noise) for part in left])
+    before, after = np.mean(ratios, axis=0)
+    assert after < 0.1 * before

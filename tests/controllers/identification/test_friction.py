@@ -3,7 +3,23 @@
 import numpy as np
 import pytest
 
-from controllers.identification.friction import KnownBase, friction_in_use, normal_forces
+from controllers.identification.arm_deviations import ArmAsMade
+from controllers.identification.arm_sensing import ArmRecord
+from controllers.identification.friction import (
+    FrictionConfig,
+    GroundLoad,
+    JerkConfig,
+    KnownBase,
+    brakes,
+    friction_in_use,
+    normal_forces,
+    slides,
+    tared,
+)
+from controllers.kinematics.rigid_motion import FrameMotion
+from controllers.kinematics.serial_chain import SerialChain
+from perception.geometry.gravity import GRAVITY
+from tests.controllers.identification.test_arm_deviations import NO_PLAY
 from twin.describe import describe_rover
 
 WHEELS = np.array([[-0.14, 0.15], [0.14, 0.15], [-0.14, -0.15], [0.14, -0.15]])
@@ -70,3 +86,54 @@ def test_known_base_is_the_rover_without_arm():
     assert base.body.mass == pytest.approx(3.74)
     np.testing.assert_allclose(base.body.centre, 0.0, atol=1e-6)
     assert np.all(np.linalg.eigvalsh(base.body.inertia) > 0.0)
+
+
+def config_of(**changes):
+    drawn = describe_rover()
+    return FrictionConfig(SerialChain.of_robot(drawn), KnownBase.of_robot(drawn), **changes)
+
+
+def load_of(used, yaw_rate):
+    """Samples of a rover that turns at some rates with some friction in use."""
+    count = len(used)
+    times = 0.01 * np.arange(count)
+    return GroundLoad(
+        times,
+        np.zeros((count, 2)),
+        np.zeros(count),
+        np.full((count, 4), 10.0),
+        -np.sign(yaw_rate) * np.ones(count),
+        yaw_rate,
+        used,
+    )
+
+
+def test_a_turn_with_less_friction_than_the_wheels_have_held_with_is_no_slide():
+    """An offset of the yaw acceleration turns the integral; a real slide uses what there is."""
+    config = config_of()
+    used, rate = np.full(300, 0.05), np.zeros(300)
+    used[50:100] = 0.5
+    rate[150:250] = 0.4
+    false = load_of(used, rate)
+    assert np.any(slides(false, config))
+    assert not np.any(brakes(false, slides(false, config), config))
+    used[150:250] = 0.5
+    true = load_of(used, rate)
+    braking = brakes(true, slides(true, config), config)
+    np.testing.assert_array_equal(np.flatnonzero(braking), np.arange(150, 250))
+
+
+def test_tare_takes_off_what_grows_with_the_yaw_and_leaves_a_jerk():
+    config = config_of(jerks=JerkConfig(sweep=2.0), deviations=NO_PLAY)
+    made = ArmAsMade.drawn(config.arm, NO_PLAY)
+    times = 30.0 + 0.01 * np.arange(400)
+    angles = np.tile(config.jerks.posture, (400, 1))
+    angles[:, 0] = 0.35 * np.sin(np.pi * (times - 30.0))
+    still, joints = np.zeros((400, 3)), np.zeros((400, 4))
+    base = FrameMotion(np.tile([0.0, 0.0, GRAVITY], (400, 1)), still, still)
+    weight = config.arm.inverse_dynamics(angles, joints, joints, base)[1]
+    jerk = np.where(times > 32.5, 1.0, 0.0)[:, None] * [0.0, 3.0, 0.0, 0.0, 0.0, 0.4]
+    off = np.array([0.3, -0.2, 0.9, 0.02, -0.01, 0.02]) * (1.0 + 0.5 * angles[:, :1])
+    record = ArmRecord(times, angles, joints, joints, base, weight + jerk + off)
+    clean, _ = tared(record, made, config)
+    np.testing.assert_allclose(clean.wrench, weight + jerk, atol=1e-9)

@@ -13,10 +13,11 @@ from experiments.ch2 import friction as ch2_friction
 from experiments.ch2 import payload as ch2_payload
 from experiments.ch2.deviations import arm_deviations
 from experiments.harness.contract import OptionError
-from models.compose import PayloadConfig
+from models.compose import PayloadConfig, RobotPlacement, make_model
 from twin.connect import connect
 from twin.describe import describe_rover
 from twin.loop import run
+from twin.realism import make_robots
 
 BOX = PayloadConfig(0.15, (0.01, 0.0, -0.01))
 
@@ -74,6 +75,28 @@ def test_friction_is_bounded_where_it_holds():
     assert not estimate.slipped
     assert np.isnan(estimate.friction)
     assert 0.1 < estimate.lower_bound <= 0.8
+
+
+def test_friction_of_a_robots_own_tyres_is_the_one_that_its_scene_has():
+    (robot,) = make_robots([RobotPlacement()], "default", 3)
+    model = make_model(ch2_friction.FIELD, [robot])
+    assert ch2_friction.tyre_friction(robot) == model.geom("rover1/front_left_tyre").friction[0]
+    (other,) = make_robots([RobotPlacement()], "default", 4)
+    assert ch2_friction.tyre_friction(robot) != ch2_friction.tyre_friction(other)
+
+
+@pytest.mark.slow
+def test_robot_as_made_that_holds_is_not_said_to_slip_and_its_bound_holds():
+    """Gentle jerks: before the arm was calibrated, its own errors looked like slides."""
+    seed = next(s for s in range(20) if _tyres(s) > 0.6)
+    estimate = ch2_friction.probe(None, seed, "gentle", realism="default")
+    assert np.isnan(estimate.friction)
+    assert 0.05 < estimate.lower_bound <= _tyres(seed)
+
+
+def _tyres(seed):
+    (robot,) = make_robots([RobotPlacement()], "default", seed)
+    return ch2_friction.tyre_friction(robot)
 
 
 def test_bad_options_are_refused():
