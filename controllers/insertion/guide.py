@@ -10,6 +10,7 @@ the slot. It needs no vision once it has begun.
   about the middle of the inserted part (states 2, 5 and 6). The moment of friction is subtracted
   first: with it a card that touches a wall with one corner would turn into the wall.
 - Inside a deadband the command does not yield, so that noise does not make the card drift.
+- Held free at the start, the sensor shows its zero; that is taken off all that follows.
 """
 
 import dataclasses
@@ -66,6 +67,8 @@ class GuideConfig:
         turn_reach: Largest turn from the start [rad].
         lost_time: Time without a wrench after which the guide gives up [s].
         timeout: Time after which the guide gives up [s].
+        tare: Time for which the card is held at the start, free, to take the sensor's zero [s]; 0
+            for a wrench that is tared.
     """
 
     card_width: float
@@ -93,6 +96,7 @@ class GuideConfig:
     turn_reach: float = math.radians(10.0)
     lost_time: float = 0.5
     timeout: float = 45.0
+    tare: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse values out of range.
@@ -133,6 +137,8 @@ class InsertionGuide:
         self._wrench = np.zeros(3)
         self._time = self._since = self._lost = self._load = 0.0
         self._deepest, self._goal_back, self._slid = float(start[1]), 0.0, 0.0
+        self._free: list[FloatArray] = []
+        self._zero = np.zeros(3)
 
     @property
     def over(self) -> bool:
@@ -151,19 +157,26 @@ class InsertionGuide:
             missing.
         """
         self._time += self.config.period
-        if not self.over:
-            self._advance(wrench)
+        if wrench is not None and not np.all(np.isfinite(wrench)):
+            wrench = None
+        if self.config.tare > 0.0 and self._time <= self.config.tare + 0.5 * self.config.period:
+            if wrench is not None:
+                self._free.append(np.asarray(wrench, dtype=float))
+                self._zero = np.mean(self._free, axis=0)
+            self._since = self._time
+        elif not self.over:
+            self._advance(None if wrench is None else wrench - self._zero)
         return self.command.copy()
 
     def _advance(self, wrench: FloatArray | None) -> None:
         """Choose phase and motion from a wrench."""
-        if wrench is None or not np.all(np.isfinite(wrench)):
+        if wrench is None:
             self._lost += self.config.period
             if self._lost >= self.config.lost_time:
                 self._fail("no wrench")
             return
         self._lost = 0.0
-        self._sense(np.asarray(wrench, dtype=float))
+        self._sense(wrench)
         if self._time > self.config.timeout:
             self._fail("out of time")
         else:
@@ -272,7 +285,7 @@ class StraightInsertion(InsertionGuide):
 
     def _advance(self, wrench: FloatArray | None) -> None:
         config = self.config
-        if wrench is None or not np.all(np.isfinite(wrench)):
+        if wrench is None:
             self._fail("no wrench")
         elif math.hypot(wrench[0], wrench[1]) > config.force_limit:
             self._fail("force")

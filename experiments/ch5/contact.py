@@ -1,7 +1,8 @@
 """``ch5-contact``: six contact states classified, and insertion by force from misalignment.
 
 The card sits in a compliant hand at the slot (`models/card_and_slot`). Nothing is seen: the guide
-gets the wrench with 2 % noise and the sensor's own, and starts up to 4 mm and 6 deg off.
+gets the wrench with 2 % noise and the sensor's own, and starts up to 4 mm and 6 deg off. Each seed
+makes a hand within its springs' tolerances, whose sensor has zero, drift, scale and cross-talk.
 """
 
 import dataclasses
@@ -33,6 +34,7 @@ from experiments.harness.intervals import Distribution, distribution, fraction, 
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CARD_AND_SLOT, INCH
+from twin.realism import RealismName
 
 METHODS = ("guided", "unguided")
 SINGLE = (1, 2, 3, 6)
@@ -41,7 +43,14 @@ Cells = dict[tuple[str, float, int], list[InsertionResult]]
 
 @dataclasses.dataclass(frozen=True)
 class Options(contract.Options):
-    """Options of ch5-contact."""
+    """Options of ch5-contact.
+
+    Attributes:
+        realism: How far the hand and its sensor are from their drawings: ideal, default or harsh;
+            with any but ideal each seed has a hand of its own.
+    """
+
+    realism: RealismName = "default"
 
 
 def run(options: Options, output: Output) -> None:
@@ -62,7 +71,12 @@ def run(options: Options, output: Output) -> None:
 def _states(options: Options, output: Output) -> None:
     """Measure the classifier and the location of the contact point."""
     seeds, widths = options.job_seeds(10, 1), CARD_AND_SLOT.slot_widths
-    jobs = [StateJob(state, w, seed) for state in range(1, 7) for w in widths for seed in seeds]
+    jobs = [
+        StateJob(state, width, seed, realism=options.realism)
+        for state in range(1, 7)
+        for width in widths
+        for seed in seeds
+    ]
     results = sweep(run_states, jobs, options, output, label="contact states")
     table: list[list[float]] = []
     right = 0
@@ -101,7 +115,7 @@ def _insertions(options: Options, output: Output) -> Cells:
     """Insert from all misalignments and store success and force."""
     widths, seeds, widest = CARD_AND_SLOT.slot_widths, options.job_seeds(30, 4), RINGS[-1]
     jobs = [
-        InsertionJob(width, ring, method == "guided", seed)
+        InsertionJob(width, ring, method == "guided", seed, realism=options.realism)
         for width in widths
         for ring in RINGS
         for method in METHODS
@@ -152,7 +166,8 @@ def _success(cell: Sequence[InsertionResult]) -> Distribution:
 
 def _impossible(options: Options, output: Output) -> None:
     """Try a slot that is narrower than the card: no success, and a bounded force."""
-    jobs = [InsertionJob(IMPOSSIBLE, 1, True, seed) for seed in options.job_seeds(10, 2)]
+    seeds = options.job_seeds(10, 2)
+    jobs = [InsertionJob(IMPOSSIBLE, 1, True, seed, realism=options.realism) for seed in seeds]
     results = sweep(run_insertion, jobs, options, output, label="impossible")
     output.measure("success/impossible", _success(results))
     largest = max(result.peak for result in results)
@@ -170,7 +185,7 @@ def _courses(options: Options, output: Output, cells: Cells) -> None:
     seed = next(mastered, seeds[0])
     courses = {
         method: run_insertion(
-            InsertionJob(width, ring, method == "guided", seed, trace=True)
+            InsertionJob(width, ring, method == "guided", seed, trace=True, realism=options.realism)
         ).course
         for method in METHODS
     }

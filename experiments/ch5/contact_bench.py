@@ -1,5 +1,6 @@
 """The bench of ch5-contact: a card on a compliant hand at a slot, and its true contacts."""
 
+import dataclasses
 import math
 
 import mujoco
@@ -7,8 +8,11 @@ import numpy as np
 
 from controllers.insertion.contact import STATES, CardInSlot, Touch, turn
 from models.card_and_slot.build import compile_bench
-from models.datasheets import CARD_AND_SLOT, HAND
+from models.datasheets import CARD_AND_SLOT
 from perception.geometry.arrays import FloatArray
+from twin.describe import describe_rover
+from twin.realism import RealismName, realism_of
+from twin.sensors import IDEAL, ChannelSpec, with_errors
 
 NEAR = 5e-4
 """Distance within which a contact is at a corner [m]; the solver's overlap stays below 0.1 mm."""
@@ -30,14 +34,61 @@ def shape_of(width: float) -> CardInSlot:
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class HandAsMade:
+    """A hand and its sensor that are not their drawings.
+
+    Attributes:
+        springs: (6,) stiffness of each spring over that of the drawing.
+        dampers: (6,) the same of each damper.
+        sensor: Errors of the wrench sensor.
+    """
+
+    springs: FloatArray
+    dampers: FloatArray
+    sensor: ChannelSpec
+
+    @classmethod
+    def drawn_from(cls, realism: RealismName, rng: np.random.Generator) -> "HandAsMade | None":
+        """Return a hand within the tolerances of a set; None if that has none.
+
+        The hand is arm and suspension as one compliance, so its springs have the suspension's
+        tolerance, and its sensor is the arm's.
+
+        Args:
+            realism: Name of the set.
+            rng: Random generator of the hand and of its sensor's errors.
+        """
+        named = realism_of(realism)
+        tolerances, errors = named.tolerances, named.sensor_errors
+        if tolerances is None or errors is None:
+            return None
+        springs, dampers = (
+            rng.uniform(1.0 - share, 1.0 + share, 6)
+            for share in (tolerances.spring, tolerances.damper)
+        )
+        suite = with_errors(IDEAL, errors, describe_rover(), rng)
+        return cls(springs, dampers, suite.channels["arm_base_wrench"])
+
+
 class Bench:
     """One slot with the card in the hand; poses are planar, in the slot's frame."""
 
-    def __init__(self, width: float) -> None:
-        """Build the bench with a slot of the given width [m]."""
+    def __init__(self, width: float, hand: HandAsMade | None = None) -> None:
+        """Build the bench.
+
+        Args:
+            width: Width of the slot [m].
+            hand: Hand and its sensor as made; None for the hand as drawn, with an exact sensor.
+        """
         self.width, self.model = width, compile_bench(width)
         self.data = mujoco.MjData(self.model)
         self._wrench = np.zeros(6)
+        self._sensor = ChannelSpec() if hand is None else hand.sensor
+        if hand is not None:
+            self.model.jnt_stiffness[:] *= hand.springs
+            self.model.dof_damping[:] *= hand.dampers
+        self.stiffness = self.model.jnt_stiffness.copy()
 
     def command(self, pose: FloatArray) -> None:
         """Move the hand's carrier: (3,) [m, m, rad]."""
@@ -63,7 +114,19 @@ class Bench:
     @property
     def sensed(self) -> FloatArray:
         """(3,) what the slot puts on the card as the hand's sensor has it, without noise."""
-        return -self.data.sensordata[[0, 1, 5]]
+        of, true = self._sensor, -self.data.sensordata[:6]
+        shown = np.asarray(of.scale) * true + of.bias
+        shown -= np.asarray(of.drift) * math.expm1(-self.data.time / of.warm_up)
+        if of.cross is not None:
+            shown += np.array(of.cross) @ true
+        return shown[[0, 1, 5]]
+
+    @property
+    def zero(self) -> FloatArray:
+        """(3,) what the sensor shows now of a card that touches nothing, without noise."""
+        of = self._sensor
+        warm = -math.expm1(-self.data.time / of.warm_up)
+        return (np.zeros(6) + of.bias + np.asarray(of.drift) * warm)[[0, 1, 5]]
 
     def contact_wrench(self) -> FloatArray:
         """(3,) what the contacts truly put on the card, card's frame."""
@@ -123,7 +186,10 @@ def press(bench: Bench, pose: FloatArray, wrench: FloatArray, seconds: float = 0
         seconds: Time to come to rest [s].
     """
     force = turn(pose[2]) @ wrench[:2]
-    command = pose - [*(force / HAND.stiffness), wrench[2] / HAND.turn_stiffness]
+    # Its springs' axes are those of the carrier, which turns with the command.
+    command = pose - [0.0, 0.0, wrench[2] / bench.stiffness[5]]
+    frame = turn(command[2])
+    command[:2] -= frame @ ((frame.T @ force) / bench.stiffness[:2])
     mujoco.mj_resetData(bench.model, bench.data)
     bench.command(command)
     # The hand's joints turn with the carrier.

@@ -15,9 +15,10 @@ from controllers.insertion.contact import (
 )
 from controllers.insertion.contact_states import WrenchNoise, classify
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
-from experiments.ch5.contact_bench import Bench, press, shape_of
+from experiments.ch5.contact_bench import Bench, HandAsMade, press, shape_of
 from models.datasheets import CARD_AND_SLOT, DEGREE, FORCE_TORQUE, HAND, INCH
 from perception.geometry.arrays import FloatArray
+from twin.realism import RealismName, realism_of
 
 NOISES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.10)
 """Sensor noise of figure A-7, fraction of the force."""
@@ -42,6 +43,9 @@ STAND_OFF = 0.015
 """Distance of the leading edge before the mouth at the start [m]."""
 LIMIT = 50.0
 """Longest insertion [s]."""
+TARE = 0.5
+"""Time over which the zero of a sensor that is off is taken, before the slot [s]."""
+_HAND = 21  # Stream of random numbers of the hand.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +58,7 @@ class StateJob:
         seed: Seed of poses, loads and noise.
         poses: Number of different poses.
         samples: Number of noisy wrenches at each pose.
+        realism: How far the hand and its sensor are from their drawings.
     """
 
     state: int
@@ -61,6 +66,7 @@ class StateJob:
     seed: int
     poses: int = 10
     samples: int = 3
+    realism: RealismName = "ideal"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,6 +79,7 @@ class InsertionJob:
         guided: Whether force guides the insertion; if not it goes straight ahead.
         seed: Seed of misalignment and noise, the same for both methods of insertion.
         trace: Whether the result holds the course.
+        realism: How far the hand and its sensor are from their drawings.
     """
 
     width: float
@@ -80,6 +87,7 @@ class InsertionJob:
     guided: bool
     seed: int
     trace: bool = False
+    realism: RealismName = "ideal"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,7 +145,7 @@ def run_states(job: StateJob) -> StatesResult:
     Truth is what touches in MuJoCo; poses where other features came to touch are drawn again.
     """
     rng = np.random.default_rng([job.seed, job.state, round(job.width * 1e6)])
-    bench, shape = Bench(job.width), shape_of(job.width)
+    bench, shape = _bench(job), shape_of(job.width)
     named, right = np.zeros(6, dtype=int), np.zeros(len(LEVELS))
     located: list[list[float]] = [[] for _ in NOISES]
     drawn, off = 0, 0.0
@@ -149,7 +157,7 @@ def run_states(job: StateJob) -> StatesResult:
             press(bench, pose, _draw_load(shape, pose, job.state, side, rng))
             if bench.true_state() == (job.state, side):
                 break
-        true, load = bench.pose, bench.sensed
+        true, load = bench.pose, bench.sensed - bench.zero
         off = max(off, float(np.linalg.norm(true[:2] - pose[:2])))
         for _ in range(job.samples):
             named[_named(shape, load, true, (NOISE, POSE_SIGMA), rng) - 1] += 1
@@ -211,14 +219,33 @@ def _named(
     return classify(shape, _felt(load, sensor, rng), sensor, believed, np.diag(sigmas**2)).state
 
 
+def _bench(job: StateJob | InsertionJob) -> Bench:
+    """Return the bench of a job, whose hand does not depend on what is done with it."""
+    hand = np.random.default_rng([job.seed, _HAND])
+    return Bench(job.width, HandAsMade.drawn_from(job.realism, hand))
+
+
+def guide_config(realism: RealismName) -> GuideConfig:
+    """Return the settings of both ways to insert.
+
+    Args:
+        realism: How far hand and sensor are from their drawings.
+    """
+    sheet = CARD_AND_SLOT
+    drawn = GuideConfig(sheet.card_width, sheet.friction, HAND.stiffness)
+    if realism_of(realism).sensor_errors is None:
+        return drawn
+    return dataclasses.replace(drawn, tare=TARE)
+
+
 def run_insertion(job: InsertionJob) -> InsertionResult:
     """Insert the card once from a drawn misalignment."""
     rng = np.random.default_rng([job.seed, job.ring, round(job.width * 1e6)])
     low, high = (job.ring - 1) / len(RINGS), job.ring / len(RINGS)
     sizes = rng.uniform(low, high, 2) * rng.choice([-1.0, 1.0], 2)
     wrong = np.array([sizes[0] * OFFSET, 0.0, sizes[1] * TILT])
-    bench, sheet = Bench(job.width), CARD_AND_SLOT
-    config = GuideConfig(sheet.card_width, sheet.friction, HAND.stiffness)
+    bench = _bench(job)
+    config = guide_config(job.realism)
     start = np.array([0.0, -STAND_OFF, 0.0])
     guide = (InsertionGuide if job.guided else StraightInsertion)(config, start)
     sensor = WrenchNoise(NOISE, FORCE_TORQUE.force_noise, FORCE_TORQUE.torque_noise)

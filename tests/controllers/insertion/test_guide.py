@@ -240,3 +240,27 @@ def test_numbers_that_could_not_be_meant_are_refused(field, value):
 def test_a_start_that_is_no_pose_is_refused():
     with pytest.raises(ValueError, match="start"):
         InsertionGuide(CONFIG, np.array([0.0, np.nan, 0.0]))
+
+
+def test_tare_holds_the_card_and_takes_off_a_zero_beyond_the_deadband():
+    """With it the card goes as straight as an exact sensor lets it; without it it is led aside."""
+    zero = np.array([0.5, -0.4, 0.03])
+    tared = InsertionGuide(dataclasses.replace(CONFIG, tare=0.5), START)
+    for _ in range(50):
+        np.testing.assert_array_equal(tared.step(zero), START)
+    plain = InsertionGuide(CONFIG, START)
+    for _ in range(400):
+        tared.step(zero)
+        plain.step(zero)
+    np.testing.assert_allclose(tared.command[[0, 2]], 0.0, atol=1e-12)
+    assert tared.command[1] > START[1] + 0.03
+    assert abs(plain.command[0]) > 1e-3
+
+
+def test_tare_uses_the_wrenches_that_came():
+    guide = InsertionGuide(dataclasses.replace(CONFIG, tare=0.1), START)
+    for step in range(10):
+        guide.step(None if step < 8 else np.array([1.0, 0.0, 0.0]))
+    assert guide.phase is Phase.APPROACH
+    moved = held(guide, np.array([1.0, 0.0, 0.0]), 20)
+    np.testing.assert_allclose(moved[[0, 2]], 0.0, atol=1e-12)

@@ -9,10 +9,11 @@ import pytest
 
 from controllers.insertion.contact import STATES, contacts_of, pose_in_state, wrench_cone
 from experiments.ch5 import contact as ch5_contact
-from experiments.ch5.contact_bench import Bench, press, shape_of
+from experiments.ch5.contact_bench import Bench, HandAsMade, press, shape_of
 from experiments.ch5.contact_trial import InsertionJob, StateJob, run_insertion, run_states
 from experiments.harness.output import Output
 from models.datasheets import CARD_AND_SLOT
+from twin.sensors import ChannelSpec
 
 MEDIUM, HARD = CARD_AND_SLOT.slot_widths[1:]
 TILTS = {4: 0.38, 5: 0.22}
@@ -38,6 +39,51 @@ def test_a_card_that_touches_nothing_is_in_no_state():
     bench.step(0.05)
     assert bench.true_state() == (0, 0)
     np.testing.assert_allclose(bench.sensed, 0.0, atol=1e-6)
+
+
+def test_hand_as_made_gives_by_its_own_springs_and_shows_its_sensors_errors():
+    errors = ChannelSpec(
+        bias=(0.4, -0.3, 0.5, 0.01, 0.02, -0.02),
+        scale=(1.01, 0.99, 1.0, 1.0, 1.0, 1.02),
+        cross=tuple(tuple(row) for row in np.full((6, 6), 0.01) - 0.01 * np.eye(6)),
+        drift=(0.2, 0.0, 0.0, 0.0, 0.0, 0.0),
+        warm_up=0.5,
+    )
+    hand = HandAsMade(np.array([1.2, 0.8, 1.0, 1.0, 1.0, 0.9]), np.ones(6), errors)
+    shape, bench = shape_of(MEDIUM), Bench(MEDIUM, hand)
+    drawn = Bench(MEDIUM)
+    np.testing.assert_allclose(bench.stiffness, drawn.stiffness * hand.springs)
+    pose = pose_in_state(shape, 2, 1, 0.08, 0.008)
+    contacts = contacts_of(shape, pose, 2, 1)
+    wanted = wrench_cone(contacts, shape.friction) @ np.ones(2)
+    press(bench, pose, wanted)
+    assert bench.true_state() == (2, 1)
+    np.testing.assert_allclose(bench.pose[:2], pose[:2], atol=1e-4)
+    fx, fy, moment = bench.contact_wrench()
+    # Zero and what has drifted after a quarter of a second, half the time to be warm.
+    warm = 0.2 * (1.0 - np.exp(-bench.data.time / 0.5))
+    np.testing.assert_allclose(bench.zero, [0.4 + warm, -0.3, -0.02])
+    shown = [
+        1.01 * fx + 0.01 * (fy + moment),
+        0.99 * fy + 0.01 * (fx + moment),
+        1.02 * moment + 0.01 * (fx + fy),
+    ]
+    np.testing.assert_allclose(bench.sensed - bench.zero, shown, atol=2e-4)
+
+
+def test_hands_are_made_within_the_tolerances_and_not_at_all_as_drawn():
+    assert HandAsMade.drawn_from("ideal", np.random.default_rng(0)) is None
+    hand = HandAsMade.drawn_from("default", np.random.default_rng(0))
+    other = HandAsMade.drawn_from("default", np.random.default_rng(1))
+    assert hand is not None and other is not None
+    assert np.all(np.abs(hand.springs - 1.0) <= 0.3) and np.ptp(hand.springs) > 0.0
+    assert not np.array_equal(hand.springs, other.springs)
+    assert np.max(np.abs(hand.sensor.bias)) <= 1.0
+
+
+def test_sensor_that_is_off_is_tared_before_it_guides():
+    result = run_insertion(InsertionJob(HARD, 3, True, 7, realism="default"))
+    assert result.success and result.peak < 5.0
 
 
 def test_states_of_one_job_are_counted():
