@@ -11,7 +11,6 @@ from controllers.insertion import marker_guide
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
 from controllers.insertion.watching import best_angles
 from experiments.ch5.insertion_scene import MASTER, SLAVE, best_station
-from perception.geometry.pinhole import StereoCalibration
 from tests.controllers.insertion.scenes import (
     ARM,
     DRAWING,
@@ -324,25 +323,31 @@ def test_images_of_markers_move_less_than_the_allowed_blur_while_the_camera_move
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.3])
-def test_error_of_the_heads_mounting_enters_by_as_much_as_the_camera_has_moved(eyes, turned):
-    """Against drawn mountings: of a camera that stays, nothing is left of it."""
+def test_errors_of_arm_and_head_enter_by_as_much_as_the_camera_has_moved(eyes, turned):
+    """Against drawn mountings and zeros: of a camera that stays, nothing is left of them."""
     eyes.place((0.0, 0.0))
-    calibration = StereoCalibration(head_turn=3e-3, head_shift=1e-3)
+    deviations = np.repeat([3e-3, 1e-3, 4e-3], [3, 3, 4])
+    arm = dataclasses.replace(
+        ARM,
+        joints=tuple(dataclasses.replace(joint, zero_sigma=4e-3) for joint in ARM.joints),
+        mount_covariance=np.diag(np.square(deviations[:6])),
+    )
     made = guide_of_prior(eyes, np.zeros((6, 6)))
     config = dataclasses.replace(made.config, wander=(0.0, 0.0))
-    geometry = dataclasses.replace(EYES, calibration=calibration)
     slot = made.transform_slot_to_robot
-    guide = MarkerGuide(config, ARM, geometry, (slot, PRIOR), slot, eyes.angles)
+    guide = MarkerGuide(config, arm, EYES, (slot, PRIOR), slot, eyes.angles)
     guide.step(eyes.observe())
     guide.slot_covariance = np.zeros((6, 6))
-    before = ARM.tool_in_robot(eyes.angles)
-    camera = ARM.tool_in_robot(eyes.angles + turned * np.array([1.0, 0.5, -0.5, 0.0]))
-    _, stated, _ = guide._slot_before(camera)
+    angles = eyes.angles + turned * np.array([1.0, 0.5, -0.5, 0.0])
+    before, camera = ARM.tool_in_robot(eyes.angles), ARM.tool_in_robot(angles)
+    _, stated, _ = guide._slot_before(angles)
     seen = before.inv() * guide.transform_slot_to_robot
     rng, drawn = np.random.default_rng(3), []
     for _ in range(4000 if turned else 10):
-        mount = RigidTransform.from_exp_coords(rng.standard_normal(6) * np.repeat([3e-3, 1e-3], 3))
-        true = (camera * mount).inv() * (before * mount) * seen
+        *mounting, yaw, shoulder, elbow, wrist = rng.standard_normal(10) * deviations
+        mount, zeros = RigidTransform.from_exp_coords(mounting), [yaw, shoulder, elbow, wrist]
+        now, then = (ARM.tool_in_robot(at + zeros) * mount for at in (angles, eyes.angles))
+        true = now.inv() * then * seen
         drawn.append((true * (camera.inv() * before * seen).inv()).as_exp_coords())
     drawn = np.array(drawn)
     if not turned:
