@@ -25,18 +25,18 @@ class ArmDeviations:
     """Standard deviations of what is unknown of an arm and its sensors.
 
     Attributes:
-        mass: Of each body's mass, whose inertia goes with it, as a share.
-        centre: Of each coordinate of a body's centre of gravity [m].
-        length: Of each coordinate of a joint's place in its parent's frame [m].
-        encoder: Of a joint's zero [rad].
-        play: Of half the play of a joint's gear, about `usual_play` [rad].
-        usual_play: Usual half of that play [rad].
-        tilt: Of pitch and of roll, as the inclinometer reads them [rad].
-        zero: (6,) of the wrench sensor's zero [N, N m].
-        drift: (6,) of the change of that zero until the sensor is warm [N, N m].
-        warm_up: Time constant of that change [s].
-        matrix: (6, 6) of the wrench sensor's scales, on the diagonal, and of how much of each
-            component (column) shows in another (row), [unit over unit].
+        mass: Deviation of each body's mass, as a share of it; its inertia goes with it.
+        centre: Deviation of a body's centre of gravity along each axis [m].
+        length: Deviation of a joint's place in its parent's frame along each axis [m].
+        encoder: Deviation of a joint encoder's zero [rad].
+        play: Deviation of half the play of a joint's gear from `usual_play` [rad].
+        usual_play: Mean of half the play of a joint's gear [rad].
+        tilt: Deviation of the inclinometer's zero, of pitch and of roll [rad].
+        zero: (6,) deviations of the wrench sensor's zero [N, N m].
+        drift: (6,) deviations of the wrench sensor's drift until it is warm [N, N m].
+        warm_up: Time constant of the wrench sensor's drift [s].
+        matrix: (6, 6) deviations of the wrench sensor's scales, on the diagonal, and of the share
+            of each component (column) that shows in another (row), in their units.
     """
 
     mass: float
@@ -52,6 +52,9 @@ class ArmDeviations:
     matrix: FloatArray
 
 
+_SENSOR = (6, 8)
+"""Unknowns of the wrench sensor: each component's zero, drift, and shares of all six."""
+_SENSOR_COUNT = 6 * 8
 _LEANING = 0.02
 """Torque at which a gear leans to one side of its play for the greater part [N m]: around zero, how
 far is chance."""
@@ -112,7 +115,7 @@ class ArmAsMade:
     @classmethod
     def drawn(cls, arm: SerialChain, deviations: ArmDeviations) -> "ArmAsMade":
         """Return an arm that is its drawing."""
-        return cls(arm, deviations, np.zeros(_SENSOR.size + 2 + 9 * len(arm) + 4))
+        return cls(arm, deviations, np.zeros(_SENSOR_COUNT + 2 + 9 * len(arm) + 4))
 
     @property
     def bodies(self) -> SerialChain:
@@ -163,14 +166,10 @@ class ArmAsMade:
 
     def _sensor(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (6, 6) shares of the components, and (n, 6) offsets at some times."""
-        of, own = self.deviations, self.unknowns[-_SENSOR.size :].reshape(_SENSOR.shape)
+        of, own = self.deviations, self.unknowns[-_SENSOR_COUNT:].reshape(_SENSOR)
         ramp = -np.expm1(-times / of.warm_up)
         offsets = of.zero * own[:, 0] + ramp[:, None] * (of.drift * own[:, 1])
         return np.eye(6) + of.matrix * own[:, 2:], offsets
-
-
-_SENSOR = np.zeros((6, 8))
-"""Unknowns of the wrench sensor: each component's zero, drift, and shares of all six."""
 
 
 def deviation_columns(
@@ -194,7 +193,7 @@ def deviation_columns(
         wrench = level
         if index < bodies:
             wrench = _wrench(moved, loaded(made.bodies, payload))
-        elif index < len(unit) - _SENSOR.size:
+        elif index < len(unit) - _SENSOR_COUNT:
             wrench = _wrench(made.motion(record, payload), loaded(arm, payload))
         columns.append(made.sensed(wrench, record.times) - level)
     return np.stack(columns, axis=-1)

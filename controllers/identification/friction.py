@@ -56,8 +56,8 @@ from perception.geometry.arrays import BoolArray, FloatArray
 from twin.description import RigidBody, RobotDescription
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
-SWEEP_PEAK = 0.6495
-"""Largest sin(x) sin(x / 2)^2, as of the slow turn."""
+_SWEEP_PEAK = 0.6495
+"""Largest sin(x) sin(x / 2)^2, of the slow turn: 3 sqrt(3) / 8, at 2 pi / 3."""
 
 
 def normal_forces(force: FloatArray, moment: FloatArray, wheels: FloatArray) -> FloatArray:
@@ -320,7 +320,7 @@ class FrictionProbe:
         if time < jerks.approach + jerks.sweep:
             # It begins and ends in the middle and at rest.
             phase = 2.0 * np.pi * (time - jerks.approach) / jerks.sweep
-            posture[0] += jerks.reach * np.sin(phase) * np.sin(phase / 2.0) ** 2 / SWEEP_PEAK
+            posture[0] += jerks.reach * np.sin(phase) * np.sin(phase / 2.0) ** 2 / _SWEEP_PEAK
             return posture, rates
         if abs(self._rate) > jerks.rates[1]:
             posture[0] = np.clip(angles[0], -jerks.reach, jerks.reach)

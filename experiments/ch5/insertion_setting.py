@@ -170,6 +170,7 @@ def prepare(trial: InsertionTrial) -> Setting:
     x, y, heading = np.array(station.place) + away
     scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field)
     model = compile_insertion(scene, trial.realism, trial.seed)
+    # Where the card is the master is told by the slave, as well as that knows where it stands.
     slot_error, card_error, slave_error = prior_rng.normal(size=(3, 6))
     known_to_master, known_to_slave = arrival.slot
 
