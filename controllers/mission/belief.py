@@ -18,8 +18,9 @@ from perception.geometry.se3 import composed_covariance, transport_covariance
 from twin.description import RobotDescription
 from twin.robot import Observation, RobotError
 
-ROLLING = TurnShare(1.0, 0.3)
-"""Turn share that nobody has identified. Assumption: wheels keep all to half of a turn."""
+_SLIDING = 0.12
+"""Standard deviation of a turn share as drawn. Assumption: loads that differ, rocks and rolling
+friction move it by a quarter."""
 _UNLIKE = 0.025
 """Standard deviation of two robots' difference: 12 as made scattered by 0.0175 on flat ground."""
 
@@ -34,12 +35,12 @@ class MissionBelief:
         transform_slot_to_level: Transform from the slot to the robot frame; the master's is level.
         slot_covariance: (6, 6) covariance of the slot's pose, as a twist in the robot frame.
         partner: Pose of the slot in the other robot's frame.
+        turn_share: Actual turn of the skidding rover over that of rolling wheels; until identified
+            as drawn (`drawn_turn_share`).
         pitch: Identified pitch dynamics on the springs; None before the identification, and where
             it failed.
         identification: Latest identification of the pitch dynamics, used or not; None before it.
         doubts: Why the latest identification is not used, in words; none if it is.
-        turn_share: Actual turn of the skidding rover over that of rolling wheels; until identified
-            1, and as uncertain as wheels that may scrub.
         map: Map of the site; None without one.
         localization: Localization of the robot on the map, once it has found the panel.
     """
@@ -49,10 +50,10 @@ class MissionBelief:
     transform_slot_to_level: RigidTransform
     slot_covariance: FloatArray
     partner: SlotPose
+    turn_share: TurnShare
     pitch: PitchEstimate | None = None
     identification: PitchEstimate | None = None
     doubts: tuple[str, ...] = ()
-    turn_share: TurnShare = ROLLING
     map: SharedMap | None = None
     localization: RobotLocalization | None = None
 
@@ -69,7 +70,7 @@ class MissionBelief:
         """
         slot = site.initial_slot(robot.name, robot.centre_height)
         other = site.initial_slot(partner.name, partner.centre_height)
-        return cls(robot, site, *slot, SlotPose(*other))
+        return cls(robot, site, *slot, SlotPose(*other), drawn_turn_share(robot))
 
     @property
     def home(self) -> FloatArray:
@@ -158,6 +159,19 @@ class MissionBelief:
         share = exchange.read(partner, TurnShare)
         if share is not None:
             self.turn_share = TurnShare(share.share, math.hypot(share.deviation, _UNLIKE))
+
+
+def drawn_turn_share(robot: RobotDescription) -> TurnShare:
+    """Return the turn share of a rover whose four tyres carry and grip alike.
+
+    Turning at w, each slides by v - w t along and w l across, at half the track t and the wheelbase
+    l: their moments t (v - w t) - l (w l) vanish at w t / v = t^2 / (t^2 + l^2), on any ground.
+
+    Args:
+        robot: Description of the robot.
+    """
+    track, base = robot.half_track**2, robot.half_wheelbase**2
+    return TurnShare(track / (track + base), _SLIDING)
 
 
 def tilt_of(seen: Observation, robot: str) -> FloatArray:

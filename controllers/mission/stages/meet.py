@@ -28,7 +28,7 @@ from twin.robot import Command, Observation
 PERIOD = 0.01
 """Servo tick [s]."""
 _VIEWS = 3  # Views of the slave at rest that are averaged.
-_TURN = 0.5  # Turn of the slave to and fro for rolling wheels [rad].
+_TURN = 0.35  # Turn of the slave to and fro, by the turn share as drawn [rad].
 _AROUND = ((0.0, -0.25), (0.0, 0.25), (0.25, 0.0), (-0.25, 0.0))
 """Turns of yaw and wrist from the card's expected direction, in the order of the search [rad]."""
 _SPOT = 3.0  # Time for one direction of the search, with the motion there [s].
@@ -211,7 +211,9 @@ class TurnInView:
             self._drive = DriveToPose(self._belief.steer(), [0.0, 0.0, self._turns.pop(0)])
             return
         if len(self._yaws) > 1:
-            self._belief.turn_share = turn_share(*np.transpose(self._yaws))
+            yaws, variances, rolled = np.transpose(self._yaws)
+            drawn = self._belief.turn_share
+            self._belief.turn_share = turn_share(yaws, variances, rolled, drawn)
             self._exchange.post(self._name, self._belief.turn_share)
         self._end()
 
@@ -224,23 +226,30 @@ class TurnInView:
         self.done = True
 
 
-def turn_share(yaws: FloatArray, variances: FloatArray, rolled: FloatArray) -> TurnShare:
+def turn_share(
+    yaws: FloatArray, variances: FloatArray, rolled: FloatArray, drawn: TurnShare
+) -> TurnShare:
     """Return the share of rolling wheels' turns that a robot kept in turns to and fro.
 
     Args:
         yaws: (N,) measured yaw before, between and after the turns [rad].
         variances: (N,) variance of each.
         rolled: (N,) yaw of rolling wheels at the same times [rad].
+        drawn: The share before.
 
     Returns:
-        The share; its deviation is that of a turn to come, in which measurement and skidding may
-        err as in these.
+        The mean of what was measured and `drawn`, by their variances; its deviation is that of a
+        turn to come, which may differ as these do.
     """
-    turns, rolls = np.diff(yaws), np.abs(np.diff(rolled))
-    share = float(np.abs(turns).sum() / rolls.sum())
+    turns, rolls = np.diff(yaws), np.diff(rolled)
+    signs = np.sign(rolls)
+    shares, rolls = turns / rolls, np.abs(rolls)
+    found = float(signs @ turns / rolls.sum())
     # A yaw between two turns to opposite sides counts twice.
-    signs = np.concatenate([[0.0], np.sign(turns), [0.0]])
-    measured = np.square(signs[:-1] - signs[1:]) @ variances / rolls.sum() ** 2
-    shares = np.abs(turns) / rolls
+    ends = np.concatenate([[0.0], signs, [0.0]])
+    measured = float(np.square(ends[:-1] - ends[1:]) @ variances) / rolls.sum() ** 2
     scatter = float(np.var(shares, ddof=1)) if len(shares) > 1 else 0.0
-    return TurnShare(share, math.sqrt(measured + scatter * (1.0 + 1.0 / len(shares))))
+    variance = measured + scatter / len(shares)
+    weight = drawn.deviation**2 / (drawn.deviation**2 + variance)
+    share = drawn.share + weight * (found - drawn.share)
+    return TurnShare(share, math.sqrt(weight * variance + scatter))

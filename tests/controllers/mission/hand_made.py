@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.guidance import Guidance, GuidanceLink
-from controllers.mission.belief import MissionBelief
+from controllers.mission.belief import MissionBelief, drawn_turn_share
 from controllers.mission.exchange import Exchange
 from controllers.mission.site import SiteDrawing
 from experiments.ch5.insertion_scene import insertion_drawing
@@ -26,6 +26,8 @@ TICK = 0.01
 """Servo tick [s]."""
 TILT = np.array([0.03, -0.02])
 """Pitch and roll that each rover measures [rad]."""
+SHARE = drawn_turn_share(ROVERS[SLAVE]).share
+"""Turn of either rover as drawn, over that of rolling wheels."""
 HOME = typing.cast(typing.Any, ROVERS[SLAVE].arm).home
 
 
@@ -115,7 +117,7 @@ class KinematicRover:
     """
 
     def __init__(
-        self, name: str, angles: np.ndarray = HOME, left: float = 1.0, right: float = 1.0
+        self, name: str, angles: np.ndarray = HOME, left: float = SHARE, right: float = SHARE
     ) -> None:
         self._robot, self._share = ROVERS[name], (right, left)
         self.pose = RigidTransform.identity()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.camera_station import CameraStation, camera_arm, stereo_geometry
 from controllers.mapping.localization import RobotLocalization, level_target, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
-from controllers.mission.belief import ROLLING, MissionBelief, tilt_of
+from controllers.mission.belief import MissionBelief, drawn_turn_share, tilt_of
 from controllers.mission.exchange import Exchange, SlotPose, TurnShare
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import SiteDrawing
@@ -221,7 +221,10 @@ def test_robot_adopts_the_estimates_of_its_partner(site: SiteDrawing) -> None:
     belief, exchange = master_of(site), Exchange({})
     drawn = belief.partner.transform_slot_to_robot
     belief.receive(exchange, SLAVE)
-    assert belief.partner.transform_slot_to_robot is drawn and belief.turn_share == ROLLING
+    assert (
+        belief.partner.transform_slot_to_robot is drawn
+        and belief.turn_share == drawn_turn_share(belief.robot)
+    )
     pose = SlotPose(RigidTransform.from_translation([0.1, 0.9, 0.2]), np.eye(6), met=True)
     exchange.post(SLAVE, pose)
     exchange.post(SLAVE, TurnShare(0.7, 0.04))

@@ -11,7 +11,7 @@ from controllers.insertion.card_arm import CardArm
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.marker_guide import MarkerGuide
 from controllers.mapping.localization import tilt_to_level
-from controllers.mission.belief import ROLLING
+from controllers.mission.belief import drawn_turn_share
 from controllers.mission.exchange import CardMet, SlotPose, TurnShare
 from controllers.mission.stages.meet import FindCard, GuidedSlave, TurnInView, turn_share
 from perception.geometry.se3 import transport_covariance
@@ -19,6 +19,7 @@ from tests.controllers.mission.hand_made import (
     HOME,
     MASTER,
     ROVERS,
+    SHARE,
     SITE,
     SLAVE,
     TILT,
@@ -45,7 +46,7 @@ class Meeting:
         right: Turn to the right over that of rolling wheels.
     """
 
-    def __init__(self, turns: bool = True, left: float = 1.0, right: float = 1.0) -> None:
+    def __init__(self, turns: bool = True, left: float = SHARE, right: float = SHARE) -> None:
         self.belief = belief_of(SLAVE)
         self.slot = self.belief.transform_slot_to_level
         self.exchange, links = exchange_with(SLAVE)
@@ -71,7 +72,7 @@ class Meeting:
         assert not self.rover.drives
 
 
-def test_slave_turns_half_a_radian_left_and_back_and_learns_the_share_of_both_turns() -> None:
+def test_slave_turns_left_and_back_and_learns_the_share_of_both_turns() -> None:
     meeting = Meeting(left=0.6, right=0.8)
     rolled, drives = [0.0], []
     while not meeting.stage.done and meeting.rover.seen.time < 60.0:
@@ -83,17 +84,21 @@ def test_slave_turns_half_a_radian_left_and_back_and_learns_the_share_of_both_tu
     assert meeting.stage.done
     left, right = np.abs(np.diff(rolled))
     assert len(rolled) == 3
-    np.testing.assert_allclose(rolled[1:], [0.49, 0.0], atol=0.02)
-    share = (0.6 * left + 0.8 * right) / (left + right)
+    drawn = drawn_turn_share(ROVERS[SLAVE])
+    np.testing.assert_allclose(np.array(rolled[1:]) * drawn.share, [0.35, 0.0], atol=0.02)
+    # The views are exact; the variance of one turn is 0.2^2 / 2.
+    share, scatter = (0.6 * left + 0.8 * right) / (left + right), 0.2**2 / 2.0
+    information = np.array([2.0 / scatter, drawn.deviation**-2])
     posted = meeting.exchange.read(SLAVE, TurnShare)
     assert posted is not None and posted == meeting.belief.turn_share
-    assert posted.share == pytest.approx(share, abs=1e-9)
-    # Of two turns, and a third to come: sqrt(0.2^2 / 2 * 3 / 2); the views are exact.
-    assert posted.deviation == pytest.approx(0.2 * math.sqrt(0.75), rel=1e-4)
+    mean = information @ [share, drawn.share] / information.sum()
+    assert posted.share == pytest.approx(mean, abs=1e-4)
+    deviation = math.sqrt(1.0 / information.sum() + scatter)
+    assert posted.deviation == pytest.approx(deviation, rel=1e-4)
 
 
 def test_slot_is_where_the_turn_leaves_it_though_the_share_is_not_known_yet() -> None:
-    meeting = Meeting(left=0.7, right=0.7)
+    meeting = Meeting(left=SHARE - 0.1, right=SHARE - 0.1)
     while not meeting.rover.drives:
         meeting.run(meeting.rover.seen.time + 0.01, every=7)
     while meeting.rover.drives:
@@ -101,26 +106,58 @@ def test_slot_is_where_the_turn_leaves_it_though_the_share_is_not_known_yet() ->
     belief = meeting.belief
     true = meeting.rover.pose.inv() * meeting.slot
     error = (true * belief.transform_slot_to_level.inv()).as_exp_coords()
-    # Rolling wheels turn half a radian, these 0.35; the share is 1 within 0.3.
-    assert error[2] == pytest.approx(0.15, abs=0.01)
+    assert error[2] == pytest.approx(0.1 * meeting.rover.rolled, abs=0.005)
+    assert error[2] > 0.05
     assert error @ np.linalg.solve(belief.slot_covariance, error) < 1.5
 
 
-def test_share_of_turns_errs_by_its_deviation() -> None:
-    """Measured turns and skidding as they may be, again and again."""
+@pytest.mark.parametrize("sliding", [0.06, 10.0])
+def test_share_of_turns_errs_by_its_deviation(sliding: float) -> None:
+    """Measured turns and skidding as they may be, again and again, of robots unlike as drawn."""
     rng, rolled = np.random.default_rng(0), np.array([0.0, 0.5, 0.0])
     variances, scatter, squares = np.square([0.02, 0.03, 0.01]), 0.05, []
     for _ in range(4000):
         shares = 0.65 + scatter * rng.normal(size=3)
         yaws = np.concatenate([[0.0], np.cumsum(shares[:2] * np.diff(rolled))])
-        found = turn_share(yaws + np.sqrt(variances) * rng.normal(size=3), variances, rolled)
+        drawn = TurnShare(0.65 + sliding * rng.normal(), sliding)
+        yaws += np.sqrt(variances) * rng.normal(size=3)
+        found = turn_share(yaws, variances, rolled, drawn)
         squares.append([(found.share - shares[2]) ** 2, found.deviation**2])
     off, expected = np.mean(squares, axis=0)
     before, between, after = variances
-    true = 1.5 * scatter**2 + before + 4.0 * between + after
-    assert off == pytest.approx(true, rel=0.06)
-    # What the first and the last yaw add to the scatter of two turns is counted once more.
-    assert expected == pytest.approx(true + 3.0 * (before + after), rel=0.06)
+    measured = before + 4.0 * between + after
+    true = 1.5 * scatter**2 + measured
+    if sliding > 1.0:
+        assert off == pytest.approx(true, rel=0.06)
+        # What the first and the last yaw add to the scatter of two turns is counted once more.
+        assert expected == pytest.approx(true + 3.0 * (before + after), rel=0.06)
+    else:
+        # Ideally sliding^2 and the mean turn's variance, each by its information, and the scatter.
+        mean = 1.0 / (sliding**-2 + 1.0 / (measured + scatter**2 / 2.0))
+        assert off == pytest.approx(mean + scatter**2, rel=0.1)
+        assert off < expected < 1.6 * off
+
+
+def test_turn_that_seems_to_go_the_wrong_way_lowers_the_share() -> None:
+    rolled, variances = np.array([0.0, 0.5, 0.0]), np.full(3, 1e-8)
+    found = turn_share(np.array([0.0, -0.1, -0.3]), variances, rolled, TurnShare(0.5, 1e6))
+    # Of turns by -0.1 and -0.2: the shares are -0.2 and 0.4.
+    assert found.share == pytest.approx(0.1, abs=1e-9)
+
+
+def test_four_like_tyres_turn_by_the_share_as_drawn() -> None:
+    """Brute force: the rate at which the friction of tyres that slide has no moment."""
+    robot = ROVERS[SLAVE]
+    track, base = robot.half_track, robot.half_wheelbase
+    corners = np.array([[x, y] for x in (-track, track) for y in (-base, base)])
+    rates = np.linspace(0.2, 0.8, 60001)
+    # The wheels roll as for a turn of 1 rad/s: left backward, right forward.
+    rolls = np.column_stack([np.zeros(4), np.sign(corners[:, 0]) * track])
+    across = np.column_stack([-corners[:, 1], corners[:, 0]])
+    slides = rates[:, None, None] * across - rolls
+    pulls = -slides / np.linalg.norm(slides, axis=2, keepdims=True)
+    moments = (corners[:, 0] * pulls[..., 1] - corners[:, 1] * pulls[..., 0]).sum(axis=1)
+    assert drawn_turn_share(robot).share == pytest.approx(rates[np.abs(moments).argmin()], abs=1e-4)
 
 
 def test_slave_does_not_turn_before_three_views_have_met_the_card() -> None:
@@ -189,7 +226,7 @@ def test_slave_that_does_not_turn_posts_the_measured_pose_in_its_frame() -> None
         np.testing.assert_allclose(found, transport_covariance(CARD, sigmas), atol=1e-15)
     np.testing.assert_array_equal(posted.tilt, TILT)
     assert meeting.exchange.read(SLAVE, TurnShare) is None
-    assert meeting.belief.turn_share == ROLLING
+    assert meeting.belief.turn_share == drawn_turn_share(ROVERS[SLAVE])
 
 
 @pytest.mark.parametrize("axis", range(6))
