@@ -1,8 +1,8 @@
 """Skid steering: wheel speeds for a motion, and the motion that follows from wheel speeds.
 
 Wheels fixed to the body scrub sideways when it turns, so it turns by a share of what
-rolling wheels would make of their speeds. The share depends on ground and load: it is identified by
-a drive (`identify_turn_share`), not known.
+rolling wheels would make of their speeds. The share depends on load and ground: track and wheelbase
+tell it roughly, a drive (`identify_turn_share`) well.
 """
 
 import dataclasses
@@ -204,15 +204,15 @@ class TurnShareDrive:
         wheels = self._steer.wheel_speeds(_SPEED, _TURN if left else -_TURN)
         return {self._robot: Command(wheels, self._held, WheelMode.SPEED, ArmMode.POSITION)}
 
-    def finish(self) -> tuple[float, float]:
+    def finish(self) -> float:
         """Return `identify_turn_share` of the drive."""
         return identify_turn_share(self._steer, self._speeds, self._headings, self._period)
 
 
 def identify_turn_share(
     steer: SkidSteer, speeds: ArrayLike, headings: ArrayLike, period: float
-) -> tuple[float, float]:
-    """Return the share of rolling wheels' turn that a drive kept, and its deviation.
+) -> float:
+    """Return the share of rolling wheels' turn that a drive kept.
 
     Args:
         steer: The wheels; its own share plays no part.
@@ -221,7 +221,7 @@ def identify_turn_share(
         period: Sampling period [s].
 
     Returns:
-        The share and its standard deviation, by least squares of heading against rolled turn.
+        The share, by least squares of heading against rolled turn.
 
     Raises:
         ValueError: If the lengths differ or the drive hardly turned.
@@ -235,7 +235,4 @@ def identify_turn_share(
     basis = np.column_stack([rolled, np.ones(len(rolled))])
     if np.ptp(rolled) < math.radians(5.0):
         raise ValueError("the drive turned by less than 5 degrees: expected a larger turn")
-    solved, residual, *_ = np.linalg.lstsq(basis, yaw, rcond=None)
-    variance = float(residual[0]) / (len(yaw) - 2) if len(residual) else 0.0
-    share_variance = variance * np.linalg.inv(basis.T @ basis)[0, 0]
-    return float(solved[0]), math.sqrt(share_variance)
+    return float(np.linalg.lstsq(basis, yaw, rcond=None)[0][0])

@@ -27,4 +27,4 @@ def identify_slip(robot: RobotPlacement, seed: int) -> float:
     drive = TurnShareDrive(robot.name, SkidSteer.of(describe_rover(robot.name)), simulation.period)
     run(simulation.robots, [drive], simulation, duration=DRIVE)
     simulation.close()
-    return drive.finish()[0]
+    return drive.finish()

@@ -21,7 +21,7 @@ from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap, VoxelMapConfig
 from twin.camera import StereoConfig
 from twin.connect import Connection, connect
-from twin.describe import camera_in_world, describe
+from twin.describe import camera_in_world, describe_rover
 from twin.description import RobotDescription
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
@@ -262,7 +262,7 @@ def target_cad(scene: StereoScene) -> TargetCad:
 
 def _drawn(scene: StereoScene, name: str, rng: np.random.Generator) -> RobotDescription:
     """Return a robot as drawn, but for a random error of its head's mounting."""
-    drawn = describe(scene.model, name)
+    drawn = describe_rover(name)
     assert drawn.head is not None
     off = RigidTransform.from_exp_coords(np.repeat(MOUNT_ERROR, 3) * rng.standard_normal(6))
     mounted = drawn.head.transform_camera_to_wrist * off

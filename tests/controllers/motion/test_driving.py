@@ -128,12 +128,14 @@ def test_tilt_follows_a_step_as_a_first_order_lag():
     assert odometry.tilt[0] == pytest.approx(0.1 * (1.0 - math.exp(-1.0)), rel=1e-3)
 
 
-def test_share_of_a_synthetic_drive_is_found_within_its_deviation():
+def test_share_of_a_synthetic_drive_is_found_as_well_as_the_headings_tell():
     rng = np.random.default_rng(3)
     turns = 0.2 * np.sign(np.sin(np.arange(600) * PERIOD * 2.0))
     speeds = np.array([STEER.wheel_speeds(0.05, turn) for turn in turns])
     headings = 3.0 + np.cumsum(turns) * PERIOD + 1e-3 * rng.normal(size=600)
-    share, deviation = identify_turn_share(STEER, speeds, headings, PERIOD)
+    share = identify_turn_share(STEER, speeds, headings, PERIOD)
+    rolled = np.cumsum(turns) * PERIOD / STEER.turn_share
+    deviation = 1e-3 / (np.std(rolled) * np.sqrt(600.0))  # of a line's slope
     assert abs(share - STEER.turn_share) < 3.0 * deviation < 0.01
 
 
