@@ -132,6 +132,96 @@ def _hinges(x, y, z, rates):
     return rotation, rate_matrix, bias
 
 
+_UNITS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+class _Turning(NamedTuple):
+    """Base's rotation in the world and its rates, all vectors in the base frame.
+
+    Attributes:
+        rotation: (3, 3) rotation from base to world.
+        axes: (3, 3) axes of the hinges, in columns: omega = axes phi_dot.
+        omega: (3,) angular rate [rad/s].
+        alpha: (3,) angular acceleration [rad/s^2].
+        specific: (3,) acceleration of the base's centre less that of gravity [m/s^2].
+    """
+
+    rotation: tuple[tuple[float, ...], ...]
+    axes: tuple[tuple[float, ...], ...]
+    omega: tuple[float, ...]
+    alpha: tuple[float, ...]
+    specific: tuple[float, ...]
+
+
+@numba.njit(cache=True)
+def _turning(motion):
+    q, v, a = motion
+    rates = (v[3], v[4], v[5])
+    rotation, axes, bias = _hinges(q[3], q[4], q[5], rates)
+    alpha = _add(_times(axes, (a[3], a[4], a[5])), bias)
+    specific = _transposed_times(rotation, (a[0], a[1], a[2] + GRAVITY))
+    return _Turning(rotation, axes, _times(axes, rates), alpha, specific)
+
+
+@numba.njit(cache=True)
+def _base_inertia(p):
+    return ((p[1], p[6], p[4]), (p[6], p[2], p[5]), (p[4], p[5], p[3]))
+
+
+@numba.njit(cache=True)
+def _lever(plant, kin):
+    """Return the arm's centre from the base's centre of gravity (3,) [m]."""
+    return _add((plant.p[7], plant.p[8], plant.p[9]), kin[1])
+
+
+@numba.njit(cache=True)
+def _torque(inertia, omega, alpha):
+    """Return the torque that turns a body about its centre."""
+    return _add(_times(inertia, alpha), _cross(omega, _times(inertia, omega)))
+
+
+@numba.njit(cache=True)
+def _torque_change(inertia, omega, change, alpha_change):
+    """Return how `_torque` changes with these changes of omega and alpha (its differential)."""
+    gyroscopic = _add(
+        _cross(change, _times(inertia, omega)), _cross(omega, _times(inertia, change))
+    )
+    return _add(_times(inertia, alpha_change), gyroscopic)
+
+
+@numba.njit(cache=True)
+def _wrench(plant, kin, turning):
+    """Return force and moment at the mount, and the torque that turns base and arm."""
+    arm_inertia, centre, centre_rate, centre_acceleration, spin, spin_rate = kin
+    _, _, omega, alpha, specific = turning
+    lever, base = _lever(plant, kin), _base_inertia(plant.p)
+    acceleration = _add(specific, _cross(alpha, lever))
+    acceleration = _add(acceleration, _cross(omega, _cross(omega, lever)))
+    acceleration = _add(acceleration, _scale(2.0, _cross(omega, centre_rate)))
+    force = _scale(plant.arm_mass, _add(acceleration, centre_acceleration))
+    total_alpha = _add(_add(alpha, spin_rate), _cross(omega, spin))
+    arm_torque = _torque(arm_inertia, _add(omega, spin), total_alpha)
+    torque = _add(_torque(base, omega, alpha), _add(arm_torque, _cross(lever, force)))
+    return force, _add(arm_torque, _cross(centre, force)), torque
+
+
+@numba.njit(cache=True)
+def _wrench_change(plant, kin, turning, omega, alpha, specific):
+    """Return how `_wrench` changes with these changes of the base's rates (its differential)."""
+    arm_inertia, centre, centre_rate, _, spin, _ = kin
+    lever, base = _lever(plant, kin), _base_inertia(plant.p)
+    acceleration = _add(specific, _cross(alpha, lever))
+    acceleration = _add(acceleration, _cross(omega, _cross(turning.omega, lever)))
+    acceleration = _add(acceleration, _cross(turning.omega, _cross(omega, lever)))
+    acceleration = _add(acceleration, _scale(2.0, _cross(omega, centre_rate)))
+    force = _scale(plant.arm_mass, acceleration)
+    total_alpha = _add(alpha, _cross(omega, spin))
+    arm_torque = _torque_change(arm_inertia, _add(turning.omega, spin), omega, total_alpha)
+    torque = _torque_change(base, turning.omega, omega, alpha)
+    torque = _add(torque, _add(arm_torque, _cross(lever, force)))
+    return force, _add(arm_torque, _cross(centre, force)), torque
+
+
 @numba.njit(cache=True)
 def _residual(plant, kin, motion, out):
     """Fill `out` (6,) with the exact equations of motion; return force and moment at the mount.
@@ -139,30 +229,12 @@ def _residual(plant, kin, motion, out):
     Force rows are in the world frame, moment rows along the hinge axes (Thesis eq. B-2, B-3 with
     the slides outermost). The springs hold all weight at rest.
     """
-    p, arm_mass, rest_wrench = plant
+    p, _, rest_wrench = plant
     q, v, a = motion
-    arm_inertia, centre, centre_rate, centre_acceleration, spin, spin_rate = kin
-    rates = (v[3], v[4], v[5])
-    rotation, rate_matrix, rate_bias = _hinges(q[3], q[4], q[5], rates)
-    omega = _times(rate_matrix, rates)
-    alpha = _add(_times(rate_matrix, (a[3], a[4], a[5])), rate_bias)
-    lever = _add((p[7], p[8], p[9]), centre)
-    specific = (a[0], a[1], a[2] + GRAVITY)
-    acceleration = _add(_transposed_times(rotation, specific), _cross(alpha, lever))
-    acceleration = _add(acceleration, _cross(omega, _cross(omega, lever)))
-    acceleration = _add(acceleration, _scale(2.0, _cross(omega, centre_rate)))
-    force = _scale(arm_mass, _add(acceleration, centre_acceleration))
-    total_spin = _add(omega, spin)
-    total_alpha = _add(_add(alpha, spin_rate), _cross(omega, spin))
-    turning = _add(
-        _times(arm_inertia, total_alpha), _cross(total_spin, _times(arm_inertia, total_spin))
-    )
-    moment = _add(turning, _cross(centre, force))
-    base = ((p[1], p[6], p[4]), (p[6], p[2], p[5]), (p[4], p[5], p[3]))
-    torque = _add(_times(base, alpha), _cross(omega, _times(base, omega)))
-    torque = _add(torque, _add(turning, _cross(lever, force)))
-    hinge_torque = _transposed_times(rate_matrix, torque)
-    pushed = _times(rotation, force)
+    turning = _turning(motion)
+    force, moment, torque = _wrench(plant, kin, turning)
+    hinge_torque = _transposed_times(turning.axes, torque)
+    pushed = _times(turning.rotation, force)
     for i in range(3):
         out[i] = p[0] * a[i] + pushed[i] - rest_wrench[i] + p[10 + i] * v[i] + p[16 + i] * q[i]
         out[3 + i] = hinge_torque[i] - rest_wrench[3 + i]
@@ -171,63 +243,104 @@ def _residual(plant, kin, motion, out):
 
 
 @numba.njit(cache=True)
-def _by_motion(plant, kin, motion, columns, work):
-    """Fill (12, 18): derivatives of equations and wrench (six each) by q, v and a.
-
-    Shift and its rate act through their springs and dampers alone. The rest are differences of the
-    exact equations, which are linear in a; elsewhere a step of 1e-6 leaves an error of 1e-6, where
-    a linearisation about rest would leave 1e-3.
-    """
-    base, changed = np.empty(12), np.empty(12)
-    _stack(plant, kin, motion, base, work)
-    columns[:, :] = 0.0
-    p = plant.p
+def _store_column(turning, changes, columns, j):
+    """Fill column j (12,): equations, then force and moment, by changes of the wrench."""
+    force, moment, torque = changes
+    pushed = _times(turning.rotation, force)
+    hinge_torque = _transposed_times(turning.axes, torque)
     for i in range(3):
-        columns[i, i], columns[i, 6 + i] = p[16 + i], p[10 + i]
-    for j in range(6):
-        for k in range(2 if j < 3 else 0, 3):
-            moving = (motion.q, motion.v, motion.a)[k]
-            step = 1.0 if k == 2 else 1e-6
-            kept = moving[j]
-            moving[j] = kept + step
-            _stack(plant, kin, motion, changed, work)
-            moving[j] = kept
-            for i in range(12):
-                columns[i, 6 * k + j] = (changed[i] - base[i]) / step
+        columns[i, j], columns[3 + i, j] = pushed[i], hinge_torque[i]
+        columns[6 + i, j], columns[9 + i, j] = force[i], moment[i]
 
 
 @numba.njit(cache=True)
-def _by_parameters(plant, kin, motion, columns, work):
+def _by_motion(plant, kin, motion, columns):
+    """Fill (12, 18): derivatives of equations and wrench (six each) by q, v and a."""
+    p, still = plant.p, (0.0, 0.0, 0.0)
+    turning = _turning(motion)
+    columns[:, :6] = 0.0
+    columns[:, 6:9] = 0.0
+    for i in range(3):
+        change = _wrench_change(plant, kin, turning, still, still, turning.rotation[i])
+        _store_column(turning, change, columns, 12 + i)
+        columns[i, 12 + i] += p[0]
+    _by_hinges(plant, kin, motion, turning, columns)
+    for i in range(6):
+        columns[i, i] += p[16 + i]
+        columns[i, 6 + i] += p[10 + i]
+
+
+@numba.njit(cache=True)
+def _by_hinges(plant, kin, motion, turning, columns):
+    """Fill the columns by the hinges' angles, rates and accelerations, but for their springs.
+
+    In the base frame all that lies outside of hinge k turns against it, by x axis_k: the world,
+    and the shares of omega and alpha of the hinges before k, here called outer.
+    """
+    still = (0.0, 0.0, 0.0)
+    force, _, torque = _wrench(plant, kin, turning)
+    outer_omega, outer_alpha = still, still
+    for k in range(3):
+        rate, acceleration = motion.v[3 + k], motion.a[3 + k]
+        axis = (turning.axes[0][k], turning.axes[1][k], turning.axes[2][k])
+        axis_rate = _cross(axis, _add(turning.omega, _scale(-1.0, outer_omega)))
+        omega = _cross(outer_omega, axis)
+        alpha = _add(_cross(outer_alpha, axis), _cross(outer_omega, axis_rate))
+        specific = _cross(turning.specific, axis)
+        by_angle = _wrench_change(plant, kin, turning, omega, alpha, specific)
+        by_rate = _wrench_change(plant, kin, turning, axis, _add(axis_rate, omega), still)
+        by_acceleration = _wrench_change(plant, kin, turning, still, axis, still)
+        _store_column(turning, by_angle, columns, 3 + k)
+        _store_column(turning, by_rate, columns, 9 + k)
+        _store_column(turning, by_acceleration, columns, 15 + k)
+        # The rows are turned by angle k too: the force's all, the torque's those of outer hinges.
+        pushed = _times(turning.rotation, _cross(axis, force))
+        hinge_torque = _transposed_times(turning.axes, _cross(axis, torque))
+        for i in range(3):
+            columns[i, 3 + k] += pushed[i]
+        for i in range(k):
+            columns[3 + i, 3 + k] += hinge_torque[i]
+        outer_omega = _add(outer_omega, _scale(rate, axis))
+        outer_alpha = _add(outer_alpha, _scale(acceleration, axis))
+        outer_alpha = _add(outer_alpha, _scale(rate, axis_rate))
+
+
+@numba.njit(cache=True)
+def _by_parameters(plant, kin, motion, columns):
     """Fill (12, 22): derivatives of equations and wrench by the parameters at fixed motion."""
-    base, changed = np.empty(12), np.empty(12)
-    _stack(plant, kin, motion, base, work)
+    q, v, a = motion
+    turning = _turning(motion)
     columns[:, :] = 0.0
-    p, (q, v, a) = plant.p, motion
-    _by_inertia(q, v, a, columns)
-    for j in range(7, 10):
-        kept = p[j]
-        p[j] = kept + 1e-6
-        _stack(plant, kin, motion, changed, work)
-        p[j] = kept
-        for i in range(12):
-            columns[i, j] = (changed[i] - base[i]) / 1e-6
+    _by_inertia(turning, columns)
+    _by_lever(plant, kin, turning, columns)
     for i in range(3):
         columns[i, 0] = a[i]
-    # The weight at rest turns with the lever: rest_wrench holds r2 x F0.
-    columns[3, 8] -= plant.arm_mass * GRAVITY
-    columns[4, 7] += plant.arm_mass * GRAVITY
     for i in range(6):
         columns[i, 10 + i] = v[i]
         columns[i, 16 + i] = q[i]
 
 
 @numba.njit(cache=True)
-def _by_inertia(q, v, a, columns):
+def _by_lever(plant, kin, turning, columns):
+    """Fill columns 7 to 9: the arm moves with its mount."""
+    _, _, omega, alpha, _ = turning
+    force, _, _ = _wrench(plant, kin, turning)
+    lever = _lever(plant, kin)
+    for j in range(3):
+        shift = _UNITS[j]
+        acceleration = _add(_cross(alpha, shift), _cross(omega, _cross(omega, shift)))
+        pull = _scale(plant.arm_mass, acceleration)
+        torque = _add(_cross(shift, force), _cross(lever, pull))
+        _store_column(turning, (pull, _cross(kin[1], pull), torque), columns, 7 + j)
+    # The weight at rest turns with the lever: rest_wrench holds r2 x F0.
+    columns[3, 8] -= plant.arm_mass * GRAVITY
+    columns[4, 7] += plant.arm_mass * GRAVITY
+
+
+@numba.njit(cache=True)
+def _by_inertia(turning, columns):
     """Fill columns 1 to 6: the base's own torque is linear in the elements of its inertia."""
-    rates = (v[3], v[4], v[5])
-    _, rate_matrix, rate_bias = _hinges(q[3], q[4], q[5], rates)
-    x, y, z = _times(rate_matrix, rates)
-    alpha = _add(_times(rate_matrix, (a[3], a[4], a[5])), rate_bias)
+    (x, y, z), alpha = turning.omega, turning.alpha
     torques = (
         (alpha[0], x * z, -x * y),
         (-y * z, alpha[1], x * y),
@@ -237,17 +350,9 @@ def _by_inertia(q, v, a, columns):
         (alpha[1] - x * z, alpha[0] + y * z, x * x - y * y),
     )
     for j in range(6):
-        hinge_torque = _transposed_times(rate_matrix, torques[j])
+        hinge_torque = _transposed_times(turning.axes, torques[j])
         for i in range(3):
             columns[3 + i, 1 + j] = hinge_torque[i]
-
-
-@numba.njit(cache=True)
-def _stack(plant, kin, motion, out, work):
-    force, moment = _residual(plant, kin, motion, work)
-    for i in range(3):
-        out[i], out[3 + i] = work[i], work[3 + i]
-        out[6 + i], out[9 + i] = force[i], moment[i]
 
 
 CHANNELS = 24
@@ -348,31 +453,36 @@ def simulate(
 
 
 @numba.njit(cache=True)
-def _invert(matrix):
-    """Return the inverse by Gaussian elimination; Radau's stage matrix has positive pivots.
+def _factorise(matrix):
+    """Overwrite the matrix with its factors L U; Radau's stage matrix has positive pivots.
 
-    The matrix is overwritten.
+    L's diagonal of ones is left out, U's holds the reciprocals.
     """
     n = matrix.shape[0]
-    inverse = np.eye(n)
     for k in range(n):
-        pivot = 1.0 / matrix[k, k]
+        matrix[k, k] = 1.0 / matrix[k, k]
         for i in range(k + 1, n):
-            factor = matrix[i, k] * pivot
-            if factor != 0.0:
+            if matrix[i, k] != 0.0:
+                factor = matrix[i, k] * matrix[k, k]
+                matrix[i, k] = factor
                 for j in range(k + 1, n):
                     matrix[i, j] -= factor * matrix[k, j]
-                for j in range(n):
-                    inverse[i, j] -= factor * inverse[k, j]
-    for k in range(n - 1, -1, -1):
+
+
+@numba.njit(cache=True)
+def _solve(factors, right):
+    """Overwrite right (n, m) with the solution of L U x = right."""
+    n, m = right.shape
+    for k in range(n):
         for i in range(k + 1, n):
-            factor = matrix[k, i]
-            for j in range(n):
-                inverse[k, j] -= factor * inverse[i, j]
-        pivot = 1.0 / matrix[k, k]
-        for j in range(n):
-            inverse[k, j] *= pivot
-    return inverse
+            for j in range(m):
+                right[i, j] -= factors[i, k] * right[k, j]
+    for k in range(n - 1, -1, -1):
+        for j in range(m):
+            right[k, j] *= factors[k, k]
+        for i in range(k):
+            for j in range(m):
+                right[i, j] -= factors[i, k] * right[k, j]
 
 
 STAGES = 3
@@ -425,7 +535,7 @@ def _stage_kinematics(arm, path, n, t):
 
 
 @numba.njit(cache=True)
-def _newton(h, plant, kins, inverse, state, stage, work):
+def _newton(h, plant, kins, factors, state, stage, work):
     """Solve for the stage accelerations; the linearised matrix is close, so two steps do."""
     position, velocity = np.empty(6), np.empty(6)
     for _ in range(2):
@@ -433,27 +543,27 @@ def _newton(h, plant, kins, inverse, state, stage, work):
             _stage_motion(h, i, state.position, state.velocity, stage, position, velocity)
             motion = _Motion(position, velocity, stage[i])
             _residual(plant, kins[i], motion, work[6 * i :])
-        for r in range(6 * STAGES):
-            change = 0.0
-            for c in range(6 * STAGES):
-                change += inverse[r, c] * work[c]
-            stage[r // 6, r % 6] -= change
+        _solve(factors, work.reshape(6 * STAGES, 1))
+        stage -= work.reshape(STAGES, 6)
 
 
 @numba.njit(cache=True)
-def _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v):
+def _sensitivity_step(h, factors, motion_columns, parameter_columns, s_q, s_v):
     """Advance s_q, s_v (6, 22) by one step, and return the last stage's sensitivity (6, 22)."""
-    rhs, shift = np.empty((6 * STAGES, 22)), np.empty(22)
+    right = np.empty((6 * STAGES, 22))
     for i in range(STAGES):
         for r in range(6):
-            row = rhs[6 * i + r]
-            row[:] = parameter_columns[i, r]
+            row = right[6 * i + r]
+            for j in range(22):
+                row[j] = -parameter_columns[i, r, j]
             for k in range(6):
                 by_position = motion_columns[i, r, k]
                 by_rate = motion_columns[i, r, 6 + k] + h * _NODES[i] * by_position
-                shift[:] = by_position * s_q[k] + by_rate * s_v[k]
-                row += shift
-    stages = -(inverse @ rhs).reshape(STAGES, 6 * 22)
+                if by_rate != 0.0:
+                    for j in range(22):
+                        row[j] -= by_position * s_q[k, j] + by_rate * s_v[k, j]
+    _solve(factors, right)
+    stages = right.reshape(STAGES, 6 * 22)
     q, v = s_q.copy().reshape(6 * 22), s_v.copy().reshape(6 * 22)
     _stage_motion(h, STAGES - 1, q, v, stages, s_q.reshape(6 * 22), s_v.reshape(6 * 22))
     return stages[STAGES - 1].reshape(6, 22)
@@ -506,16 +616,16 @@ def _integrate(p, arm, path, substeps, state, outputs, derivatives):
             for i in range(STAGES):
                 _stage_motion(h, i, q, v, stage, position, velocity)
                 motion = _Motion(position, velocity, stage[i])
-                _by_motion(plant, kins[i], motion, motion_columns[i], work)
+                _by_motion(plant, kins[i], motion, motion_columns[i])
             _stage_matrix(h, motion_columns, matrix)
-            inverse = _invert(matrix)
-            _newton(h, plant, kins, inverse, state, stage, work)
+            _factorise(matrix)
+            _newton(h, plant, kins, matrix, state, stage, work)
             if with_sensitivities:
                 for i in range(STAGES):
                     _stage_motion(h, i, q, v, stage, position, velocity)
                     motion = _Motion(position, velocity, stage[i])
-                    _by_parameters(plant, kins[i], motion, parameter_columns[i], work)
-                s_a = _sensitivity_step(h, inverse, motion_columns, parameter_columns, s_q, s_v)
+                    _by_parameters(plant, kins[i], motion, parameter_columns[i])
+                s_a = _sensitivity_step(h, matrix, motion_columns, parameter_columns, s_q, s_v)
             _stage_motion(h, STAGES - 1, q, v, stage, position, velocity)
             q[:], v[:] = position, velocity
         motion = _Motion(q, v, stage[-1])

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
+from controllers.identification import compliant_base
 from controllers.identification.arm_motion import MODES, mode_axes
-from controllers.identification.compliant_base import CHANNELS, SIGNALS, BaseState, simulate
+from controllers.identification.compliant_base import (
+    CHANNELS,
+    SIGNALS,
+    BaseState,
+    _Motion,
+    simulate,
+)
 from controllers.identification.parameters import COUNT, NAMES
 from models.datasheets import TABLE_2_1_TRUTH
 from tests.controllers.identification import newton_euler
@@ -64,6 +71,29 @@ def test_sensitivities_equal_central_differences(mode):
             # Also where the effect is of second order, and drowned by the noise.
             size = np.abs(expected[:, rows]).max()
             assert np.abs(error[:, rows]).max() <= 3e-3 * size + 1e-9, (NAMES[index], name)
+
+
+def equations(motion: np.ndarray) -> np.ndarray:
+    """Equations of motion, force and moment (12,) of an arm in full swing, by q, v and a (18,)."""
+    plant, kinematics = swinging_arm()
+    out = np.empty(6)
+    wrench = compliant_base._residual(plant, kinematics, _Motion(*motion.reshape(3, 6)), out)
+    return np.concatenate([out, *wrench])
+
+
+def swinging_arm():
+    arm = ARMS["y"]
+    swing = (arm.inertia, arm.centre, arm.axis, 0.4, 2.0, -15.0)
+    plant = compliant_base._Plant(TRUTH, arm.mass, np.zeros(6))
+    return plant, compliant_base._arm_kinematics(*swing)
+
+
+def test_equations_derivatives_by_motion_are_exact():
+    here, found = np.random.default_rng(1).uniform(-1.0, 1.0, 18), np.empty((12, 18))
+    compliant_base._by_motion(*swinging_arm(), _Motion(*here.reshape(3, 6)), found)
+    steps = 1e-5 * np.eye(18)
+    differences = [(equations(here + s) - equations(here - s)) / 2e-5 for s in steps]
+    np.testing.assert_allclose(found, np.array(differences).T, rtol=1e-8, atol=1e-6)
 
 
 def test_windows_one_after_another_equal_one_long_window():
