@@ -31,7 +31,7 @@ the arm's jerk sets the rover sliding, the filter blurs acceleration and wrench 
 overshoots; while friction alone brakes the slide it does not. So the estimate is the median of u
 over the braking half of the slides with all wheels loaded, if that lasted for two windows of the
 filter at least: from fewer samples the median is chance. The lower bound, for all other runs, is
-the greatest u with all wheels loaded less a margin for the overshoot.
+the greatest u that lasts for a window with all wheels loaded, less a margin for the overshoot.
 """
 
 import dataclasses
@@ -372,12 +372,10 @@ def estimate_friction(
     braking = brakes(load, slipping, config)
     slipped = bool(np.any(braking))
     enough = np.count_nonzero(braking) >= 2 * config.window
-    part, constant = config.margin
-    most = float(np.max(load.used[loaded(load, config)], initial=0.0))
     return FrictionEstimate(
         slipped=slipped,
         friction=float(np.median(load.used[braking])) if enough else float("nan"),
-        lower_bound=max(0.0, most * (1.0 - part) - constant),
+        lower_bound=held_with(load, config),
         onset=float(load.times[slipping][0]) if slipped else float("nan"),
         rolled=bool(np.max(np.abs(log.values("wheel_speeds"))) > config.rolling),
         load=load,
@@ -431,6 +429,20 @@ def loaded(load: GroundLoad, config: FrictionConfig) -> BoolArray:
     return np.asarray(np.min(load.normals, axis=1) > config.least_normal)
 
 
+def held_with(load: GroundLoad, config: FrictionConfig) -> float:
+    """Return the greatest friction in use for a window of the filter, less a margin.
+
+    Shorter peaks may be those of links that strike through the play of their gears.
+
+    Args:
+        load: Load that the ground supplied.
+        config: Window of the filter and margin.
+    """
+    lasting = median_filter(load.used, config.window)[loaded(load, config)]
+    part, constant = config.margin
+    return max(0.0, float(np.max(lasting, initial=0.0)) * (1.0 - part) - constant)
+
+
 def brakes(load: GroundLoad, slipping: BoolArray, config: FrictionConfig) -> BoolArray:
     """Return (n,) whether friction alone braked a slide at each sample, with all wheels loaded.
 
@@ -447,9 +459,8 @@ def brakes(load: GroundLoad, slipping: BoolArray, config: FrictionConfig) -> Boo
     if not np.any(sliding):
         return sliding
     usual = config.least_use * np.quantile(load.used[sliding], 0.9)
-    # Wheels that held for a while with more than this do not slide with less.
-    lasting = median_filter(load.used, config.window)[loaded(load, config)]
-    held = (1.0 - config.margin[0]) * np.max(lasting, initial=0.0) - config.margin[1]
+    # Wheels that held with more do not slide with less.
+    held = held_with(load, config)
     braking = sliding & (load.yaw_acceleration * load.yaw_rate < 0.0)
     braking &= load.used > max(usual, held)
     return braking & (np.abs(load.yaw_rate) > config.slip_rates[1])

@@ -1,5 +1,7 @@
 """The mechanics behind the friction in use: limit loads known by hand."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from controllers.identification.friction import (
     KnownBase,
     brakes,
     friction_in_use,
+    held_with,
     normal_forces,
     slides,
     tared,
@@ -121,6 +124,16 @@ def test_a_turn_with_less_friction_than_the_wheels_have_held_with_is_no_slide():
     true = load_of(used, rate)
     braking = brakes(true, slides(true, config), config)
     np.testing.assert_array_equal(np.flatnonzero(braking), np.arange(150, 250))
+
+
+def test_wheels_held_with_what_lasted_for_a_window_not_with_the_peak_of_a_strike():
+    config = dataclasses.replace(config_of(), window=7, margin=(0.3, 0.02))
+    used = np.full(300, 0.05)
+    used[50:60], used[150:153] = 0.5, 0.9
+    load = load_of(used, np.zeros(300))
+    assert held_with(load, config) == pytest.approx(0.7 * 0.5 - 0.02)
+    lifted = dataclasses.replace(load, normals=np.where(used[:, None] > 0.1, 1.0, load.normals))
+    assert held_with(lifted, config) == pytest.approx(0.7 * 0.05 - 0.02)
 
 
 def test_tare_takes_off_what_grows_with_the_yaw_and_leaves_a_jerk():
