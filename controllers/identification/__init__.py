@@ -11,7 +11,8 @@ The compliant base under its moving arm, chapter 2:
 - `excitation`: choice of the next excitation by a criterion (eq. 2-13).
 - `identifier`: excitation and estimation in turns, on the simplified plant.
 - `pitch_model`: a rover's pitch under its arm, and what its inclinometer shows (section 2.6.2).
-- `pitch`, `rover_identifier`: fit, excitation and doubts on the rover, in its pitch alone.
+- `swing_plane`: the same for its roll, with the arm turned aside and the centre joint's angle.
+- `pitch`, `rover_identifier`: fit, excitation and doubts on the rover, in its pitch or roll alone.
 
 The arm on known ground, section 6.2:
 

@@ -29,9 +29,10 @@ from controllers.identification.pitch_model import (
     predict_tilt,
     prediction_errors,
 )
+from controllers.identification.swing_plane import PITCH
 from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 
-NAMES = ("ixx", "ry", "rz", "b_pitch", "k_pitch")
+NAMES = PITCH.parameters
 UNITS = ("kg m^2", "m", "m", "N m s/rad", "N m/rad")
 _LOGARITHMIC = np.array([0, 3, 4])
 _STEP = 1e-5  # of a search coordinate, for central differences
@@ -117,7 +118,9 @@ def search_coordinates(parameters: FloatArray) -> FloatArray:
 
 def _scale(parameters: FloatArray) -> FloatArray:
     """Return the derivatives (5,) of the parameters by the search coordinates."""
-    return np.where([name in ("ry", "rz") for name in NAMES], 1.0, parameters)
+    scale = np.ones(len(NAMES))
+    scale[_LOGARITHMIC] = parameters[_LOGARITHMIC]
+    return scale
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,6 +137,7 @@ class PitchEstimate:
         lost: Number of samples before which the motion was unknown.
         gain_left: What a whole Newton step promises to gain of half the squared residuals.
         cost: Negative logarithm of the posterior density, but for a constant.
+        names: Names of the five parameters.
     """
 
     parameters: FloatArray
@@ -145,6 +149,7 @@ class PitchEstimate:
     lost: int
     gain_left: float
     cost: float
+    names: tuple[str, ...] = NAMES
 
     def doubts(self, prior: PitchPrior) -> tuple[str, ...]:
         """Return why the estimate is not to be used, in words; none if it is."""
@@ -161,7 +166,9 @@ class PitchEstimate:
     def unidentifiable(self, prior: PitchPrior, shrinkage: float = 0.5) -> tuple[str, ...]:
         """Return the parameters whose deviation stayed above `shrinkage` of the prior's."""
         deviation = np.sqrt(np.diag(np.linalg.inv(self.information)))[:5]
-        return tuple(NAMES[i] for i in np.flatnonzero(deviation > shrinkage * prior.sigma()[:5]))
+        return tuple(
+            self.names[i] for i in np.flatnonzero(deviation > shrinkage * prior.sigma()[:5])
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -272,6 +279,7 @@ class PitchFit:
         sensors: Sampling and noise of wrench and inclinometer.
         prior: Prior of the five parameters and its deviations; a generic guess by default.
         misfit: What the model misses of the base.
+        names: Names of the five parameters.
     """
 
     def __init__(
@@ -279,9 +287,10 @@ class PitchFit:
         sensors: PitchSensors,
         prior: PitchPrior | None = None,
         misfit: PitchMisfit = ROVER_MISFIT,
+        names: tuple[str, ...] = NAMES,
     ) -> None:
         self.prior = prior or PitchPrior()
-        self._sensors, self._misfit = sensors, misfit
+        self._sensors, self._misfit, self._names = sensors, misfit, names
         nothing = PitchData.of(np.zeros((0, 6)), [], [])
         self.estimate = self._summary(self._likelihood(nothing), self.prior.mean())
 
@@ -398,6 +407,7 @@ class PitchFit:
             lost=int(likelihood.data.lost.sum()),
             gain_left=0.5 * float(gradient @ np.linalg.solve(information, gradient)),
             cost=cost + float(np.sum(np.log(given.deviations))),
+            names=self._names,
         )
 
 

@@ -1,8 +1,9 @@
-"""A controller that swings a rover's arm and identifies how the rover pitches under it."""
+"""A controller that swings a rover's arm and identifies how the rover tilts under it."""
 
 import dataclasses
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -25,6 +26,7 @@ from controllers.identification.pitch import (
     fisher_information,
 )
 from controllers.identification.pitch_model import PitchSensors, predict_tilt, smoothed
+from controllers.identification.swing_plane import PITCH, SwingPlane
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_choice
 from perception.geometry.gravity import GRAVITY
@@ -39,6 +41,10 @@ ROVER_ARM_LIMITS = ArmLimits(
 """Keeps the stretched arm above the ground in front and short of its stop behind, and all wheels
 down on level ground."""
 
+ROLL_TILT_LIMIT = np.deg2rad(0.3)
+"""Greatest mean roll from rest that a plan may predict. If the centre joint leaves it all to the
+front half, 3.3 N m lift one of its wheels, which carry 12 N each on half a track of 0.14 m. The
+weight of the arm at rest is 1.2 N m of them; 0.3 deg on both halves' springs are 1.4 N m more."""
 
 _GENTLER = (0.6,)
 """Shares of the arm's usual acceleration at which an identification in doubt is repeated: a wheel
@@ -47,7 +53,7 @@ that lifts or slips ruins the fit."""
 
 @dataclasses.dataclass(frozen=True)
 class SwingingArm:
-    """Mass properties of the stretched arm, which swings about the shoulder in the pitch plane.
+    """Mass properties of the stretched arm, which swings about the shoulder in a vertical plane.
 
     Attributes:
         mass: Mass of all that swings [kg].
@@ -124,6 +130,7 @@ class RoverIdentifierConfig:
         tilt_limit: Greatest tilt from rest that a plan may predict [rad]. The wheels carry 44 N
             on a half wheelbase of 0.15 m, so 6.6 N m, the arm's weight included, lift a pair of
             them, and the suspension is linear no more.
+        plane: Plane in which the arm swings, and the base tilts.
     """
 
     robot: str
@@ -136,6 +143,7 @@ class RoverIdentifierConfig:
     rest: float = 1.5
     duration: float = 10.0
     tilt_limit: float = np.deg2rad(0.7)
+    plane: SwingPlane = PITCH
 
     def __post_init__(self) -> None:
         """Refuse an unknown excitation.
@@ -158,8 +166,10 @@ class Log:
     Attributes:
         times: Robot time of each tick since the excitation began [s].
         shoulder: Shoulder angle [rad].
-        wrench: (6,) deviation from rest at each tick.
-        tilt: Pitch read, deviation from rest [rad].
+        wrench: (6,) deviation from rest at each tick, frame of the plane.
+        half_twist: By how much the halves' mean tilts beyond the front half at each tick, through
+            the inclinometer's low pass, deviation from rest [rad].
+        tilt: Mean tilt of the halves read, deviation from rest [rad].
         tilt_indices: Tick of each reading.
         lost: Whether the motion before each reading cannot have been as modelled.
         estimates: After each window.
@@ -170,12 +180,32 @@ class Log:
     times: list[float] = dataclasses.field(default_factory=list)
     shoulder: list[float] = dataclasses.field(default_factory=list)
     wrench: list[FloatArray] = dataclasses.field(default_factory=list)
+    half_twist: list[float] = dataclasses.field(default_factory=list)
     tilt: list[float] = dataclasses.field(default_factory=list)
     tilt_indices: list[int] = dataclasses.field(default_factory=list)
     lost: list[bool] = dataclasses.field(default_factory=list)
     estimates: list[PitchEstimate] = dataclasses.field(default_factory=list)
     excitations: list[Excitation] = dataclasses.field(default_factory=list)
     step_seconds: list[float] = dataclasses.field(default_factory=list)
+
+
+class _Reading(NamedTuple):
+    """What is read at a tick, frame of the plane.
+
+    Attributes:
+        wrench: (6,) force and moment on the arm [N, N m].
+        tilt: Tilt of the front half [rad].
+        half_twist: By how much the halves' mean tilts beyond that [rad].
+    """
+
+    wrench: FloatArray
+    tilt: float
+    half_twist: float
+
+
+def _mean(readings: Sequence[_Reading]) -> _Reading:
+    wrenches, tilts, twists = zip(*readings, strict=True)
+    return _Reading(np.mean(wrenches, axis=0), float(np.mean(tilts)), float(np.mean(twists)))
 
 
 class RoverIdentifier:
@@ -198,11 +228,12 @@ class RoverIdentifier:
     def reset(self) -> None:
         """Forget all data and start again with the approach."""
         self.log = Log()
-        self.fit = PitchFit(self.config.sensors, self.config.prior)
+        config = self.config
+        self.fit = PitchFit(config.sensors, config.prior, names=config.plane.parameters)
         self._tick = 0
         self._start: FloatArray | None = None
-        self._tares: dict[str, list[FloatArray]] = {"inclinometer": [], "arm_base_wrench": []}
-        self._tare: dict[str, FloatArray] = {}
+        self._rests: list[_Reading] = []
+        self._tare: _Reading | None = None
         self._last_tilt_stamp = -np.inf
         self._arm_state = ArmState()
         self._excitation = CONSTANT
@@ -230,7 +261,7 @@ class RoverIdentifier:
             RobotError: If a sensor that the identification lives by is missing or stale.
         """
         observation = observations[self.config.robot]
-        for name in ("arm_base_wrench", "arm_angles", "inclinometer"):
+        for name in self.config.plane.channels:
             channel = getattr(observation, name)
             if not channel.usable:
                 raise RobotError(
@@ -261,12 +292,16 @@ class RoverIdentifier:
 
     def hold(self) -> Mapping[str, Command]:
         """Return the command that keeps the arm where it is meant to be by now."""
-        return self._command(np.array([0.0, self._arm_state.angle, 0.0, 0.0]), np.zeros(4))
+        return self._command(self._stretched(self._arm_state.angle), np.zeros(4))
+
+    def _stretched(self, shoulder: float) -> FloatArray:
+        """Return the angles (4,) of the arm stretched in its plane."""
+        return np.array([self.config.plane.yaw, shoulder, 0.0, 0.0])
 
     def _approach(self, observation: Observation, now: float) -> Mapping[str, Command]:
         if self._start is None:
             self._start = np.array(observation.arm_angles.value, dtype=float)
-        goal = np.array([0.0, self._arm_state.angle, 0.0, 0.0])
+        goal = self._stretched(self._arm_state.angle)
         share = min(1.0, now / (0.7 * self.config.approach))
         smooth = share * share * (3 - 2 * share)
         return self._command(self._start + smooth * (goal - self._start), np.zeros(4))
@@ -274,32 +309,44 @@ class RoverIdentifier:
     def _rest(self, observation: Observation, now: float) -> Mapping[str, Command]:
         # The first half lets the rover settle; a tare from one sample would carry its noise.
         if now > self.config.approach + self.config.rest / 2:
-            for name, samples in self._tares.items():
-                samples.append(np.array(getattr(observation, name).value, dtype=float))
+            self._rests.append(self._read(observation))
         return self.hold()
 
     def _excite(self, observation: Observation) -> Mapping[str, Command]:
-        log = self.log
-        if not self._tare:
-            self._tare = {name: np.mean(rows, axis=0) for name, rows in self._tares.items()}
-        tick = len(log.times)
-        log.times.append(tick * self.config.sensors.period)
-        log.shoulder.append(float(observation.arm_angles.value[1]))
-        wrench = np.asarray(observation.arm_base_wrench.value, dtype=float)
-        log.wrench.append(wrench - self._tare["arm_base_wrench"])
-        tilt = observation.inclinometer
-        if tilt.stamp > self._last_tilt_stamp:
-            self._last_tilt_stamp = tilt.stamp
-            age = round((observation.time - tilt.stamp) / self.config.sensors.period)
-            if tick >= age:
-                log.tilt.append(float(tilt.value[0] - self._tare["inclinometer"][0]))
-                log.tilt_indices.append(tick - age)
-        phase = tick % self._window
+        phase = len(self.log.times) % self._window
+        self._record(observation)
         if phase == 0:
             self._replan()
         assert self._motion is not None
-        angles = np.array([0.0, self._motion.angle[phase + 1], 0.0, 0.0])
+        angles = self._stretched(self._motion.angle[phase + 1])
         return self._command(angles, np.array([0.0, self._motion.rate[phase + 1], 0.0, 0.0]))
+
+    def _record(self, observation: Observation) -> None:
+        """Append what is read in this tick to the log."""
+        log, period = self.log, self.config.sensors.period
+        tare = self._tare = self._tare or _mean(self._rests)
+        read, tick = self._read(observation), len(log.times)
+        log.times.append(tick * period)
+        log.shoulder.append(float(observation.arm_angles.value[1]))
+        log.wrench.append(read.wrench - tare.wrench)
+        before = log.half_twist[-1] if log.half_twist else 0.0
+        kept = np.exp(-2 * np.pi * self.config.sensors.tilt_bandwidth * period)
+        log.half_twist.append(kept * before + (1.0 - kept) * (read.half_twist - tare.half_twist))
+        stamp = observation.inclinometer.stamp
+        if stamp > self._last_tilt_stamp:
+            self._last_tilt_stamp = stamp
+            read_at = tick - round((observation.time - stamp) / period)
+            if read_at >= 0:
+                log.tilt.append(read.tilt - tare.tilt + log.half_twist[read_at])
+                log.tilt_indices.append(read_at)
+
+    def _read(self, observation: Observation) -> _Reading:
+        plane = self.config.plane
+        return _Reading(
+            plane.wrench(np.asarray(observation.arm_base_wrench.value, dtype=float)),
+            plane.tilt(np.asarray(observation.inclinometer.value, dtype=float)),
+            plane.half_twist(observation),
+        )
 
     def _replan(self) -> None:
         start = time.perf_counter()
