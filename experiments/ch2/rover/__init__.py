@@ -4,5 +4,6 @@
 - `laboratory`: the true values, measured on the model as in a laboratory.
 - `trial`: one identification through the robot contract.
 - `confidence`: errors beside the laboratory, coverage, and false confidence.
+- `roll`: errors of roll, with and without the centre joint's potentiometer.
 - `movie`: a moving picture.
 """

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 import scipy.optimize
 
-from controllers.identification.swing_plane import PITCH, SwingPlane
+from controllers.identification.swing_plane import PITCH, ROLL, SwingPlane
 from models.as_made import alter_rover
 from models.compose import LABORATORY, WHEELS, RobotPlacement, load_part, make_model, settle
 from perception.geometry.arrays import FloatArray
@@ -110,6 +110,15 @@ def laboratory_values(
         "rz_to_centre": float(bench.mount[2] - centre[2]),
         f"{plane.parameters[0]}_pendulum": _pendulum_inertia(robot, float(centre[2]), plane),
     }
+
+
+def laboratory_roll(robot: RobotPlacement) -> dict[str, float]:
+    """Return the parameters of a simulated rover's roll, by name, SI units.
+
+    Args:
+        robot: Robot, whose arm is taken off.
+    """
+    return laboratory_values(robot, ROLL)
 
 
 def _second_order(times: FloatArray, tilts: FloatArray) -> tuple[float, float]:

@@ -1,4 +1,7 @@
-"""Table 2-2: the complete rover identifies how it pitches, by inclinometer and arm wrench alone."""
+"""Table 2-2: the complete rover identifies how it pitches, by inclinometer and arm wrench alone.
+
+With ``--axis roll`` its roll in the same way, with its arm turned aside, which the thesis does not.
+"""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -12,24 +15,23 @@ from rich.table import Table
 
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.pitch import NAMES, UNITS
-from controllers.identification.rover_identifier import (
-    EXCITATIONS,
-    RoverIdentifier,
-    RoverIdentifierConfig,
-    SwingingArm,
-)
+from controllers.identification.rover_identifier import EXCITATIONS, RoverIdentifier
+from controllers.identification.swing_plane import SwingPlane
 from experiments.ch2.rover.confidence import RobotIdentification, measure_confidence
-from experiments.ch2.rover.laboratory import laboratory_values
+from experiments.ch2.rover.laboratory import laboratory_roll, laboratory_values
+from experiments.ch2.rover.roll import measure_roll, tabulate_roll
 from experiments.ch2.rover.trial import (
     ROBOT,
+    Axis,
     RoverIdentification,
     RoverTrial,
     error_percent,
+    rover_config,
     run_rover_trial,
 )
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
-from experiments.harness.intervals import distribution
+from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.robot_option import check_calibrations, check_robot
 from experiments.harness.sweep import sweep
@@ -44,7 +46,6 @@ from perception.geometry.arrays import FloatArray
 from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
-from twin.describe import describe_rover
 from twin.loop import LoopRecorder, Tick
 from twin.realism import RealismName
 from twin.recording.layout import default_blueprint
@@ -69,12 +70,14 @@ class Options(contract.Options):
         duration: Time of excitation [s].
         realism: How far simulated robots and their sensors are from their drawings: ideal, default
             or harsh; with any but ideal each seed has a robot of its own.
+        axis: Tilt to identify: pitch, the arm ahead, or roll, the arm turned aside.
     """
 
     robot: str = "sim"
     excitations: tuple[str, ...] = ()
     duration: float = 10.0
     realism: RealismName = "default"
+    axis: Axis = "pitch"
 
     def __post_init__(self) -> None:
         """Refuse robots that cannot be, unknown excitations, and durations that hold no window.
@@ -104,7 +107,14 @@ def run(options: Options, output: Output) -> None:
     check_calibrations(options.robot)
     seeds = options.job_seeds(full=20, quick=3)
     trials = [
-        RoverTrial(options.robot, excitation, seed, options.duration, realism=options.realism)
+        RoverTrial(
+            options.robot,
+            excitation,
+            seed,
+            options.duration,
+            realism=options.realism,
+            axis=options.axis,
+        )
         for excitation in options.chosen()
         for seed in seeds
     ]
@@ -116,21 +126,44 @@ def run(options: Options, output: Output) -> None:
     for trial, result in zip(trials, found):
         results[trial.excitation].append(result)
     robots = [trial.placement for trial in trials[: len(seeds)]]
-    truths = sweep(laboratory_values, robots, options, output, label="robots in the laboratory")
-    _measure(results, truths, output)
-    _figures(results, truths, output)
-    _table(results, truths, output)
+    measure = laboratory_roll if options.axis == "roll" else laboratory_values
+    truths = sweep(measure, robots, options, output, label="robots in the laboratory")
+    if options.axis == "roll":
+        _report_roll(results, truths, output)
+    else:
+        _measure(results, truths, output)
+        _figures(results, truths, output)
+        _table(results, truths, output)
     if options.record:
         path = record_run(options, output)
         Console().print(f"recording: {path}")
 
 
-def _measure(results: Results, truths: Truths, output: Output) -> None:
+def _measure_laboratory(truths: Truths, thesis: Mapping[str, float], output: Output) -> None:
     for name in truths[0]:
         values = [truth[name] for truth in truths]
         alike = len(set(values)) == 1
         value = values[0] if alike else distribution(values)
-        output.measure(f"laboratory/{name}", value, thesis=TABLE_2_2_TRUTH.get(name))
+        output.measure(f"laboratory/{name}", value, thesis=thesis.get(name))
+
+
+def _report_roll(results: Results, truths: Truths, output: Output) -> None:
+    _measure_laboratory(truths, {}, output)
+    for excitation, trials in results.items():
+        fronts = [t.front_alone for t in trials if t.front_alone is not None]
+        measure_roll(excitation, [t.estimate for t in trials], fronts, truths, output)
+        nrmse = distribution([t.tilt_nrmse for t in trials])
+        output.measure(f"roll_prediction_nrmse/{excitation}", nrmse)
+        used = success_fraction(not t.doubts for t in trials)
+        output.measure(f"roll_identified_fraction/{excitation}", used)
+        lost = {name for t in trials for name in t.unidentifiable}
+        output.measure(f"roll_unidentifiable/{excitation}", sorted(lost))
+    tabulate_roll({n: [t.estimate for t in ts] for n, ts in results.items()}, truths, output)
+    output.figure("roll", draw_tilt(results))
+
+
+def _measure(results: Results, truths: Truths, output: Output) -> None:
+    _measure_laboratory(truths, TABLE_2_2_TRUTH, output)
     medians = {}
     for excitation, trials in results.items():
         errors = _errors(trials, truths)
@@ -215,12 +248,8 @@ def _table(results: Results, truths: Truths, output: Output) -> None:
 def record_run(options: Options, output: Output) -> str:
     """Record one identification, under information if it was chosen, for the rerun viewer."""
     chosen = options.chosen()
-    config = RoverIdentifierConfig(
-        ROBOT,
-        SwingingArm.of(describe_rover(ROBOT)),
-        "information" if "information" in chosen else chosen[0],
-        duration=options.duration,
-    )
+    excitation = "information" if "information" in chosen else chosen[0]
+    config = rover_config(excitation, options.duration, options.axis)
     path = output.file("run.rrd")
     controller = RoverIdentifier(config, np.random.default_rng(options.seed))
     with (
@@ -232,18 +261,20 @@ def record_run(options: Options, output: Output) -> str:
             stereo=StereoConfig(),
             seed=options.seed,
         ) as connection,
-        Recorder(path, connection.robots, connection.simulation, _blueprint()) as recorder,
+        Recorder(
+            path, connection.robots, connection.simulation, _blueprint(config.plane)
+        ) as recorder,
     ):
         recorders = [recorder, EstimateRecorder(recorder, controller)]
         loop.run(connection.robots, [controller], connection.clock, recorders, config.total)
     return str(output.directory / "run.rrd")
 
 
-def _blueprint() -> rrb.Blueprint:
+def _blueprint(plane: SwingPlane) -> rrb.Blueprint:
     """Return the usual layout with one view for each parameter: their sizes differ widely."""
     views = [
         rrb.TimeSeriesView(origin=f"estimates/{name}", name=f"{name} [{unit}]")
-        for name, unit in zip(NAMES, UNITS)
+        for name, unit in zip(plane.parameters, UNITS)
     ]
     excitation = rrb.TimeSeriesView(origin="excitation", name="Excitation")
     return default_blueprint([ROBOT], [rrb.Grid(excitation, *views, grid_columns=3)])
@@ -264,7 +295,7 @@ class EstimateRecorder(LoopRecorder):
         self._recorded = len(log.estimates)
         estimate = log.estimates[-1]
         sigma = np.sqrt(np.diag(estimate.covariance))
-        for name, value, band in zip(NAMES, estimate.parameters, 2 * sigma):
+        for name, value, band in zip(estimate.names, estimate.parameters, 2 * sigma):
             self._recorder.log_band(f"estimates/{name}", value, value - band, value + band, [name])
         names = ("offset [rad]", "amplitude [rad]", "frequency [rad/s]")
         self._recorder.log_scalars("excitation", np.array(log.excitations[-1]), names)
@@ -282,13 +313,13 @@ def draw_arm_motion(trial: RoverIdentification, excitation: str) -> Figure:
 
 
 def draw_tilt(results: Results) -> Figure:
-    """Draw the inclinometer's pitch under each excitation (Thesis figure 2-11)."""
+    """Draw the tilt read under each excitation (Thesis figure 2-11)."""
     figure = Figure(figsize=(7, 1.8 * len(results)))
     rows = figure.subplots(len(results), 1, sharex=True, squeeze=False)
     for axes, (excitation, trials) in zip(rows[:, 0], results.items()):
         trial = trials[0]
         axes.plot(trial.tilt_times, trial.tilt, color=COLOURS.get(excitation, "grey"), lw=1)
-        axes.set(ylabel="pitch [rad]", title=excitation)
+        axes.set(ylabel="tilt [rad]", title=excitation)
         axes.grid(alpha=0.3)
     rows[-1, 0].set_xlabel("time [s]")
     figure.tight_layout()

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import numpy as np
 
@@ -13,11 +14,14 @@ from controllers.identification.pitch import (
 )
 from controllers.identification.pitch_model import predict_tilt
 from controllers.identification.rover_identifier import (
+    ROLL_TILT_LIMIT,
     RoverIdentifier,
     RoverIdentifierConfig,
     SwingingArm,
 )
+from controllers.identification.swing_plane import PITCH, ROLL
 from experiments.ch2.rover.acceleration import acceleration_gain
+from experiments.ch2.rover.roll import front_alone
 from models.compose import LABORATORY, RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, connect
@@ -26,6 +30,9 @@ from twin.loop import LoopRecorder, run
 from twin.realism import RealismName, make_robots
 
 ROBOT = "rover1"
+Axis = Literal["pitch", "roll"]
+PLANES = {PITCH.name: PITCH, ROLL.name: ROLL}
+"""Planes in which the arm swings, by the tilt that they show."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,6 +46,7 @@ class RoverTrial:
         duration: Duration of the excitation [s].
         unseen: Duration of the motion that the result is tried on [s].
         realism: How far the robot and its sensors are from their drawings.
+        axis: Tilt to identify.
     """
 
     robot: str
@@ -47,6 +55,7 @@ class RoverTrial:
     duration: float = 10.0
     unseen: float = 4.0
     realism: RealismName = "ideal"
+    axis: Axis = "pitch"
 
     @property
     def seeds(self) -> tuple[int, int, int]:
@@ -63,6 +72,24 @@ class RoverTrial:
         realism = "ideal" if self.robot.startswith("serial:") else self.realism
         (robot,) = make_robots([RobotPlacement(ROBOT)], realism, self.seeds[0])
         return robot
+
+
+def rover_config(excitation: str, duration: float, axis: Axis) -> RoverIdentifierConfig:
+    """Return the configuration of an identification of `ROBOT` as drawn.
+
+    Args:
+        excitation: One of `rover_identifier.EXCITATIONS`.
+        duration: Duration of the excitation [s].
+        axis: Tilt to identify.
+    """
+    config = RoverIdentifierConfig(
+        ROBOT,
+        SwingingArm.of(describe_rover(ROBOT)),
+        excitation,
+        duration=duration,
+        plane=PLANES[axis],
+    )
+    return dataclasses.replace(config, tilt_limit=ROLL_TILT_LIMIT) if axis == "roll" else config
 
 
 def identify(
@@ -84,6 +111,7 @@ class RoverIdentification:
 
     Attributes:
         estimate: Final estimate.
+        front_alone: Estimate of roll without the centre joint's angle; none of pitch.
         unidentifiable: Names of the parameters that the data leave unknown.
         doubts: Why the estimate is not to be used; none if it is.
         tilt_nrmse: Error of the predicted inclinometer in an unseen motion [%].
@@ -92,12 +120,13 @@ class RoverIdentification:
         bits: (n, 5) mutual information on each parameter [bit].
         excitations: (n, 3) offset [rad], amplitude [rad] and frequency [rad/s] of every window.
         shoulder: (m,) measured shoulder angle at every tick [rad].
-        tilt: (k,) pitch read from the inclinometer [rad].
+        tilt: (k,) tilt read from the inclinometer, of roll the mean of both halves [rad].
         tilt_times: (k,) when it was read [s].
         step_seconds: (n,) computing time of every window [s].
     """
 
     estimate: PitchEstimate
+    front_alone: PitchEstimate | None
     unidentifiable: tuple[str, ...]
     doubts: tuple[str, ...]
     tilt_nrmse: float
@@ -114,12 +143,7 @@ class RoverIdentification:
 def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     """Identify, then predict the tilt of a motion that was not used."""
     seed, plan, other = trial.seeds
-    config = RoverIdentifierConfig(
-        ROBOT,
-        SwingingArm.of(describe_rover(ROBOT)),
-        trial.excitation,
-        duration=trial.duration,
-    )
+    config = rover_config(trial.excitation, trial.duration, trial.axis)
     with connect(
         trial.robot,
         robots=[trial.placement],
@@ -136,6 +160,7 @@ def run_rover_trial(trial: RoverTrial) -> RoverIdentification:
     bits = [mutual_information(p, s, RANGES) for p, s in zip(parameters, sigmas)]
     return RoverIdentification(
         estimate=estimate,
+        front_alone=front_alone(controller) if config.plane.twists else None,
         unidentifiable=tuple(estimate.unidentifiable(config.prior)),
         doubts=estimate.doubts(config.prior),
         tilt_nrmse=tilt_nrmse(estimate.parameters, trying),
