@@ -15,7 +15,7 @@ from controllers.identification.rover_identifier import (
 )
 from controllers.identification.swing_plane import PITCH, ROLL
 from tests.controllers.identification.test_pitch import SENSORS, rich_wrench
-from twin.robot import MISSING, Channel, Observation, RobotError, Validity
+from twin.robot import MISSING, Channel, Command, Observation, RobotError, Validity
 
 INERTIA, RX, RZ, DAMPING, STIFFNESS = TRUTH = np.array([0.027, 0.01, 0.1, 1.33, 275.0])
 ARM = SwingingArm(0.56, 0.0107, (0.31, 0.015), (0.0, 0.06))
@@ -85,8 +85,9 @@ def test_arm_to_the_right_rolls_its_rover_as_an_arm_ahead_pitches_it():
 
 def test_half_of_the_centre_angle_leads_from_the_front_half_to_the_mean():
     front, rear = 0.02, -0.01
-    seen = observed(0.0, wrench=np.zeros(6), tilt=np.array([0.0, front]), twist=rear - front)
-    mean = ROLL.tilt(seen.inclinometer.value) + ROLL.half_twist(seen)
+    tilt = np.array([0.0, front])
+    seen = observed(0.0, wrench=np.zeros(6), tilt=tilt, twist=rear - front)
+    mean = ROLL.tilt(tilt) + ROLL.half_twist(seen)
     assert mean == pytest.approx(-(front + rear) / 2)
     assert PITCH.half_twist(seen) == 0.0
 
@@ -97,7 +98,7 @@ def rolling(monkeypatch, twist):
     identifier = RoverIdentifier(config, np.random.default_rng(0))
     monkeypatch.setattr(identifier, "_replan", lambda: None)
     identifier._motion, _ = identifier._swing(identifier._excitation)
-    period, command = config.sensors.period, None
+    period, command = config.sensors.period, Command()
     for tick in range(round((config.approach + config.rest + 0.4) / period)):
         moved = tick * period > config.approach + config.rest - period / 2
         tilt, own = np.array([0.5, 0.03 + 0.01 * moved]), 0.002 + twist * moved
@@ -108,7 +109,7 @@ def rolling(monkeypatch, twist):
 
 def test_identifier_of_roll_turns_the_arm_aside_and_reads_the_halves_mean(monkeypatch):
     identifier, command = rolling(monkeypatch, twist=-0.02)
-    assert command.arm[0] == pytest.approx(-np.pi / 2)
+    assert command.arm is not None and command.arm[0] == pytest.approx(-np.pi / 2)
     log, sensors = identifier.log, SENSORS
     np.testing.assert_allclose(log.wrench[-1], [-1.0, 0.0, 2.0, -4.0, 3.0, 5.0], atol=1e-12)
     # Half of the step of the centre joint, through the low pass of the inclinometer.
