@@ -64,6 +64,8 @@ class CardInserterConfig:
         known: Largest standard deviation of the slot's position for dead reckoning [m].
         lost: Age of the last view at which the insertion fails [s].
         first: Time without a first view after which it fails [s]; until then nothing moves.
+        following: Share of the speeds until the master has seen card and slot together: till then
+            its camera has to follow the card.
         settle: Time over which the wrench is tared [s].
         force_limit: Contact force at which everything stops [N].
         timeout: Longest time of the whole task [s].
@@ -88,6 +90,7 @@ class CardInserterConfig:
     known: float = 4e-3
     lost: float = 6.0
     first: float = 15.0
+    following: float = 0.3
     settle: float = 0.5
     force_limit: float = 9.0
     timeout: float = 120.0
@@ -137,7 +140,7 @@ class CardInserter:
         self._levelled = False
         self._load = 0.0  # Force that the limit applies to [N].
         self._time, self._since, self._last_view = 0.0, 0.0, -math.inf
-        self._good = 0
+        self._good, self._both_seen = 0, False
         self._tare: list[FloatArray] = []
         self._offset = np.zeros(6)
         self._wanted = np.empty(0)  # Joint angles; empty before the first step.
@@ -225,6 +228,7 @@ class CardInserter:
         for view in views:
             if view.card_seen or view.slot_seen:
                 self._last_view = self._time
+            self._both_seen |= view.card_seen and view.slot_seen
             if self.stage is InsertionStage.INSERT or self.over or not self.belief.take(view):
                 continue
             assert self.belief.transform_slot_to_card is not None
@@ -278,7 +282,12 @@ class CardInserter:
             tared = len(self._tare) * config.period >= config.settle - 1e-9
             if tared and (self._good >= config.looks or waited > config.patience):
                 self._hand_over(slot)
-        return self._hold(wheels, rates)
+        return self._hold(self._pace * wheels, rates)
+
+    @property
+    def _pace(self) -> float:
+        """Share of the speeds now."""
+        return 1.0 if self._both_seen else self.config.following
 
     def _steer_to(self, slot: FloatArray, gap: float) -> FloatArray:
         """Return wheel speeds onto the slot's line, slower when near."""
@@ -295,7 +304,8 @@ class CardInserter:
         """Move the commanded joints a step towards a pose (3,) of the card; return their rates."""
         config, now = self.config, self._arm.card_frame(self._wanted)
         way = (slot @ planar(pose))[:3, 3] - now[:3, 3]
-        most, step = config.card_speed * config.period, config.card_turn * config.period
+        period = self._pace * config.period
+        most, step = config.card_speed * period, config.card_turn * period
         place = now[:3, 3] + way * min(1.0, most / max(float(np.linalg.norm(way)), 1e-9))
         pitch = pitch_of(now)
         pitch += min(max(self._pitch_at(slot, pose) - pitch, -step), step)

@@ -39,6 +39,9 @@ class MarkerGuideConfig:
         wander: Standard deviations of turn [rad] and position [m] by which the slot's covariance
             grows before a view: the robot moves on its springs between detections of the slot.
         again: Time between choices of the camera pose [s].
+        lost: Time without a pair that shows both from which on their poses are not sure [s].
+        aside: Longest way of a joint while the camera follows the card alone [rad]: on a longer one
+            it would be outrun.
         better: Factor by which another camera pose must rate higher.
         rate: Largest rate of a joint while the camera moves [rad/s].
         exposure: Exposure time of the images [s].
@@ -56,6 +59,8 @@ class MarkerGuideConfig:
     turned: float = 0.3
     wander: tuple[float, float] = (1e-3, 3e-4)
     again: float = 1.0
+    lost: float = 2.0
+    aside: float = 0.5
     better: float = 1.15
     rate: float = 0.5
     exposure: float = 0.0
@@ -108,12 +113,12 @@ class MarkerGuide:
         # xi of the camera by errors of arm and head when the slot was last seen, robot frame.
         self._seen_with: FloatArray | None = None
         self._stamp, self._next = math.nan, 0.0
-        self._found = False
+        self._found, self._both_seen = False, -math.inf  # Whether any, and when last both.
         self._pair: NDArray[np.uint8] = np.empty(0, np.uint8)
 
     def begin(self) -> FloatArray:
         """Choose the camera's first goal from the prior poses; return joint angles (4,) [rad]."""
-        self._place()
+        self._place(sure=False)
         return self._goal
 
     def step(self, seen: Observation) -> tuple[Command, Guidance | None]:
@@ -132,10 +137,12 @@ class MarkerGuide:
         if seen.stereo.usable and seen.stereo.stamp != self._stamp:
             self._stamp = seen.stereo.stamp
             guidance = self._view(np.asarray(seen.stereo.value, dtype=np.uint8))
-        # Until the first detection the camera keeps its pose.
-        if self._found and seen.time >= self._next:
+        sure = seen.time < self._both_seen + self.config.lost
+        # Until the first detection the camera keeps its pose. While it sees the card alone it
+        # follows it.
+        if self._found and (seen.time >= self._next or guidance is not None and not sure):
             self._next = seen.time + self.config.again
-            self._place()
+            self._place(sure)
         return self._move(), guidance
 
     def _note(self, time: float, angles: FloatArray) -> None:
@@ -171,6 +178,8 @@ class MarkerGuide:
         )
         self.fits = (card_fit, slot_fit)
         self._found |= card_fit is not None or slot_fit is not None
+        if card_fit is not None and slot_fit is not None:
+            self._both_seen = self._stamp
         if slot_fit is not None:
             slot, covariance = slot_fit.transform_body_to_camera, slot_fit.covariance
             slot_shared, self._seen_with = slot_fit.by_calibration, self._arm.error_jacobian(angles)
@@ -222,13 +231,22 @@ class MarkerGuide:
         card, slot = self.transform_card_to_robot, self.transform_slot_to_robot
         return SeenParts(card, slot, self.config.card, self.config.slot)
 
-    def _place(self) -> None:
-        """Set a clearly better camera pose as the goal, if a candidate is one."""
+    def _place(self, sure: bool) -> None:
+        """Set a clearly better camera pose as the goal, if a candidate is one.
+
+        Args:
+            sure: Whether card and slot were seen lately, both in one pair.
+        """
         plan = self.config.plan
         if plan is None:
             return
-        found = best_angles(plan, self._parts(), self._arm, self._geometry, self._goal)
-        if found.rating > self.config.better * found.rating_now:
+        follows = self._found and not sure
+        farthest = self.config.aside if follows else math.inf
+        parts = self._parts()
+        found = best_angles(plan, parts, self._arm, self._geometry, self._goal, sure, farthest)
+        # A card alone is followed, not seen better.
+        better = self.config.better if found.whole else math.inf
+        if found.rating_now == 0.0 < found.rating or found.rating > better * found.rating_now > 0.0:
             self._goal = found.angles
             self.moves += 1
 

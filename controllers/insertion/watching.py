@@ -5,6 +5,7 @@ all of them must be in both images, not occluded by the card's holder.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -34,6 +35,8 @@ class WatchPlan:
         distances: (R,) candidate distances of the camera from the target [m].
         pitches: (S,) candidate pitches of the view above the horizon [rad].
         border: Least distance of markers from the images' edges [px].
+        unsure: How much farther from the edges markers have to be that were not seen yet [px]:
+            three deviations of a map's 5 mm at 0.45 m, and 20 mrad of the arm.
         exponents: Exponents of eq. 4-1.
     """
 
@@ -43,6 +46,7 @@ class WatchPlan:
     distances: FloatArray
     pitches: FloatArray
     border: float = 14.0
+    unsure: float = 36.0
     exponents: Exponents = dataclasses.field(default_factory=Exponents)
 
 
@@ -76,11 +80,13 @@ class ArmChoice:
         angles: (4,) joint angles [rad].
         rating: Rating of the best view; 0 if no view has all markers.
         rating_now: Rating of the view from the present angles.
+        whole: Whether it is of card and slot; if not, of the card alone.
     """
 
     angles: FloatArray
     rating: float
     rating_now: float
+    whole: bool
 
 
 def target_field(
@@ -118,6 +124,8 @@ def best_angles(
     arm: SerialChain,
     geometry: StereoGeometry,
     now: FloatArray,
+    sure: bool = True,
+    farthest: float = math.inf,
 ) -> ArmChoice:
     """Return the joint angles with the best view of card and slot, or if none shows both, the card.
 
@@ -127,12 +135,15 @@ def best_angles(
         arm: Arm with the camera.
         geometry: Geometry of the camera's stereo pair.
         now: (4,) present joint angles to compare with [rad].
+        sure: Whether the poses were seen, and are no mere priors.
+        farthest: Longest way of a joint [rad].
     """
-    for whole in (True, False):
-        choice = _best_of(plan, parts, arm, geometry, now, whole)
-        if choice.rating > 0.0:
-            return choice
-    return choice
+    wider = dataclasses.replace(plan, border=plan.border + plan.unsure)
+    views = [(plan, True), (plan, False)]
+    if not sure:
+        views = [(wider, True), (plan, True), (wider, False), (plan, False)]
+    choices = (_best_of(kept, parts, arm, geometry, now, farthest, whole) for kept, whole in views)
+    return next((c for c in choices if c.rating > 0.0), ArmChoice(now, 0.0, 0.0, False))
 
 
 def _best_of(
@@ -141,15 +152,17 @@ def _best_of(
     arm: SerialChain,
     geometry: StereoGeometry,
     now: FloatArray,
+    farthest: float,
     whole: bool,
 ) -> ArmChoice:
     """Return the best view of card and slot, or of the card alone, which moves."""
     try:
         field = target_field(plan, parts, whole)
     except PlacementError:
-        return ArmChoice(now, 0.0, 0.0)
+        return ArmChoice(now, 0.0, 0.0, whole)
     views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
-    angles = np.vstack([now, views.angles[above_its_foot(arm, views.angles)]])
+    near = np.abs(views.angles - now).max(axis=1) <= farthest
+    angles = np.vstack([now, views.angles[near & above_its_foot(arm, views.angles)]])
     cameras = arm.tool_in_robot(angles)
     markers = parts.markers() if whole else parts.card_pose.apply(parts.card.points)
     seen = in_both_images(cameras, markers, geometry, plan.border)
@@ -159,7 +172,7 @@ def _best_of(
     # Of equally good views, the one nearest to the arm's present angles.
     good = np.flatnonzero(ratings >= _AS_GOOD * ratings.max())
     best = int(good[np.argmin(np.abs(angles[good] - now).max(axis=1))])
-    return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]))
+    return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]), whole)
 
 
 def above_its_foot(arm: SerialChain, angles: FloatArray) -> NDArray[np.bool_]:

@@ -379,7 +379,7 @@ def test_card_is_brought_without_turn_in_the_slots_plane_by_a_robot_that_rolls()
     slot = level.copy()
     slot[:3, :3] = tilted[:3, :3] @ level[:3, :3]
     slot[:3, 3] = about[:3, 3] + slot[:3, :3] @ [0.0, 0.015, 0.0]
-    for _ in range(300):
+    for _ in range(1000):
         inserter._bring(slot, np.array([0.0, -0.015, 0.0]))
     card = slave.arm.card_frame(inserter._wanted)
     across, ahead, turn, *_ = to_plane(inverse(slot) @ card)
