@@ -100,9 +100,8 @@ def regressor(outputs: FloatArray, arm: ArmOnMount) -> tuple[FloatArray, FloatAr
     matrix = np.zeros((len(outputs), 6, COUNT))
     matrix[:, :3, 0] = -outputs[:, SIGNALS["acceleration"]]
     basis = np.array([inertia_tensor(row) for row in np.eye(COUNT)[1:7]])
-    momentum_rate = np.einsum("kij,nj->nik", basis, alpha) + np.einsum(
-        "nij,kjl,nl->nik", cross_matrix(omega), basis, omega
-    )
+    momentum = np.einsum("kij,nj->nik", basis, omega)
+    momentum_rate = np.einsum("kij,nj->nik", basis, alpha) + cross_matrix(omega) @ momentum
     matrix[:, 3:, 1:7] = -np.einsum("nji,njk->nik", rate_matrix, momentum_rate)
     # r2 x F = -[F]x r2
     turned = np.einsum("nji,njk->nik", rate_matrix, cross_matrix(force))
@@ -167,8 +166,16 @@ class Equations:
         count, channels = outputs.shape
         terms = _augmented(outputs, arm)
         shifted = _augmented((outputs[:, None] + np.diag(sigma)).reshape(-1, channels), arm)
-        moved = shifted - np.repeat(terms, channels, axis=0)
-        return cls(count, _products(terms), _products(moved))
+        moved = shifted.reshape(count, channels, *terms.shape[1:]) - terms[:, None]
+        return cls(count, _products(terms), _products(moved.reshape(shifted.shape)))
+
+    def __add__(self, other: "Equations") -> "Equations":
+        """Return the equations of both windows of one mode."""
+        return Equations(
+            self.samples + other.samples,
+            self.products + other.products,
+            self.noise + other.noise,
+        )
 
 
 def _augmented(outputs: FloatArray, arm: ArmOnMount) -> FloatArray:
@@ -189,7 +196,7 @@ def compensated(parts: Sequence[Equations], prior: Prior) -> FloatArray:
     data exceed neither the prior nor the scatter of what was taken out keep the prior's guess.
 
     Args:
-        parts: The equations of windows of any modes; within one the noise is the same.
+        parts: The equations of windows of any modes, of which each mode's may be summed up.
         prior: Prior of the 22 parameters.
 
     Returns:

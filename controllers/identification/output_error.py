@@ -49,6 +49,24 @@ SMALLEST_GAIN = 1e-4
 LARGEST_LEFT = 0.5
 """Gain at which the whole prior has brought the fit near: one standard deviation away."""
 
+LARGEST_ERROR = 0.5
+"""Error of the linearisation, in deviations of the on-line estimate, above which all windows are
+simulated anew: the Newton step in deviations, times its change of the coordinates."""
+
+LARGEST_CHANGE = 0.1
+"""Change of a search coordinate (of the inertia's, by its trace) that is not small."""
+
+FAR = 2.0
+"""Chi^2 per measurement above which a point that is left by such a change lies far from the data:
+Newton's steps from there may follow the data for all 10 s and never reach them."""
+
+FIRST_DAMPING = 1e-3
+"""Share of the information's diagonal that is added to it in a descent's first step."""
+
+MOST_ANEW = 3
+"""Most steps of descent when a window comes; each simulates all windows anew. With two, an estimate
+was left twelve deviations away on Table 2-1's robot."""
+
 SUBSTEPS = 2
 """Integration steps a sample, on line and until a fit is near: one would leave 0.3 % in the angular
 accelerations."""
@@ -161,19 +179,21 @@ _Linearised = tuple[_Normal, dict[str, BaseState]]
 
 @dataclasses.dataclass(frozen=True)
 class _Point:
-    """A point of the final fit, with the data linearised there and the states reached."""
+    """A point of a descent, with the data linearised there, states reached and damping left."""
 
     theta: FloatArray
     normal: _Normal
     states: dict[str, BaseState]
     substeps: int
+    damping: float = FIRST_DAMPING
 
 
 class OutputError:
     """Fits the 22 parameters to windows of all three modes, on line and at the end.
 
     On line the sensitivities are kept from one window to the next, and everything is simulated
-    anew only when the estimate has left the point at which it was linearised.
+    anew only when the linearisation errs: a few steps of descent follow, from least squares without
+    their bias if the estimate is far from the data.
 
     Args:
         arms: The arm in each mode, by mode name.
@@ -188,8 +208,11 @@ class OutputError:
         self._arms = dict(arms)
         self._prior = prior or Prior()
         self._windows: dict[str, list[Window]] = {mode: [] for mode in arms}
+        self._equations: dict[str, Equations] = {}
         self._linearised_at = self._prior.mean()
         self.states = {mode: BaseState.at_rest() for mode in arms}
+        # Kept from window to window: starting anew, a descent could be refused every step.
+        self._damping = FIRST_DAMPING
         self._data = _Normal(0.0, np.zeros(COUNT), np.zeros((COUNT, COUNT)))
         self.estimate = self._summary(self._linearised_at, self._data, self._prior.term)
 
@@ -198,13 +221,12 @@ class OutputError:
         """Number of scalar measurements so far."""
         return sum(w.outputs.size for windows in self._windows.values() for w in windows)
 
-    def add(self, windows: Mapping[str, Window], relinearise_above: float = 0.1) -> Estimate:
+    def add(self, windows: Mapping[str, Window], relinearise: bool = True) -> Estimate:
         """Take one window of each mode in, and update the estimate.
 
         Args:
             windows: The latest window by mode.
-            relinearise_above: Change of a search coordinate at which all windows are
-                simulated anew.
+            relinearise: Whether all windows may be simulated anew.
 
         Returns:
             The new estimate, also kept as `estimate`.
@@ -217,15 +239,29 @@ class OutputError:
             raise ValueError(f"modes {unknown}: expected {', '.join(self._windows)}")
         for mode, window in windows.items():
             self._windows[mode].append(window)
+            found = Equations.of(window.outputs, window.sigma, self._arms[mode])
+            known = self._equations.get(mode)
+            self._equations[mode] = known + found if known else found
             self._accumulate(mode, [window], self._linearised_at, self._data, self.states, SUBSTEPS)
+        if relinearise:
+            self._linearise_anew()
         theta = _step_from(self._linearised_at, self._data, self._prior.term)
-        if np.abs(theta - self._linearised_at).max() > relinearise_above:
-            self._linearised_at = self._held(self._linearised_at, theta)
-            self._data, self.states = self._linearise(self._linearised_at, SUBSTEPS)
-            theta = _step_from(self._linearised_at, self._data, self._prior.term)
         theta = self._held(self._linearised_at, theta)
         self.estimate = self._summary(theta, self._data, self._prior.term)
         return self.estimate
+
+    def _linearise_anew(self) -> None:
+        """Descend by simulating all windows anew, if the linearisation errs."""
+        term, theta, data = self._prior.term, self._linearised_at, self._data
+        change = _change(theta, _step_from(theta, data, term))
+        if change * np.sqrt(2.0 * _gain_left(theta, data, term)) <= LARGEST_ERROR:
+            return
+        point = _Point(theta, data, self.states, SUBSTEPS, self._damping)
+        if change > LARGEST_CHANGE and data.cost > FAR * self.measurements:
+            point = self._at(self._unbiased(), SUBSTEPS)
+        point, _ = self._descend_under(term, point, LARGEST_LEFT, 0, MOST_ANEW)
+        self._linearised_at, self._data, self.states = point.theta, point.normal, point.states
+        self._damping = point.damping
 
     def fit(self, iterations: int = 40) -> Estimate:
         """Fit all windows to convergence by damped Gauss-Newton, finely integrated.
@@ -256,11 +292,7 @@ class OutputError:
 
     def _unbiased(self) -> FloatArray:
         """Return search coordinates (22,) near the optimum, without a search."""
-        parts = [
-            Equations.of(window.outputs, window.sigma, self._arms[mode])
-            for mode, windows in self._windows.items()
-            for window in windows
-        ]
+        parts = list(self._equations.values())
         guess = from_coordinates(self._prior.mean())
         found = compensated(parts, self._prior) if parts else guess
         return to_coordinates(closest_body(found, LEAST_SHARE * guess))
@@ -280,6 +312,7 @@ class OutputError:
             if directions.shape[1] <= held:
                 break
             held, gain = directions.shape[1], SMALLEST_GAIN
+            point = dataclasses.replace(point, damping=FIRST_DAMPING)
             term = functools.partial(self._prior.term, directions=directions)
         return self._summary(point.theta, point.normal, term), point
 
@@ -287,7 +320,7 @@ class OutputError:
         self, term: _PriorTerm, point: _Point, gain: float, count: int, iterations: int
     ) -> tuple[_Point, int]:
         """Descend until no more than `gain` is left, or `iterations` are done, `count` before."""
-        objective, damping = _objective(point, term), 1e-3
+        objective, damping = _objective(point, term), point.damping
         while count < iterations and _gain_left(point.theta, point.normal, term) > gain:
             count += 1
             target = _step_from(point.theta, point.normal, term, damping)
@@ -300,7 +333,7 @@ class OutputError:
                 break
             else:
                 damping *= 10
-        return point, count
+        return dataclasses.replace(point, damping=damping), count
 
     def _at(self, theta: FloatArray, substeps: int) -> _Point:
         return _Point(theta, *self._linearise(theta, substeps), substeps)
@@ -355,6 +388,13 @@ class OutputError:
             measurements=self.measurements,
             gain_left=_gain_left(theta, normal, term),
         )
+
+
+def _change(theta: FloatArray, target: FloatArray) -> np.float64:
+    """Return the greatest change of a coordinate, the inertia's as shares of its trace."""
+    change = np.abs(target - theta)
+    change[INERTIA] /= theta[INERTIA][:3].sum()
+    return change.max()
 
 
 def _gain_left(theta: FloatArray, normal: _Normal, term: _PriorTerm) -> float:

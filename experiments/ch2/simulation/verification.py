@@ -164,7 +164,7 @@ def fitted(run: Swings, outputs: Outputs, generator: np.random.Generator) -> Est
             clean = outputs[mode][rows]
             noisy = clean + generator.uniform(-bound, bound, clean.shape)
             measured[mode] = Window(motions[window], noisy, bound / np.sqrt(3))
-        fit.add(measured, relinearise_above=np.inf)
+        fit.add(measured, relinearise=False)
     return fit.fit()
 
 

@@ -127,8 +127,7 @@ def test_windows_that_come_after_a_fit_add_to_it():
     after, never = OutputError(ARMS), OutputError(ARMS)
     for n in range(2):
         windows = {mode: cut(mode, n, outputs[mode], sigma) for mode in MODES}
-        # A limit that is never reached: nothing is simulated anew.
-        found = after.add(windows, relinearise_above=np.inf if n else 0.1)
+        found = after.add(windows, relinearise=n == 0)
         never.add(windows)
         if n == 0:
             after.fit()
@@ -188,6 +187,19 @@ HARDLY_DAMPED = (
     *(0.5, 0.5, 0.5, 0.2, 0.2, 0.2),
     *(1000.0, 1000.0, 500.0, 2000.0, 2500.0, 3000.0),
 )
+
+
+@pytest.mark.parametrize("truth", [STIFF_AND_HEAVY, HARDLY_DAMPED])
+def test_on_line_estimate_follows_a_robot_unlike_the_guess(truth):
+    values, search = dict(zip(NAMES, truth)), OutputError(ARMS)
+    clean = {mode: Plant(values, mode).follow(PATHS[mode]) for mode in MODES}
+    bound = noise_bound(clean)
+    generator = np.random.default_rng(9)
+    outputs = {m: y + generator.uniform(-bound, bound, y.shape) for m, y in clean.items()}
+    for n in range(5):
+        sigma = bound / np.sqrt(3)
+        online = search.add({mode: cut(mode, n, outputs[mode], sigma) for mode in MODES})
+    assert online.chi_square < 1.1
 
 
 @pytest.mark.slow
