@@ -121,6 +121,23 @@ def test_speeds_stay_within_their_limits():
     assert speed.max() <= inserter.config.card_speed * 1.02
 
 
+def test_slave_moves_slowly_until_card_and_slot_were_seen_together():
+    """The master's camera has to follow a card that it sees alone."""
+    slave, speeds = Slave((0.0, -1.1, 0.2)), {}
+    inserter = slave.inserter()
+    for slot_seen in (False, True):
+        begun = len(slave.commands)
+        for tick in range(300):
+            view = dataclasses.replace(slave.look(), slot_seen=slot_seen)
+            slave.drive(inserter.step(slave.observe(), [] if tick % 25 else [view]))
+        motions = np.abs([inserter._steer.motion(c.wheels) for c in slave.commands[begun:]])
+        speeds[slot_seen] = motions.max(axis=0)
+    share = inserter.config.following
+    limits = np.array([inserter.config.speed, inserter.config.turn])
+    assert np.all(speeds[False] <= share * limits + 1e-9)
+    assert speeds[True][0] > speeds[False][0] / share * 0.9
+
+
 def approach(start):
     """Return where a slave is in each tick of its approach (N, 3), the commands, the controller."""
     slave = Slave(start)

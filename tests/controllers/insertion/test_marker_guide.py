@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion import marker_guide
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
-from controllers.insertion.watching import best_angles
+from controllers.insertion.watching import best_angles, in_both_images
 from experiments.ch5.insertion_scene import MASTER, SLAVE, best_station
 from tests.controllers.insertion.scenes import (
     ARM,
@@ -139,6 +139,30 @@ def test_hidden_card_gives_no_pose(eyes):
     _, guidance = eyes.marker_guide().step(eyes.observe())
     assert guidance is not None and guidance.slot_seen and not guidance.card_seen
     assert guidance.transform_slot_to_card is None
+
+
+def test_card_alone_is_followed_by_short_ways_once_it_nears_the_edge(eyes):
+    eyes.place((0.0, 0.0))
+    eyes.hide("slot")
+    guide = eyes.marker_guide(prior_error=False)
+    guide.config = dataclasses.replace(guide.config, plan=PLAN)
+    guide.transform_slot_to_robot = (
+        RigidTransform.from_translation([0.0, 0.0, 1.5]) * guide.transform_slot_to_robot
+    )
+    guide.step(eyes.observe())
+    guide._place(sure=False)
+    settled = guide._goal
+    guide._place(sure=False)
+    np.testing.assert_array_equal(guide._goal, settled)
+    camera, aside = ARM.tool_in_robot(settled[None]), guide.transform_card_to_robot
+    while in_both_images(camera, aside.apply(DRAWING.card.points), EYES, 40.0)[0]:
+        step = camera[0].rotation.apply([0.005, 0.0, 0.0])
+        aside = RigidTransform.from_translation(step) * aside
+    guide.transform_card_to_robot = aside
+    guide._place(sure=False)
+    assert 0.0 < np.abs(guide._goal - settled).max() <= guide.config.aside
+    followed = ARM.tool_in_robot(guide._goal[None])
+    assert in_both_images(followed, aside.apply(DRAWING.card.points), EYES, 45.0)[0]
 
 
 @pytest.mark.parametrize("kind", ["black", "white", "noise"])

@@ -5,7 +5,7 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.watching import (
     above_its_foot,
@@ -127,8 +127,29 @@ def test_card_alone_is_watched_where_both_cannot_be():
     assert choice.rating > 0.0
     camera = arm.tool_in_robot(choice.angles[None])
     card = parts.card_pose.apply(parts.card.points)
-    assert in_both_images(camera, card, EYES, 10.0)[0]
+    assert not choice.whole and in_both_images(camera, card, EYES, 10.0)[0]
     assert not in_both_images(camera, apart.markers(), EYES, 0.0)[0]
+
+
+def test_markers_that_were_not_seen_stay_in_view_of_an_arm_that_is_20_mrad_off(watched):
+    parts, now = watched[2], best_station(WIDTH).angles
+    choice = best_angles(PLAN, parts, ARM, EYES, now, sure=False)
+    assert choice.whole and choice.rating > 0.0
+    camera = ARM.tool_in_robot(choice.angles[None])
+    for off in 0.02 * np.vstack([np.eye(3), -np.eye(3)]):
+        turned = camera * RigidTransform.from_rotation(Rotation.from_rotvec(off))
+        assert in_both_images(turned, parts.markers(), EYES, PLAN.border)[0]
+
+
+def test_no_joint_goes_farther_than_asked(watched):
+    parts = watched[2]
+    best = best_angles(PLAN, parts, ARM, EYES, best_station(WIDTH).angles).angles
+    now = best + [0.2, 0.1, 0.0, 0.0]
+    near = best_angles(PLAN, parts, ARM, EYES, now, farthest=0.25)
+    assert near.rating > 0.0 and 0.0 < np.abs(near.angles - now).max() <= 0.25
+    np.testing.assert_array_equal(
+        best_angles(PLAN, parts, ARM, EYES, now, farthest=0.0).angles, now
+    )
 
 
 def test_nothing_in_reach_rates_nothing_and_moves_nothing():
