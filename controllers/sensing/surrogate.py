@@ -136,7 +136,8 @@ class SensorMonitor:
             self._fault = fault
         believed = not fault and not self._failed
         self._served = 0.0 if believed else self._served + dt
-        reason = "" if believed else self._stop(predicted, dt)
+        # However unsure its prediction is, a spike alone stops nothing: it is over soon.
+        reason = self._stop(predicted, dt) if self._failed else ""
         return Verdict(believed, self._fault, self._failed, self._innovation, reason)
 
     def _judge(

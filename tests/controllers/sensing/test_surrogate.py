@@ -154,6 +154,20 @@ def test_contact_is_no_fault_but_without_a_wrench_it_stops_the_task():
     assert not careful.step(lost, PERIOD, obstacles=True).stop
 
 
+def test_spike_in_contact_stops_nothing_before_it_counts_as_a_failure():
+    run, robot, stops = swing(ticks=300, pushed=True), sensing(), []
+    for seen in run.seen[:-1]:
+        robot.step(seen, PERIOD, contact=True)
+    wrench = run.seen[-1].arm_base_wrench
+    for tick in range(6):
+        spike = wrench._replace(value=wrench.value + 60.0 + tick, stamp=wrench.stamp + 0.01 * tick)
+        state = robot.step(run.seen[-1]._replace(arm_base_wrench=spike), PERIOD, contact=True)
+        assert state.faults
+        stops.append(bool(state.stop))
+    # Failed after 0.05 s.
+    assert stops == [False] * 4 + [True] * 2
+
+
 def test_tilt_surrogate_that_has_driven_too_far_stops_the_task():
     run, robot = swing(), sensing()
     for seen in run.seen[FIRST:FAIL]:
