@@ -167,8 +167,8 @@ class Log:
         times: Robot time of each tick since the excitation began [s].
         shoulder: Shoulder angle [rad].
         wrench: (6,) deviation from rest at each tick, frame of the plane.
-        half_twist: By how much the halves' mean tilts beyond the front half at each tick, through
-            the inclinometer's low pass, deviation from rest [rad].
+        half_twist: Mean tilt of the front and the rear half less that of the front half at each
+            tick, through the inclinometer's low pass, deviation from rest [rad].
         tilt: Mean tilt of the halves read, deviation from rest [rad].
         tilt_indices: Tick of each reading.
         lost: Whether the motion before each reading cannot have been as modelled.
@@ -195,7 +195,7 @@ class _Reading(NamedTuple):
     Attributes:
         wrench: (6,) force and moment on the arm [N, N m].
         tilt: Tilt of the front half [rad].
-        half_twist: By how much the halves' mean tilts beyond that [rad].
+        half_twist: Mean tilt of the front and the rear half less that of the front half [rad].
     """
 
     wrench: FloatArray

@@ -244,9 +244,9 @@ class MarkerGuide:
         farthest = self.config.aside if follows else math.inf
         parts = self._parts()
         found = best_angles(plan, parts, self._arm, self._geometry, self._goal, sure, farthest)
+        better = found.rating > self.config.better * found.rating_now
         # A card alone is followed, not seen better.
-        better = self.config.better if found.whole else math.inf
-        if found.rating_now == 0.0 < found.rating or found.rating > better * found.rating_now > 0.0:
+        if better and (found.whole or found.rating_now == 0.0):
             self._goal = found.angles
             self.moves += 1
 
