@@ -28,6 +28,7 @@ from models.configuration import (
 )
 from models.materials import add_materials, draw_sun
 from models.mjcf import read_spec
+from models.slope import incline
 
 __all__ = [
     "ARM_JOINTS",
@@ -221,6 +222,7 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
     if not field.shadows:
         for light in scene.lights:
             light.castshadow = False
+    incline(scene, field, robots)
     if robots:
         add_home(scene, robots)
     return scene

@@ -10,11 +10,14 @@ import numpy as np
 from models.as_made import AsMade
 from models.clutter import PanelConfig, finite, require
 from models.datasheets import ROVER
+from perception.geometry.arrays import FloatArray
 
 START_RADIUS = 0.4
 """Radius about a robot's start that is clear of rocks and blocks [m]."""
 SUN_ELEVATION = (math.radians(20.0), math.radians(70.0))
 """Elevations of a sun that shines from morning to evening [rad]."""
+STEEPEST = math.radians(20.0)
+"""Steepest slope along each axis of a field [rad]: beyond it an inclinometer's masses stop."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
@@ -41,6 +44,10 @@ class FieldConfig:
         shadows: Whether lights cast shadows, which take half of an image's rendering time.
         sun_elevation: Lowest and highest elevation of the sun [rad], drawn with its azimuth from
             the seed; None for one sun of all fields, whose shadows end 1 m from the origin.
+        slope: Angles by which the field's x and y axes rise above the horizontal [rad], each within
+            `STEEPEST`. Site, robots and ground lie on one inclined plane, and nothing but the
+            direction of gravity shows it: so gravity is turned, and all coordinates stay those of
+            the plane, z normal to it.
     """
 
     size: tuple[float, float] = (6.0, 6.0)
@@ -58,6 +65,7 @@ class FieldConfig:
     slot_width: float | None = None
     shadows: bool = True
     sun_elevation: tuple[float, float] | None = None
+    slope: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Refuse impossible fields.
@@ -103,6 +111,15 @@ class FieldConfig:
             self.sun_elevation,
             "0 < low <= high <= pi / 2",
         )
+        # A comparison with NaN is false.
+        gentle = len(self.slope) == 2 and all(abs(angle) <= STEEPEST for angle in self.slope)
+        require(gentle, "field slope", self.slope, "two angles within 20 degrees [rad]")
+
+    @property
+    def up(self) -> FloatArray:
+        """(3,) unit vector against gravity, in the field's coordinates."""
+        x, y = math.sin(self.slope[0]), math.sin(self.slope[1])
+        return np.array([x, y, math.sqrt(1.0 - x**2 - y**2)])
 
 
 FLAT = FieldConfig()

@@ -1,5 +1,6 @@
 """The scene of the insertion is that of the thesis, and cameras are placed as configured."""
 
+import dataclasses
 import math
 
 import mujoco
@@ -33,6 +34,7 @@ from experiments.ch5.insertion_scene import (
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT, TIP
 from models.compose import ARM_JOINTS, FLAT, RobotPlacement, make_model, settle
 from models.datasheets import CARD_AND_SLOT, ROVER
+from perception.geometry.gravity import GRAVITY
 from tests.controllers.insertion.scenes import (
     ARM,
     DRAWING,
@@ -102,6 +104,16 @@ def test_nothing_touches_a_free_card_and_a_push_is_found(placed):
         mujoco.mj_step(model, data, 400)
         local = data.body(card).xmat.reshape(3, 3).T @ push
         np.testing.assert_allclose(contact_force(model, data), local, atol=0.05)
+
+
+def test_nothing_touches_a_free_card_on_a_slope():
+    field = dataclasses.replace(FLAT, texture_pixels=16, slope=(0.2, -0.15))
+    model = compile_insertion(InsertionScene(WIDTH, START, best_station(WIDTH).place, field))
+    data = settle(model, 1.0)
+    np.testing.assert_allclose(contact_force(model, data), 0.0, atol=0.01)
+    # Gravity along -z would leave so much of the card's weight [N].
+    card = model.body(f"{SLAVE}/card")
+    assert card.mass[0] * GRAVITY * np.sin(0.2) > 0.05
 
 
 def test_masters_camera_starts_at_the_best_view_of_the_visibility_map():
