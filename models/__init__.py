@@ -6,7 +6,8 @@
 - `configuration`: what may be asked of a scene; `compose`: the scene from it.
 - `mjcf`: MJCF files, read within limits.
 - `terrain`, `materials`, `clutter`: ground, textures, blocks and a panel with markers.
-- `slope`: gravity on a field that is inclined.
+- `slope`: gravity on a field that is inclined; `ground_friction`: ground that grips here and slips
+  there.
 - `card_and_slot`: the card and its slot (thesis chapter 5).
 - `compliant_base`: the plant of the simulation study (thesis chapter 2).
 - `blocks`: the work-piece of thesis figure 4-12.

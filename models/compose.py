@@ -26,6 +26,7 @@ from models.configuration import (
     check_panel,
     check_robots,
 )
+from models.ground_friction import FrictionMap, TyreFriction, draw_friction, keep_friction
 from models.materials import add_materials, draw_sun
 from models.mjcf import read_spec
 from models.slope import incline
@@ -59,6 +60,7 @@ WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 ARM_JOINTS = ("base_yaw", "shoulder", "elbow", "wrist")
 TEXTURE_TILE = FieldConfig.texture_tile
 """Edge of the ground's noise tile, unless the field says another [m]."""
+_FRICTION_STEPS = 10  # Physics steps for which a tyre that settles keeps its friction.
 
 
 def load_part(name: str) -> mujoco.MjSpec:
@@ -151,7 +153,7 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
         robots: Robots whose starts are kept free of rocks and blocks.
 
     Returns:
-        Heights, rocks and blocks, in the world frame; the panel is not among them.
+        Heights, rocks, blocks and friction, in the world frame; the panel is not among them.
     """
     height_seed, rock_seed, _, block_seed = np.random.SeedSequence(field.seed).spawn(4)
     heights = terrain.make_heights(
@@ -178,7 +180,17 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
         field.rock_radius,
         clear,
     )
-    return dataclasses.replace(bare, rocks=rocks, blocks=blocks)
+    return dataclasses.replace(bare, rocks=rocks, blocks=blocks, friction=_draw_friction(field))
+
+
+def _draw_friction(field: FieldConfig) -> FrictionMap | None:
+    if field.friction is not None:
+        return FrictionMap(field.size, np.full((1, 1), field.friction))
+    if field.friction_patches is None:
+        return None
+    # The fifth stream is the sun's.
+    rng = np.random.default_rng(np.random.SeedSequence(field.seed).spawn(6)[5])
+    return draw_friction(rng, field.size, field.friction_patches, field.friction_patch)
 
 
 def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.MjSpec:
@@ -223,6 +235,8 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
         for light in scene.lights:
             light.castshadow = False
     incline(scene, field, robots)
+    if field.friction_patches is not None and ground.friction is not None:
+        keep_friction(scene, ground.friction)
     if robots:
         add_home(scene, robots)
     return scene
@@ -255,7 +269,7 @@ def settle(model: mujoco.MjModel, seconds: float = 2.0) -> mujoco.MjData:
     """Let the robots of a scene come to rest from ``home``.
 
     Args:
-        model: Compiled model of a scene.
+        model: Compiled model of a scene; friction in patches is given to its tyres.
         seconds: Time to wait [s].
 
     Returns:
@@ -263,7 +277,15 @@ def settle(model: mujoco.MjModel, seconds: float = 2.0) -> mujoco.MjData:
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
-    mujoco.mj_step(model, data, max(1, round(seconds / model.opt.timestep)))
+    steps = max(1, round(seconds / model.opt.timestep))
+    tyres = TyreFriction.of(model)
+    if tyres is None:
+        mujoco.mj_step(model, data, steps)
+    else:
+        for begin in range(0, steps, _FRICTION_STEPS):
+            tyres.update(data)
+            mujoco.mj_step(model, data, min(_FRICTION_STEPS, steps - begin))
+        tyres.update(data)
     _shift_history(model, data, -data.time)
     data.time = 0.0
     mujoco.mj_forward(model, data)

@@ -33,7 +33,10 @@ class FieldConfig:
         rock_radius: Smallest and largest horizontal semi-axis of a rock [m].
         friction: Coulomb coefficient between all tyres and this ground, where it is known; None for
             that of each robot's own tyres.
-        seed: Seed of texture, heights, rocks and blocks.
+        friction_patches: Lowest and highest Coulomb coefficient of ground that differs from patch
+            to patch, in place of `friction`; None for ground that is alike everywhere.
+        friction_patch: Edge of such a patch [m].
+        seed: Seed of texture, heights, rocks, blocks and patches.
         texture_pixels: Edge of the noise texture; a power of two.
         texture_tile: Edge of what that texture covers before it repeats [m].
         blocks: Number of textured blocks drawn; those within 0.4 m of a robot's start, before the
@@ -56,6 +59,8 @@ class FieldConfig:
     rocks: int = 0
     rock_radius: tuple[float, float] = (0.02, 0.06)
     friction: float | None = None
+    friction_patches: tuple[float, float] | None = None
+    friction_patch: float = 0.6
     seed: int = 0
     texture_pixels: int = 1024
     texture_tile: float = 0.25
@@ -88,6 +93,20 @@ class FieldConfig:
             require(
                 0.0 < self.friction <= 3.0, "field friction", self.friction, "above 0, at most 3"
             )
+        if self.friction_patches is not None:
+            low, high = self.friction_patches
+            require(
+                self.friction is None and 0.0 < low <= high <= 3.0,
+                "field friction_patches",
+                self.friction_patches,
+                "0 < low <= high <= 3, and no one friction beside it",
+            )
+        require(
+            0.05 <= self.friction_patch <= 100.0,
+            "field friction_patch",
+            self.friction_patch,
+            "0.05 to 100 m",
+        )
         power = self.texture_pixels > 0 and self.texture_pixels & (self.texture_pixels - 1) == 0
         require(
             power and 16 <= self.texture_pixels <= 4096,

@@ -1,4 +1,4 @@
-"""Ground of a scene: noise textures, height field, rocks and blocks, all from a seed.
+"""Ground of a scene: noise textures, height field, rocks, blocks and friction, all from a seed.
 
 Points are in the world frame, z up, the field centred on the origin; lengths in metres.
 """
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from models.clutter import NO_SOLIDS, Solids
+from models.ground_friction import FrictionMap
 from perception.geometry.arrays import FloatArray
 
 
@@ -21,12 +22,15 @@ class Terrain:
         heights: (rows, columns) [m]; row 0 lies at the smallest y. Flat ground has (2, 2) zeros.
         rocks: Ellipsoids on the ground.
         blocks: Boxes on the ground.
+        friction: Coulomb coefficients between tyres and the ground; None where they are the tyres'
+            own.
     """
 
     size: tuple[float, float]
     heights: FloatArray
     rocks: Solids = NO_SOLIDS
     blocks: Solids = NO_SOLIDS
+    friction: FrictionMap | None = None
 
     @property
     def is_flat(self) -> bool:
@@ -72,6 +76,22 @@ class Terrain:
             inside = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
             heights = np.where(inside, np.maximum(heights, height + half[2]), heights)
         return heights
+
+    def friction_at(self, points: ArrayLike) -> FloatArray:
+        """Return the Coulomb coefficients between tyres and the ground.
+
+        Args:
+            points: (..., 2) [m], world; points outside the field get its border's friction.
+
+        Returns:
+            (...) coefficients.
+
+        Raises:
+            ValueError: If the field leaves them to the tyres.
+        """
+        if self.friction is None:
+            raise ValueError("the field has no friction of its own: each robot's tyres decide")
+        return self.friction.at(points)
 
 
 def noise_image(

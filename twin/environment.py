@@ -60,6 +60,7 @@ class RoverTask(control.Task):
             wheels, axes = len(robot.description.wheels), len(robot.description.axes)
             robot.command(Command(duty[:wheels], duty[wheels:axes]))
             duty = duty[axes:]
+        self._simulation.grip()
         self._simulation.drive()
 
     def after_step(self, physics: Physics) -> None:

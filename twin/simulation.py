@@ -15,6 +15,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
+from models.ground_friction import TyreFriction
 from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig, StereoHead, StereoState, named_index
 from twin.describe import describe_rover
@@ -309,6 +310,8 @@ class Simulation:
             for name, source in zip(self.robots, seeds[len(drawn) :])
             if stereo is not None and f"{name}/stereo_left" in cameras
         }
+        self._tyres = TyreFriction.of(model)
+        self.grip()
         mujoco.mj_forward(model, self.data)
         self._time: float = self.data.time
         for robot in self._robots:
@@ -332,6 +335,8 @@ class Simulation:
         mujoco.mj_step2(self.model, self.data)
         if self.substeps > 1:
             mujoco.mj_step(self.model, self.data, self.substeps - 1)
+        # Before the contacts of the next tick, which a restored state has to find again.
+        self.grip()
         mujoco.mj_step1(self.model, self.data)
         self.sense()
 
@@ -339,6 +344,14 @@ class Simulation:
         """Apply the present commands to the motors; part of `tick`, for owners of the physics."""
         for robot in self._robots:
             robot.drive()
+
+    def grip(self) -> None:
+        """Give tyres the friction of the ground below; part of `tick`, for owners of the physics.
+
+        Without friction in patches nothing is done.
+        """
+        if self._tyres is not None:
+            self._tyres.update(self.data)
 
     def sense(self) -> None:
         """Sample the sensors; part of `tick`, for owners of the physics.
@@ -389,6 +402,7 @@ class Simulation:
         mujoco.mj_setState(self.model, self.data, saved.physics, _STATE)
         for load in self._loads:
             load.weigh(self.data.time)
+        self.grip()
         mujoco.mj_step1(self.model, self.data)
         # Force and acceleration sensors cannot be recomputed from this half of a step.
         self.data.sensordata[:] = saved.sensordata

@@ -22,6 +22,7 @@ FIELDS = {
     # name -> (field, least real-time factor on one core)
     "plane": (FieldConfig(), 10.0),
     "rocks": (FieldConfig(rocks=40), 4.0),
+    "patches": (FieldConfig(friction_patches=(0.3, 0.9)), 10.0),
 }
 
 
@@ -43,8 +44,9 @@ def bench_loop(options: Options, output: Output) -> None:
 
     Args:
         options: ``quick`` takes fewer rounds.
-        output: Receives ``loop_overhead`` (on the plane), ``loop_overhead/rocks`` and
-            ``rtf/<field>``, the real-time factor of the loop.
+        output: Receives ``loop_overhead`` (on the plane), ``loop_overhead/<field>`` and
+            ``rtf/<field>``, the real-time factor of the loop. The peer's tyres keep the friction
+            with which they begin.
     """
     rounds = 10 if options.quick else 40
     for name, (field, least) in FIELDS.items():
