@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from controllers.identification.pitch import PitchEstimate
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
@@ -137,16 +137,10 @@ class MissionBelief:
         Args:
             odometry: Dead reckoning since the slot's pose was that of the belief.
         """
-        x, y = odometry.place
-        to_robot = RigidTransform.from_components(
-            [x, y, 0.0], Rotation.from_euler("z", odometry.yaw)
-        ).inv()
-        far, turned, slip = odometry.distance, odometry.turned, odometry.slip()
-        place = 0.02 + 0.05 * far
-        added = np.diag(np.square([0.02, 0.02, 0.03 + 0.05 * turned, place, place, 0.01]))
-        moved = self.slot_covariance + np.outer(slip, slip)
-        self.transform_slot_to_level = to_robot * self.transform_slot_to_level
-        self.slot_covariance = transport_covariance(to_robot, moved) + added
+        to_level = odometry.transform_level_to_start().inv()
+        before = transport_covariance(to_level, self.slot_covariance)
+        self.transform_slot_to_level = to_level * self.transform_slot_to_level
+        self.slot_covariance = before + odometry.covariance()
 
     def receive(self, exchange: Exchange, partner: str) -> None:
         """Take over the slot's pose and the turn share that the partner posted.

@@ -13,12 +13,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controllers.motion.driving import Odometry, SkidSteer
+from controllers.motion.driving import SkidSteer
+from controllers.motion.reckoned_drive import ReckonedDrive, course_along, turning_rate, wrapped
 from perception.geometry.arrays import FloatArray
-from twin.robot import ArmMode, Command, Observation, WheelMode
+from twin.robot import Observation
 
 _CLOSE = 0.1  # Distance below which the direction to the goal is undetermined [m].
-_LEAST_TURN = 0.05  # Turning rate below which friction stalls the rover [rad/s].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,8 +49,8 @@ class _Phase(enum.Enum):
     DONE = "done"
 
 
-class DriveToPose:
-    """Drives one rover to a pose.
+class DriveToPose(ReckonedDrive):
+    """Drives one rover to a pose, with its arm held where it was.
 
     Args:
         steer: Wheels of the rover.
@@ -76,9 +76,8 @@ class DriveToPose:
         end = np.asarray(goal, dtype=float)
         if not np.all(np.isfinite(end)) or end.shape != (3,):
             raise ValueError(f"goal {goal}: expected three finite numbers")
-        self.odometry = Odometry(steer)
-        self._steer, self._config = steer, config or DriveToPoseConfig()
-        self._held: FloatArray | None = None
+        self._config = config or DriveToPoseConfig()
+        super().__init__(steer, self._config.period)
         self._goals = [end]
         behind = end.copy()
         behind[:2] -= self._config.back_off * np.array([-math.sin(end[2]), math.cos(end[2])])
@@ -100,26 +99,11 @@ class DriveToPose:
         """Whether the rover has arrived, by its dead reckoning."""
         return self._phase is _Phase.DONE
 
-    def step(self, seen: Observation) -> Command:
-        """Take what was measured and return the next command; the arm is held where it was.
-
-        Args:
-            seen: Observation of the rover.
-        """
-        if self._held is None:
-            if not seen.arm_angles.usable:
-                return Command()
-            self._held = np.array(seen.arm_angles.value, dtype=float)
-        self.odometry.update(seen, self._config.period)
-        forward, turn = self._motion()
-        wheels = self._steer.wheel_speeds(forward, turn)
-        return Command(wheels, self._held, WheelMode.SPEED, ArmMode.POSITION, np.zeros(4))
-
-    def _motion(self) -> tuple[float, float]:
+    def _motion(self, seen: Observation) -> tuple[float, float]:
         """Return speed [m/s] and turning rate [rad/s]; a phase that has ended gives the next."""
         config = self._config
         if self._phase is _Phase.FACE:
-            left = _wrapped(self._course - self.odometry.yaw)
+            left = wrapped(self._course - self.odometry.yaw)
             if abs(left) > config.near[1]:
                 return 0.0, self._turning(left)
             self._phase = _Phase.DRIVE
@@ -132,13 +116,13 @@ class DriveToPose:
                 speed = min(max(config.slowing * left, -config.speed), config.speed)
                 course = self._course
                 if np.linalg.norm(path) > _CLOSE:
-                    course = math.atan2(-path[0], path[1])
+                    course = course_along(path)
                     if self._sign < 0.0:
-                        course = _wrapped(course + math.pi)
-                return speed, self._turning(_wrapped(course - yaw))
+                        course = wrapped(course + math.pi)
+                return speed, self._turning(wrapped(course - yaw))
             self._phase = _Phase.ALIGN
         if self._phase is _Phase.ALIGN:
-            left = _wrapped(self._yaw - self.odometry.yaw)
+            left = wrapped(self._yaw - self.odometry.yaw)
             if abs(left) > config.near[1]:
                 return 0.0, self._turning(left)
             if self._goals:
@@ -149,9 +133,7 @@ class DriveToPose:
 
     def _turning(self, left: float) -> float:
         """Return the turning rate [rad/s] to the left for a remaining angle [rad]."""
-        rate = self._config.slowing * left
-        size = min(max(abs(rate), _LEAST_TURN), self._config.turn)
-        return math.copysign(size, left)
+        return turning_rate(left, self._config.slowing, self._config.turn)
 
 
 def _facing(path: FloatArray, yaw: float) -> tuple[float, float]:
@@ -159,18 +141,13 @@ def _facing(path: FloatArray, yaw: float) -> tuple[float, float]:
 
     Backwards where that is the smaller turn from the yaw that it has.
     """
-    ahead = math.atan2(-path[0], path[1])
-    if abs(_wrapped(ahead - yaw)) <= math.pi / 2.0:
+    ahead = course_along(path)
+    if abs(wrapped(ahead - yaw)) <= math.pi / 2.0:
         return ahead, 1.0
-    return _wrapped(ahead + math.pi), -1.0
+    return wrapped(ahead + math.pi), -1.0
 
 
 def _turns(goal: FloatArray) -> float:
     """Return the angle [rad] of the turns before and after a straight drive to a goal (3,)."""
     course, _ = _facing(goal[:2], 0.0)
-    return abs(course) + abs(_wrapped(goal[2] - course))
-
-
-def _wrapped(angle: float) -> float:
-    """Return an angle within half a turn [rad]."""
-    return math.remainder(angle, 2.0 * math.pi)
+    return abs(course) + abs(wrapped(goal[2] - course))
