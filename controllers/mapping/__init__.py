@@ -10,6 +10,11 @@ Stereo heads on arms, in reading order:
 - `arm_views`: candidates for the next view and their rating (3.2.4).
 - `fiducial_localizer`: camera poses corrected by fiducials of the scene (3.2.5).
 
+On the way:
+
+- `visual_odometry`: a rover's pose from pair to pair, by features and by its wheels.
+- `panel_search`: where the target may be, and which view is worth its time.
+
 Planar robots (3.3.1):
 
 - `planar_planner`: the choice of the next pose by seven methods, for one robot or a team.

@@ -7,6 +7,7 @@
 - `closed_form`: motion without iteration: eq. 3-18, 3-19, Kabsch, PnP.
 - `likelihood`: the most likely pose and points, together.
 - `motion`: all solvers behind one signature, with wrong matches left out.
+- `features`: distinctive points recognised after any turn, and the motion that they give.
 - `fiducial_map`: a map of fiducials with their joint covariance, and poses fitted to it.
 - `target`: a target found by its markers, which gives robots a common frame (section 3.2.2).
 - `cooperative`: points measured by two robots together (section 6.2 (a)).

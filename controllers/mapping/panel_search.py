@@ -1,0 +1,204 @@
+"""Search for the target by driving: where it may be, and which view is worth its time.
+
+A rover knows roughly where it began, so where the target stands is a cloud of possible places in its
+own frame. Each view without the target makes those places unlikely in which it would have been seen.
+The next view is the one with the best chance of seeing it a second (`PLANNERS` of chapter 3 call
+that a rate): a view from here takes the head's turn, one from elsewhere the drive as well.
+"""
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from perception.geometry.arrays import BoolArray, FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class PanelSearchConfig:
+    """When a target is seen, and what a view costs.
+
+    Attributes:
+        reach: Nearest and farthest distance at which its markers are detected [m].
+        slant: Largest angle of the view with the face's normal [rad].
+        half_view: Half of the angle within which it is detected, about the camera's axis [rad].
+        missed: Odds that a view misses a target that it should see.
+        opaque: Odds that something unmapped hides the target.
+        view_time: Time that a view from the present place takes [s].
+        speed: Speed of a drive [m/s].
+        start_time: Time that a drive takes beside its length [s]: turns, and the fall of the tilt.
+        windows: Directions in which a place's views are tried.
+    """
+
+    reach: tuple[float, float] = (0.45, 1.9)
+    slant: float = math.radians(60.0)
+    half_view: float = math.radians(15.0)
+    missed: float = 0.1
+    opaque: float = 0.15
+    view_time: float = 2.0
+    speed: float = 0.15
+    start_time: float = 4.0
+    windows: int = 36
+
+
+class Viewpoint(NamedTuple):
+    """A place to look from, and where to.
+
+    Attributes:
+        place: (2,) of the camera [m].
+        target: (3,) point to look at [m].
+        chance: Chance of seeing the target in one view.
+        rate: Chance of seeing it a second, with all views that the place offers [1/s].
+    """
+
+    place: FloatArray
+    target: FloatArray
+    chance: float
+    rate: float
+
+
+class Ground(NamedTuple):
+    """What is mapped of the ground, for lines of sight.
+
+    Attributes:
+        heights: (rows, columns) heights [m]; NaN where unknown.
+        corner: (2,) lowest corner [m].
+        cell: Side of a cell [m].
+    """
+
+    heights: FloatArray
+    corner: FloatArray
+    cell: float
+
+    def hidden(self, eye: FloatArray, points: FloatArray) -> BoolArray:
+        """Return (N,), whether the mapped ground hides points (N, 3) [m] from an eye (3,) [m]."""
+        length = float(np.linalg.norm(points[:, :2] - eye[:2], axis=1).max(initial=0.0))
+        steps = np.linspace(0.05, 0.93, max(2, math.ceil(length / self.cell)))
+        along = eye + steps[:, None, None] * (points - eye)
+        cells = np.floor((along[..., :2] - self.corner) / self.cell).astype(int)
+        rows, columns = self.heights.shape
+        inside = (cells >= 0).all(axis=-1) & (cells[..., 0] < columns) & (cells[..., 1] < rows)
+        cells = np.clip(cells, 0, [columns - 1, rows - 1])
+        ground = self.heights[cells[..., 1], cells[..., 0]]
+        return np.any(inside & (ground > along[..., 2]), axis=0)
+
+
+class PanelSearch:
+    """Cloud of the places where the target may be.
+
+    Args:
+        places: (N, 3) possible middles of the target's face [m].
+        normals: (N, 2) unit vectors out of its face, on the ground.
+        config: When it is seen, and what a view costs; None for the default.
+
+    Attributes:
+        places: (N, 3) possible middles of the target's face [m]; their heights may be updated.
+        weights: (N,) odds of each place; they sum to 1.
+        views: Number of views without the target.
+    """
+
+    def __init__(
+        self, places: FloatArray, normals: FloatArray, config: PanelSearchConfig | None = None
+    ) -> None:
+        self.places, self._normals = places, normals
+        self._config = config or PanelSearchConfig()
+        self.weights = np.full(len(places), 1.0 / len(places))
+        self.views = 0
+
+    @property
+    def mean(self) -> FloatArray:
+        """(3,) mean place of the target [m]."""
+        return self.weights @ self.places
+
+    def draw_places(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Return (count, 2) places that look at the faces of likely targets [m].
+
+        Args:
+            count: Number of places.
+            rng: Random generator for the places.
+        """
+        chosen = rng.choice(len(self.weights), count, p=self.weights)
+        far = rng.uniform(0.5, 0.9, count) * self._config.reach[1]
+        turn = rng.uniform(-0.8, 0.8, count) * self._config.slant
+        c, s = np.cos(turn), np.sin(turn)
+        x, y = self._normals[chosen].T
+        away = np.column_stack([c * x - s * y, s * x + c * y])
+        return self.places[chosen, :2] + far[:, None] * away
+
+    def miss(self, transform_camera_to_frame: RigidTransform, ground: Ground) -> None:
+        """Take note of a view that did not show the target.
+
+        Args:
+            transform_camera_to_frame: Pose of the left camera.
+            ground: What is mapped of the ground.
+        """
+        eye = np.asarray(transform_camera_to_frame.translation)
+        axis = transform_camera_to_frame.rotation.apply([0.0, 0.0, 1.0])
+        away = self.places - eye
+        across = np.abs(_bearing(away) - math.atan2(axis[1], axis[0]))
+        across = np.minimum(across, 2.0 * math.pi - across)
+        risen = np.arctan2(away[:, 2], np.hypot(away[:, 0], away[:, 1]))
+        raised = math.atan2(axis[2], math.hypot(axis[0], axis[1]))
+        c = self._config
+        within = (across < c.half_view) & (np.abs(risen - raised) < 0.7 * c.half_view)
+        seen = within & self._visible(eye) & ~ground.hidden(eye, self.places)
+        self.weights *= np.where(seen, c.missed + c.opaque - c.missed * c.opaque, 1.0)
+        self.weights /= self.weights.sum()
+        self.views += 1
+
+    def best(
+        self, places: FloatArray, lengths: FloatArray, height: FloatArray, ground: Ground
+    ) -> Viewpoint:
+        """Return the view with the best rate.
+
+        Args:
+            places: (M, 2) places from which views are possible [m]; the first is the present one.
+            lengths: (M,) length of the path to each [m].
+            height: (M,) height of the camera at each [m].
+            ground: What is mapped of the ground.
+        """
+        c = self._config
+        best: Viewpoint | None = None
+        for place, length, z in zip(places, lengths, height, strict=True):
+            eye = np.array([*place, z])
+            seen = self._visible(eye)
+            seen[seen] = ~ground.hidden(eye, self.places[seen])
+            odds = self.weights[seen] * (1.0 - c.missed) * (1.0 - c.opaque)
+            if not len(odds):
+                continue
+            away = self.places[seen] - eye
+            turns = np.linspace(-math.pi, math.pi, c.windows, endpoint=False)
+            off = np.abs(_bearing(away) - turns[:, None])
+            inside = np.minimum(off, 2.0 * math.pi - off) < c.half_view
+            chances = inside @ odds
+            first = int(np.argmax(chances))
+            # How many views it takes to try all that can be seen from there.
+            views = max(1, round(float(odds.sum()) / float(chances[first])))
+            drive = c.start_time + length / c.speed if length > 0.0 else 0.0
+            rate = max(
+                float(odds.sum()) / (drive + views * c.view_time),
+                float(chances[first]) / (drive + c.view_time),
+            )
+            if best is None or rate > best.rate:
+                shares = odds[inside[first]]
+                target = shares @ self.places[seen][inside[first]] / shares.sum()
+                best = Viewpoint(place, target, float(chances[first]), rate)
+        if best is None:
+            return Viewpoint(places[0], self.mean, 0.0, 0.0)
+        return best
+
+    def _visible(self, eye: FloatArray) -> BoolArray:
+        """Return (N,), whether the target at each place would show its face to an eye (3,)."""
+        away = eye - self.places
+        distance = np.linalg.norm(away, axis=1)
+        facing = np.sum(away[:, :2] * self._normals, axis=1) / np.hypot(*away[:, :2].T)
+        near, far = self._config.reach
+        within = (distance > near) & (distance < far)
+        return within & (facing > math.cos(self._config.slant))
+
+
+def _bearing(away: FloatArray) -> FloatArray:
+    """Return (N,) directions of vectors (N, 3) on the ground [rad]."""
+    return np.arctan2(away[:, 1], away[:, 0])

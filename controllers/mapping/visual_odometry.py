@@ -1,0 +1,301 @@
+"""Visual odometry of a rover: from pair to pair by features, between pairs by its wheels.
+
+A skid-steered rover's wheels tell distances well and turns badly; its stereo head tells both, where
+two views overlap. So the wheels give the guess, and bridge pairs in which nothing is recognised;
+the inclinometer keeps the frame level. All errors are carried in one covariance of the pose.
+"""
+
+import collections
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.kinematics.serial_chain import SerialChain
+from controllers.mapping.localization import RobotLocalization, tilt_to_level
+from controllers.motion.driving import SkidSteer
+from perception.geometry.arrays import FloatArray, ImageArray
+from perception.geometry.se3 import transport_covariance
+from perception.registration.checks import RegistrationError
+from perception.registration.features import FeatureMatcher, ViewFeatures
+from perception.stereo.geometry import StereoGeometry
+from perception.stereo.matching import StereoPoints
+from twin.robot import Observation
+
+_KEPT = 3.0  # Time for which past poses are kept [s]: pairs and the boards' answers are older.
+_STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
+_STILL = 1e-4  # Motion below which a rover has not moved since its last pair [m, rad].
+_TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
+_SHARES = (0.1, 1.0)  # Turn shares that skidding can have.
+
+
+@dataclasses.dataclass(frozen=True)
+class VisualOdometryConfig:
+    """Standard deviations of what moves the estimate.
+
+    Attributes:
+        period: Servo tick [s].
+        seen: Rotation [rad] and translation [m] of a motion by features, beside its covariance:
+            errors of the head's calibration and of the time of the images.
+        seen_share: Translation of a motion by features, over its length.
+        rolled: Rotation [rad] and translation [m] of a motion by wheels.
+        rolled_share: Rotation over the angle turned, translation over the length, by wheels alone.
+        tilt_lag: Time constant that smooths the inclinometer [s].
+        tilt_at_rest: Tilt by the inclinometer at rest [rad]: its zero and scale.
+        tilt_driving: Tilt by the inclinometer on the way [rad]: it feels acceleration as well.
+        arm: Rotation of the camera by the arm's joints between two postures [rad].
+        turn_scatter: Turn share of one turn about that of all turns on this ground.
+    """
+
+    period: float = 0.01
+    seen: tuple[float, float] = (0.0015, 0.0015)
+    seen_share: float = 0.015
+    rolled: tuple[float, float] = (0.01, 0.005)
+    rolled_share: tuple[float, float] = (0.05, 0.08)
+    tilt_lag: float = 0.3
+    tilt_at_rest: float = 0.008
+    tilt_driving: float = 0.03
+    arm: float = 0.003
+    turn_scatter: float = 0.04
+
+
+class _Past(NamedTuple):
+    """What was measured at a tick.
+
+    Attributes:
+        time: [s], by the robot's clock.
+        rolled: (2,) distance [m] and turn [rad] of rolling wheels in this tick.
+        tilt: (2,) pitch and roll by the inclinometer, smoothed [rad].
+        angles: (joints,) joint angles [rad].
+    """
+
+    time: float
+    rolled: tuple[float, float]
+    tilt: FloatArray
+    angles: FloatArray
+
+    @property
+    def moving(self) -> bool:
+        """Whether the wheels turn."""
+        return abs(self.rolled[0]) + abs(self.rolled[1]) > _STANDING
+
+
+class _Seen(NamedTuple):
+    """The view from which the next motion is measured."""
+
+    features: ViewFeatures
+    transform_camera_to_frame: RigidTransform
+    past: _Past
+
+
+class VisualOdometry:
+    """Pose of one rover in a level frame, with its covariance.
+
+    Args:
+        arm: Chain of the arm, with the left camera as its tool.
+        geometry: Geometry of the stereo head.
+        steer: Wheels of the rover, with the turn share as known beforehand.
+        config: Standard deviations; None for the default.
+
+    Attributes:
+        covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * pose``, in the frame.
+        turn_share: Turn share by the turns seen so far.
+        distance: Distance driven by the wheels, forward and back [m].
+        seen: Number of motions that features gave.
+        missed: Number of motions for which the wheels stood in.
+    """
+
+    def __init__(
+        self,
+        arm: SerialChain,
+        geometry: StereoGeometry,
+        steer: SkidSteer,
+        config: VisualOdometryConfig | None = None,
+    ) -> None:
+        self._arm, self._config = arm, config or VisualOdometryConfig()
+        self._matcher = FeatureMatcher(geometry)
+        self._rolling = dataclasses.replace(steer, turn_share=1.0, turn_sigma=0.0)
+        self._information = 1.0 / max(steer.turn_sigma, 1e-3) ** 2
+        self._pasts: collections.deque[_Past] = collections.deque()
+        self._pose = RigidTransform.identity()
+        self._at: _Past | None = None
+        self._view: _Seen | None = None
+        self.turn_share, self.distance = steer.turn_share, 0.0
+        self.covariance = np.zeros((6, 6))
+        self.seen = self.missed = 0
+
+    @property
+    def turn_sigma(self) -> float:
+        """Standard deviation of the turn share in a turn to come."""
+        return math.hypot(1.0 / math.sqrt(self._information), self._config.turn_scatter)
+
+    def update(self, seen: Observation) -> None:
+        """Take one tick's wheel speeds, tilt and joint angles.
+
+        Args:
+            seen: Observation of the rover.
+        """
+        if not (seen.arm_angles.usable and seen.inclinometer.usable):
+            return
+        config, tilt = self._config, np.array(seen.inclinometer.value, dtype=float)
+        angles = np.array(seen.arm_angles.value, dtype=float)
+        rolled = (0.0, 0.0)
+        if seen.wheel_speeds.usable:
+            forward, turn = self._rolling.motion(seen.wheel_speeds.value)
+            rolled = forward * config.period, turn * config.period
+        if self._at is None:
+            self._at = _Past(seen.time, rolled, tilt, angles)
+            self._pose = tilt_to_level(tilt)
+            self.covariance = np.diag(np.square([config.tilt_at_rest] * 2 + [1e-6] * 4))
+        else:
+            share = config.period / (config.period + config.tilt_lag)
+            tilt = self._pasts[-1].tilt + share * (tilt - self._pasts[-1].tilt)
+        self.distance += abs(rolled[0])
+        self._pasts.append(_Past(seen.time, rolled, tilt, angles))
+        while self._pasts[0].time < min(seen.time - _KEPT, self._at.time):
+            self._pasts.popleft()
+
+    def pose(self) -> RigidTransform:
+        """Return the transform from the rover's frame to the frame of the estimate, as of now."""
+        return self._predicted(self._pasts[-1])[0]
+
+    def level_pose(self) -> RigidTransform:
+        """Return the transform from the rover's frame, brought level, to that of the estimate."""
+        return levelled(self.pose())
+
+    def camera(self, time: float) -> tuple[RigidTransform, FloatArray]:
+        """Return the left camera's pose in the frame at a time, and its covariance (6, 6).
+
+        Args:
+            time: Time of the pair, by the robot's clock [s].
+        """
+        past = self._past(time)
+        pose, covariance = self._predicted(past)
+        return pose * self._arm.tool_in_robot(past.angles), covariance
+
+    def see(self, time: float, image: ImageArray, points: StereoPoints) -> None:
+        """Move the estimate by a new pair.
+
+        Args:
+            time: Time of the pair, by the robot's clock [s].
+            image: (height, width) uint8, the left image.
+            points: Matched points of the pair.
+        """
+        config, past = self._config, self._past(time)
+        pose, covariance = self._predicted(past)
+        tool = self._arm.tool_in_robot(past.angles)
+        features = self._matcher.find(image, points)
+        if self._view is not None:
+            begin = self._view.transform_camera_to_frame
+            try:
+                motion = self._matcher.motion(
+                    self._view.features, features, begin.inv() * pose * tool
+                )
+            except RegistrationError:
+                self.missed += 1
+            else:
+                self.seen += 1
+                moved = motion.transform_after_to_before
+                length = float(np.linalg.norm(moved.translation))
+                turn, place = config.seen
+                place += config.seen_share * length
+                if np.abs(past.angles - self._view.past.angles).max() > 0.02:  # noqa: PLR2004
+                    turn = math.hypot(turn, config.arm)
+                own = motion.covariance + np.diag(np.square([turn] * 3 + [place] * 3))
+                pose = begin * moved * tool.inv()
+                covariance = self.covariance + transport_covariance(begin, own)
+                self._learn_turns(self._view.past, past, pose)
+        self._pose, self.covariance, self._at = pose, covariance, past
+        self._level(past)
+        camera = self._pose * tool
+        self._view = _Seen(features, camera, past)
+
+    def localize(self, found: RobotLocalization, time: float) -> None:
+        """Take over a pose that was measured by a target; its frame becomes the estimate's.
+
+        Args:
+            found: Localization of the rover.
+            time: Time of the pair, by the robot's clock [s].
+        """
+        past = self._past(time)
+        self._pose = found.transform_level_to_world * tilt_to_level(past.tilt)
+        self.covariance, self._at = found.robot_covariance(), past
+        if self._view is not None:
+            camera = self._pose * self._arm.tool_in_robot(past.angles)
+            same = self._view.past.time == past.time
+            self._view = self._view._replace(transform_camera_to_frame=camera) if same else None
+
+    def _past(self, time: float) -> _Past:
+        """Return the tick nearest to a time."""
+        return min(self._pasts, key=lambda past: abs(past.time - time))
+
+    def _rolled_since(self, begin: _Past, end: _Past) -> tuple[RigidTransform, float]:
+        """Return the level rover's pose at the end in that at the beginning, by its wheels.
+
+        The second number is the angle that rolling wheels turned, left and right [rad].
+        """
+        between = [past for past in self._pasts if begin.time < past.time <= end.time]
+        if not between:
+            return RigidTransform.identity(), 0.0
+        steps = np.array([past.rolled for past in between])
+        pitch = np.array([past.tilt[0] for past in between])
+        turns = self.turn_share * steps[:, 1]
+        yaw = np.cumsum(turns) - 0.5 * turns
+        flat = steps[:, 0] * np.cos(pitch)
+        place = [-flat @ np.sin(yaw), flat @ np.cos(yaw), steps[:, 0] @ np.sin(pitch)]
+        turn = Rotation.from_euler("z", turns.sum())
+        return RigidTransform.from_components(place, turn), float(np.abs(steps[:, 1]).sum())
+
+    def _predicted(self, past: _Past) -> tuple[RigidTransform, FloatArray]:
+        """Return the rover's pose at a tick by its wheels since the last pair, and covariance."""
+        config = self._config
+        assert self._at is not None
+        level = levelled(self._pose)
+        rolled, angle = self._rolled_since(self._at, past)
+        pose = level * rolled * tilt_to_level(past.tilt)
+        length = float(np.linalg.norm(rolled.translation))
+        if length < _STILL and angle < _STILL:
+            return self._pose, self.covariance
+        (turn, place), (by_angle, by_length) = config.rolled, config.rolled_share
+        yaw = math.hypot(turn + by_angle * angle * self.turn_share, self.turn_sigma * angle)
+        along = place + by_length * length
+        own = np.diag(np.square([config.tilt_driving] * 2 + [yaw] + [along] * 3))
+        return pose, self.covariance + transport_covariance(level, own)
+
+    def _learn_turns(self, before: _Past, after: _Past, pose: RigidTransform) -> None:
+        """Update the turn share by one motion that was seen."""
+        assert self._view is not None
+        tool = self._arm.tool_in_robot(before.angles)
+        begin = levelled(self._view.transform_camera_to_frame * tool.inv())
+        turned = float((begin.inv() * levelled(pose)).rotation.as_euler("ZXY")[0])
+        rolled = sum(p.rolled[1] for p in self._pasts if before.time < p.time <= after.time)
+        if abs(rolled) < _TURNED:
+            return
+        variance = (2.0 * self._config.seen[0]) ** 2 + (self._config.turn_scatter * rolled) ** 2
+        gain = rolled**2 / variance
+        weight = gain / (self._information + gain)
+        self.turn_share += weight * (turned / rolled - self.turn_share)
+        self.turn_share = min(max(self.turn_share, _SHARES[0]), _SHARES[1])
+        self._information += gain
+
+    def _level(self, past: _Past) -> None:
+        """Correct the pose's tilt by the inclinometer, whose zero and scale stay wrong."""
+        config, level = self._config, levelled(self._pose)
+        sigma = config.tilt_driving if past.moving else config.tilt_at_rest
+        lasting = np.maximum(config.tilt_at_rest**2 - np.diag(self.covariance)[:2], 0.0)
+        covariance = self.covariance + transport_covariance(level, np.diag([*lasting, 0, 0, 0, 0]))
+        # Against a pose of the same yaw, of which the inclinometer tells nothing.
+        measured = level.rotation * tilt_to_level(past.tilt).rotation
+        error = (measured * self._pose.rotation.inv()).as_rotvec()[:2]
+        gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + sigma**2 * np.eye(2))
+        self._pose = RigidTransform.from_exp_coords(gain @ error) * self._pose
+        covariance = covariance - gain @ covariance[:2]
+        self.covariance = 0.5 * (covariance + covariance.T)
+
+
+def levelled(pose: RigidTransform) -> RigidTransform:
+    """Return a pose without its pitch and roll."""
+    yaw = pose.rotation.as_euler("ZXY")[0]
+    return RigidTransform.from_components(pose.translation, Rotation.from_euler("z", yaw))

@@ -1,0 +1,93 @@
+"""The search for a target by driving, against counts and geometry made by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.mapping.panel_search import Ground, PanelSearch, PanelSearchConfig
+
+CONFIG = PanelSearchConfig()
+EMPTY = Ground(np.full((100, 100), np.nan), np.array([-2.5, -2.5]), 0.05)
+
+
+def camera(place, target):
+    """Camera at a place that looks at a target, its rows level."""
+    ahead = np.subtract(target, place) / np.linalg.norm(np.subtract(target, place))
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.column_stack([right, np.cross(ahead, right), ahead])
+    return RigidTransform.from_components(place, Rotation.from_matrix(axes))
+
+
+def search_of(*places, normal=(-1.0, 0.0)):
+    return PanelSearch(np.array(places, dtype=float), np.tile(normal, (len(places), 1)))
+
+
+def test_a_miss_makes_only_places_unlikely_that_it_should_have_shown():
+    eye = [0.0, 0.0, 0.4]
+    far = CONFIG.reach[1]
+    search = search_of(
+        [1.2, 0.0, 0.2],  # in view
+        [1.2, 1.2, 0.2],  # aside
+        [far + 0.1, 0.0, 0.2],  # too far
+        [-1.2, 0.0, 0.2],  # behind, and facing away
+    )
+    search.miss(camera(eye, [1.2, 0.0, 0.2]), EMPTY)
+    left = CONFIG.missed + CONFIG.opaque - CONFIG.missed * CONFIG.opaque
+    np.testing.assert_allclose(search.weights, np.array([left, 1, 1, 1]) / (3 + left))
+
+
+def test_a_face_turned_away_is_not_missed():
+    search = search_of([1.2, 0.0, 0.2], [1.2, 0.1, 0.2], normal=(1.0, 0.0))
+    search.miss(camera([0.0, 0.0, 0.4], [1.2, 0.0, 0.2]), EMPTY)
+    np.testing.assert_allclose(search.weights, 0.5)
+
+
+def test_a_wall_on_the_map_hides_what_stands_behind_it_and_below_its_edge():
+    heights = np.full((100, 100), 0.0)
+    heights[:, 60:62] = 0.5  # x from 0.5 to 0.6
+    ground = Ground(heights, np.array([-2.5, -2.5]), 0.05)
+    eye = np.array([0.0, 0.0, 0.4])
+    points = np.array([[1.2, 0.0, 0.2], [1.2, 0.0, 0.9], [0.45, 0.0, 0.2], [-1.0, 0.3, 0.2]])
+    assert ground.hidden(eye, points).tolist() == [True, False, False, False]
+    search = search_of(points[0], points[0] + [0.0, 0.1, 0.0])
+    search.miss(camera(eye, points[0]), ground)
+    np.testing.assert_allclose(search.weights, 0.5)
+
+
+def test_the_best_view_is_the_one_with_most_chance_a_second():
+    cluster = [1.2, 0.0, 0.2]
+    search = search_of(*([cluster] * 9), [-1.2, 0.0, 0.2])
+    places = np.array([[0.0, 0.0], [0.2, 0.0]])
+    view = search.best(places, np.array([0.0, 0.2]), np.full(2, 0.4), EMPTY)
+    odds = 0.9 * (1 - CONFIG.missed) * (1 - CONFIG.opaque)
+    assert view.place.tolist() == [0.0, 0.0]
+    assert view.chance == pytest.approx(odds) and view.rate == pytest.approx(
+        odds / CONFIG.view_time
+    )
+    np.testing.assert_allclose(view.target, cluster)
+
+
+def test_a_drive_is_worth_it_where_nothing_can_be_seen_from_here():
+    search = search_of(*([[4.0, 0.0, 0.2]] * 5))
+    places = np.array([[0.0, 0.0], [3.0, 0.0], [2.5, 0.0]])
+    lengths = np.array([0.0, 3.0, 2.5])
+    view = search.best(places, lengths, np.full(3, 0.4), EMPTY)
+    assert view.place.tolist() == [2.5, 0.0]  # the nearer of two that see it
+
+
+def test_nothing_to_be_seen_has_no_rate():
+    search = search_of([9.0, 0.0, 0.2])
+    assert search.best(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY).rate == 0.0
+
+
+def test_drawn_places_see_the_face_from_within_reach():
+    search = search_of([4.0, 0.0, 0.2], [0.0, 3.0, 0.2], normal=(0.6, 0.8))
+    places = search.draw_places(200, np.random.default_rng(1))
+    away = np.linalg.norm(places[:, None] - search.places[:, :2], axis=2)
+    nearest = search.places[np.argmin(away, axis=1), :2]
+    out = (places - nearest) / np.linalg.norm(places - nearest, axis=1)[:, None]
+    assert away.min(axis=1).max() < CONFIG.reach[1]
+    assert np.degrees(np.arccos(out @ [0.6, 0.8])).max() < math.degrees(CONFIG.slant)

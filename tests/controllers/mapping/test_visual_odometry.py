@@ -1,0 +1,144 @@
+"""Visual odometry against closed forms; its features are replaced by motions made by hand."""
+
+import math
+import typing
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.insertion.camera_station import camera_arm, stereo_geometry
+from controllers.mapping.visual_odometry import VisualOdometry, VisualOdometryConfig, levelled
+from controllers.motion.driving import SkidSteer
+from perception.registration.checks import RegistrationError
+from perception.registration.motion import Motion
+from twin.describe import describe_rover
+from twin.robot import Channel, Observation, Validity
+
+ROBOT = describe_rover("rover1")
+ARM, _ = camera_arm(ROBOT)
+HOME = typing.cast(typing.Any, ROBOT.arm).home
+IMAGE = np.zeros((2, 2), np.uint8)
+POINTS = typing.cast(typing.Any, None)
+
+
+class HandMatcher:
+    """Gives the true motion of the camera, or none."""
+
+    def __init__(self):
+        self.motions = []
+
+    def find(self, image, points):
+        return object()
+
+    def motion(self, before, after, guess):
+        motion = self.motions.pop(0)
+        if motion is None:
+            raise RegistrationError("nothing is recognised")
+        return Motion(motion, 1e-8 * np.eye(6), np.ones(9, bool), 1.0)
+
+
+def rover(share=0.5, sigma=0.1):
+    odometry = VisualOdometry(ARM, stereo_geometry(ROBOT), SkidSteer.of(ROBOT, share, sigma))
+    matcher = HandMatcher()
+    odometry._matcher = matcher  # pyright: ignore
+    return odometry, matcher
+
+
+def drive(odometry, forward, turn, seconds, begin=0.0, tilt=(0.0, 0.0)):
+    """Feed ticks of a motion of rolling wheels, and return the time after it."""
+    speeds = SkidSteer.of(ROBOT, 1.0).wheel_speeds(forward, turn)
+    for step in range(round(seconds / 0.01)):
+        time = begin + 0.01 * step
+        seen = Observation(time)._replace(
+            wheel_speeds=Channel(speeds, time, Validity.MEASURED),
+            arm_angles=Channel(np.array(HOME), time, Validity.MEASURED),
+            inclinometer=Channel(np.array(tilt), time, Validity.MEASURED),
+        )
+        odometry.update(seen)
+    return begin + 0.01 * round(seconds / 0.01)
+
+
+def test_wheels_alone_turn_by_their_share_of_a_circle():
+    odometry, _ = rover(share=0.5)
+    end = drive(odometry, 0.1, 0.2, 20.0)
+    odometry.update(Observation(end))  # nothing measured moves nothing
+    pose, (x, y) = odometry.level_pose(), odometry.level_pose().translation[:2]
+    turned, radius = 0.5 * 0.2 * 19.99, 0.1 / (0.5 * 0.2)
+    assert pose.rotation.as_euler("ZXY")[0] == pytest.approx(turned, abs=1e-6)
+    assert x == pytest.approx(radius * (math.cos(turned) - 1.0), abs=1e-4)
+    assert y == pytest.approx(radius * math.sin(turned), abs=1e-4)
+    assert odometry.distance == pytest.approx(2.0)
+
+
+def test_a_slope_is_climbed():
+    pitch = math.radians(8.0)
+    odometry, _ = rover()
+    drive(odometry, 0.1, 0.0, 10.0, tilt=(pitch, 0.0))
+    x, y, z = odometry.level_pose().translation
+    assert (x, y, z) == pytest.approx((0.0, math.cos(pitch), math.sin(pitch)), abs=2e-3)
+    tilt = odometry.pose().rotation.as_euler("ZXY")[1:]
+    assert tilt == pytest.approx((pitch, 0.0), abs=1e-6)
+
+
+def camera_motion(odometry, robot_motion):
+    """The left camera's motion, after to before, of a motion of the rover, after to before."""
+    tool = ARM.tool_in_robot(HOME)
+    return tool.inv() * robot_motion * tool
+
+
+def test_a_seen_motion_replaces_that_of_the_wheels_and_tells_the_turn_share():
+    odometry, matcher = rover(share=0.5, sigma=0.1)
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    true = 0.4 * 0.2 * 2.0  # the wheels keep less of a turn than was believed
+    for _ in range(6):
+        moved = RigidTransform.from_components([0.0, 0.02, 0.0], Rotation.from_euler("z", true))
+        matcher.motions.append(camera_motion(odometry, moved))
+        time = drive(odometry, 0.01, 0.2, 2.0, time)
+        odometry.see(time - 0.01, IMAGE, POINTS)
+    assert odometry.seen == 6 and odometry.missed == 0
+    assert odometry.level_pose().rotation.as_euler("ZXY")[0] == pytest.approx(6 * true, abs=1e-3)
+    assert odometry.turn_share == pytest.approx(0.4, abs=0.01)
+    assert VisualOdometryConfig().turn_scatter < odometry.turn_sigma < 0.06
+
+
+def test_where_nothing_is_recognised_the_wheels_stand_in_with_their_covariance():
+    seen, sees = rover(share=0.5, sigma=0.1)
+    blind, misses = rover(share=0.5, sigma=0.1)
+    for odometry, matcher in ((seen, sees), (blind, misses)):
+        time = drive(odometry, 0.0, 0.0, 0.1)
+        odometry.see(time, IMAGE, POINTS)
+        drive(odometry, 0.0, 0.2, 5.0, time)
+        turn = RigidTransform.from_rotation(Rotation.from_euler("z", 0.5))
+        matcher.motions.append(camera_motion(odometry, turn) if odometry is seen else None)
+        odometry.see(time + 4.99, IMAGE, POINTS)
+    assert blind.missed == 1
+    assert blind.level_pose().rotation.as_euler("ZXY")[0] == pytest.approx(0.5, abs=2e-3)
+    # A share off by a deviation errs by a tenth of the rolled radian.
+    assert math.sqrt(blind.covariance[2, 2]) == pytest.approx(0.11, rel=0.2)
+    assert math.sqrt(seen.covariance[2, 2]) < 0.01
+
+
+def test_the_inclinometer_keeps_the_frame_level_but_is_not_averaged_to_nothing():
+    odometry, matcher = rover()
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    # Features that drift in tilt by 1 degree a view.
+    for _ in range(40):
+        drift = RigidTransform.from_rotation(Rotation.from_euler("x", math.radians(1.0)))
+        matcher.motions.append(drift)
+        time = drive(odometry, 0.0, 0.0, 0.2, time)
+        odometry.see(time - 0.01, IMAGE, POINTS)
+    tilt = odometry.pose().rotation.as_euler("ZXY")[1:]
+    assert np.degrees(np.abs(tilt)).max() < 3.0  # 40 without it
+    assert np.sqrt(odometry.covariance[0, 0]) > 0.5 * VisualOdometryConfig().tilt_at_rest
+
+
+def test_levelled_keeps_place_and_yaw():
+    pose = RigidTransform.from_components(
+        [1.0, 2.0, 3.0], Rotation.from_euler("ZXY", [0.7, 0.2, -0.1])
+    )
+    level = levelled(pose)
+    np.testing.assert_allclose(level.rotation.as_euler("ZXY"), [0.7, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(level.translation, pose.translation)
