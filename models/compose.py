@@ -160,7 +160,7 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
         np.random.default_rng(height_seed), field.size, field.relief, field.cell
     )
     bare = terrain.Terrain(field.size, heights)
-    discs = [(*robot.position, START_RADIUS) for robot in robots]
+    discs = [*field.clear, *((*robot.position, START_RADIUS) for robot in robots)]
     if field.panel is not None:
         discs.append((*field.panel.position, field.panel.footprint))
     clear = np.array(discs).reshape(-1, 3)

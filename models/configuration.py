@@ -42,6 +42,8 @@ class FieldConfig:
         blocks: Number of textured blocks drawn; those within 0.4 m of a robot's start, before the
             panel or in another block are left out.
         block_edge: Smallest and largest edge of a block [m].
+        clear: Discs that are kept free of drawn rocks and blocks, as where a robot has to stand to
+            do its work: x and y of the middle, and radius [m].
         panel: The panel that is the robots' target, if any.
         slot_width: Distance between the walls of the slot at the origin [m]; None for no slot.
         shadows: Whether lights cast shadows, which take half of an image's rendering time.
@@ -66,6 +68,7 @@ class FieldConfig:
     texture_tile: float = 0.25
     blocks: int = 0
     block_edge: tuple[float, float] = (0.05, 0.16)
+    clear: tuple[tuple[float, float, float], ...] = ()
     panel: PanelConfig | None = None
     slot_width: float | None = None
     shadows: bool = True
@@ -123,6 +126,9 @@ class FieldConfig:
         require(0 <= self.blocks <= 2000, "field blocks", self.blocks, "0 to 2000")
         low, high = self.block_edge
         require(0.0 < low <= high <= 2.0, "field block_edge", self.block_edge, "0 < low <= high")
+        for disc in self.clear:
+            whole = len(disc) == 3 and finite(*disc) and disc[2] > 0.0  # noqa: PLR2004
+            require(whole, "field clear", disc, "x, y and a positive radius [m]")
         low, high = self.sun_elevation or SUN_ELEVATION
         require(
             0.0 < low <= high <= 0.5 * math.pi,

@@ -77,6 +77,17 @@ class Terrain:
             heights = np.where(inside, np.maximum(heights, height + half[2]), heights)
         return heights
 
+    def rise_at(self, points: ArrayLike) -> FloatArray:
+        """Return by how much the surface stands out of the bare ground.
+
+        Args:
+            points: (..., 2) [m], world.
+
+        Returns:
+            (...) heights [m]; 0 where neither rock nor block is.
+        """
+        return self.height_at(points) - self.ground_at(points)
+
     def friction_at(self, points: ArrayLike) -> FloatArray:
         """Return the Coulomb coefficients between tyres and the ground.
 

@@ -74,6 +74,39 @@ def test_clutter_keeps_clear_of_starts_the_panel_and_itself():
     assert np.all(apart > blocks.radii[:, None] + radii)
 
 
+def test_clear_discs_are_free_of_clutter_and_what_is_left_is_as_without():
+    discs = ((-0.9, 0.9, 0.5), (1.0, 0.6, 0.3))
+    cleared = make_terrain(dataclasses.replace(CLUTTERED, clear=discs), ROBOTS)
+    before = make_terrain(CLUTTERED, ROBOTS)
+    for x, y, radius in discs:
+        edge = [x, y] + 0.999 * radius * np.stack([np.cos(range(300)), np.sin(range(300))], axis=1)
+        grid = np.stack(np.meshgrid(*[np.linspace(-radius, radius, 60)] * 2), axis=-1)
+        inside = [x, y] + grid[np.linalg.norm(grid, axis=-1) < radius]
+        for points in (inside, edge):
+            assert not np.any(cleared.rise_at(points))
+        assert np.any(before.rise_at(inside))
+    rocks, former = ({tuple(c) for c in t.rocks.centres} for t in (cleared, before))
+    assert rocks and rocks < former
+    assert 0 < len(cleared.blocks.yaws) < len(before.blocks.yaws)
+
+
+@pytest.mark.parametrize("relief", [0.0, 0.02])
+def test_surface_rises_over_the_bare_ground_by_rocks_and_blocks_alone(relief):
+    field = dataclasses.replace(CLUTTERED, relief=relief, panel=None)
+    ground, bare = (make_terrain(f) for f in (field, dataclasses.replace(field, blocks=0, rocks=0)))
+    points = np.random.default_rng(1).uniform(-1.5, 1.5, (2000, 2))
+    rise = ground.rise_at(points)
+    np.testing.assert_allclose(rise, ground.height_at(points) - bare.height_at(points), atol=1e-12)
+    assert rise.min() == 0.0 and np.mean(rise > 0.0) > 0.02
+    # Brute force: over each solid its own top, over the ground there.
+    for index, centre in enumerate(ground.blocks.centres):
+        top = centre[2] + ground.blocks.half_sizes[index, 2] - bare.ground_at(centre[:2])
+        assert ground.rise_at(centre[:2]) == pytest.approx(top)
+    for index, centre in enumerate(ground.rocks.centres):
+        top = centre[2] + ground.rocks.half_sizes[index, 2] - bare.ground_at(centre[:2])
+        assert ground.rise_at(centre[:2]) >= top - 1e-12
+
+
 def test_blocks_are_as_large_as_asked_and_inside_the_field():
     blocks = make_terrain(CLUTTERED, ROBOTS).blocks
     low, high = CLUTTERED.block_edge
@@ -150,6 +183,8 @@ def test_robot_at_the_panel_and_panel_over_the_border_are_refused():
         lambda: PanelConfig(markers=(PanelMarker(0.19, 0.0),)),
         lambda: PanelConfig(markers=(PanelMarker(0.0, 0.0, dark=1.5),)),
         lambda: FieldConfig(blocks=-1),
+        lambda: FieldConfig(clear=((0.0, 0.0, 0.0),)),
+        lambda: FieldConfig(clear=((0.0, float("inf"), 0.3),)),
         lambda: FieldConfig(block_edge=(0.2, 0.1)),
         lambda: FieldConfig(texture_tile=0.0),
     ],
