@@ -5,7 +5,7 @@
 - `as_made`: robots as made, drawn from the drawing's tolerances.
 - `configuration`: what may be asked of a scene; `compose`: the scene from it.
 - `mjcf`: MJCF files, read within limits.
-- `terrain`, `materials`, `clutter`: ground, textures, blocks and a panel with markers.
+- `terrain`, `materials`, `clutter`: ground, textures, blocks, screens and a panel with markers.
 - `slope`: gravity on a field that is inclined; `ground_friction`: ground that grips here and slips
   there.
 - `card_and_slot`: the card and its slot (thesis chapter 5).

@@ -1,4 +1,4 @@
-"""Objects on a field besides rocks: textured blocks, and a panel with markers.
+"""Objects on a field besides rocks: textured blocks and screens, and a panel with markers.
 
 The panel represents the solar panel that the thesis' robots set up. Its frame, in which its CAD
 is given, lies in the middle of its face: x right and y up as one looks at the face, z out of it.
@@ -6,10 +6,11 @@ is given, lies in the middle of its face: x right and y up as one looks at the f
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.geometry.arrays import FloatArray
@@ -18,6 +19,7 @@ STRUT_RADIUS = 0.006
 """Radius of the two rods that hold the panel up [m]."""
 _DISC = 2e-4  # Height of each disc of a marker above the surface below it [m].
 _SUNK = 0.005  # A block goes this deep into the ground, so that no gap shows on a slope [m].
+_SAMPLED = 0.02  # Spacing of the points of the ground below a screen [m].
 
 
 def finite(*values: float) -> bool:
@@ -128,6 +130,63 @@ class PanelConfig:
 
 
 @dataclasses.dataclass(frozen=True)
+class ScreenConfig:
+    """An upright textured box on the ground, which hides what is behind it: a wall or a pillar.
+
+    Attributes:
+        position: Middle of its footprint, x and y [m], world.
+        yaw: About the vertical [rad]; at 0 its width lies along x.
+        size: Width, depth and height [m]; the height is above the ground at its position.
+    """
+
+    position: tuple[float, float]
+    yaw: float = 0.0
+    size: tuple[float, float, float] = (0.9, 0.12, 0.6)
+
+    def __post_init__(self) -> None:
+        """Refuse impossible screens.
+
+        Raises:
+            ValueError: If a number is out of its range.
+        """
+        pose = (*self.position, self.yaw)
+        require(finite(*pose), "screen pose", pose, "finite numbers [m, rad]")
+        small = all(0.0 < length <= 5.0 for length in self.size)  # noqa: PLR2004
+        require(small, "screen size", self.size, "positive lengths of at most 5 m")
+
+    def footprint(self, spacing: float = math.inf) -> FloatArray:
+        """Return points (N, 2) [m] of a grid over its footprint, among them the four corners.
+
+        Args:
+            spacing: Largest distance of the points along each edge [m].
+        """
+        lengths = self.size[:2]
+        counts = [max(1, math.ceil(length / spacing)) + 1 for length in lengths]
+        x, y = (np.linspace(-0.5, 0.5, n) * length for n, length in zip(counts, lengths))
+        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return grid @ np.array([[c, s], [-s, c]]) + self.position
+
+    def distance(self, point: ArrayLike) -> float:
+        """Return the distance of a point (2,) [m] from its footprint [m]; 0 within."""
+        x, y = np.asarray(point, dtype=float) - self.position
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        beyond = np.abs([c * x + s * y, c * y - s * x]) - np.array(self.size[:2]) / 2.0
+        return float(np.linalg.norm(np.maximum(beyond, 0.0)))
+
+    @property
+    def discs(self) -> FloatArray:
+        """(N, 3) discs that cover its footprint: x and y of the middle, and radius [m]."""
+        short, long = sorted(self.size[:2])
+        count = max(1, math.ceil(long / short))
+        radius = 0.5 * math.hypot(short, long / count)
+        along = ((np.arange(count) + 0.5) / count - 0.5) * long
+        yaw = self.yaw + (0.0 if self.size[0] >= self.size[1] else math.pi / 2)
+        middles = np.outer(along, [math.cos(yaw), math.sin(yaw)]) + self.position
+        return np.column_stack([middles, np.full(count, radius)])
+
+
+@dataclasses.dataclass(frozen=True)
 class Solids:
     """Boxes or ellipsoids that stand upright on the ground.
 
@@ -203,14 +262,37 @@ def make_blocks(
     return Solids(np.column_stack([places[kept], heights]), half_sizes[kept], yaws[kept])
 
 
-def add_solids(scene: mujoco.MjSpec, name: str, kind: mujoco.mjtGeom, solids: Solids) -> None:
+def make_screens(
+    screens: Sequence[ScreenConfig], ground_at: Callable[[FloatArray], FloatArray]
+) -> Solids:
+    """Put screens on a field, each down to the lowest ground below it, so that no gap shows.
+
+    Args:
+        screens: Screens to put.
+        ground_at: Height [m] of the ground at (N, 2) points [m].
+    """
+    if not screens:
+        return NO_SOLIDS
+    places = np.array([screen.position for screen in screens])
+    lengths = np.array([screen.size for screen in screens])
+    tops = ground_at(places) + lengths[:, 2]
+    bottoms = np.array([ground_at(screen.footprint(_SAMPLED)).min() for screen in screens]) - _SUNK
+    half = np.column_stack([lengths[:, :2], tops - bottoms]) / 2.0
+    yaws = np.array([screen.yaw for screen in screens])
+    return Solids(np.column_stack([places, (tops + bottoms) / 2.0]), half, yaws)
+
+
+def add_solids(
+    scene: mujoco.MjSpec, name: str, kind: mujoco.mjtGeom, solids: Solids, material: str = ""
+) -> None:
     """Add geoms to a scene, for instance ``block0``, ``block1``, ... of the material ``block``.
 
     Args:
         scene: Scene with the material.
-        name: Name of the material, and of each geom before its number.
+        name: Name of each geom before its number.
         kind: Type of the geoms.
         solids: Solids to add.
+        material: Name of the material; empty for that of the geoms.
     """
     for index, (centre, half, yaw) in enumerate(
         zip(solids.centres, solids.half_sizes, solids.yaws, strict=True)
@@ -221,7 +303,7 @@ def add_solids(scene: mujoco.MjSpec, name: str, kind: mujoco.mjtGeom, solids: So
             pos=centre,
             size=half,
             quat=yaw_quaternion(yaw),
-            material=name,
+            material=material or name,
         )
 
 

@@ -25,6 +25,7 @@ from models.configuration import (
     RobotPlacement,
     check_panel,
     check_robots,
+    check_screens,
 )
 from models.ground_friction import FrictionMap, TyreFriction, draw_friction, keep_friction
 from models.materials import add_materials, draw_sun
@@ -153,7 +154,8 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
         robots: Robots whose starts are kept free of rocks and blocks.
 
     Returns:
-        Heights, rocks, blocks and friction, in the world frame; the panel is not among them.
+        Heights, rocks, blocks, screens and friction, in the world frame; the panel is not among
+        them.
     """
     height_seed, rock_seed, _, block_seed = np.random.SeedSequence(field.seed).spawn(4)
     heights = terrain.make_heights(
@@ -164,6 +166,7 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
     if field.panel is not None:
         discs.append((*field.panel.position, field.panel.footprint))
     clear = np.array(discs).reshape(-1, 3)
+    clear = np.concatenate([clear, *(screen.discs for screen in field.screens)])
     blocks = clutter.make_blocks(
         np.random.default_rng(block_seed),
         field.size,
@@ -180,7 +183,10 @@ def make_terrain(field: FieldConfig, robots: Sequence[RobotPlacement] = ()) -> t
         field.rock_radius,
         clear,
     )
-    return dataclasses.replace(bare, rocks=rocks, blocks=blocks, friction=_draw_friction(field))
+    screens = clutter.make_screens(field.screens, bare.ground_at)
+    return dataclasses.replace(
+        bare, rocks=rocks, blocks=blocks, screens=screens, friction=_draw_friction(field)
+    )
 
 
 def _draw_friction(field: FieldConfig) -> FrictionMap | None:
@@ -208,10 +214,12 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
         The scene.
 
     Raises:
-        ValueError: If two robots share a name, or one starts outside the field or at the panel.
+        ValueError: If two robots share a name, one starts outside the field or at the panel, or a
+            screen stands at one, at the panel or over the edge.
     """
     check_robots(field, robots)
     check_panel(field, robots)
+    check_screens(field, robots)
     ground = make_terrain(field, robots)
     scene = load_part("field")
     scene.modelname = "scene"
@@ -221,6 +229,7 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
     _add_ground(scene, ground)
     clutter.add_solids(scene, "rock", mujoco.mjtGeom.mjGEOM_ELLIPSOID, ground.rocks)
     clutter.add_solids(scene, "block", mujoco.mjtGeom.mjGEOM_BOX, ground.blocks)
+    clutter.add_solids(scene, "screen", mujoco.mjtGeom.mjGEOM_BOX, ground.screens, "block")
     if field.panel is not None:
         clutter.add_panel(
             scene, field.panel, float(ground.ground_at(np.array(field.panel.position)))

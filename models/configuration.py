@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.as_made import AsMade
-from models.clutter import PanelConfig, finite, require
+from models.clutter import PanelConfig, ScreenConfig, finite, require
 from models.datasheets import ROVER
 from perception.geometry.arrays import FloatArray
 
@@ -42,6 +42,7 @@ class FieldConfig:
         blocks: Number of textured blocks drawn; those within 0.4 m of a robot's start, before the
             panel or in another block are left out.
         block_edge: Smallest and largest edge of a block [m].
+        screens: Walls and pillars that hide what is behind them, clear of rocks and blocks.
         clear: Discs that are kept free of drawn rocks and blocks, as where a robot has to stand to
             do its work: x and y of the middle, and radius [m].
         panel: The panel that is the robots' target, if any.
@@ -68,6 +69,7 @@ class FieldConfig:
     texture_tile: float = 0.25
     blocks: int = 0
     block_edge: tuple[float, float] = (0.05, 0.16)
+    screens: tuple[ScreenConfig, ...] = ()
     clear: tuple[tuple[float, float, float], ...] = ()
     panel: PanelConfig | None = None
     slot_width: float | None = None
@@ -300,6 +302,34 @@ def check_panel(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
                 f"robot {robot.name!r} starts {distance:.2f} m from the panel; "
                 f"needs {least:.2f} m or more"
             )
+
+
+def check_screens(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
+    """Refuse screens that hang over the field's edge or overlap a robot's start or the panel.
+
+    Args:
+        field: The field, perhaps with screens.
+        robots: All robots on it.
+
+    Raises:
+        ValueError: Naming the screen, and the robot or the panel.
+    """
+    kept = [(f"the start of robot {r.name!r}", r.position, START_RADIUS) for r in robots]
+    if field.panel is not None:
+        kept.append(("the panel", field.panel.position, field.panel.footprint))
+    for index, screen in enumerate(field.screens):
+        if np.any(np.abs(screen.footprint()) > np.asarray(field.size) / 2.0):
+            raise ValueError(
+                f"screen {index} at {screen.position} stands over the edge of the field of "
+                f"{field.size[0]} x {field.size[1]} m"
+            )
+        for what, position, least in kept:
+            distance = screen.distance(position)
+            if distance < least:
+                raise ValueError(
+                    f"screen {index} at {screen.position} stands {distance:.2f} m from {what}; "
+                    f"needs {least:.2f} m or more"
+                )
 
 
 def _free_name(names: Sequence[str]) -> str:

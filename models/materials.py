@@ -27,7 +27,7 @@ def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
     # MuJoCo counts uniform repeats over two metres.
     uniform = 2.0 / field.texture_tile
     materials = {"ground": uniform, "rock": 1.0}
-    if field.blocks > 0:
+    if field.blocks > 0 or field.screens:
         faces = [terrain.noise_texture(rng, face, terrain.BLOCK) for _ in range(6)]
         _add_texture(scene, "block", cube, np.concatenate(faces))
         materials["block"] = 1.0

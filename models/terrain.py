@@ -15,13 +15,14 @@ from perception.geometry.arrays import FloatArray
 
 @dataclasses.dataclass(frozen=True)
 class Terrain:
-    """Heights on a regular grid, and the rocks and blocks on it.
+    """Heights on a regular grid, and the rocks, blocks and screens on it.
 
     Attributes:
         size: (2,) lengths along x and y [m].
         heights: (rows, columns) [m]; row 0 lies at the smallest y. Flat ground has (2, 2) zeros.
         rocks: Ellipsoids on the ground.
         blocks: Boxes on the ground.
+        screens: Upright boxes at chosen places.
         friction: Coulomb coefficients between tyres and the ground; None where they are the tyres'
             own.
     """
@@ -30,6 +31,7 @@ class Terrain:
     heights: FloatArray
     rocks: Solids = NO_SOLIDS
     blocks: Solids = NO_SOLIDS
+    screens: Solids = NO_SOLIDS
     friction: FrictionMap | None = None
 
     @property
@@ -58,7 +60,7 @@ class Terrain:
         return low * (1 - t) + high * t
 
     def height_at(self, points: ArrayLike) -> FloatArray:
-        """Return the height of the surface, rocks and blocks included.
+        """Return the height of the surface, rocks, blocks and screens included.
 
         Args:
             points: (..., 2) [m], world.
@@ -72,9 +74,10 @@ class Terrain:
             inside = 1.0 - (along / axes[0]) ** 2 - (across / axes[1]) ** 2
             top = height + axes[2] * np.sqrt(np.maximum(inside, 0.0))
             heights = np.where(inside > 0.0, np.maximum(heights, top), heights)
-        for height, half, (along, across) in self.blocks.above(points):
-            inside = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
-            heights = np.where(inside, np.maximum(heights, height + half[2]), heights)
+        for boxes in (self.blocks, self.screens):
+            for height, half, (along, across) in boxes.above(points):
+                inside = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
+                heights = np.where(inside, np.maximum(heights, height + half[2]), heights)
         return heights
 
     def rise_at(self, points: ArrayLike) -> FloatArray:
@@ -84,7 +87,7 @@ class Terrain:
             points: (..., 2) [m], world.
 
         Returns:
-            (...) heights [m]; 0 where neither rock nor block is.
+            (...) heights [m]; 0 where neither rock, block nor screen is.
         """
         return self.height_at(points) - self.ground_at(points)
 
@@ -132,7 +135,7 @@ def noise_image(
 SAND = (1.0, 0.94, 0.84)
 """Colour of ground and rocks."""
 BLOCK = (1.0, 0.80, 0.62)
-"""Colour of blocks."""
+"""Colour of blocks and screens."""
 PANEL = (0.62, 0.72, 1.0)
 """Colour of the panel's face."""
 
