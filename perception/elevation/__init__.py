@@ -1,0 +1,6 @@
+"""Height of the ground by cells of a level grid, in reading order.
+
+- `grid`: where the cells lie.
+- `map`: `ElevationMap`, a height and its variance for each cell.
+- `fusion`: a view's points to a height of each cell, and its update.
+"""

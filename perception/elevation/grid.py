@@ -1,0 +1,72 @@
+"""Cells of a level grid: row r, column c is the square from ``corner + cell * (c, r)`` on."""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
+from perception.voxels.grid import MapError
+
+MOST_CELLS = 4000
+"""Most cells along a side."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ElevationGrid:
+    """Where the cells of an elevation map lie; x grows with the column, y with the row.
+
+    Attributes:
+        corner: (2,) x and y of the corner of the first cell, the lowest of all cells [m].
+        shape: Number of rows along y and of columns along x.
+        cell: Side of a cell [m].
+    """
+
+    corner: tuple[float, float]
+    shape: tuple[int, int]
+    cell: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            MapError: Naming what is impossible.
+        """
+        if not all(1 <= count <= MOST_CELLS for count in self.shape):
+            raise MapError(f"{self}: expected 1 to {MOST_CELLS} rows and columns")
+        if not (np.isfinite([self.cell, *self.corner]).all() and self.cell > 0.0):
+            raise MapError(f"{self}: expected a positive cell and a finite corner")
+
+    @property
+    def size(self) -> int:
+        """Number of cells."""
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def centres(self) -> FloatArray:
+        """Centres (rows, columns, 2) of all cells [m]."""
+        rows, columns = np.indices(self.shape, dtype=float)
+        return self.centres_of(np.stack([rows, columns], axis=-1))
+
+    def centres_of(self, cells: ArrayLike) -> FloatArray:
+        """Return the centres (..., 2), x and y [m], of cells (..., 2), row and column."""
+        return (np.asarray(cells, dtype=float)[..., ::-1] + 0.5) * self.cell + self.corner
+
+    def cells_of(self, points: ArrayLike) -> IntArray:
+        """Return the cells (..., 2), row and column, that hold points (..., 2), x and y [m].
+
+        Beyond the grid the count goes on, below zero too: see `inside`.
+
+        Raises:
+            MapError: If a coordinate is not finite.
+        """
+        places = np.asarray(points, dtype=float)
+        if not np.isfinite(places).all():
+            raise MapError("points: a coordinate is not finite")
+        scaled = (places[..., ::-1] - self.corner[::-1]) / self.cell
+        return np.floor(scaled).astype(np.int64)
+
+    def inside(self, cells: ArrayLike) -> BoolArray:
+        """Return (...,), whether cells (..., 2), row and column, are of the grid."""
+        index = np.asarray(cells)
+        return np.all((index >= 0) & (index < np.array(self.shape)), axis=-1)
