@@ -3,4 +3,5 @@
 - `grid`: where the cells lie.
 - `map`: `ElevationMap`, a height and its variance for each cell.
 - `fusion`: a view's points to a height of each cell, and its update.
+- `ground`: heights of cells above the ground about them.
 """
