@@ -103,7 +103,7 @@ class PoseSharing:
         pitch, roll = map(float, tilt.value) if tilt.usable else (0.0, 0.0)
         deviation = self._config.drift * odometry.distance
         attitude = pitch, roll, odometry.yaw
-        pose = PoseMessage(number, seen.time, (x, y, 0.0), attitude, deviation)
+        pose = PoseMessage(number, seen.time, (x, y, odometry.height), attitude, deviation)
         self.log.sent.append((seen.time, x, y))
         self._link.send_latest(pose.pack())
         wrench = seen.arm_base_wrench

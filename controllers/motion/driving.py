@@ -21,6 +21,9 @@ from twin.robot import ArmMode, Channel, Command, Observation, WheelMode
 
 _SPEED, _TURN = 0.06, 0.25  # Speed and turn rate of the identification drive [m/s, rad/s].
 _TURN_EVERY = 1.5  # Time from a curve to the left to one to the right [s].
+_ASLANT = 0.01
+"""Standard deviation of the pitch against the ground [rad]. Assumption: a rover at rest hangs by
+half of that on its springs, and the inclinometer shows half of it of a roll of 10 degrees."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,6 +96,8 @@ class SkidSteer:
 class Odometry:
     """Dead reckoning: pose of a rover by its tachometers and inclinometer.
 
+    The rover drives along its own forward axis and turns about its own up, as on a slope.
+
     Args:
         steer: Relation of wheel speeds and motion.
         place: Initial x, y [m].
@@ -101,8 +106,10 @@ class Odometry:
 
     Attributes:
         place: (2,) x, y [m], in the frame of the start, or of the world if it began there.
+        height: Height over the start [m].
         yaw: [rad]; forward is y at zero.
         distance: Distance driven, forward and back [m].
+        climbed: Rise and fall of as long a drive straight up and down the slopes [m].
         turned: Angle turned, left and right [rad].
     """
 
@@ -114,8 +121,8 @@ class Odometry:
         tilt_lag: float = 0.3,
     ) -> None:
         self.place = np.array(place, dtype=float)
-        self.yaw = float(yaw)
-        self.distance = self.turned = 0.0
+        self.height, self.yaw = 0.0, float(yaw)
+        self.distance = self.climbed = self.turned = 0.0
         self._steer = steer
         self._slopes = np.zeros(3)  # Derivatives of place and yaw by the turn share.
         self._lag = tilt_lag
@@ -130,14 +137,25 @@ class Odometry:
         if not is_good(observation.wheel_speeds):
             return
         forward, turn = self._steer.motion(observation.wheel_speeds.value)
+        # The inclinometer senses specific force: gravity, and acceleration alike. At a constant
+        # speed its low-passed value is the tilt, since the bumps of the ground average out; an
+        # acceleration a adds a / g, 1.2 degrees at 0.2 m/s^2. Up to a speed v that adds v^2 / 2 g
+        # to the height, 2 mm at 0.2 m/s, and braking takes it back, but for what the low pass
+        # delays: 2 v a lag / g, not 3 mm for each start and stop.
+        pitch, roll = self.tilt
+        ahead, up = math.cos(pitch), math.sin(pitch)
+        # R = Rz(yaw) Rx(pitch) Ry(roll) turns at (0, 0, turn) in its own axes.
+        turn *= math.cos(roll) / ahead
         middle = self.yaw + 0.5 * turn * period
-        step = forward * period * np.array([-math.sin(middle), math.cos(middle)])
+        step = forward * ahead * period * np.array([-math.sin(middle), math.cos(middle)])
         turning = turn * period / self._steer.turn_share
         self._slopes[:2] += (self._slopes[2] + 0.5 * turning) * np.array([-step[1], step[0]])
         self._slopes[2] += turning
         self.place += step
+        self.height += forward * up * period
         self.yaw += turn * period
         self.distance += abs(forward) * period
+        self.climbed += abs(forward) * math.sqrt(1.0 - (ahead * math.cos(roll)) ** 2) * period
         self.turned += abs(turn) * period
 
     @property
@@ -149,7 +167,7 @@ class Odometry:
         """Return (6,) twist in the frame of the start, by which the pose errs if the share does.
 
         It is that of one standard deviation: ``true = from_exp_coords(slip) * pose`` of a robot
-        that keeps so much more of its turns.
+        that keeps so much more of its turns. The height is that of the measured pitch all the same.
         """
         x, y = self.place
         aside, ahead, turn = self._steer.turn_sigma * self._slopes
@@ -158,21 +176,26 @@ class Odometry:
     def transform_level_to_start(self) -> RigidTransform:
         """Return the transform from the level frame of the robot to the frame of the start."""
         x, y = self.place
-        return RigidTransform.from_components([x, y, 0.0], Rotation.from_euler("z", self.yaw))
+        heading = Rotation.from_euler("z", self.yaw)
+        return RigidTransform.from_components([x, y, self.height], heading)
 
     def covariance(self) -> FloatArray:
         """Return the covariance (6, 6) of the pose, as a twist in the level frame of the robot.
 
         Assumptions, for rocks: 2 cm and 5 % of the distance, 0.03 rad and 5 % of the turns, 0.02
-        rad of tilt and 1 cm of height. What an error of the turn share brings is added (`slip`).
+        rad of tilt and 1 cm of height. A rover that slips by 5 % of the distance does so along the
+        slope, up or down by 5 % of what that climbs; and where the body is not parallel to the
+        ground, it drives in another direction than its own. What an error of the turn share brings
+        is added (`slip`).
         """
         place, turn, slip = 0.02 + 0.05 * self.distance, 0.03 + 0.05 * self.turned, self.slip()
-        own = np.diag(np.square([0.02, 0.02, turn, place, place, 0.01]))
+        height = math.hypot(0.01, 0.05 * self.climbed, _ASLANT * self.distance)
+        own = np.diag(np.square([0.02, 0.02, turn, place, place, height]))
         level = self.transform_level_to_start().inv()
         return own + transport_covariance(level, np.outer(slip, slip))
 
     def pose(self) -> FloatArray:
-        """Return (4, 4) from the robot to the frame of the start; height is not known."""
+        """Return (4, 4) from the robot to the frame of the start."""
         pitch, roll = self.tilt
         (cy, sy), (cp, sp), (cr, sr) = (
             (math.cos(angle), math.sin(angle)) for angle in (self.yaw, pitch, roll)
@@ -182,7 +205,7 @@ class Odometry:
             [
                 [cy * cr - sy * sp * sr, -sy * cp, cy * sr + sy * sp * cr, self.place[0]],
                 [sy * cr + cy * sp * sr, cy * cp, sy * sr - cy * sp * cr, self.place[1]],
-                [-cp * sr, sp, cp * cr, 0.0],
+                [-cp * sr, sp, cp * cr, self.height],
                 [0.0, 0.0, 0.0, 1.0],
             ]
         )

@@ -99,7 +99,7 @@ class Stage(typing.Protocol):
 
 
 class KinematicRover:
-    """A rover whose wheels and joints do what was commanded, one tick later.
+    """A tilted rover whose wheels and joints do what was commanded, one tick later.
 
     Args:
         name: Name of the rover.
@@ -110,9 +110,9 @@ class KinematicRover:
     Attributes:
         seen: Latest observation.
         command: Latest command.
-        pose: Transform from the rover to where it began.
+        pose: Transform from the rover's level frame to where it began.
         rolled: Turn of rolling wheels [rad].
-        turned: Sum of all turns, left and right [rad].
+        turned: Sum of all turns of its heading, left and right [rad].
         driven: Distance driven [m].
     """
 
@@ -139,10 +139,17 @@ class KinematicRover:
         turn, ahead = TICK * radius * (right - left) / track, TICK * radius * (left + right) / 2
         self.rolled += turn
         turn *= self._share[int(turn > 0.0)]
-        self.turned += abs(turn)
+        # It drives along its own forward axis, and turns about its own up.
+        tilted = Rotation.from_euler("XY", TILT)
+        before = tilted.as_matrix()[:, 1]
+        after = (tilted * Rotation.from_euler("Z", turn)).as_matrix()[:, 1]
+        level = math.atan2(-after[0], after[1]) - math.atan2(-before[0], before[1])
+        x, y, z = ahead * before
+        self.turned += abs(level)
         self.driven += abs(ahead)
-        half = ahead * np.array([-math.sin(turn / 2), math.cos(turn / 2)])
-        self.pose = self.pose * planar_pose(half[0], half[1], turn)
+        half = Rotation.from_euler("z", level / 2)
+        step = RigidTransform.from_components(half.apply([x, y, z]), half * half)
+        self.pose = self.pose * step
         time = TICK * self.ticks
         seen = seen_at(time, wheels, angles, PAIR, time)
         self.seen = seen._replace(inclinometer=seen.inclinometer._replace(value=TILT))

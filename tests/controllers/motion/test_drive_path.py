@@ -246,7 +246,7 @@ def test_the_tilt_bounds_the_speed(pitch, speed) -> None:
 
 def test_beyond_the_largest_tilt_it_stops_and_may_creep_away() -> None:
     driver = DrivePath(STEER, [(0.0, 0.0), (0.0, 2.0)])
-    steep = (math.radians(13.0), math.radians(13.0))  # 18.3 degrees of the two
+    steep = (0.0, math.radians(-18.3))
 
     def turn_back(tick: int, pose: np.ndarray) -> None:
         if tick == 700:

@@ -5,12 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.localization import tilt_to_level
+from controllers.mission.belief import drawn_turn_share
 from controllers.motion.driving import Odometry, SkidSteer, TurnShareDrive, identify_turn_share
 from experiments.ch5.insertion_identify import identify_slip
-from models.compose import RobotPlacement
+from models.compose import RobotPlacement, settle
 from tests.models.scenes import make_scene
 from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Channel, Command, Observation, Validity, WheelMode
@@ -120,6 +121,122 @@ def test_pose_has_the_tilt_of_the_inclinometer():
     np.testing.assert_allclose(odometry.pose()[:3, 3], [0.3, -0.2, 0.0])
 
 
+SLOPE = math.radians(10.0)
+"""Slope of a plane that rises along y."""
+PLANE = Rotation.from_euler("x", SLOPE)
+
+
+def on_the_plane(angle):
+    """Return pitch, roll and yaw of a rover on the plane that has turned by an angle on it."""
+    attitude = (PLANE * Rotation.from_euler("z", angle)).as_matrix()
+    yaw = math.atan2(-attitude[0, 1], attitude[1, 1])
+    return math.asin(attitude[2, 1]), math.atan2(-attitude[2, 0], attitude[2, 2]), yaw
+
+
+@pytest.mark.parametrize("speed", [0.2, -0.2])
+def test_a_straight_drive_up_a_slope_climbs_by_its_sine(speed):
+    odometry = Odometry(STEER)
+    for _ in range(500):
+        odometry.update(driving(STEER.wheel_speeds(speed, 0.0), SLOPE), PERIOD)
+    far = 5.0 * speed
+    np.testing.assert_allclose(odometry.place, [0.0, far * math.cos(SLOPE)], atol=1e-12)
+    assert odometry.height == pytest.approx(far * math.sin(SLOPE))
+    assert odometry.distance == pytest.approx(abs(far))
+    assert odometry.climbed == pytest.approx(abs(far) * math.sin(SLOPE))
+
+
+@pytest.mark.parametrize("turn", [0.3, -0.3])
+@pytest.mark.parametrize("speed", [0.0, 0.15])
+def test_a_circle_on_a_slope_is_one_in_its_plane(speed, turn):
+    """Where the rover is and how it is tilted, by its turn about the plane's normal alone."""
+    odometry = Odometry(STEER, tilt_lag=0.0)
+    speeds, radius, step = STEER.wheel_speeds(speed, turn), speed / turn, 0.002
+    for tick in range(round(2.0 * math.pi / abs(turn) / step)):
+        pitch, roll, _ = on_the_plane(turn * step * (tick + 0.5))
+        odometry.update(driving(speeds, pitch, roll), step)
+        if tick % 500 == 499:
+            angle = turn * step * (tick + 1)
+            circle = radius * np.array([math.cos(angle) - 1.0, math.sin(angle), 0.0])
+            x, y, z = PLANE.apply(circle)
+            np.testing.assert_allclose([*odometry.place, odometry.height], [x, y, z], atol=1e-5)
+            yaw = on_the_plane(angle)[2]
+            assert math.remainder(odometry.yaw - yaw, math.tau) == pytest.approx(0.0, abs=1e-5)
+            attitude = (PLANE * Rotation.from_euler("z", angle)).as_matrix()
+            # The tilt is that of half a step before.
+            np.testing.assert_allclose(odometry.pose()[:3, :3], attitude, atol=2e-4)
+            np.testing.assert_allclose(odometry.pose()[:3, 3], [x, y, z], atol=1e-5)
+    # A turn is whole again, whatever its tilt on the way.
+    assert abs(odometry.yaw) == pytest.approx(2.0 * math.pi, abs=1e-3)
+    assert odometry.climbed == pytest.approx(odometry.distance * math.sin(SLOPE))
+
+
+def test_the_height_takes_an_acceleration_for_a_tilt_until_it_brakes():
+    """v^2 / 2 g meanwhile, with a lag v a lag / g more; both ramps leave 2 v a lag / g at most."""
+    odometry, speed, acceleration, lag, g = Odometry(STEER, tilt_lag=0.3), 0.2, 0.2, 0.3, 9.81
+    heights = []
+    for time in np.arange(0.0, 10.0, PERIOD):
+        ramp = min(acceleration * time, speed, max(acceleration * (8.0 - time), 0.0))
+        felt = acceleration / g * (float(time < 1.0) - float(7.0 < time < 8.0))
+        odometry.update(driving(STEER.wheel_speeds(ramp, 0.0), felt), PERIOD)
+        heights.append(odometry.height)
+    more = speed * acceleration * lag / g
+    assert heights[600] == pytest.approx(speed**2 / (2.0 * g) + more, rel=0.2)
+    assert 0.5 * more < odometry.height < 2.0 * more < 0.003
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.15, -0.15])
+@pytest.mark.parametrize("bearing", [0.0, 45.0, 90.0, 180.0])
+def test_mujocos_rover_on_a_slope_is_where_its_odometry_is(bearing, turn):
+    """Up, across and down a slope of 10 degrees: gravity is turned, not the ground."""
+    scene = make_scene(RobotPlacement(ROBOT, yaw=math.radians(bearing), stereo=False))
+    scene.model.opt.gravity[:] = -9.81 * PLANE.apply([0.0, 0.0, 1.0], inverse=True)
+    simulation = Simulation(scene.model, [ROBOT], seed=5, data=settle(scene.model))
+    robot, chassis = simulation.robots[ROBOT], simulation.data.body(f"{ROBOT}/chassis")
+    robot.activate()
+    period, held = simulation.period, np.array(robot.observe().arm_angles.value)
+    drawn = drawn_turn_share(describe_rover(ROBOT))
+    steer = SkidSteer.of(describe_rover(ROBOT), drawn.share, drawn.deviation)
+    odometry, start = Odometry(steer), chassis.xpos.copy()
+    first = PLANE.apply(chassis.xmat.reshape(3, 3)[:, 1])
+    for tick in range(1200):
+        seen, time = robot.observe(), tick * period
+        odometry.update(seen, period)
+        speed = min(0.15, 0.2 * time, 0.2 * max(11.0 - time, 0.0))
+        wheels = steer.wheel_speeds(speed, turn if 2.0 < time < 7.0 else 0.0)
+        robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
+        simulation.tick()
+    began = Rotation.from_euler("z", math.atan2(-first[0], first[1]))
+    moved = began.apply(PLANE.apply(chassis.xpos - start), inverse=True)
+    last = began.apply(PLANE.apply(chassis.xmat.reshape(3, 3)[:, 1]), inverse=True)
+    simulation.close()
+    far = odometry.distance
+    assert far > 1.4
+    error = moved - [*odometry.place, odometry.height]
+    # Of the height most is by the pitch at which the rover hangs on its springs.
+    assert abs(error[2]) < 0.015 * far
+    yaw = math.remainder(math.atan2(-last[0], last[1]) - odometry.yaw, math.tau)
+    if turn == 0.0:
+        assert np.linalg.norm(error[:2]) < 0.01 * far and abs(yaw) < 0.01
+    # It turns less than on level ground, uphill least. In its own axes, within what it knows:
+    own = Rotation.from_euler("z", odometry.yaw).apply(error, inverse=True)
+    twist, covariance = np.array([yaw, *own]), odometry.covariance()[2:, 2:]
+    assert twist @ np.linalg.solve(covariance, twist) < 18.47  # 99.9 % of 4 degrees of freedom
+
+
+def test_what_the_height_is_known_to_grows_with_distance_and_slope():
+    def deviation(pitch, roll, far):
+        odometry = Odometry(STEER)
+        for _ in range(round(far / 0.2 / PERIOD)):
+            odometry.update(driving(STEER.wheel_speeds(0.2, 0.0), pitch, roll), PERIOD)
+        return math.sqrt(odometry.covariance()[5, 5])
+
+    assert deviation(0.0, 0.0, 0.01) == pytest.approx(0.01, rel=1e-3)
+    assert deviation(0.0, 0.0, 4.0) == pytest.approx(math.hypot(0.01, 0.04))
+    climb = 0.05 * 4.0 * math.sin(SLOPE)
+    for tilt in ((SLOPE, 0.0), (0.0, -SLOPE)):
+        assert deviation(*tilt, 4.0) == pytest.approx(math.hypot(0.01, 0.04, climb))
+
+
 def test_tilt_follows_a_step_as_a_first_order_lag():
     odometry = Odometry(STEER, tilt_lag=0.3)
     odometry.update(driving([0.0] * 4), 1e-4)
@@ -189,8 +306,7 @@ def wound(share, sigma=0.0):
     rng = np.random.default_rng(2)
     for speeds in np.repeat(rng.uniform(-1.0, 3.0, (12, 2)), 25, axis=0):
         left, right = speeds
-        wheels = Channel(np.array([left, right, left, right]), 0.0, Validity.MEASURED)
-        odometry.update(Observation(0.0, wheel_speeds=wheels), PERIOD)
+        odometry.update(driving([left, right, left, right], 0.1, -0.15), PERIOD)
     return odometry
 
 
