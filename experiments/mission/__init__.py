@@ -2,6 +2,7 @@
 
 - `mission`: options, measures and checks.
 - `scene`, `trial`: site and drawing; one mission, scored against the truth.
+- `collisions`: what rovers touch, and whether they fall, for scoring alone.
 - `results`: results of several missions by stage.
 - `figures`, `film`: figures, progress bars, pictures and a recording.
 """

@@ -86,7 +86,7 @@ def test_emulated_boards_and_their_own_begin_have_the_ground_s_friction():
         np.testing.assert_array_equal(have, wanted)
         ends.append([contact.friction.tolist() for contact in scene.simulation.data.contact])
         scene.close()
-    assert ends[0] == ends[1] and len(ends[0]) >= 4
+    assert ends[0] == ends[1] and ends[0]
 
 
 def test_environment_of_dm_control_has_them_and_begins_each_episode_alike():

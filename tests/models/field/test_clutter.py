@@ -85,9 +85,14 @@ def test_clear_discs_are_free_of_clutter_and_what_is_left_is_as_without():
         for points in (inside, edge):
             assert not np.any(cleared.rise_at(points))
         assert np.any(before.rise_at(inside))
-    rocks, former = ({tuple(c) for c in t.rocks.centres} for t in (cleared, before))
-    assert rocks and rocks < former
     assert 0 < len(cleared.blocks.yaws) < len(before.blocks.yaws)
+    # Without blocks, below which there are no rocks either.
+    stony = dataclasses.replace(CLUTTERED, blocks=0)
+    rocks, former = (
+        {tuple(c) for c in make_terrain(field, ROBOTS).rocks.centres}
+        for field in (dataclasses.replace(stony, clear=discs), stony)
+    )
+    assert rocks and rocks < former
 
 
 @pytest.mark.parametrize("relief", [0.0, 0.02])

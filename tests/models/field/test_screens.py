@@ -124,7 +124,11 @@ def test_field_without_screens_is_as_before_and_one_with_them_keeps_its_ground()
     )
     np.testing.assert_array_equal(plain.hfield_data, screened.hfield_data)
     np.testing.assert_array_equal(plain.tex_data, screened.tex_data)
-    assert screened.ngeom == plain.ngeom + 1
+    names = [
+        {model.geom(i).name for i in range(model.ngeom)} - {f"block{i}" for i in range(5)}
+        for model in (plain, screened)
+    ]
+    assert names[1] - names[0] == {"screen0"} and names[0] < names[1]
 
 
 def test_rover_drives_against_a_wall_and_no_further():
