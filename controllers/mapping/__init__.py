@@ -21,6 +21,10 @@ Planar robots (3.3.1):
 - `planar_situation`: a planner's estimate of the map, candidates and frontiers.
 - `planar_paths`: shortest paths on known-free cells.
 
+Rovers over mapped ground:
+
+- `ground_paths`: where a rover may be, and its paths, from an elevation map.
+
 Exchange by radio:
 
 - `messages`: poses and wrenches packed into bytes.

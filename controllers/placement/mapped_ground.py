@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.planar_paths import Paths, shortest_paths
+from controllers.mapping.ground_paths import GroundPaths
+from controllers.mapping.planar_paths import shortest_paths
 from controllers.placement.spatial.occluders import occluders_of_voxels
 from controllers.placement.task import Occluder
 from perception.geometry.arrays import FloatArray
@@ -99,7 +100,7 @@ class MappedGround:
         cells = np.unique(np.floor(self.points[near] / config.voxel), axis=0)
         return occluders_of_voxels((cells + 0.5) * config.voxel, config.voxel, name="mapped")
 
-    def paths_from(self, start: ArrayLike) -> "GroundPaths":
+    def paths_from(self, start: ArrayLike) -> GroundPaths:
         """Return the shortest paths of a rover from a position (2,) [m], ground frame.
 
         Obstacle points within the rover's own disc at the start are ignored.
@@ -120,38 +121,3 @@ class MappedGround:
         return GroundPaths(
             shortest_paths(enterable, (middle, middle), config.cell), begin, corner, config.cell
         )
-
-
-@dataclasses.dataclass(frozen=True)
-class GroundPaths:
-    """Shortest paths of a rover over the ground from one position.
-
-    Attributes:
-        paths: Shortest paths over the cells of a grid; the start is the middle of its middle cell.
-        start: (2,) position at which the paths begin [m], ground frame.
-        corner: (2,) lowest corner of the first cell [m], ground frame.
-        cell: Side of a cell [m].
-    """
-
-    paths: Paths
-    start: FloatArray
-    corner: FloatArray
-    cell: float
-
-    def path_to(self, place: ArrayLike) -> FloatArray | None:
-        """Return the points (N, 2) of the shortest path to a position (2,) [m], ground frame.
-
-        Both ends are included. None is returned if no path leads to the position's cell or a
-        neighbour of it, or if the position is outside of the grid.
-        """
-        goal, lengths = np.asarray(place, dtype=float), self.paths.lengths
-        row, column = np.floor((goal - self.corner) / self.cell).astype(int)[::-1]
-        near = np.array([(row + i, column + j) for i in (0, -1, 1) for j in (0, -1, 1)])
-        near = near[np.all((near >= 0) & (near < lengths.shape), axis=1)]
-        if len(near) and not np.isfinite(lengths[*near[0]]):
-            near = near[np.argsort(lengths[*near.T])]
-        if not len(near) or not np.isfinite(lengths[*near[0]]):
-            return None
-        cells = self.paths.to((int(near[0, 0]), int(near[0, 1])))
-        between = (cells[1:-1, ::-1] + 0.5) * self.cell + self.corner
-        return np.vstack([self.start, between, goal])

@@ -7,9 +7,13 @@ wavelengths of 0.4 m and more, 4.5 % stands out by 25 mm from planes over a metr
 these.
 """
 
-# SciPy's image functions have no types.
+# SciPy's image functions and numba's decorator have no types.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUntypedFunctionDecorator=false
 
+from typing import Any
+
+import numba
 import numpy as np
 from scipy.ndimage import correlate1d  # pyright: ignore[reportMissingTypeStubs]
 
@@ -90,19 +94,46 @@ def _surface(
     middle = float(heights[ground].mean()) if ground.any() else 0.0
     counts = _moments(ground.astype(float), kernels, 2 * degree, wanted)
     sums = _moments(np.where(ground, heights - middle, 0.0), kernels, degree, wanted)
-    matrix = np.empty((np.count_nonzero(wanted), len(terms), len(terms)))
-    sides = np.zeros((len(matrix), len(terms), 2))
-    for i, (row, column) in enumerate(terms):
-        for j, (other_row, other_column) in enumerate(terms):
-            matrix[:, i, j] = counts[row + other_row, column + other_column]
-        whole = kernels[2 * row].sum() * kernels[2 * column].sum()
-        matrix[:, i, i] += whole * (CURVATURE_PRIOR if row + column > 1 else _DEFINITE)
-        sides[:, i, 0] = sums[row, column]
-    sides[:, 0, 1] = 1.0
-    solved = np.linalg.solve(matrix, sides)[:, 0]
+    powers = list(counts)
+    pairs = np.array([[powers.index((a + c, b + d)) for c, d in terms] for a, b in terms])
+    whole = np.array([kernels[2 * row].sum() * kernels[2 * column].sum() for row, column in terms])
+    prior = whole * [_DEFINITE if row + column < 2 else CURVATURE_PRIOR for row, column in terms]
+    solved, leverages = np.empty((2, np.count_nonzero(wanted)))
+    stacked = np.stack(list(counts.values())), np.stack([sums[term] for term in terms])
+    _solve(*stacked, pairs, prior, solved, leverages)
     surface = np.full(heights.shape, np.nan)
-    surface[wanted] = np.where(solved[:, 1] <= MOST_LEVERAGE, solved[:, 0] + middle, np.nan)
+    surface[wanted] = np.where(leverages <= MOST_LEVERAGE, solved + middle, np.nan)
     return surface
+
+
+@numba.njit(cache=True)
+def _solve(counts: Any, sums: Any, pairs: Any, prior: Any, solved: Any, leverages: Any) -> None:
+    """Solve the normal equations of each cell for its surface below the cell itself.
+
+    Args:
+        counts: (M, N) moments of the cells about each of N cells.
+        sums: (terms, N) moments of their heights.
+        pairs: (terms, terms) which of the M moments stands where in the equations.
+        prior: (terms,) what is added to the equations' diagonal.
+        solved: (N,) height of the surface [m], overwritten.
+        leverages: (N,) its variance over that of a cell's height, overwritten.
+    """
+    n = len(prior)
+    rows = np.empty((n, n + 1))
+    for cell in range(len(solved)):
+        # The constant term comes last, so that elimination leaves its equation alone.
+        for i in range(n):
+            for j in range(n):
+                rows[i, j] = counts[pairs[n - 1 - i, n - 1 - j], cell]
+            rows[i, i] += prior[n - 1 - i]
+            rows[i, n] = sums[n - 1 - i, cell]
+        for i in range(n - 1):
+            for k in range(i + 1, n):
+                factor = rows[k, i] / rows[i, i]
+                for j in range(i, n + 1):
+                    rows[k, j] -= factor * rows[i, j]
+        solved[cell] = rows[n - 1, n] / rows[n - 1, n - 1]
+        leverages[cell] = 1.0 / rows[n - 1, n - 1]
 
 
 def _moments(

@@ -1,0 +1,233 @@
+"""Free cells by counting, paths beside Dijkstra's method in Python, and what each leg runs over."""
+
+import heapq
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from controllers.mapping.ground_paths import GroundPathConfig, free_cells, plan_path, shortened
+from perception.elevation.grid import ElevationGrid
+from perception.elevation.ground import rises
+from perception.elevation.map import ElevationMap
+
+CELL = 0.05
+CORNER = (-1.0, -1.5)
+HOW = GroundPathConfig()
+
+
+def field(rocks, shape=(60, 80), slope=0.1, height=0.06):
+    """A slope with rocks of a cell each."""
+    model = ElevationMap(ElevationGrid(CORNER, shape, CELL))
+    model.heights[...] = model.grid.centres @ [slope, -0.5 * slope]
+    for row, column in rocks:
+        model.heights[row, column] += height
+    model.variances[...] = 1e-6
+    return model
+
+
+def free_by_counting(above, start=None, radius=HOW.radius, climb=HOW.climb, discs=()):
+    """Each cell beside each higher one, by the distance of their middles."""
+    rocks = [
+        (CORNER[0] + (column + 0.5) * CELL, CORNER[1] + (row + 0.5) * CELL)
+        for row, column in np.argwhere(above > climb)
+    ]
+    if start is not None:
+        rocks = [rock for rock in rocks if math.dist(rock, start) > radius]
+    free = np.ones(above.shape, dtype=bool)
+    for row, column in np.ndindex(above.shape):
+        place = CORNER[0] + (column + 0.5) * CELL, CORNER[1] + (row + 0.5) * CELL
+        free[row, column] = all(math.dist(place, rock) > radius for rock in rocks) and all(
+            math.dist(place, disc[:2]) >= radius + disc[2] for disc in discs
+        )
+    return free
+
+
+def cell_at(place):
+    return tuple(math.floor((place[k] - CORNER[k]) / CELL) for k in (1, 0))
+
+
+def shortest_length(free, start, goal):
+    """Dijkstra's method with steps to eight neighbours that cut no corners; infinite if none."""
+    best, heap = {start: 0.0}, [(0.0, start)]
+    while heap:
+        length, (row, column) = heapq.heappop(heap)
+        if (row, column) == goal:
+            return CELL * length
+        if length > best[row, column]:
+            continue
+        for i, j in itertools.product((-1, 0, 1), repeat=2):
+            there = row + i, column + j
+            if not all(0 <= k < n for k, n in zip(there, free.shape)) or not free[there]:
+                continue
+            if i and j and not (free[row + i, column] and free[row, column + j]):
+                continue
+            if length + math.hypot(i, j) < best.get(there, math.inf):
+                best[there] = length + math.hypot(i, j)
+                heapq.heappush(heap, (best[there], there))
+    return math.inf
+
+
+def assert_runs_over(path, free):
+    """Every millimetre of every leg."""
+    for first, second in itertools.pairwise(path):
+        count = int(np.linalg.norm(second - first) / 0.001) + 2
+        for place in np.linspace(first, second, count):
+            assert free[cell_at(place)], (first, second, place)
+
+
+def length_of(path):
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+@pytest.mark.parametrize(("radius", "climb"), [(0.28, 0.025), (0.11, 0.05), (0.01, 0.025)])
+def test_free_cells_are_those_with_nothing_higher_within_the_disc(radius, climb):
+    rng = np.random.default_rng(0)
+    above = np.full((60, 80), np.nan)
+    above[10:50, 10:70] = rng.uniform(-0.1, 0.02, (40, 60))
+    for row, column in rng.integers((10, 10), (50, 70), (25, 2)):
+        above[row, column] = rng.uniform(0.0, 0.1)
+    found = free_cells(above, radius, climb, CELL)
+    np.testing.assert_array_equal(found, free_by_counting(above, None, radius, climb))
+    assert found.any() and not found.all()
+
+
+def test_unknown_ground_is_free():
+    assert free_cells(np.full((5, 6), np.nan)).all()
+    assert free_cells(np.zeros((5, 6))).all()
+
+
+def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_free_cells():
+    rng, found, blocked, legs = np.random.default_rng(1), 0, 0, []
+    for _ in range(25):
+        model = field(rng.integers((0, 0), (60, 80), (rng.integers(8, 40), 2)))
+        start, goal = rng.uniform([-0.7, -1.2], [2.7, 1.2], (2, 2))
+        free = free_by_counting(rises(model, HOW.window), start)
+        free[cell_at(start)] = free[cell_at(goal)] = True
+        expected = shortest_length(free, cell_at(start), cell_at(goal))
+        path = plan_path(model, start, goal)
+        if not math.isfinite(expected):
+            assert path is None  # Rocks of 60 mm are none to climb, either.
+            blocked += 1
+            continue
+        np.testing.assert_allclose(path[[0, -1]], [start, goal])
+        assert_runs_over(path, free)
+        # Both ends are somewhere in their cells.
+        assert np.linalg.norm(goal - start) - 1e-9 <= length_of(path)
+        assert length_of(path) <= expected + math.sqrt(2.0) * CELL
+        found += 1
+        legs.append(len(path) - 1)
+    assert found > 8 and blocked > 2
+    assert np.mean(legs) < 6
+
+
+def test_open_ground_is_crossed_in_one_leg():
+    model = ElevationMap(ElevationGrid(CORNER, (60, 80), CELL))
+    path = plan_path(model, [-0.9, -1.4], [2.9, 1.43])
+    np.testing.assert_allclose(path, [[-0.9, -1.4], [2.9, 1.43]])
+    np.testing.assert_allclose(plan_path(model, [0.0, 0.0], [0.01, 0.0]), [[0.0, 0.0], [0.01, 0.0]])
+
+
+def test_a_path_around_a_wall_is_as_short_as_the_rover_s_disc_allows():
+    """Two tangents and an arc about the wall's end; only chords over cells stay beyond it."""
+    model = field([(row, 40) for row in range(35)])
+    start, goal = np.array([0.0, -0.5]), np.array([2.0, -0.5])
+    path = plan_path(model, start, goal)
+    end = np.array(CORNER) + CELL * np.array([40.5, 34.5])
+    to_start, to_goal = start - end, goal - end
+    far = np.hypot(*to_start), np.hypot(*to_goal)
+    below = math.acos(to_start @ to_goal / (far[0] * far[1]))
+    arc = math.tau - below - sum(math.acos(HOW.radius / d) for d in far)
+    shortest = sum(math.sqrt(d * d - HOW.radius**2) for d in far) + HOW.radius * arc
+    assert shortest - CELL < length_of(path) < 1.03 * shortest + CELL
+    assert len(path) <= 8
+
+
+def wall_with_gap(height, low):
+    """A wall across the field, lower in its middle."""
+    model = field([(row, 40) for row in range(60) if not 22 <= row < 38], height=height)
+    for row in range(22, 38):
+        model.heights[row, 40] += low
+    return model
+
+
+def test_what_is_25_mm_high_is_driven_over_only_where_there_is_no_other_path():
+    start, goal = [0.0, 0.0], [2.0, 0.0]
+    model = wall_with_gap(0.1, 0.04)
+    path = plan_path(model, start, goal)
+    np.testing.assert_allclose(path, [start, goal])
+    assert plan_path(model, start, goal, config=GroundPathConfig(second_climb=0.03)) is None
+    assert plan_path(wall_with_gap(0.1, 0.07), start, goal) is None
+    # With another path, longer, the wall is not driven over.
+    model.heights[45:, 40] -= 0.1
+    around = plan_path(model, start, goal)
+    assert around[:, 1].max() > CORNER[1] + CELL * 45
+
+
+def test_a_rover_may_leave_where_it_stands_and_reach_a_goal_a_cell_too_near():
+    model = field([(30, 22), (30, 45)])
+    start, goal = [0.2, 0.0], [1.0, 0.025]
+    assert not free_by_counting(rises(model, HOW.window))[cell_at(start)]
+    path = plan_path(model, start, goal)
+    np.testing.assert_allclose(path, [start, goal])
+    assert plan_path(model, start, [1.1, 0.025]) is None
+    rock = np.array(CORNER) + CELL * np.array([45.5, 30.5])
+    assert plan_path(model, start, rock - [0.26, 0.0]) is not None
+
+
+def test_other_robots_are_gone_around_and_a_rover_beside_one_comes_no_closer():
+    model = field([])
+    start, goal, other = np.array([0.0, 0.0]), np.array([2.0, 0.0]), np.array([1.0, 0.1, 0.3])
+    path = plan_path(model, start, goal, [other])
+    free = free_by_counting(rises(model, HOW.window), start, discs=[other])
+    assert_runs_over(path, free)
+    assert path[:, 1].min() < -0.4
+    beside = np.array([0.4, 0.0, 0.3])
+    path = plan_path(model, start, goal, [beside])
+    assert len(path) > 2
+    for first, second in itertools.pairwise(path):
+        along = np.linspace(first, second, 200)
+        assert np.linalg.norm(along - beside[:2], axis=1).min() > 0.4 - CELL
+    surrounded = [(0.0, y, 0.3) for y in np.arange(-1.5, 1.6, 0.2)]
+    assert plan_path(model, [-0.6, 0.0], goal, surrounded) is None
+
+
+@pytest.mark.parametrize("ends", [([-1.01, 0.0], [1.0, 0.0]), ([0.0, 0.0], [3.01, 0.0])])
+def test_there_is_no_path_from_or_to_beyond_the_map(ends):
+    assert plan_path(field([]), *ends) is None
+
+
+def test_string_pulling_keeps_the_shortest_chain_of_free_legs():
+    """Against all subsets of a path's points."""
+    rng, corner = np.random.default_rng(2), np.zeros(2)
+    for _ in range(40):
+        free = rng.uniform(size=(9, 9)) < 0.75
+        path = np.cumsum(rng.integers(-1, 2, (8, 2)), axis=0) + rng.uniform(0.0, 1.0, (8, 2)) + 4.0
+        path = np.clip(path, 0.01, 8.99)
+        pulled = shortened(CELL * path, free, corner, CELL)
+
+        def is_free(first, second, free=free):
+            places = np.linspace(first, second, 2000)
+            return all(free[int(y), int(x)] for x, y in places)
+
+        legs = {
+            (i, j): j == i + 1 or is_free(path[i], path[j])
+            for i, j in itertools.combinations(range(8), 2)
+        }
+        chains = [
+            (0, *inner, 7)
+            for count in range(7)
+            for inner in itertools.combinations(range(1, 7), count)
+        ]
+        best = min(
+            length_of(path[list(chain)])
+            for chain in chains
+            if all(legs[leg] for leg in itertools.pairwise(chain))
+        )
+        assert length_of(pulled) == pytest.approx(CELL * best, abs=1e-6)
+
+
+def test_impossible_settings_are_named():
+    with pytest.raises(ValueError, match="ground path climb = -1"):
+        GroundPathConfig(climb=-1.0)
