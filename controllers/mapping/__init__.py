@@ -29,4 +29,5 @@ Exchange by radio:
 
 - `messages`: poses and wrenches packed into bytes.
 - `pose_sharing`: a rover that shares its dead reckoning and its wrench.
+- `map_sharing`: two robots' elevation maps, shared tile by tile within a budget of bytes.
 """

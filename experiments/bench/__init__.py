@@ -10,6 +10,7 @@
   `image_conditions` spoils the images.
 - `braid`: exact inverse kinematics beside brute force.
 - `compression`: the nine predictors beside NumPy.
+- `elevation_tiles`: tiles of an elevation map beside zlib, whole and damaged.
 - `scaling`: how the cost grows with the size of a problem.
 - `echo_probe`: a process that echoes, the least that boards behind a port can cost.
 - `table`: the table of docs/benchmarks.md.

@@ -1,4 +1,4 @@
-"""The nine predictors beside one difference of the same picture by NumPy."""
+"""The nine predictors beside one difference of the same picture by NumPy, and tiles of a map."""
 
 import functools
 from collections.abc import Callable
@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.appc.pictures import SIZES, bundled_pictures, resampled
+from experiments.bench.elevation_tiles import bench_elevation_tiles
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
@@ -23,7 +24,8 @@ def bench_compression(options: Options, output: Output) -> None:
 
     Args:
         options: ``quick`` times fewer rounds.
-        output: Receives ``predictor_ratio/<method>`` and ``predictor_us/<method>``.
+        output: Receives ``predictor_ratio/<method>`` and ``predictor_us/<method>``, and what
+            `bench_elevation_tiles` measures.
     """
     image = resampled(bundled_pictures()[PICTURE], SIZES[-1])
     rounds = QUICK_ROUNDS if options.quick else ROUNDS
@@ -40,6 +42,7 @@ def bench_compression(options: Options, output: Output) -> None:
         slowest = max(slowest, float(times["ratio"]["median"]))
     name = f"slowest predictor over numpy.diff, {SIZES[-1]} px, median"
     output.check(name, slowest, f"<= {BOUND:g}", slowest <= BOUND)
+    bench_elevation_tiles(options, output)
 
 
 def _many(work: Callable[[], object]) -> None:

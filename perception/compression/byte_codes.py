@@ -6,7 +6,8 @@ repeats itself.
 
 import heapq
 import struct
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -29,6 +30,20 @@ _HEAD = struct.Struct("<Q256B")  # Number of symbols, and the length of each one
 
 class CodingError(ValueError):
     """Coded data is damaged, or was not coded in this way."""
+
+
+class WordCode(NamedTuple):
+    """Code of symbols by words none of which begins with another, as Huffman's.
+
+    Attributes:
+        lengths: (n,) length of each symbol's word [bit]; 0 for symbols without.
+        words: (n,) the words, right-aligned.
+        order: (n,) symbols in ascending order of their words; those without come first.
+    """
+
+    lengths: IntArray
+    words: NDArray[np.uint64]
+    order: IntArray
 
 
 def entropy(symbols: ByteArray) -> float:
@@ -100,12 +115,8 @@ def huffman_encode(symbols: ByteArray) -> bytes:
     Args:
         symbols: uint8 of any shape.
     """
-    lengths = word_lengths(histogram(symbols))
-    words = _canonical_words(lengths)
-    bits = int(histogram(symbols) @ lengths)
-    packed: ByteArray = np.zeros(-(-bits // 8), np.uint8)
-    _pack(symbols.ravel(), words, lengths, packed)
-    return _HEAD.pack(symbols.size, *lengths.tolist()) + packed.tobytes()
+    code = canonical_code(word_lengths(histogram(symbols)))
+    return _HEAD.pack(symbols.size, *code.lengths.tolist()) + pack_words([(symbols, code)])
 
 
 def huffman_decode(coded: bytes) -> ByteArray:
@@ -125,49 +136,87 @@ def huffman_decode(coded: bytes) -> ByteArray:
         raise CodingError("Huffman code: its word lengths are not those of a code")
     if count > 8 * packed.size:
         raise CodingError(f"Huffman code: {count} symbols cannot be in {packed.size} bytes")
-    symbols = np.empty(int(count), np.uint8)
-    if not _unpack(packed, lengths, np.argsort(lengths, kind="stable"), symbols):
-        raise CodingError(f"Huffman code: ends before its {count} symbols")
-    return symbols
+    return unpack_words(coded[_HEAD.size :], canonical_code(lengths), int(count))[0]
 
 
-def _canonical_words(lengths: IntArray) -> NDArray[np.uint64]:
+def canonical_code(lengths: IntArray) -> WordCode:
+    """Return the code whose words of one length are consecutive, in the order of their symbols.
+
+    Args:
+        lengths: (n,) length of each symbol's word [bit], up to 64; 0 for symbols without.
+    """
+    order = np.argsort(lengths, kind="stable").astype(np.int64)
     words = np.zeros(len(lengths), np.uint64)
     word, before = 0, 0
-    for symbol in np.argsort(lengths, kind="stable"):
+    for symbol in order:
         length = int(lengths[symbol])
         if not length:
             continue
         word <<= length - before
         words[symbol] = word
         word, before = word + 1, length
-    return words
+    return WordCode(lengths, words, order)
+
+
+def pack_words(parts: Sequence[tuple[ByteArray, WordCode]]) -> bytes:
+    """Return the words of sequences of symbols one after the other; bits of 0 fill the last byte.
+
+    Args:
+        parts: Symbols of any shape, and the code of them.
+    """
+    words = np.concatenate([code.words[symbols.ravel()] for symbols, code in parts])
+    lengths = np.concatenate([code.lengths[symbols.ravel()] for symbols, code in parts])
+    packed: ByteArray = np.zeros(-(-int(lengths.sum()) // 8), np.uint8)
+    _pack(words, lengths, packed)
+    return packed.tobytes()
+
+
+def unpack_words(
+    packed: bytes, code: WordCode, count: int, start: int = 0
+) -> tuple[ByteArray, int]:
+    """Return symbols (count,) from what `pack_words` made of them, and where they end [bit].
+
+    Args:
+        packed: Words one after the other.
+        code: Code of the symbols.
+        count: Number of symbols.
+        start: Where the first word begins [bit].
+
+    Raises:
+        CodingError: If they end too early, or a word is none.
+    """
+    symbols = np.empty(count, np.uint8)
+    given = np.frombuffer(packed, np.uint8)
+    end = int(_unpack(given, code.lengths, code.order, symbols, start))
+    if end < 0:
+        raise CodingError(f"Huffman code: ends before its {count} symbols")
+    return symbols, end
 
 
 @numba.njit(cache=True)
-def _pack(symbols: Any, words: Any, lengths: Any, packed: Any) -> None:
+def _pack(words: Any, lengths: Any, packed: Any) -> None:
     at = 0
-    for symbol in symbols:
-        word = words[symbol]
-        for place in range(lengths[symbol] - 1, -1, -1):
+    for index in range(words.size):
+        word = words[index]
+        for place in range(lengths[index] - 1, -1, -1):
             if (word >> np.uint64(place)) & np.uint64(1):
                 packed[at >> 3] |= 128 >> (at & 7)
             at += 1
 
 
 @numba.njit(cache=True)
-def _unpack(packed: Any, lengths: Any, order: Any, symbols: Any) -> bool:
-    """Read words bit by bit; false if they end too early or a word is none."""
+def _unpack(packed: Any, lengths: Any, order: Any, symbols: Any, start: int) -> int:
+    """Read words bit by bit, and return where they end; -1 if too early or if a word is none."""
     of_length = np.zeros(66, np.int64)
     for length in lengths:
         of_length[length] += 1
-    at, end = 0, 8 * packed.size
+    at, end = start, 8 * packed.size
     for index in range(symbols.size):
         # word - first is the index among the words of this length, if it is one.
         word, first, before, length = np.int64(0), np.int64(0), of_length[0], 0
         while True:
             if at == end or length == 64:
-                return False
+                return -1
             word = (word << 1) | ((packed[at >> 3] >> (7 - (at & 7))) & 1)
             at, length = at + 1, length + 1
             first <<= 1
@@ -176,7 +225,7 @@ def _unpack(packed: Any, lengths: Any, order: Any, symbols: Any) -> bool:
                 break
             first += of_length[length]
             before += of_length[length]
-    return True
+    return at
 
 
 def run_length_encode(symbols: ByteArray) -> bytes:

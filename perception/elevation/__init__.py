@@ -4,4 +4,5 @@
 - `map`: `ElevationMap`, a height and its variance for each cell.
 - `fusion`: a view's points to a height of each cell, and its update.
 - `ground`: heights of cells above the ground about them.
+- `deltas`: what changed in a tile, in few bytes for the radio (appendix C).
 """

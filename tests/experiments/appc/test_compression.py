@@ -86,10 +86,12 @@ def test_too_few_views_are_named(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_predictors_are_timed_beside_numpy(tmp_path):
+def test_predictors_are_timed_beside_numpy_and_tiles_coded_beside_zlib(tmp_path):
     assert main(["bench", "--only", "compression", "--quick", "--out", str(tmp_path)]) == 0
     measured = json.loads((tmp_path / "bench" / "metrics.json").read_text())["measured"]
     assert all(measured[f"predictor_ratio/{method}"]["n"] == 21 for method in PREDICTORS)
+    assert measured["tile_silent_damages"] == 0
+    assert measured["tile_bytes/coded"] < 0.65 * measured["tile_bytes/plain/zlib"]
 
 
 @pytest.mark.slow

@@ -10,11 +10,14 @@ from scipy.stats import entropy as scipy_entropy
 
 from perception.compression.byte_codes import (
     CodingError,
+    canonical_code,
     entropy,
     histogram,
     huffman_decode,
     huffman_encode,
     mean_word_length,
+    pack_words,
+    unpack_words,
     word_lengths,
 )
 
@@ -44,6 +47,22 @@ def test_no_code_without_prefixes_is_shorter(counts):
     lengths = itertools.product(range(1, len(counts)), repeat=len(counts))
     allowed = [some for some in lengths if sum(2.0**-length for length in some) <= 1.0]
     assert ours == min(int(np.dot(counts, some)) for some in allowed)
+
+
+@given(symbols, symbols)
+@settings(max_examples=50, deadline=None)
+def test_sequences_of_two_codes_are_packed_without_a_gap(first, second):
+    one, other = (canonical_code(word_lengths(1 + histogram(data))) for data in (first, second))
+    packed = pack_words([(first, one), (second, other)])
+    bits = int(one.lengths[first].sum() + other.lengths[second].sum())
+    assert len(packed) == -(-bits // 8)
+    found, middle = unpack_words(packed, one, first.size)
+    np.testing.assert_array_equal(found, first)
+    found, end = unpack_words(packed, other, second.size, middle)
+    np.testing.assert_array_equal(found, second)
+    assert end == bits
+    with pytest.raises(CodingError, match="ends before"):
+        unpack_words(packed, other, 8 * len(packed) + 1, middle)
 
 
 def test_words_may_be_long():

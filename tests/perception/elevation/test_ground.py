@@ -59,7 +59,7 @@ def test_a_tilted_plane_rises_nowhere(degrees):
     found = rises(mapped(heights))
     assert np.isnan(found[np.isnan(heights)]).all()
     assert np.nanmax(np.abs(found)) < 1e-8
-    assert np.isfinite(found[np.isfinite(heights)]).mean() > 0.99
+    assert np.isfinite(found[np.isfinite(heights)]).mean() > 0.95
 
 
 @pytest.mark.parametrize("edge", [1, 2, 4, 6])
