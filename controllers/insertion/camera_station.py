@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.watching import WatchPlan, target_field
-from controllers.kinematics.arm_inverse import arm_solutions
+from controllers.kinematics.arm_inverse import parallel_views
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.mapped_ground import MappedGround
 from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
@@ -80,12 +80,13 @@ def best_camera_station(
 ) -> CameraStation:
     """Return the station with the best view of card and slot (Thesis section 4.2.3).
 
-    With a map of the ground, only stations that the rover can drive to are considered.
+    The best feasible candidate is improved between its neighbours. With a map of the ground, only
+    stations that the rover can drive to are feasible.
 
     Args:
         robot: Rover with the camera.
         drawing: Drawing of card and slot.
-        level: Level of refinement of the search.
+        level: Level of the tree of directions whose candidates are searched.
         ground: Mapped ground; None without obstacles.
         start: (2,) position of the rover [m], ground frame; used with ``ground``.
 
@@ -107,23 +108,23 @@ def best_camera_station(
         occluders = ground.occluders(slot.translation, slot.rotation.apply([0.0, 0.0, 1.0]))
     paths = None if ground is None else ground.paths_from(start)
     field = target_field(plan, parts, others=occluders)
-    kept: list[CameraStation] = []
+
+    def placed(view: View) -> CameraStation | None:
+        return base_placement(view.position, field.target.position, arm, robot.centre_height)
 
     def accept(view: View) -> bool:
-        station = base_placement(view.position, field.target.position, arm, robot.centre_height)
+        station = placed(view)
         if station is None or not is_clear(station):
             return False
         place = station.place[:2]
         if ground is not None and not ground.is_free(place):
             return False
-        if paths is not None and paths.path_to(place) is None:
-            return False
-        kept.append(station)
-        return True
+        return paths is None or paths.path_to(place) is not None
 
-    search = SearchConfig(level=level, rings=12, refine=False)
-    best_view(SpatialTask([field], lens, config=search), accept)
-    return kept[-1]
+    search = SearchConfig(level=level, rings=12)
+    station = placed(best_view(SpatialTask([field], lens, config=search), accept))
+    assert station is not None
+    return station
 
 
 def random_camera_station(
@@ -188,18 +189,15 @@ def base_placement(
         return None
     yaw = math.atan2(-view[0], view[1])
     height = camera[2] - centre_height
-    beside = float(arm.tool_in_robot(np.zeros(4)).translation[0])
-    best: tuple[float, float, FloatArray] | None = None
-    for reach in _REACHES:
-        eye = np.array([beside, reach, height])
-        ahead = eye + [0.0, flat, view[2]]
-        for angles in arm_solutions(arm, eye, ahead):
-            margin = float(np.min(np.minimum(angles - arm.limits[:, 0], arm.limits[:, 1] - angles)))
-            if best is None or margin > best[0]:
-                best = (margin, float(reach), angles)
-    if best is None:
+    beside = float(arm.tool_frame(np.zeros(4))[0, 3])
+    eyes = np.full((len(_REACHES), 3), [beside, 0.0, height])
+    eyes[:, 1] = _REACHES
+    postures = parallel_views(arm, eyes, [0.0, flat, view[2]])
+    margins = np.minimum(postures - arm.limits[:, 0], arm.limits[:, 1] - postures).min(axis=2)
+    if np.isnan(margins).all():
         return None
-    _, reach, angles = best
+    best = np.unravel_index(np.nanargmax(margins), margins.shape)
+    reach, angles = float(_REACHES[best[0]]), postures[best]
     forward = np.array([-math.sin(yaw), math.cos(yaw)])
     right = np.array([math.cos(yaw), math.sin(yaw)])
     place = camera[:2] - reach * forward - beside * right

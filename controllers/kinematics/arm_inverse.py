@@ -4,7 +4,7 @@ Shoulder, elbow and wrist turn about x. All links move in one vertical plane tha
 the chain's tool, a camera with z along its view, may sit beside that plane and may squint out of
 it. A view needs five numbers (the camera's place and where its axis points) and four joints are
 there, so that from a fixed base only views in a plane can be had: `standing_views` gives those.
-`arm_solutions` gives none for other views; the base must move. A gripper's task is its place and
+`parallel_views` gives none for other views; the base must move. A gripper's task is its place and
 the pitch of its forward axis, as many numbers as there are joints: `GripperInverse`.
 """
 
@@ -232,67 +232,31 @@ class GripperInverse:
         return angles[np.argsort(np.linalg.norm(angles - np.asarray(near, dtype=float), axis=1))]
 
 
-def arm_solutions(
-    arm: SerialChain, camera: ArrayLike, target: ArrayLike, tolerance: float = STRAIGHT
-) -> FloatArray:
-    """Return all joint angles with the camera at a point and its axis through another.
+def parallel_views(arm: SerialChain, cameras: ArrayLike, direction: ArrayLike) -> FloatArray:
+    """Return the joint angles with the camera at points and its axis along one direction.
 
     Args:
         arm: Chain of the arm with the camera as its tool.
-        camera: (3,) the left camera [m], robot frame.
-        target: (3,) on its axis [m], robot frame.
-        tolerance: Permissible distance of the given camera from the arm's plane [m]; the solution's
-            camera is in the plane.
+        cameras: (N, 3) the left camera [m], robot frame.
+        direction: (3,) direction of view, not vertical in the frame of the arm's base, robot frame.
 
     Returns:
-        (N, 4) within the joints' limits [rad]; none if the base is misplaced or the
-        point is out of reach.
-
-    Raises:
-        ValueError: If camera and target are the same, or a number is not finite.
+        (N, 4, 4) up to four postures for each point [rad]; NaN where there is none within the
+        joints' limits, or the point is not in the arm's plane.
     """
-    geometry = ArmGeometry.of(arm)
-    places = np.array([camera, target], dtype=float)
-    if places.shape != (2, 3) or not np.isfinite(places).all():
-        raise ValueError(f"camera {camera}, target {target}: expected three finite numbers each")
-    to_base = arm.transform_base_to_robot.inv()
-    eye, seen = to_base.apply(places) - geometry.yaw_axis
-    distance = np.linalg.norm(seen - eye)
-    if distance < STRAIGHT:
-        raise ValueError(f"the camera is at the target, {camera}: the view has no direction")
-    direction = (seen - eye) / distance
-    found = [np.zeros((0, 4))]
-    for yaw, pitch in _aims(geometry, eye, direction):
-        beside = np.cos(yaw) * eye[0] + np.sin(yaw) * eye[1]
-        along = np.cos(yaw) * eye[1] - np.sin(yaw) * eye[0]
-        turn = geometry.turned(yaw)
-        if abs(beside - geometry.beside) <= tolerance and np.isfinite(turn):
-            bends = geometry.bend(along, eye[2], pitch)
-            bends = bends[np.isfinite(bends).all(axis=1)]
-            found.append(np.column_stack([np.full(len(bends), turn), bends]))
-    solutions = np.concatenate(found)
-    # A stretched arm has one solution, not two that are alike.
-    different = [
-        row
-        for index, row in enumerate(solutions)
-        if not any(np.allclose(row, other, atol=STRAIGHT) for other in solutions[:index])
-    ]
-    return np.array(different).reshape(-1, 4)
-
-
-def _aims(
-    geometry: ArmGeometry, eye: FloatArray, direction: FloatArray
-) -> list[tuple[float, float]]:
-    """Return (yaw, pitch) of the arm for a direction of view."""
-    if np.hypot(direction[0], direction[1]) > STRAIGHT:
-        return geometry.headings(direction)
-    if geometry.upright < 1.0 - STRAIGHT:
-        return []
-    # Straight up or down: the yaw is free to bring the camera into the plane.
-    return [
-        (yaw, float(np.copysign(np.pi / 2, direction[2])))
-        for yaw in _yaws_beside(eye, np.array(geometry.beside))
-    ]
+    geometry, to_base = ArmGeometry.of(arm), arm.transform_base_to_robot.inv()
+    eyes = to_base.apply(np.asarray(cameras, dtype=float)) - geometry.yaw_axis
+    seen = to_base.rotation.apply(np.asarray(direction, dtype=float))
+    postures = np.full((len(eyes), 4, 4), np.nan)
+    for k, (yaw, pitch) in enumerate(geometry.headings(seen / np.linalg.norm(seen))):
+        beside = np.cos(yaw) * eyes[:, 0] + np.sin(yaw) * eyes[:, 1]
+        along = np.cos(yaw) * eyes[:, 1] - np.sin(yaw) * eyes[:, 0]
+        found = postures[:, 2 * k : 2 * k + 2]
+        found[..., 0] = geometry.turned(yaw)
+        found[..., 1:] = geometry.bend(along, eyes[:, 2], pitch)
+        found[np.abs(beside - geometry.beside) > STRAIGHT] = np.nan
+    postures[np.isnan(postures).any(axis=2)] = np.nan
+    return postures
 
 
 def _yaws_beside(point: FloatArray, beside: FloatArray) -> FloatArray:

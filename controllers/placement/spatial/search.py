@@ -40,6 +40,9 @@ _FOCUS_TOLERANCE = 1e-9
 """Difference to a limit of the lens up to which a distance is at it [m]."""
 _PATTERN = 48
 """Directions tried at once to improve a view."""
+_TRIES = 16
+"""Number of the better ones whose feasibility is checked, from the best to the least: where the
+best is not feasible, its neighbours mostly are not, either."""
 _SHRINK = 0.8
 """Factor of the pattern's size where none is better."""
 _MIN_TURN = np.deg2rad(0.01)
@@ -152,10 +155,14 @@ class _PreparedTarget:
 
     def view(self, position: FloatArray) -> View:
         """Return the view from a position (3,) [m], world."""
+        return self.views(position[None])[0]
+
+    def views(self, positions: FloatArray) -> list[View]:
+        """Return the views from positions (N, 3) [m], world."""
         task = self.task
         return rate_positions(
-            self.field, task.lens, position[None], task.occupancy, task.config.exponents
-        )[0]
+            self.field, task.lens, positions, task.occupancy, task.config.exponents
+        )
 
 
 def best_view(task: SpatialTask, accept: Accept | None = None) -> View:
@@ -163,7 +170,8 @@ def best_view(task: SpatialTask, accept: Accept | None = None) -> View:
 
     Args:
         task: Targets, lens, occupancy and candidates.
-        accept: Returns whether a view is feasible; called with views best first until one is.
+        accept: Returns whether a view is feasible; called with candidates best first until one is,
+            and then with what would improve that one if it is to be refined.
 
     Raises:
         PlacementError: If no pose sees any of the targets; the message gives the reasons.
@@ -178,8 +186,7 @@ def best_view(task: SpatialTask, accept: Accept | None = None) -> View:
             continue
         if not task.config.refine:
             return view
-        better = _refined(search, view)
-        return better if accept is None or better is view or accept(better) else view
+        return _refined(search, view, accept)
     raise PlacementError(_reason(searches, refused))
 
 
@@ -290,13 +297,13 @@ def _in_order(searches: Sequence[_PreparedTarget]) -> Iterator[tuple[float, int,
     return heapq.merge(*(search.in_order(index) for index, search in enumerate(searches)))
 
 
-def _refined(search: _PreparedTarget, view: View) -> View:
+def _refined(search: _PreparedTarget, view: View, accept: Accept | None) -> View:
     """Improve a view between its neighbours, in steps down to 0.01 deg and 0.1 mm; never worse.
 
     The rating has ridges, on which moves along fixed axes would stall: a disc of places laid out
     by the golden angle is tried about the best one, and shrunk when none is better. Along a sharp
     ridge it may still stop some tenths of a degree off the top, where the rating differs by parts
-    in a million.
+    in a million. Every step is feasible: the best views often lie at the edge of those that are.
     """
     hulls, terms, lens = search.field.hulls, search.terms, search.task.lens
     index = np.arange(_PATTERN) + 0.5
@@ -304,7 +311,7 @@ def _refined(search: _PreparedTarget, view: View) -> View:
     disc = np.sqrt(index / _PATTERN)[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
     local = search.field.to_frame(view.position)
     distance = float(np.clip(view.distance, lens.near, lens.far))
-    direction, best = local / np.linalg.norm(local), view.rating
+    direction, best, place = local / np.linalg.norm(local), view.rating, view.position
     width = 2.0 * float(search.candidates.tree.radii[-1])
     step = 0.5 * (search.candidates.rings[1] / search.candidates.rings[0] - 1.0)
     tried = 0
@@ -323,15 +330,28 @@ def _refined(search: _PreparedTarget, view: View) -> View:
         places = search.field.to_world(sides * radii[:, None])
         chances = probabilities_at(search.task.occupancy, places)
         ratings = best_first.rate_places(hulls, terms, sides, radii, chances)
-        top = int(np.argmax(ratings))
+        better = np.argsort(-ratings, kind="stable")[: int(np.sum(ratings > best * (1.0 + 1e-9)))]
+        top = _first_accepted(search, places, better, accept)
         tried += 1
-        if ratings[top] > best * (1.0 + 1e-9):
+        if top is not None:
             best, direction, distance = float(ratings[top]), sides[top], float(radii[top])
+            place = places[top]
             if tried % 8:
                 continue
         width, step = width * _SHRINK, step * _SHRINK
-    found = search.view(search.field.to_world(direction * distance))
+    found = search.view(place)
     return max(view, found, key=lambda each: each.rating)
+
+
+def _first_accepted(
+    search: _PreparedTarget, places: FloatArray, order: IntArray, accept: Accept | None
+) -> int | None:
+    """Return the first place (N, 3) in an order (n,) whose view is feasible; None without one."""
+    if accept is None or not len(order):
+        return int(order[0]) if len(order) else None
+    tried = order[:: 1 + (len(order) - 1) // _TRIES]
+    views = search.views(places[tried])
+    return next((int(i) for i, view in zip(tried, views) if accept(view)), None)
 
 
 def _reason(searches: Sequence[_PreparedTarget], refused: int) -> str:

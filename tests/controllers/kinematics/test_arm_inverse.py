@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from controllers.kinematics.arm_inverse import GripperInverse
+from controllers.kinematics.arm_inverse import GripperInverse, parallel_views
 from controllers.kinematics.serial_chain import SerialChain
 from models.datasheets import ARM, ROVER
 from twin.describe import describe_rover
@@ -43,3 +43,25 @@ def test_out_of_reach_gives_none_and_nonsense_is_refused():
         GripperInverse(CHAIN, [0.01, 0.1, 0.0])
     with pytest.raises(ValueError, match="grip point"):
         GripperInverse(CHAIN, [0.0, 0.1])
+
+
+def test_parallel_views_hold_the_angles_that_a_view_came_from_and_only_such():
+    arm = SerialChain.of_robot(DRAWN)
+    beside = arm.tool_in_robot(np.zeros(4)).translation
+    for angles in np.random.default_rng(3).uniform(*arm.limits.T, (100, 4)):
+        angles[0] = 0.0  # Straight ahead, so that other cameras in the plane are ahead and up.
+        camera = arm.tool_in_robot(angles)
+        ahead = camera.rotation.apply([0.0, 0.0, 0.5])
+        if abs(ahead[2]) > 0.499:
+            continue
+        cameras = camera.translation + [[0.0, 0.0, 0.0], [0.0, 0.03, 0.02], [0.01, 0.0, 0.0]]
+        assert camera.translation[0] == pytest.approx(beside[0])
+        itself, near, aside = parallel_views(arm, cameras, ahead)
+        assert np.nanmin(np.abs(itself - angles).max(axis=1)) < 1e-6
+        assert np.isnan(aside).all()
+        for place, postures in ((cameras[0], itself), (cameras[1], near)):
+            for found in postures[np.isfinite(postures).all(axis=1)]:
+                assert np.all((found >= arm.limits[:, 0]) & (found <= arm.limits[:, 1]))
+                reached = arm.tool_in_robot(found)
+                np.testing.assert_allclose(reached.translation, place, atol=1e-8)
+                np.testing.assert_allclose(reached.rotation.apply([0, 0, 0.5]), ahead, atol=1e-8)

@@ -218,6 +218,32 @@ def test_refined_view_that_is_refused_gives_way_to_the_candidate():
     assert best_view(fine, lambda view: view.rating <= plain.rating).rating == plain.rating
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_refined_view_goes_along_the_edge_of_what_is_feasible(seed):
+    """Held against a dense sample of the places that are feasible about the best candidate."""
+    rng = np.random.default_rng(seed)
+    (field,) = random_fields(rng)
+    task = SpatialTask([field], LENS, config=COARSE)
+    top = best_view(task).position
+    normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    # Cut off so that the best candidate of all is not feasible.
+    border = top @ normal - 0.05
+
+    def accept(view):
+        return view.position @ normal <= border
+
+    plain = best_view(task, accept)
+    fine = dataclasses.replace(task, config=dataclasses.replace(COARSE, refine=True))
+    refined = best_view(fine, accept)
+    assert accept(refined) and refined.rating >= plain.rating
+    away = refined.position - field.target.position
+    near = field.target.position + away + rng.normal(0.0, 0.02, (4000, 3))
+    near = near[near @ normal <= border]
+    rated = max(view.rating for view in rate_positions(field, LENS, near))
+    assert refined.rating > 0.998 * rated
+
+
 def test_rated_directions_name_their_target():
     fields = random_fields(np.random.default_rng(5), 2)
     rated = rate_directions(SpatialTask(fields, LENS, patchy, COARSE))
