@@ -18,6 +18,7 @@ from perception.geometry.arrays import FloatArray
 STRUT_RADIUS = 0.006
 """Radius of the two rods that hold the panel up [m]."""
 _DISC = 2e-4  # Height of each disc of a marker above the surface below it [m].
+_BALLAST = 0.45  # Depth of the ballast over the panel's height.
 _SUNK = 0.005  # A block goes this deep into the ground, so that no gap shows on a slope [m].
 _SAMPLED = 0.02  # Spacing of the points of the ground below a screen [m].
 
@@ -80,6 +81,8 @@ class PanelConfig:
         size: Width and height of the face [m].
         thickness: [m].
         markers: Discs on the face.
+        ballast: Height of a textured box behind the face, between the rods' feet, by which a panel
+            can be seen from aside and from behind [m]; 0 for none.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -88,6 +91,7 @@ class PanelConfig:
     size: tuple[float, float] = (0.40, 0.30)
     thickness: float = 0.012
     markers: tuple[PanelMarker, ...] = MARKERS
+    ballast: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse impossible panels.
@@ -98,6 +102,8 @@ class PanelConfig:
         pose, lengths = (*self.position, self.yaw), (*self.size, self.thickness)
         require(finite(*pose), "panel pose", pose, "finite numbers [m, rad]")
         require(0.0 <= self.tilt <= 1.2, "panel tilt", self.tilt, "0 to 1.2 rad")
+        low = 0.0 <= self.ballast <= 0.5 * self.size[1]
+        require(low, "panel ballast", self.ballast, "0 to half the face's height [m]")
         small = all(0.0 < length < 5.0 for length in lengths)
         require(small, "panel size", lengths, "positive lengths below 5 m")
         for index, marker in enumerate(self.markers):
@@ -361,3 +367,21 @@ def add_panel(scene: mujoco.MjSpec, panel: PanelConfig, ground: float) -> None:
             size=[STRUT_RADIUS, 0.0, 0.0],
             rgba=[0.6, 0.6, 0.62, 1.0],
         )
+    if panel.ballast > 0.0:
+        _add_ballast(scene, panel, ground)
+
+
+def _add_ballast(scene: mujoco.MjSpec, panel: PanelConfig, ground: float) -> None:
+    """Add the box behind a panel, upright on the ground."""
+    depth = _BALLAST * panel.size[1]
+    behind = 0.5 * depth + panel.thickness + panel.ballast * math.tan(panel.tilt)
+    x, y = panel.position
+    scene.worldbody.add_geom(
+        name="panel_ballast",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[x - behind * math.sin(panel.yaw), y + behind * math.cos(panel.yaw),
+             ground + panel.ballast / 2.0 - _SUNK],
+        size=[0.4 * panel.size[0], depth / 2.0, panel.ballast / 2.0 + _SUNK],
+        quat=yaw_quaternion(panel.yaw),
+        material="panel",
+    )  # fmt: skip

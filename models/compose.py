@@ -435,7 +435,9 @@ def _add_arm(scene: mujoco.MjSpec, robot: RobotPlacement, prefix: str) -> None:
     if not robot.stereo:
         for camera in list(head.cameras):
             head.delete(camera)
-    scene.attach(head, site=scene.site(f"{prefix}stereo_mount"), prefix=prefix)
+    mount = scene.site(f"{prefix}stereo_mount")
+    mount.pos = np.asarray(mount.pos) + [0.0, 0.0, robot.mast]
+    scene.attach(head, site=mount, prefix=prefix)
     if robot.payload is None:
         return
     load = robot.payload

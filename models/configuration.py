@@ -205,6 +205,8 @@ class RobotPlacement:
         centre_locked: Whether the centre joint is held at zero.
         payload: Box in the gripper, if any.
         card: Whether the gripper holds the card.
+        mast: Height by which the stereo head is raised above its place on the wrist [m]: from
+            65 mm on it looks over a card in the gripper, which otherwise hides half of each image.
         model: MJCF file of a robot of your own in place of the thesis' rover, in the same naming:
             the free body ``chassis``, the arm's first body ``arm_base_link``, motors ``x`` on
             joints ``x_joint``. Its key frame ``home`` is how it starts, at rest on level ground.
@@ -220,6 +222,7 @@ class RobotPlacement:
     centre_locked: bool = False
     payload: PayloadConfig | None = None
     card: bool = False
+    mast: float = 0.0
     model: str = ""
     made: AsMade | None = None
 
@@ -240,9 +243,10 @@ class RobotPlacement:
         require(finite(*start), f"start of {self.name}", start, "finite numbers [m, rad]")
         require(self.arm or self.payload is None, f"payload of {self.name}", self.payload, "an arm")
         held = self.arm and self.payload is None
+        require(0.0 <= self.mast <= 0.3, f"mast of {self.name}", self.mast, "0 to 0.3 m")  # noqa: PLR2004
         asked = self.arm, self.stereo, self.centre_locked, self.payload, self.card, self.made
         require(
-            not self.model or asked == (True, True, False, None, False, None),
+            not self.model or (*asked, self.mast) == (True, True, False, None, False, None, 0.0),
             f"model of {self.name}",
             self.model,
             "nothing but name, position and yaw beside it",

@@ -43,7 +43,7 @@ _LEFT, _RIGHT = "stereo_left", "stereo_right"
 
 @functools.cache
 def describe_rover(
-    name: str = "rover1", *, arm: bool = True, card: bool = False
+    name: str = "rover1", *, arm: bool = True, card: bool = False, mast: float = 0.0
 ) -> RobotDescription:
     """Return the thesis' rover as drawn, with its stereo head.
 
@@ -51,8 +51,9 @@ def describe_rover(
         name: Name of the robot.
         arm: True for a robot with the arm.
         card: True for a card in the gripper, which counts as part of the wrist.
+        mast: Height by which the stereo head is raised above its place on the wrist [m].
     """
-    model = make_model(_BARE, [RobotPlacement(name, arm=arm, card=card)])
+    model = make_model(_BARE, [RobotPlacement(name, arm=arm, card=card, mast=mast)])
     drawn = describe(model, name)
     # The model's literals are rounded; the datasheets' numbers are not.
     camera = CAMERA.pinhole
