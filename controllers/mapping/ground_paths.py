@@ -5,6 +5,7 @@ within the disc; unknown ground is free, as a rover sees what is before it.
 """
 
 import dataclasses
+from collections.abc import Iterator
 
 import numba
 import numpy as np
@@ -95,19 +96,64 @@ def plan_path(
     """
     config, grid = config or GroundPathConfig(), elevation.grid
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
-    discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    above = rises(elevation, config.window)
-    below = np.hypot(*np.moveaxis(grid.centres - begin, -1, 0)) <= config.radius
-    above[below] = np.nan
-    kept_clear = _beyond(discs, grid, begin, config.radius)
-    for climb in (config.climb, config.second_climb):
-        free = free_cells(above, config.radius, climb, grid.cell) & kept_clear
+    for free in _enterable(elevation, begin, obstacles, config):
         path = _path_over(free, grid, begin, end)
         if path is not None:
             return path
     return None
+
+
+def path_lengths(
+    elevation: ElevationMap,
+    start: ArrayLike,
+    goals: ArrayLike,
+    obstacles: ArrayLike | None = None,
+    config: GroundPathConfig | None = None,
+) -> FloatArray:
+    """Return the lengths of a rover's shortest paths from cell to cell to several positions.
+
+    Where no path leads otherwise, they are those over what the rover can climb as a second choice.
+
+    Args:
+        elevation: Map of the ground, world.
+        start: (2,) position of the rover's middle [m], world; within the map.
+        goals: (N, 2) positions to be reached [m], world.
+        obstacles: (M, 3) further discs, as in `plan_path`.
+        config: Size of the rover and what it climbs; the default if not given.
+
+    Returns:
+        (N,) lengths [m]; infinite where no path leads, and beyond the map.
+    """
+    config, grid = config or GroundPathConfig(), elevation.grid
+    begin = np.asarray(start, dtype=float)
+    first = tuple(grid.cells_of([begin])[0].tolist())
+    cells = grid.cells_of(np.asarray(goals, dtype=float))
+    inside = grid.inside(cells)
+    lengths = np.full(len(cells), np.inf)
+    for free in _enterable(elevation, begin, obstacles, config):
+        free[first] = True
+        left = inside & np.isinf(lengths)
+        if left.any():
+            lengths[left] = shortest_paths(free, first, grid.cell).lengths[*cells[left].T]
+    return lengths
+
+
+def _enterable(
+    elevation: ElevationMap,
+    start: FloatArray,
+    obstacles: ArrayLike | None,
+    config: GroundPathConfig,
+) -> Iterator[BoolArray]:
+    """Yield the cells that a rover may enter: first by what it climbs, then by what it can."""
+    grid = elevation.grid
+    discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
+    above = rises(elevation, config.window)
+    above[np.hypot(*np.moveaxis(grid.centres - start, -1, 0)) <= config.radius] = np.nan
+    kept_clear = _beyond(discs, grid, start, config.radius)
+    for climb in (config.climb, config.second_climb):
+        yield free_cells(above, config.radius, climb, grid.cell) & kept_clear
 
 
 def _beyond(discs: FloatArray, grid: ElevationGrid, start: FloatArray, radius: float) -> BoolArray:
@@ -115,7 +161,9 @@ def _beyond(discs: FloatArray, grid: ElevationGrid, start: FloatArray, radius: f
     clear = np.ones(grid.shape, dtype=bool)
     for x, y, size in discs:
         away = min(size + radius, float(np.hypot(*(start - (x, y)))))
-        clear &= np.hypot(*np.moveaxis(grid.centres - (x, y), -1, 0)) >= away
+        low, high = np.clip(grid.cells_of([(x - away, y - away), (x + away, y + away)]), 0, None)
+        box = slice(low[0], high[0] + 1), slice(low[1], high[1] + 1)
+        clear[box] &= np.hypot(*np.moveaxis(grid.centres[box] - (x, y), -1, 0)) >= away
     return clear
 
 

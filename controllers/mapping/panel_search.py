@@ -1,9 +1,9 @@
 """Search for the target by driving: where it may be, and which view is worth its time.
 
-A rover knows roughly where it began, so where the target stands is a cloud of possible places in its
-own frame. Each view without the target makes those places unlikely in which it would have been seen.
-The next view is the one with the best chance of seeing it a second (`PLANNERS` of chapter 3 call
-that a rate): a view from here takes the head's turn, one from elsewhere the drive as well.
+A rover knows roughly where it began, so where the target stands is a cloud of possible places in
+its own frame. Each view without the target makes those places unlikely in which it would have been
+seen. The next view is the one with the best chance of seeing it a second, as the rate is one of the
+methods of chapter 3: a view from here takes the head's turn, one from elsewhere the drive as well.
 """
 
 import dataclasses
@@ -23,24 +23,33 @@ class PanelSearchConfig:
     Attributes:
         reach: Nearest and farthest distance at which its markers are detected [m].
         slant: Largest angle of the view with the face's normal [rad].
-        half_view: Half of the angle within which it is detected, about the camera's axis [rad].
+        half_view: Half of the angle across within which it is detected, about the camera's axis
+            [rad].
+        half_height: The same upright [rad].
         missed: Odds that a view misses a target that it should see.
         opaque: Odds that something unmapped hides the target.
         view_time: Time that a view from the present place takes [s].
         speed: Speed of a drive [m/s].
         start_time: Time that a drive takes beside its length [s]: turns, and the fall of the tilt.
         windows: Directions in which a place's views are tried.
+        likely: Odds that something stands within `about` of a place from which on it is kept off.
+        about: Distance within which those odds are summed [m].
+        grain: Side of the squares in which places are counted [m].
     """
 
     reach: tuple[float, float] = (0.45, 1.9)
     slant: float = math.radians(60.0)
     half_view: float = math.radians(15.0)
+    half_height: float = math.radians(10.0)
     missed: float = 0.1
     opaque: float = 0.15
     view_time: float = 2.0
     speed: float = 0.15
     start_time: float = 4.0
     windows: int = 36
+    likely: float = 0.15
+    about: float = 0.3
+    grain: float = 0.15
 
 
 class Viewpoint(NamedTuple):
@@ -51,12 +60,14 @@ class Viewpoint(NamedTuple):
         target: (3,) point to look at [m].
         chance: Chance of seeing the target in one view.
         rate: Chance of seeing it a second, with all views that the place offers [1/s].
+        shown: (N,) possible places of the target that the view would show.
     """
 
     place: FloatArray
     target: FloatArray
     chance: float
     rate: float
+    shown: BoolArray
 
 
 class Ground(NamedTuple):
@@ -91,6 +102,8 @@ class PanelSearch:
     Args:
         places: (N, 3) possible middles of the target's face [m].
         normals: (N, 2) unit vectors out of its face, on the ground.
+        structures: (N, K, 3) discs that stand about the target at each place, to be kept off: x, y
+            and radius [m].
         config: When it is seen, and what a view costs; None for the default.
 
     Attributes:
@@ -100,9 +113,13 @@ class PanelSearch:
     """
 
     def __init__(
-        self, places: FloatArray, normals: FloatArray, config: PanelSearchConfig | None = None
+        self,
+        places: FloatArray,
+        normals: FloatArray,
+        structures: FloatArray,
+        config: PanelSearchConfig | None = None,
     ) -> None:
-        self.places, self._normals = places, normals
+        self.places, self._normals, self._structures = places, normals, structures
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(places), 1.0 / len(places))
         self.views = 0
@@ -111,6 +128,19 @@ class PanelSearch:
     def mean(self) -> FloatArray:
         """(3,) mean place of the target [m]."""
         return self.weights @ self.places
+
+    def likely_structures(self) -> FloatArray:
+        """Return (M, 3) discs that a rover keeps off, for something likely stands there [m]."""
+        c, kept = self._config, [np.zeros((0, 3))]
+        for discs in np.swapaxes(self._structures, 0, 1):
+            cells = np.round(discs[:, :2] / c.grain).astype(int)
+            found, which = np.unique(cells, axis=0, return_inverse=True)
+            odds = np.bincount(which, self.weights)
+            near = np.linalg.norm(c.grain * (found[:, None] - found), axis=2) < c.about
+            likely = near @ odds > c.likely
+            middles = c.grain * found[likely]
+            kept.append(np.column_stack([middles, np.full(len(middles), discs[0, 2])]))
+        return np.concatenate(kept)
 
     def draw_places(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Return (count, 2) places that look at the faces of likely targets [m].
@@ -127,23 +157,28 @@ class PanelSearch:
         away = np.column_stack([c * x - s * y, s * x + c * y])
         return self.places[chosen, :2] + far[:, None] * away
 
-    def miss(self, transform_camera_to_frame: RigidTransform, ground: Ground) -> None:
+    def miss(
+        self,
+        transform_camera_to_frame: RigidTransform,
+        ground: Ground,
+        intended: Viewpoint | None = None,
+    ) -> None:
         """Take note of a view that did not show the target.
 
         Args:
             transform_camera_to_frame: Pose of the left camera.
             ground: What is mapped of the ground.
+            intended: View that was to be taken, which the joints may not quite reach; None for one
+                that was not chosen.
         """
-        eye = np.asarray(transform_camera_to_frame.translation)
+        c, eye = self._config, np.asarray(transform_camera_to_frame.translation)
         axis = transform_camera_to_frame.rotation.apply([0.0, 0.0, 1.0])
-        away = self.places - eye
-        across = np.abs(_bearing(away) - math.atan2(axis[1], axis[0]))
-        across = np.minimum(across, 2.0 * math.pi - across)
-        risen = np.arctan2(away[:, 2], np.hypot(away[:, 0], away[:, 1]))
-        raised = math.atan2(axis[2], math.hypot(axis[0], axis[1]))
-        c = self._config
-        within = (across < c.half_view) & (np.abs(risen - raised) < 0.7 * c.half_view)
+        bearing, raised = _directions(self.places - eye)
+        turn, tilt = _directions(axis[None])
+        within = (_apart(bearing, turn) < c.half_view) & (abs(raised - tilt) < c.half_height)
         seen = within & self._visible(eye) & ~ground.hidden(eye, self.places)
+        if intended is not None:
+            seen |= intended.shown
         self.weights *= np.where(seen, c.missed + c.opaque - c.missed * c.opaque, 1.0)
         self.weights /= self.weights.sum()
         self.views += 1
@@ -161,6 +196,8 @@ class PanelSearch:
         """
         c = self._config
         best: Viewpoint | None = None
+        turns = np.linspace(-math.pi, math.pi, c.windows, endpoint=False)
+        tilts = np.arange(-1.2, 0.6, c.half_height)
         for place, length, z in zip(places, lengths, height, strict=True):
             eye = np.array([*place, z])
             seen = self._visible(eye)
@@ -168,25 +205,27 @@ class PanelSearch:
             odds = self.weights[seen] * (1.0 - c.missed) * (1.0 - c.opaque)
             if not len(odds):
                 continue
-            away = self.places[seen] - eye
-            turns = np.linspace(-math.pi, math.pi, c.windows, endpoint=False)
-            off = np.abs(_bearing(away) - turns[:, None])
-            inside = np.minimum(off, 2.0 * math.pi - off) < c.half_view
-            chances = inside @ odds
-            first = int(np.argmax(chances))
+            bearing, raised = _directions(self.places[seen] - eye)
+            across = _apart(bearing, turns[:, None]) < c.half_view
+            upright = abs(raised - tilts[:, None]) < c.half_height
+            chances = (across * odds) @ upright.T
+            first = np.unravel_index(int(np.argmax(chances)), chances.shape)
+            chance = float(chances[first])
             # How many views it takes to try all that can be seen from there.
-            views = max(1, round(float(odds.sum()) / float(chances[first])))
+            views = max(1, round(float(odds.sum()) / chance)) if chance > 0.0 else 1
             drive = c.start_time + length / c.speed if length > 0.0 else 0.0
             rate = max(
-                float(odds.sum()) / (drive + views * c.view_time),
-                float(chances[first]) / (drive + c.view_time),
+                float(odds.sum()) / (drive + views * c.view_time), chance / (drive + c.view_time)
             )
             if best is None or rate > best.rate:
-                shares = odds[inside[first]]
-                target = shares @ self.places[seen][inside[first]] / shares.sum()
-                best = Viewpoint(place, target, float(chances[first]), rate)
+                inside = across[first[0]] & upright[first[1]]
+                shown = np.zeros(len(self.weights), bool)
+                shown[np.flatnonzero(seen)[inside]] = True
+                middle = odds[inside] @ self.places[shown] / max(odds[inside].sum(), 1e-12)
+                best = Viewpoint(place, middle, chance, rate, shown)
         if best is None:
-            return Viewpoint(places[0], self.mean, 0.0, 0.0)
+            nothing = np.zeros(len(self.weights), bool)
+            return Viewpoint(places[0], self.mean, 0.0, 0.0, nothing)
         return best
 
     def _visible(self, eye: FloatArray) -> BoolArray:
@@ -199,6 +238,13 @@ class PanelSearch:
         return within & (facing > math.cos(self._config.slant))
 
 
-def _bearing(away: FloatArray) -> FloatArray:
-    """Return (N,) directions of vectors (N, 3) on the ground [rad]."""
-    return np.arctan2(away[:, 1], away[:, 0])
+def _directions(away: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return bearings and elevations (N,) of vectors (N, 3) [rad]."""
+    flat = np.hypot(away[:, 0], away[:, 1])
+    return np.arctan2(away[:, 1], away[:, 0]), np.arctan2(away[:, 2], flat)
+
+
+def _apart(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the angles between bearings [rad]."""
+    apart = np.abs(first - second) % (2.0 * math.pi)
+    return np.minimum(apart, 2.0 * math.pi - apart)

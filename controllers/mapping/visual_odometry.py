@@ -20,13 +20,17 @@ from perception.geometry.arrays import FloatArray, ImageArray
 from perception.geometry.se3 import transport_covariance
 from perception.registration.checks import RegistrationError
 from perception.registration.features import FeatureMatcher, ViewFeatures
+from perception.registration.motion import Motion
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoPoints
 from twin.robot import Observation
 
-_KEPT = 3.0  # Time for which past poses are kept [s]: pairs and the boards' answers are older.
+_KEPT = 8.0  # Time for which past poses are kept [s]: pairs and the boards' answers are older.
+_VIEWS, _TRIED = 10, 2  # Views that are kept, and of these the nearest that are tried.
+_OTHER_POSTURE = 0.02  # Change of a joint from which on its errors count [rad].
 _STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
 _STILL = 1e-4  # Motion below which a rover has not moved since its last pair [m, rad].
+_ROLLED = 0.1  # Way of the wheels that tells of slip [m].
 _TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
 _SHARES = (0.1, 1.0)  # Turn shares that skidding can have.
 
@@ -42,6 +46,7 @@ class VisualOdometryConfig:
         seen_share: Translation of a motion by features, over its length.
         rolled: Rotation [rad] and translation [m] of a motion by wheels.
         rolled_share: Rotation over the angle turned, translation over the length, by wheels alone.
+        pivot: Distance of the pivot of a turn from the rover's middle [m].
         tilt_lag: Time constant that smooths the inclinometer [s].
         tilt_at_rest: Tilt by the inclinometer at rest [rad]: its zero and scale.
         tilt_driving: Tilt by the inclinometer on the way [rad]: it feels acceleration as well.
@@ -54,6 +59,7 @@ class VisualOdometryConfig:
     seen_share: float = 0.015
     rolled: tuple[float, float] = (0.01, 0.005)
     rolled_share: tuple[float, float] = (0.05, 0.08)
+    pivot: float = 0.1
     tilt_lag: float = 0.3
     tilt_at_rest: float = 0.008
     tilt_driving: float = 0.03
@@ -83,11 +89,24 @@ class _Past(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """The view from which the next motion is measured."""
+    """A view that motions are measured from.
+
+    Attributes:
+        features: Features of the view.
+        transform_camera_to_frame: Pose of the left camera.
+        covariance: (6, 6) covariance of the rover's pose at the view, in the frame.
+        past: What was measured at the view.
+    """
 
     features: ViewFeatures
     transform_camera_to_frame: RigidTransform
+    covariance: FloatArray
     past: _Past
+
+    def away(self, transform_camera_to_frame: RigidTransform) -> float:
+        """Return how far another view is, as an angle [rad] and half a distance [m]."""
+        motion = self.transform_camera_to_frame.inv() * transform_camera_to_frame
+        return float(motion.rotation.magnitude() + 0.5 * np.linalg.norm(motion.translation))
 
 
 class VisualOdometry:
@@ -103,6 +122,7 @@ class VisualOdometry:
         covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * pose``, in the frame.
         turn_share: Turn share by the turns seen so far.
         distance: Distance driven by the wheels, forward and back [m].
+        slip: Share of the wheels' last way that features did not see; 0 where they saw nothing.
         seen: Number of motions that features gave.
         missed: Number of motions for which the wheels stood in.
     """
@@ -121,10 +141,10 @@ class VisualOdometry:
         self._pasts: collections.deque[_Past] = collections.deque()
         self._pose = RigidTransform.identity()
         self._at: _Past | None = None
-        self._view: _Seen | None = None
+        self._views: collections.deque[_Seen] = collections.deque(maxlen=_VIEWS)
         self.turn_share, self.distance = steer.turn_share, 0.0
         self.covariance = np.zeros((6, 6))
-        self.seen = self.missed = 0
+        self.seen, self.missed, self.slip = 0, 0, 0.0
 
     @property
     def turn_sigma(self) -> float:
@@ -157,9 +177,13 @@ class VisualOdometry:
         while self._pasts[0].time < min(seen.time - _KEPT, self._at.time):
             self._pasts.popleft()
 
+    def estimate(self) -> tuple[RigidTransform, FloatArray]:
+        """Return the rover's pose in the frame as of now, and its covariance (6, 6)."""
+        return self._predicted(self._pasts[-1])
+
     def pose(self) -> RigidTransform:
         """Return the transform from the rover's frame to the frame of the estimate, as of now."""
-        return self._predicted(self._pasts[-1])[0]
+        return self.estimate()[0]
 
     def level_pose(self) -> RigidTransform:
         """Return the transform from the rover's frame, brought level, to that of the estimate."""
@@ -183,34 +207,31 @@ class VisualOdometry:
             image: (height, width) uint8, the left image.
             points: Matched points of the pair.
         """
-        config, past = self._config, self._past(time)
+        past = self._past(time)
         pose, covariance = self._predicted(past)
         tool = self._arm.tool_in_robot(past.angles)
         features = self._matcher.find(image, points)
-        if self._view is not None:
-            begin = self._view.transform_camera_to_frame
+        camera = pose * tool
+        for view in sorted(self._views, key=lambda view: view.away(camera))[:_TRIED]:
+            begin = view.transform_camera_to_frame
             try:
-                motion = self._matcher.motion(
-                    self._view.features, features, begin.inv() * pose * tool
-                )
+                motion = self._matcher.motion(view.features, features, begin.inv() * camera)
             except RegistrationError:
-                self.missed += 1
-            else:
-                self.seen += 1
-                moved = motion.transform_after_to_before
-                length = float(np.linalg.norm(moved.translation))
-                turn, place = config.seen
-                place += config.seen_share * length
-                if np.abs(past.angles - self._view.past.angles).max() > 0.02:  # noqa: PLR2004
-                    turn = math.hypot(turn, config.arm)
-                own = motion.covariance + np.diag(np.square([turn] * 3 + [place] * 3))
-                pose = begin * moved * tool.inv()
-                covariance = self.covariance + transport_covariance(begin, own)
-                self._learn_turns(self._view.past, past, pose)
+                continue
+            moved = motion.transform_after_to_before
+            pose = begin * moved * tool.inv()
+            covariance = view.covariance + transport_covariance(
+                begin, self._motion_covariance(motion, view.past, past)
+            )
+            self._compare(view, past, pose)
+            self.seen += 1
+            break
+        else:
+            self.missed += bool(self._views)
+            self.slip = 0.0
         self._pose, self.covariance, self._at = pose, covariance, past
         self._level(past)
-        camera = self._pose * tool
-        self._view = _Seen(features, camera, past)
+        self._views.append(_Seen(features, self._pose * tool, self.covariance, past))
 
     def localize(self, found: RobotLocalization, time: float) -> None:
         """Take over a pose that was measured by a target; its frame becomes the estimate's.
@@ -222,10 +243,12 @@ class VisualOdometry:
         past = self._past(time)
         self._pose = found.transform_level_to_world * tilt_to_level(past.tilt)
         self.covariance, self._at = found.robot_covariance(), past
-        if self._view is not None:
-            camera = self._pose * self._arm.tool_in_robot(past.angles)
-            same = self._view.past.time == past.time
-            self._view = self._view._replace(transform_camera_to_frame=camera) if same else None
+        # Of the views only the one that showed the target keeps its place in the new frame.
+        camera = self._pose * self._arm.tool_in_robot(past.angles)
+        same = [view for view in self._views if view.past.time == past.time]
+        self._views.clear()
+        for view in same:
+            self._views.append(_Seen(view.features, camera, self.covariance, past))
 
     def _past(self, time: float) -> _Past:
         """Return the tick nearest to a time."""
@@ -260,19 +283,36 @@ class VisualOdometry:
             return self._pose, self.covariance
         (turn, place), (by_angle, by_length) = config.rolled, config.rolled_share
         yaw = math.hypot(turn + by_angle * angle * self.turn_share, self.turn_sigma * angle)
-        along = place + by_length * length
+        along = place + by_length * length + config.pivot * angle * self.turn_share
         own = np.diag(np.square([config.tilt_driving] * 2 + [yaw] + [along] * 3))
         return pose, self.covariance + transport_covariance(level, own)
 
-    def _learn_turns(self, before: _Past, after: _Past, pose: RigidTransform) -> None:
-        """Update the turn share by one motion that was seen."""
-        assert self._view is not None
-        tool = self._arm.tool_in_robot(before.angles)
-        begin = levelled(self._view.transform_camera_to_frame * tool.inv())
-        turned = float((begin.inv() * levelled(pose)).rotation.as_euler("ZXY")[0])
-        rolled = sum(p.rolled[1] for p in self._pasts if before.time < p.time <= after.time)
-        if abs(rolled) < _TURNED:
+    def _motion_covariance(self, motion: Motion, before: _Past, after: _Past) -> FloatArray:
+        """Return the covariance (6, 6) of a motion that features gave, in the camera before it."""
+        turn, place = self._config.seen
+        length = float(np.linalg.norm(motion.transform_after_to_before.translation))
+        place += self._config.seen_share * length
+        if np.abs(after.angles - before.angles).max() > _OTHER_POSTURE:
+            turn = math.hypot(turn, self._config.arm)
+        return motion.covariance + np.diag(np.square([turn] * 3 + [place] * 3))
+
+    def _compare(self, view: _Seen, after: _Past, pose: RigidTransform) -> None:
+        """Compare a motion that was seen with that of the wheels: slip and turn share."""
+        before, self.slip = view.past, 0.0
+        if before.time < self._pasts[0].time:
             return
+        tool = self._arm.tool_in_robot(before.angles)
+        begin = levelled(view.transform_camera_to_frame * tool.inv())
+        motion = begin.inv() * levelled(pose)
+        steps = [p.rolled for p in self._pasts if before.time < p.time <= after.time]
+        way, rolled = np.sum(steps, axis=0) if steps else np.zeros(2)
+        if abs(way) > _ROLLED:
+            self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / abs(way)
+        if abs(rolled) > _TURNED:
+            self._learn_turns(float(motion.rotation.as_euler("ZXY")[0]), float(rolled))
+
+    def _learn_turns(self, turned: float, rolled: float) -> None:
+        """Update the turn share by a turn that was seen, and that of rolling wheels [rad]."""
         variance = (2.0 * self._config.seen[0]) ** 2 + (self._config.turn_scatter * rolled) ** 2
         gain = rolled**2 / variance
         weight = gain / (self._information + gain)

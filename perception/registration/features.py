@@ -33,6 +33,9 @@ class FeatureConfig:
             [px], for it lies some pixels off.
         ratio: Greatest distance of the best match over that of the second best (Lowe's test).
         window: Greatest distance of a match from where the guess has it [px].
+        together: Greatest difference of two matches' distances from where the guess has them, if
+            one error of the guess explains both [px].
+        fewest: Least number of matches that belong together.
     """
 
     count: int = 300
@@ -40,7 +43,9 @@ class FeatureConfig:
     place_sigma: float = 0.2
     disparity_sigma: float = 0.1
     ratio: float = 0.75
-    window: float = 90.0
+    window: float = 350.0
+    together: float = 60.0
+    fewest: int = 10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,15 +117,23 @@ class FeatureMatcher:
     def _matches(
         self, before: ViewFeatures, after: ViewFeatures, guess: RigidTransform
     ) -> tuple[IndexArray, IndexArray]:
-        """Return the indices of the features that match and lie about where the guess has them."""
+        """Return the indices of features that match, and that one error of the guess shifts."""
+        config = self._config
         if min(len(before.descriptors), len(after.descriptors)) < 2:  # noqa: PLR2004
             return np.zeros(0, np.intp), np.zeros(0, np.intp)
         pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(before.descriptors, after.descriptors, 2)
-        ratio = self._config.ratio
-        kept = [best for best, second in pairs if best.distance < ratio * second.distance]
+        kept = [best for best, other in pairs if best.distance < config.ratio * other.distance]
         first = np.array([match.queryIdx for match in kept], dtype=np.intp)
         second = np.array([match.trainIdx for match in kept], dtype=np.intp)
         expected = self._geometry.project(guess.inv().apply(before.sight.points()[first]))
         off = expected[:, :2] - after.sight.image_points[second, :2]
-        near = np.hypot(*off.T) <= self._config.window  # NaN behind the camera is not.
-        return first[near], second[near]
+        near = np.hypot(*off.T) <= config.window  # NaN behind the camera is not.
+        first, second, off = first[near], second[near], off[near]
+        if not len(off):
+            return first, second
+        # A wrong guess shifts all matches alike; false matches scatter over the image.
+        apart = np.linalg.norm(off[:, None] - off, axis=2) <= config.together
+        agree = apart[int(np.argmax(apart.sum(axis=1)))]
+        if agree.sum() < config.fewest:
+            return first[:0], second[:0]
+        return first[agree], second[agree]

@@ -22,7 +22,9 @@ def camera(place, target):
 
 
 def search_of(*places, normal=(-1.0, 0.0)):
-    return PanelSearch(np.array(places, dtype=float), np.tile(normal, (len(places), 1)))
+    spots = np.array(places, dtype=float)
+    structures = np.concatenate([spots[:, :2], np.full((len(spots), 1), 0.2)], axis=1)[:, None]
+    return PanelSearch(spots, np.tile(normal, (len(places), 1)), structures)
 
 
 def test_a_miss_makes_only_places_unlikely_that_it_should_have_shown():
@@ -91,3 +93,13 @@ def test_drawn_places_see_the_face_from_within_reach():
     out = (places - nearest) / np.linalg.norm(places - nearest, axis=1)[:, None]
     assert away.min(axis=1).max() < CONFIG.reach[1]
     assert np.degrees(np.arccos(out @ [0.6, 0.8])).max() < math.degrees(CONFIG.slant)
+
+
+def test_what_likely_stands_somewhere_is_kept_off():
+    rng = np.random.default_rng(5)
+    vague = search_of(*np.column_stack([rng.uniform(-3, 3, (900, 2)), np.zeros(900)]))
+    assert len(vague.likely_structures()) == 0
+    sure = search_of(*([[1.0, 0.5, 0.2]] * 9), [-2.0, 0.0, 0.2])
+    discs = sure.likely_structures()
+    assert np.linalg.norm(discs[:, :2] - [1.0, 0.5], axis=1).max() < 0.15
+    assert np.all(discs[:, 2] == 0.2)
