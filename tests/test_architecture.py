@@ -134,6 +134,7 @@ LAYERS = (
     {"placement"},
     {"insertion"},
     {"mission"},
+    {"crossing"},
 )
 """Rooms of the controllers from below."""
 

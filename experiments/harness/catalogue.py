@@ -121,6 +121,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.mission.mission",
     ),
     Experiment(
+        name="crossing",
+        summary="two rovers dropped in a field search their site, map it and drive to their places",
+        thesis="chapters 3 and 4 on the way, beyond it",
+        module="experiments.crossing.crossing",
+    ),
+    Experiment(
         name="appa-control",
         summary="the arm's control laws on soft, middle and stiff bases that are pushed",
         thesis="figure A-1, equations A-1 to A-4",

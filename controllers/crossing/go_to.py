@@ -1,0 +1,134 @@
+"""Stages ``approach`` and ``place``: a rover drives to its place, and localizes itself there.
+
+The slave drives to where the drawing wants it before the slot, the master to the best camera
+station on its map (chapter 4). Paths are planned on what is mapped. At its end the rover finds the
+panel again; if it has missed its place by too much it drives on.
+"""
+
+import math
+
+import numpy as np
+
+from controllers.crossing.behaviours import DRIVING, Behaviour, drive, posed
+from controllers.crossing.knowledge import FieldKnowledge
+from controllers.crossing.rover import StageError
+from controllers.insertion.camera_station import camera_arm, stereo_geometry
+from controllers.mapping.searching import TargetSearch, aim
+from controllers.mapping.stereo_view import MapperConfig
+from controllers.motion.arm_move import ArmMove
+from perception.geometry.arrays import FloatArray
+from perception.registration.target import possible_markers
+from twin.robot import Command, Observation
+
+_MOST_DRIVES = 4  # Largest number of drives to the place.
+_VIEWS = 8  # Views in which the panel is searched for at the place.
+
+
+class GoToPlace:
+    """Drives one rover to a place in the ground frame, and localizes it there by the panel.
+
+    Args:
+        name: Name of the stage.
+        knowledge: Estimates of the rover; updated with its localization at the place.
+        place: (3,) x, y [m] and yaw [rad] of the place, ground frame.
+        near: Tolerances of the place: distance [m] and heading [rad].
+
+    Attributes:
+        done: Whether the rover is there and localized.
+        place: (3,) place to drive to, ground frame.
+        stops: Number of drives that have ended.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        knowledge: FieldKnowledge,
+        place: tuple[float, float, float],
+        near: tuple[float, float],
+    ) -> None:
+        self.name, self.place, self.done, self.stops = name, place, False, 0
+        self._knowledge, self._near = knowledge, near
+        self._navigator = knowledge.navigator
+        self._rest, (self._arm, _) = ArmMove(DRIVING), camera_arm(knowledge.robot)
+        self._script = self._run()
+        next(self._script)
+
+    def step(self, seen: Observation) -> Command:
+        """Return the command of the drive or of the arm; the arm is folded when it has ended."""
+        self._navigator.observe(seen)
+        if not self.done:
+            try:
+                return self._script.send(seen)
+            except StopIteration:
+                self.done = True
+        return self._rest.command(seen)
+
+    def _run(self) -> Behaviour:
+        seen = yield Command()
+        while self.stops < _MOST_DRIVES and (self.stops == 0 or self._missed()):
+            driven = yield from drive(seen, self._navigator, self._arm, self._goal())
+            seen = driven.seen
+            if not driven.arrived:
+                raise StageError(self.name, driven.reason)
+            self.stops += 1
+            seen = yield from self._look(seen)
+        return seen
+
+    def _goal(self) -> tuple[FloatArray, float]:
+        """Return place (2,) [m] and heading [rad] in the frame of the map."""
+        to_map = self._knowledge.transform_ground_to_map
+        x, y, yaw = self.place
+        ahead = to_map.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
+        return np.asarray(to_map.apply([x, y, 0.0]))[:2], math.atan2(-ahead[0], ahead[1])
+
+    def _missed(self) -> bool:
+        """Return whether the rover is too far from its place."""
+        place, heading = self._goal()
+        off = math.dist(place, self._navigator.place)
+        turn = math.remainder(heading - self._navigator.yaw, 2.0 * math.pi)
+        return off > self._near[0] or abs(turn) > self._near[1]
+
+    def _look(self, seen: Observation) -> Behaviour:
+        """Find the panel again; where it does not show itself, odometry tells the place."""
+        knowledge, navigator, config = self._knowledge, self._navigator, MapperConfig()
+        target, to_map = knowledge.site.target, knowledge.map.transform_target_to_world
+        assert to_map is not None
+        search = TargetSearch(self._arm, DRIVING, DRIVING, target.extent, config.search)
+        panel = navigator.odometry.pose().apply(to_map.translation, inverse=True)
+        goal: FloatArray | None = aim(self._arm, panel, DRIVING)
+        for _ in range(_VIEWS):
+            if goal is None:
+                break
+            seen = yield from posed(seen, goal)
+            found = navigator.take(seen, at_rest=True)
+            if found is not None:
+                knowledge.localize(found)
+                return seen
+            angles = np.asarray(seen.arm_angles.value, dtype=float)
+            pair = np.asarray(seen.stereo.value, dtype=np.uint8)
+            hints = possible_markers(pair, stereo_geometry(knowledge.robot), target)
+            goal = search.after(angles, hints, np.asarray(seen.inclinometer.value, dtype=float))
+        knowledge.stay()
+        return seen
+
+
+class Wait:
+    """A rover's part of a stage that the other rover does: it stands, its arm folded.
+
+    Args:
+        name: Name of the stage.
+        knowledge: Estimates of the rover.
+
+    Attributes:
+        done: Always true: the other rover's part ends the stage.
+    """
+
+    done = True
+
+    def __init__(self, name: str, knowledge: FieldKnowledge) -> None:
+        self.name, self._navigator, self._rest = name, knowledge.navigator, ArmMove(DRIVING)
+
+    def step(self, seen: Observation) -> Command:
+        """Return the command of the arm."""
+        self._navigator.observe(seen)
+        return self._rest.command(seen)

@@ -1,0 +1,49 @@
+"""Stage ``map``, chapter 3: the master maps the site from where it found the panel."""
+
+import numpy as np
+
+from controllers.crossing.behaviours import DRIVING
+from controllers.crossing.knowledge import FieldKnowledge
+from controllers.mapping.stereo_mapper import StereoMapper
+from controllers.mapping.stereo_view import MapperConfig
+from controllers.motion.arm_move import ArmMove
+from twin.robot import Command, Observation
+
+
+class MapSite:
+    """Drives the rover's arm through views of the site, chosen by their information.
+
+    Args:
+        knowledge: Estimates of the rover, which is localized; its map takes the views.
+        scans: Number of views.
+        rng: Random generator for candidate views.
+
+    Attributes:
+        mapper: Mapper that takes the views.
+    """
+
+    name = "map"
+
+    def __init__(self, knowledge: FieldKnowledge, scans: int, rng: np.random.Generator) -> None:
+        assert knowledge.localization is not None
+        robot, self._navigator = knowledge.robot, knowledge.navigator
+        self._name, self._home = robot.name, ArmMove(DRIVING)
+        self.mapper = StereoMapper(
+            {robot.name: robot},
+            knowledge.map,
+            MapperConfig(scans=scans),
+            rng,
+            localizations={robot.name: knowledge.localization},
+        )
+
+    @property
+    def done(self) -> bool:
+        """Whether no view is left."""
+        return self.mapper.done
+
+    def step(self, seen: Observation) -> Command:
+        """Return the command towards the next view, or to rest after the last."""
+        self._navigator.observe(seen)
+        if self.mapper.done:
+            return self._home.command(seen)
+        return self.mapper.step({self._name: seen})[self._name]

@@ -1,0 +1,327 @@
+"""Where a rover is, what stands on the ground about it, and how it drives around that.
+
+One for each rover: visual odometry from pair to pair, an elevation map in the same frame, and paths
+planned on it anew as it grows. The frame is level: first the rover's own, from where it began; from
+its first localization on that of the panel, which both rovers share.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
+from controllers.insertion.camera_station import camera_arm, stereo_geometry
+from controllers.mapping.ground_paths import GroundPathConfig, path_lengths, plan_path
+from controllers.mapping.localization import RobotLocalization
+from controllers.mapping.panel_search import Ground
+from controllers.mapping.shared_map import SharedMap, within
+from controllers.mapping.stereo_view import MapperConfig
+from controllers.mapping.visual_odometry import VisualOdometry, levelled
+from controllers.motion.drive_path import DrivePath
+from controllers.motion.driving import SkidSteer
+from perception.elevation.grid import ElevationGrid
+from perception.elevation.map import ElevationMap
+from perception.geometry.arrays import FloatArray
+from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
+from twin.description import RobotDescription
+from twin.robot import Command, Observation
+
+_SLIPPED, _SLIPS = 0.7, 2
+"""Slip from which on a rover hardly moves, and successive pairs that must show it."""
+_BUMP = 0.1  # Radius of a disc about what held a rover [m].
+_LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
+_BACK = 0.25  # Distance by which a rover backs off [m].
+
+
+@dataclasses.dataclass(frozen=True)
+class NavigatorConfig:
+    """How far a rover maps, and how often it looks on the way.
+
+    Attributes:
+        half_side: Half the side of the elevation map, about the frame's origin [m].
+        cell: Side of its cells [m].
+        reach: Nearest and farthest depth that enters it [m].
+        stride: Distance between matched pixels on the way [px].
+        apart: Distance [m] and turn [rad] after which a new pair is taken on the way.
+        aura: Margin about the rover's own spheres that is excluded from the map [m].
+        paths: Size of the rover and limits of obstacles.
+        partner_radius: Radius of a disc about the partner's middle that paths keep off [m], beside
+            the rover's own.
+    """
+
+    half_side: float = 9.0
+    cell: float = 0.04
+    reach: tuple[float, float] = (0.35, 2.5)
+    stride: int = 3
+    apart: tuple[float, float] = (0.2, 0.2)
+    aura: float = 0.03
+    paths: GroundPathConfig = GroundPathConfig(climb=0.015)
+    partner_radius: float = 0.3
+
+
+class Navigator:
+    """Localizes one rover, maps the ground before it, and drives it.
+
+    Args:
+        robot: Description of the rover.
+        panel: Map whose frame the panel defines, which recognises it in a view.
+        steer: Wheels of the rover, with the turn share as known beforehand.
+        config: How far it maps and how often it looks; None for the default.
+        blind: Whether paths are planned as if nothing stood on the ground.
+
+    Attributes:
+        odometry: Pose of the rover in the frame.
+        ground: Elevation map in the frame.
+        localized: Whether the frame is that of the panel.
+        partner: (2,) place of the other rover in the frame [m]; None where it is not known.
+        structures: (M, 3) discs in the frame that paths keep off, known of the drawing [m].
+        plans: Number of paths planned.
+    """
+
+    def __init__(
+        self,
+        robot: RobotDescription,
+        panel: SharedMap,
+        steer: SkidSteer,
+        config: NavigatorConfig | None = None,
+        blind: bool = False,
+    ) -> None:
+        self._robot, self._panel = robot, panel
+        self._config, self._blind = config or NavigatorConfig(), blind
+        self._arm, _ = camera_arm(robot)
+        geometry = stereo_geometry(robot)
+        self._matcher = StereoMatcher(geometry, StereoMatcherConfig(stride=self._config.stride))
+        self._views = MapperConfig()
+        half, cell = self._config.half_side, self._config.cell
+        count = round(2.0 * half / cell)
+        grid = ElevationGrid((-half, -half), (count, count), cell)
+        self.odometry = VisualOdometry(self._arm, geometry, steer)
+        self.ground = ElevationMap(grid)
+        self.localized, self.plans = False, 0
+        self.partner: FloatArray | None = None
+        self.structures = np.zeros((0, 3))
+        self._steer = steer
+        self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
+        self._drive: DrivePath | None = None
+        self._start = RigidTransform.identity()
+        self._goal: tuple[FloatArray, float | None] = (np.zeros(2), None)
+        self._slips = 0
+        self._bumps: list[list[float]] = []
+
+    @property
+    def place(self) -> FloatArray:
+        """(2,) place of the rover in the frame [m]."""
+        return np.asarray(self.odometry.level_pose().translation)[:2]
+
+    @property
+    def yaw(self) -> float:
+        """Heading of the rover in the frame [rad]; 0 looks along y."""
+        return float(self.odometry.level_pose().rotation.as_euler("ZXY")[0])
+
+    def steer(self) -> SkidSteer:
+        """Return the kinematics of the wheels with the turn share seen so far."""
+        odometry = self.odometry
+        return dataclasses.replace(
+            self._steer, turn_share=odometry.turn_share, turn_sigma=odometry.turn_sigma
+        )
+
+    def observe(self, seen: Observation) -> None:
+        """Take one tick's sensors; to be called every tick.
+
+        Args:
+            seen: Observation of the rover.
+        """
+        self.odometry.update(seen)
+
+    def sight_lines(self) -> Ground:
+        """Return what is mapped of the ground, for lines of sight."""
+        grid = self.ground.grid
+        return Ground(self.ground.heights, np.asarray(grid.corner), grid.cell)
+
+    def is_due(self, seen: Observation) -> bool:
+        """Return whether a rover on its way should take the pair that it has now."""
+        if not (seen.stereo.usable and seen.stereo.stamp > self._stamp):
+            return False
+        far, turn = self._config.apart
+        distance, yaw = self._taken
+        turned = abs(math.remainder(self.yaw - yaw, 2.0 * math.pi))
+        return self.odometry.distance - distance > far or turned > turn
+
+    def take(self, seen: Observation, at_rest: bool) -> RobotLocalization | None:
+        """Move the estimate by the present pair, and map it.
+
+        Args:
+            seen: Observation of the rover, with a pair.
+            at_rest: Whether the pair was taken at rest: then the panel may define the frame.
+
+        Returns:
+            Localization of the rover by the panel, if the pair shows it.
+        """
+        pair, stamp = np.asarray(seen.stereo.value, dtype=np.uint8), seen.stereo.stamp
+        points = self._matcher.match(pair)
+        self.odometry.see(stamp, pair[0], points)
+        self._slips = self._slips + 1 if self.odometry.slip > _SLIPPED else 0
+        self._stamp, self._taken = stamp, (self.odometry.distance, self.yaw)
+        camera, covariance = self.odometry.camera(stamp)
+        near, far = self._config.reach
+        depth = points.points[:, 2]
+        kept = (depth >= near) & (depth <= far)
+        turn = camera.rotation.as_matrix()
+        places = camera.apply(points.points[kept])
+        outside = ~within(places, self._own_spheres(seen))
+        self.ground.insert(
+            places[outside], (turn @ points.covariances[kept] @ turn.T)[outside], covariance
+        )
+        angles = np.asarray(seen.arm_angles.value, dtype=float)
+        tilt = np.asarray(seen.inclinometer.value, dtype=float)
+        views = self._views
+        found = self._panel.locate(
+            self._arm, angles, tilt, pair, views.marker_sigma, views.localization
+        )
+        if not (at_rest or self.localized):
+            self._panel.transform_target_to_world = None  # On the way the tilt is not known well.
+        return found
+
+    def localize(self, found: RobotLocalization) -> None:
+        """Take over a localization by the panel; the map moves into the panel's frame.
+
+        Args:
+            found: Localization of the rover at its latest pair, at rest.
+        """
+        before = self.odometry.level_pose()
+        self.odometry.localize(found, self._stamp)
+        if not self.localized:
+            moved = self.odometry.level_pose() * before.inv()
+            self.ground = self.ground.moved(levelled(moved), self.odometry.covariance)
+            self._bumps = [[*moved.apply([x, y, 0.0])[:2], r] for x, y, r in self._bumps]
+        self.localized = True
+
+    def localization(self) -> RobotLocalization:
+        """Return the rover's localization by its odometry since the panel was seen."""
+        odometry, count = self.odometry, len(self._arm)
+        by_arm = np.zeros((6, 6 + count))
+        return RobotLocalization(
+            self._arm, odometry.level_pose(), odometry.covariance, by_arm, self._views.localization
+        )
+
+    def lengths_to(self, places: FloatArray) -> FloatArray:
+        """Return the lengths (N,) of the paths to places (N, 2) in the frame [m]; inf for none."""
+        if self._blind:
+            return np.linalg.norm(places - self.place, axis=1)
+        return path_lengths(self.ground, self.place, places, self._discs(), self._config.paths)
+
+    def path_to(self, place: FloatArray) -> FloatArray | None:
+        """Return the path (N, 2) from the rover to a place (2,) in the frame [m]; None for none."""
+        self.plans += 1
+        if self._blind:
+            return np.array([self.place, place])
+        return plan_path(self.ground, self.place, place, self._discs(), self._config.paths)
+
+    def first_step(self, place: FloatArray, far: float) -> FloatArray | None:
+        """Return the point (3,) some way along the path to a place, in the rover's frame [m]."""
+        path = self.path_to(place)
+        if path is None:
+            return None
+        leg = path[1] - path[0]
+        point = path[0] + leg * min(1.0, far / max(float(np.linalg.norm(leg)), 1e-9))
+        pose = self.odometry.pose()
+        local = pose.apply(np.append(point, pose.translation[2]), inverse=True)
+        return np.array([*local[:2], -self._robot.centre_height])
+
+    def set_off(self, place: FloatArray, heading: float | None) -> bool:
+        """Begin a drive; return whether there is a path.
+
+        Args:
+            place: (2,) where it ends, in the frame [m].
+            heading: Heading at its end, in the frame [rad]; None for any.
+        """
+        path = self.path_to(place)
+        if path is None:
+            return False
+        self._goal, self._slips = (place, heading), 0
+        self._start = self.odometry.level_pose()
+        self._drive = DrivePath(self.steer(), self._in_start(path), self._turn(heading))
+        return True
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the drive has ended, or there is none."""
+        return self._drive is None or self._drive.done
+
+    @property
+    def blocked(self) -> str:
+        """Reason why the drive makes no progress; empty while it does."""
+        if self._drive is None:
+            return ""
+        if self._slips >= _SLIPS:
+            return "the wheels turn, but the rover does not move"
+        return self._drive.blocked
+
+    def back_off(self, held: bool) -> None:
+        """Drive back a little.
+
+        Args:
+            held: Whether something before the rover holds it, which is kept off from then on.
+        """
+        pose = self.odometry.level_pose()
+        if held:
+            ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
+            self._bumps.append([*ahead, _BUMP])
+        self._start, self._slips = pose, 0
+        back = np.array([[0.0, 0.0], [0.0, -_BACK]])
+        self._goal = (np.asarray(pose.apply([0.0, -_BACK, 0.0]))[:2], None)
+        self._drive = DrivePath(self.steer(), back, None, backwards=True)
+
+    def halt(self) -> None:
+        """End the drive where the rover is."""
+        self._drive = None
+
+    def step(self, seen: Observation) -> Command:
+        """Return the command of the drive; the wheels rest without one."""
+        if self._drive is None:
+            return Command(np.zeros(4))
+        return self._drive.step(seen)
+
+    def correct(self) -> None:
+        """Correct the drive by the estimate, and plan anew around what was mapped since."""
+        if self._drive is None or self._drive.remaining < _LAST:
+            return
+        here = self._start.inv() * self.odometry.level_pose()
+        x, y, _ = here.translation
+        self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
+        place, heading = self._goal
+        if heading is None and not np.isfinite(self.lengths_to(place[None])[0]):
+            self.halt()  # What was mapped since leaves no room there; any place will do.
+            return
+        path = self.path_to(place)
+        if path is not None:
+            self._drive.replan(self._in_start(path), self._turn(heading))
+
+    def _discs(self) -> FloatArray:
+        """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""
+        discs = np.vstack([self.structures, np.array(self._bumps).reshape(-1, 3)])
+        if self.partner is None:
+            return discs
+        return np.vstack([discs, [*self.partner, self._config.partner_radius]])
+
+    def _in_start(self, path: FloatArray) -> FloatArray:
+        """Return a path (N, 2) in the frame of the rover's pose at the drive's beginning."""
+        flat = np.column_stack([path, np.full(len(path), self._start.translation[2])])
+        return np.asarray(self._start.inv().apply(flat))[:, :2]
+
+    def _turn(self, heading: float | None) -> float | None:
+        """Return a heading in the frame of the rover's pose at the drive's beginning [rad]."""
+        if heading is None:
+            return None
+        begin = float(self._start.rotation.as_euler("ZXY")[0])
+        return math.remainder(heading - begin, 2.0 * math.pi)
+
+    def _own_spheres(self, seen: Observation) -> FloatArray:
+        """Return (M, 4) spheres about the rover, centre and radius [m], in the frame."""
+        angles = np.asarray(seen.arm_angles.value, dtype=float)
+        points = self._arm.cover_points(angles[None])[0]
+        radii = np.full((len(points), 1), self._arm.cover_radius)
+        local = np.vstack([np.hstack([points, radii]), self._robot.body_spheres])
+        local[:, :3] = self.odometry.pose().apply(local[:, :3])
+        return local + [0.0, 0.0, 0.0, self._config.aura]

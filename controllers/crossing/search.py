@@ -1,0 +1,180 @@
+"""Stage ``search``: a rover drives until it has found the panel, mapping the ground on its way.
+
+It knows where the panel is only as well as where it began. `PanelSearch` chooses the next view, and
+the path there is planned on what is mapped. The panel localizes the rover, and its frame becomes
+that of the map (thesis sections 3.2.2 to 3.2.4).
+"""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.crossing.behaviours import DRIVING, Behaviour, drive, posed, retreat
+from controllers.crossing.knowledge import FieldKnowledge
+from controllers.crossing.rover import StageError
+from controllers.insertion.camera_station import camera_arm
+from controllers.mapping.localization import RobotLocalization
+from controllers.mapping.panel_search import PanelSearch, Viewpoint
+from controllers.mapping.searching import aim
+from controllers.motion.arm_move import ArmMove
+from perception.geometry.arrays import FloatArray
+from twin.robot import Command, Observation
+
+_PLACES = 2000  # Possible places of the panel.
+_VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
+_PATIENCE = 420.0  # Longest search [s].
+_LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
+_MOST_RETREATS = 3  # Number of times that a rover backs off where nothing is left to be seen.
+_PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
+
+
+class SearchPanel:
+    """Drives one rover until the panel has localized it.
+
+    Args:
+        knowledge: Estimates of the rover; gets its localization.
+        rng: Random generator for possible places and for viewpoints.
+
+    Attributes:
+        done: Whether the rover is localized.
+        views: Number of views taken at rest.
+        search: Where the panel may be; None before the search begins.
+    """
+
+    name = "search"
+
+    def __init__(self, knowledge: FieldKnowledge, rng: np.random.Generator) -> None:
+        self.done, self.views = False, 0
+        self._knowledge, self._rng = knowledge, rng
+        self._navigator = knowledge.navigator
+        self._arm, _ = camera_arm(knowledge.robot)
+        self._rest = ArmMove(DRIVING)
+        self.search: PanelSearch | None = None
+        self._glimpsed: RobotLocalization | None = None
+        self._script = self._run()
+        next(self._script)
+
+    def step(self, seen: Observation) -> Command:
+        """Return the command of the search; it rests when it has ended."""
+        self._navigator.observe(seen)
+        if self.done:
+            return self._rest.command(seen)
+        try:
+            return self._script.send(seen)
+        except StopIteration:
+            self.done = True
+            return self._rest.command(seen)
+
+    def _run(self) -> Behaviour:
+        navigator = self._navigator
+        seen = yield Command()
+        begun = seen.time
+        seen = yield from posed(seen, DRIVING)
+        search = self.search = self._possible_places()
+        retreats = 0
+        while seen.time < begun + _PATIENCE:
+            self._settle(search)
+            navigator.structures = search.likely_structures()
+            places, lengths, heights = self._viewpoints(search)
+            view = search.best(places, lengths, heights, navigator.sight_lines())
+            if view.rate < _LEAST and retreats < _MOST_RETREATS:
+                retreats += 1
+                seen = yield from retreat(seen, navigator, held=False)
+                continue
+            if view.rate < _LEAST:
+                raise StageError(self.name, f"the panel is in none of {search.views} views")
+            if np.any(view.place != places[0]):
+                goal = (view.place, None)
+                driven = yield from drive(seen, navigator, self._arm, goal, self._glimpse)
+                seen = driven.seen
+                if self._glimpsed is None:
+                    continue
+                panel = self._glimpsed.transform_level_to_world.inv().translation
+                view = None
+            else:
+                panel = navigator.odometry.pose().apply(view.target, inverse=True)
+            seen = yield from posed(seen, aim(self._arm, panel, DRIVING))
+            self.views, self._glimpsed = self.views + 1, None
+            found = navigator.take(seen, at_rest=True)
+            if found is not None:
+                self._knowledge.localize(found)
+                return seen
+            self._miss(seen, view)
+        raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
+
+    def _glimpse(self, seen: Observation, found: RobotLocalization | None) -> bool:
+        """Take note of a pair that was taken on the way; return whether it shows the panel."""
+        self._glimpsed = found
+        if found is None:
+            self._miss(seen)
+        return found is not None
+
+    def _miss(self, seen: Observation, intended: Viewpoint | None = None) -> None:
+        """Take note of a pair without the panel."""
+        assert self.search is not None
+        camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
+        self.search.miss(camera, self._navigator.sight_lines(), intended)
+
+    def _possible_places(self) -> PanelSearch:
+        """Return where the panel may be, by what is known of the initial pose."""
+        site, odometry = self._knowledge.site, self._navigator.odometry
+        panel = site.transform_panel_to_ground
+        robots = site.draw_initial_poses(self._knowledge.robot.name, _PLACES, self._rng)
+        x, y, yaw = robots.T
+        face = panel.rotation.apply([0.0, 0.0, 1.0])
+        self._height = float(panel.translation[2])
+        pose, centre = odometry.pose(), self._knowledge.robot.centre_height
+
+        def seen_from(robot: FloatArray, points: FloatArray) -> FloatArray:
+            """Return points (K, 3), ground frame, as a robot that began at (3,) sees them."""
+            x, y, yaw = robot
+            began = RigidTransform.from_components([x, y, centre], Rotation.from_euler("z", yaw))
+            return np.asarray((pose * began.inv()).apply(points))
+
+        structures = site.structures
+        points = np.vstack([panel.translation, panel.translation + face, structures])
+        points[2:, 2] = 0.0
+        placed = np.array([seen_from(robot, points) for robot in robots])
+        normals = (placed[:, 1] - placed[:, 0])[:, :2]
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        placed[:, 2:, 2] = structures[:, 2]
+        return PanelSearch(placed[:, 0].copy(), normals, placed[:, 2:])
+
+    def _settle(self, search: PanelSearch) -> None:
+        """Set the possible places on the slope that the map shows."""
+        plane = self._plane()
+        search.places[:, 2] = _above(plane, search.places[:, :2]) + self._height
+
+    def _plane(self) -> FloatArray:
+        """Return (3,) height and slopes along x and y of the field, as mapped or by the tilt."""
+        ground = self._navigator.ground
+        rows, columns = np.nonzero(ground.known)
+        if len(rows) < _PLANE_CELLS:
+            pose = self._navigator.odometry.pose()
+            up = pose.rotation.apply([0.0, 0.0, 1.0])
+            slopes = -up[:2] / up[2]
+            foot = pose.apply([0.0, 0.0, -self._knowledge.robot.centre_height])
+            return np.array([foot[2] - slopes @ foot[:2], *slopes])
+        places = ground.grid.centres[rows, columns]
+        heights = ground.heights[rows, columns]
+        basis = np.column_stack([np.ones(len(rows)), places])
+        plane = np.linalg.lstsq(basis, heights, rcond=None)[0]
+        low = heights - basis @ plane < 0.05  # noqa: PLR2004
+        plane = np.linalg.lstsq(basis[low], heights[low], rcond=None)[0]
+        return plane.astype(np.float64)
+
+    def _viewpoints(self, search: PanelSearch) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return places (M, 2), lengths (M,) of the paths there, and heights (M,) of the camera."""
+        navigator = self._navigator
+        drawn = search.draw_places(_VIEWPOINTS, self._rng)
+        lengths = navigator.lengths_to(drawn)
+        near = np.isfinite(lengths)
+        here = navigator.odometry.pose() * self._arm.tool_in_robot(DRIVING)
+        places = np.vstack([here.translation[:2], drawn[near]])
+        foot = navigator.odometry.level_pose().translation
+        eye = float(here.translation[2] - _above(self._plane(), foot[None, :2])[0])
+        return places, np.array([0.0, *lengths[near]]), _above(self._plane(), places) + eye
+
+
+def _above(plane: FloatArray, places: FloatArray) -> FloatArray:
+    """Return (N,) heights of a plane (3,) at places (N, 2) [m]."""
+    return np.asarray(plane[0] + places @ plane[1:])

@@ -1,0 +1,1 @@
+"""Crossing a field: the scene, one crossing, and the experiment over many."""

@@ -1,0 +1,56 @@
+"""Figure of ``crossing``: the field from above, and where both rovers drove."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
+
+from experiments.crossing.scene import CARD_PLACE, MASTER, SLAVE, draw_scene
+from experiments.crossing.trial import CrossingResult, CrossingTrial, generators
+from models.clutter import Solids
+from models.compose import make_terrain
+
+_COLOURS = {MASTER: "tab:blue", SLAVE: "tab:orange"}
+_NAMES = {MASTER: "master", SLAVE: "slave, with the card"}
+
+
+def draw_crossing(trial: CrossingTrial, result: CrossingResult) -> Figure:
+    """Draw the field as it is, and the rovers' tracks.
+
+    Args:
+        trial: Settings of the crossing.
+        result: Its result.
+    """
+    scene = draw_scene(trial.width, generators(trial.seed)[0])
+    ground = make_terrain(scene.field, scene.robots)
+    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
+    axes = figure.add_subplot()
+    for solids, colour in (
+        (ground.rocks, "0.8"), (ground.blocks, "0.55"), (ground.screens, "0.2"),
+    ):  # fmt: skip
+        _draw_solids(axes, solids, colour)
+    panel = scene.field.panel
+    assert panel is not None
+    along = 0.5 * panel.size[0] * np.array([np.cos(panel.yaw), np.sin(panel.yaw)])
+    ends = np.array([np.array(panel.position) - along, np.array(panel.position) + along])
+    axes.plot(*ends.T, color="tab:red", linewidth=3, label="panel")
+    axes.plot(*CARD_PLACE[:2], "x", color="black", label="the slave's place")
+    for robot, track in result.tracks.items():
+        axes.plot(*track.T, color=_COLOURS[robot], label=_NAMES[robot])
+        axes.plot(*track[0], "o", color=_COLOURS[robot])
+    points = np.vstack([np.zeros((1, 2)), *result.tracks.values()])
+    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")
+    axes.legend(loc="best", fontsize=8)
+    return figure
+
+
+def _draw_solids(axes: Axes, solids: Solids, colour: str) -> None:
+    for centre, half, yaw in zip(solids.centres, solids.half_sizes, solids.yaws):
+        if colour == "0.8":
+            axes.add_patch(Circle(centre[:2], float(half[:2].mean()), color=colour))
+            continue
+        c, s = np.cos(yaw), np.sin(yaw)
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half[:2]
+        axes.add_patch(Polygon(corners @ np.array([[c, s], [-s, c]]) + centre[:2], color=colour))

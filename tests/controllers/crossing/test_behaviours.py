@@ -1,0 +1,134 @@
+"""Drives and poses of a rover, on a navigator made by hand."""
+
+import numpy as np
+
+from controllers.crossing.behaviours import DRIVING, drive, posed, retreat
+from controllers.insertion.camera_station import camera_arm
+from tests.controllers.motion.seen import PAIR, seen_at
+from twin.describe import describe_rover
+from twin.robot import Command
+
+ARM, _ = camera_arm(describe_rover("rover1"))
+STEPS = 100
+"""Ticks of a drive made by hand."""
+
+
+class HandNavigator:
+    """Drives for some ticks; may be held, or find no path."""
+
+    def __init__(self, path=True, held=0, shows_at=None):
+        self.calls = []
+        self._path, self._held, self._shows_at = path, held, shows_at
+        self._left, self.blocked, self.taken = 0, "", 0
+
+    def first_step(self, place, far):
+        return np.array([0.0, far, -0.06]) if self._path else None
+
+    def set_off(self, place, heading):
+        self.calls.append("set off")
+        self._left, self.blocked = STEPS, ""
+        return self._path
+
+    @property
+    def arrived(self):
+        return self._left == 0
+
+    def is_due(self, seen):
+        return self._left % 20 == 10
+
+    def take(self, seen, at_rest):
+        self.taken += 1
+        return None
+
+    def correct(self):
+        self.calls.append("correct")
+
+    def halt(self):
+        self.calls.append("halt")
+        self._left = 0
+
+    def back_off(self, held):
+        self.calls.append("back off" if held else "retreat")
+        self._left, self.blocked = 10, ""
+
+    def step(self, seen):
+        self._left -= 1
+        if self._held and self._left == STEPS // 2:
+            self._held -= 1
+            self.blocked = "something holds the rover"
+        return Command(np.ones(4))
+
+
+def play(behaviour, begin=0.0):
+    """Run a behaviour on a rover whose arm follows at once; return what it returns, and time."""
+    time, angles = begin, DRIVING.copy()
+    try:
+        command = next(behaviour)
+        while True:
+            if len(command.arm):
+                angles = np.array(command.arm)
+            time += 0.01
+            command = behaviour.send(
+                seen_at(time, arm_angles=angles, stereo=PAIR, stereo_stamp=time)
+            )
+    except StopIteration as end:
+        return end.value, time
+
+
+def first():
+    return seen_at(0.0, arm_angles=DRIVING.copy(), stereo=PAIR)
+
+
+def test_posed_returns_with_a_pair_taken_at_the_goal():
+    goal = DRIVING + [0.8, 0.0, 0.0, 0.0]
+    seen, time = play(posed(first(), goal))
+    np.testing.assert_allclose(seen.arm_angles.value, goal, atol=1e-9)
+    assert 1.0 <= time < 3.0  # a second of motion, and the time of rest
+
+
+def test_a_drive_looks_before_it_sets_off_and_takes_pairs_on_the_way():
+    navigator = HandNavigator()
+    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    assert driven.arrived and not driven.reason
+    assert navigator.calls[0] == "set off" and navigator.calls[-1] == "halt"
+    assert navigator.calls.count("correct") == 5 and navigator.taken == 7
+
+
+def test_a_held_rover_backs_off_and_tries_again():
+    navigator = HandNavigator(held=1)
+    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    assert driven.arrived
+    assert navigator.calls.count("back off") == 1 and navigator.calls.count("set off") == 2
+
+
+def test_a_rover_that_is_held_again_and_again_says_why():
+    navigator = HandNavigator(held=99)
+    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    assert not driven.arrived and "something holds the rover" in driven.reason
+    assert navigator.calls.count("set off") == 3
+
+
+def test_without_a_path_nothing_moves():
+    navigator = HandNavigator(path=False)
+    driven, time = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    assert not driven.arrived and "no path" in driven.reason
+    assert navigator.calls == [] and time == 0.0
+
+
+def test_a_pair_may_end_the_drive():
+    navigator = HandNavigator()
+    seen = []
+
+    def on_pair(observation, found):
+        seen.append(observation.time)
+        return len(seen) == 4
+
+    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None), on_pair))
+    assert driven.arrived and len(seen) == 4
+    assert navigator.calls[-1] == "halt"
+
+
+def test_a_retreat_drives_back_without_a_bump():
+    navigator = HandNavigator()
+    play(retreat(first(), navigator, held=False))
+    assert navigator.calls == ["retreat", "halt"]
