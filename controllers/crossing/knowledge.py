@@ -20,6 +20,7 @@ from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import VoxelMap
 from twin.description import RobotDescription
 
+_PARTNER = 0.3  # Radius of a disc that holds a rover [m].
 _VOXEL = 0.01  # Edge of the map's voxels [m].
 _BOX = ((-2.4, -2.4, -0.5), (2.4, 2.4, 0.8))  # Corners of the voxel map, about the panel [m].
 
@@ -34,6 +35,7 @@ class FieldKnowledge:
         map: Voxel map of the site, whose frame the panel defines.
         navigator: Odometry, elevation map and drive of the rover.
         localization: Localization of the rover on the map; None before it has found the panel.
+        partner: (2,) place of the other rover [m], ground frame; None where it has not told it.
     """
 
     robot: RobotDescription
@@ -41,6 +43,7 @@ class FieldKnowledge:
     map: SharedMap
     navigator: Navigator
     localization: RobotLocalization | None = None
+    partner: FloatArray | None = None
 
     @classmethod
     def initial(
@@ -74,7 +77,7 @@ class FieldKnowledge:
         """
         self.navigator.localize(found)
         self.localization = found
-        self.navigator.structures = self.structures()
+        self.navigator.keep_off = self.structures
 
     def stay(self) -> None:
         """Take over the localization that odometry gives where the panel does not show itself."""
@@ -99,8 +102,15 @@ class FieldKnowledge:
         slot = to_level * to_world * self.site.transform_slot_to_panel
         return slot, transport_covariance(to_level, covariance)
 
-    def structures(self) -> FloatArray:
-        """Return discs (K, 3) that hold what the drawing sets up, in the frame of the map [m]."""
+    def discs(self) -> FloatArray:
+        """Return discs (K, 3) that hold site and other rover: x, y, radius [m], ground frame."""
         discs = self.site.structures
+        if self.partner is None:
+            return discs
+        return np.vstack([discs, [*self.partner, _PARTNER]])
+
+    def structures(self) -> FloatArray:
+        """Return these discs (K, 3) in the frame of the map, once the panel was found [m]."""
+        discs = self.discs()
         flat = np.column_stack([discs[:, :2], np.zeros(len(discs))])
         return np.column_stack([self.transform_ground_to_map.apply(flat)[:, :2], discs[:, 2]])

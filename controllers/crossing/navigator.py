@@ -7,6 +7,7 @@ its first localization on that of the panel, which both rovers share.
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -19,8 +20,10 @@ from controllers.mapping.shared_map import SharedMap, within
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mapping.visual_odometry import VisualOdometry, levelled
 from controllers.motion.drive_path import DrivePath
+from controllers.motion.drive_to_pose import DriveToPose
 from controllers.motion.driving import SkidSteer
 from perception.elevation.grid import ElevationGrid
+from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
 from perception.geometry.arrays import FloatArray
 from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
@@ -30,7 +33,9 @@ from twin.robot import Command, Observation
 _SLIPPED, _SLIPS = 0.7, 2
 """Slip from which on a rover hardly moves, and successive pairs that must show it."""
 _BUMP = 0.1  # Radius of a disc about what held a rover [m].
+_STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
+_NEAR = 0.35  # Distance of a place to which a rover turns, drives straight and turns again [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
 
 
@@ -46,18 +51,15 @@ class NavigatorConfig:
         apart: Distance [m] and turn [rad] after which a new pair is taken on the way.
         aura: Margin about the rover's own spheres that is excluded from the map [m].
         paths: Size of the rover and limits of obstacles.
-        partner_radius: Radius of a disc about the partner's middle that paths keep off [m], beside
-            the rover's own.
     """
 
     half_side: float = 9.0
-    cell: float = 0.04
+    cell: float = 0.025
     reach: tuple[float, float] = (0.35, 2.5)
     stride: int = 3
     apart: tuple[float, float] = (0.2, 0.2)
     aura: float = 0.03
-    paths: GroundPathConfig = GroundPathConfig(climb=0.015)
-    partner_radius: float = 0.3
+    paths: GroundPathConfig = GroundPathConfig(radius=0.3, climb=0.02, pool=2)
 
 
 class Navigator:
@@ -74,8 +76,8 @@ class Navigator:
         odometry: Pose of the rover in the frame.
         ground: Elevation map in the frame.
         localized: Whether the frame is that of the panel.
-        partner: (2,) place of the other rover in the frame [m]; None where it is not known.
-        structures: (M, 3) discs in the frame that paths keep off, known of the drawing [m].
+        keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
+            and radius [m].
         plans: Number of paths planned.
     """
 
@@ -99,11 +101,10 @@ class Navigator:
         self.odometry = VisualOdometry(self._arm, geometry, steer)
         self.ground = ElevationMap(grid)
         self.localized, self.plans = False, 0
-        self.partner: FloatArray | None = None
-        self.structures = np.zeros((0, 3))
+        self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
-        self._drive: DrivePath | None = None
+        self._drive: DrivePath | DriveToPose | None = None
         self._start = RigidTransform.identity()
         self._goal: tuple[FloatArray, float | None] = (np.zeros(2), None)
         self._slips = 0
@@ -211,6 +212,12 @@ class Navigator:
             return np.linalg.norm(places - self.place, axis=1)
         return path_lengths(self.ground, self.place, places, self._discs(), self._config.paths)
 
+    def high_places(self) -> FloatArray:
+        """Return the places (N, 3) of mapped cells that a rover does not stand on [m], frame."""
+        rows, columns = np.nonzero(rises(self.ground, self._config.paths.window) > _STANDS)
+        centres = self.ground.grid.centres[rows, columns]
+        return np.column_stack([centres, self.ground.heights[rows, columns]])
+
     def path_to(self, place: FloatArray) -> FloatArray | None:
         """Return the path (N, 2) from the rover to a place (2,) in the frame [m]; None for none."""
         self.plans += 1
@@ -241,8 +248,17 @@ class Navigator:
             return False
         self._goal, self._slips = (place, heading), 0
         self._start = self.odometry.level_pose()
-        self._drive = DrivePath(self.steer(), self._in_start(path), self._turn(heading))
+        local, turn = self._in_start(path), self._turn(heading)
+        if turn is not None and np.linalg.norm(local[-1]) < _NEAR:
+            self._drive = DriveToPose(self.steer(), [*local[-1], turn], free=self._is_free)
+        else:
+            self._drive = DrivePath(self.steer(), local, turn)
         return True
+
+    def _is_free(self, pose: FloatArray) -> bool:
+        """Return whether a path leads to a pose (3,) in the frame of the drive's beginning."""
+        place = self._start.apply([pose[0], pose[1], 0.0])[:2]
+        return bool(np.isfinite(self.lengths_to(np.asarray(place)[None])[0]))
 
     @property
     def arrived(self) -> bool:
@@ -256,7 +272,7 @@ class Navigator:
             return ""
         if self._slips >= _SLIPS:
             return "the wheels turn, but the rover does not move"
-        return self._drive.blocked
+        return self._drive.blocked if isinstance(self._drive, DrivePath) else ""
 
     def back_off(self, held: bool) -> None:
         """Drive back a little.
@@ -285,11 +301,13 @@ class Navigator:
 
     def correct(self) -> None:
         """Correct the drive by the estimate, and plan anew around what was mapped since."""
-        if self._drive is None or self._drive.remaining < _LAST:
+        if not isinstance(self._drive, DrivePath):
             return
         here = self._start.inv() * self.odometry.level_pose()
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
+        if self._drive.remaining < _LAST:
+            return
         place, heading = self._goal
         if heading is None and not np.isfinite(self.lengths_to(place[None])[0]):
             self.halt()  # What was mapped since leaves no room there; any place will do.
@@ -300,10 +318,7 @@ class Navigator:
 
     def _discs(self) -> FloatArray:
         """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""
-        discs = np.vstack([self.structures, np.array(self._bumps).reshape(-1, 3)])
-        if self.partner is None:
-            return discs
-        return np.vstack([discs, [*self.partner, self._config.partner_radius]])
+        return np.vstack([self.keep_off(), np.array(self._bumps).reshape(-1, 3)])
 
     def _in_start(self, path: FloatArray) -> FloatArray:
         """Return a path (N, 2) in the frame of the rover's pose at the drive's beginning."""

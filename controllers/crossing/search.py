@@ -70,10 +70,10 @@ class SearchPanel:
         begun = seen.time
         seen = yield from posed(seen, DRIVING)
         search = self.search = self._possible_places()
+        navigator.keep_off = lambda: search.likely_discs(self._knowledge.discs())
         retreats = 0
         while seen.time < begun + _PATIENCE:
             self._settle(search)
-            navigator.structures = search.likely_structures()
             places, lengths, heights = self._viewpoints(search)
             view = search.best(places, lengths, heights, navigator.sight_lines())
             if view.rate < _LEAST and retreats < _MOST_RETREATS:
@@ -119,7 +119,6 @@ class SearchPanel:
         site, odometry = self._knowledge.site, self._navigator.odometry
         panel = site.transform_panel_to_ground
         robots = site.draw_initial_poses(self._knowledge.robot.name, _PLACES, self._rng)
-        x, y, yaw = robots.T
         face = panel.rotation.apply([0.0, 0.0, 1.0])
         self._height = float(panel.translation[2])
         pose, centre = odometry.pose(), self._knowledge.robot.centre_height
@@ -130,14 +129,15 @@ class SearchPanel:
             began = RigidTransform.from_components([x, y, centre], Rotation.from_euler("z", yaw))
             return np.asarray((pose * began.inv()).apply(points))
 
-        structures = site.structures
-        points = np.vstack([panel.translation, panel.translation + face, structures])
-        points[2:, 2] = 0.0
+        origin, ahead = np.zeros(3), np.array([1.0, 0.0, 0.0])
+        points = np.array([panel.translation, panel.translation + face, origin, ahead])
         placed = np.array([seen_from(robot, points) for robot in robots])
         normals = (placed[:, 1] - placed[:, 0])[:, :2]
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        placed[:, 2:, 2] = structures[:, 2]
-        return PanelSearch(placed[:, 0].copy(), normals, placed[:, 2:])
+        along = placed[:, 3] - placed[:, 2]
+        yaws = np.arctan2(along[:, 1], along[:, 0])
+        frames = np.column_stack([placed[:, 2, :2], yaws])
+        return PanelSearch(placed[:, 0].copy(), normals, frames)
 
     def _settle(self, search: PanelSearch) -> None:
         """Set the possible places on the slope that the map shows."""

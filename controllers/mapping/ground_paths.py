@@ -35,12 +35,15 @@ class GroundPathConfig:
         climb: Height above the ground about it up to which a rover drives over things [m].
         second_climb: The same where there is no path otherwise [m].
         window: Side of the square about a cell whose ground is fitted [m].
+        pool: Number of cells along each side that make one of the paths' cells, as high as their
+            highest: small cells tell small rocks, and paths need them not.
     """
 
     radius: float = 0.28
     climb: float = 0.025
     second_climb: float = 0.05
     window: float = 0.9
+    pool: int = 1
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -94,7 +97,8 @@ def plan_path(
         (N, 2) vertices, start and goal included [m], world; each leg runs over free cells. None if
         there is no path, or one of both is beyond the map.
     """
-    config, grid = config or GroundPathConfig(), elevation.grid
+    config = config or GroundPathConfig()
+    grid = _paths_grid(elevation.grid, config.pool)
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
@@ -126,7 +130,8 @@ def path_lengths(
     Returns:
         (N,) lengths [m]; infinite where no path leads, and beyond the map.
     """
-    config, grid = config or GroundPathConfig(), elevation.grid
+    config = config or GroundPathConfig()
+    grid = _paths_grid(elevation.grid, config.pool)
     begin = np.asarray(start, dtype=float)
     first = tuple(grid.cells_of([begin])[0].tolist())
     cells = grid.cells_of(np.asarray(goals, dtype=float))
@@ -146,14 +151,34 @@ def _enterable(
     obstacles: ArrayLike | None,
     config: GroundPathConfig,
 ) -> Iterator[BoolArray]:
-    """Yield the cells that a rover may enter: first by what it climbs, then by what it can."""
-    grid = elevation.grid
+    """Yield the paths' cells that a rover may enter: by what it climbs, then by what it can."""
+    fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
     discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
     above = rises(elevation, config.window)
-    above[np.hypot(*np.moveaxis(grid.centres - start, -1, 0)) <= config.radius] = np.nan
+    above[np.hypot(*np.moveaxis(fine.centres - start, -1, 0)) <= config.radius] = np.nan
+    above = _pooled(above, config.pool)
     kept_clear = _beyond(discs, grid, start, config.radius)
     for climb in (config.climb, config.second_climb):
         yield free_cells(above, config.radius, climb, grid.cell) & kept_clear
+
+
+def _paths_grid(grid: ElevationGrid, pool: int) -> ElevationGrid:
+    """Return the grid whose cells are squares of a grid's cells."""
+    if pool == 1:
+        return grid
+    rows, columns = (-(-count // pool) for count in grid.shape)
+    return ElevationGrid(grid.corner, (rows, columns), pool * grid.cell)
+
+
+def _pooled(above: FloatArray, pool: int) -> FloatArray:
+    """Return the highest of each square of cells; NaN where none is known."""
+    if pool == 1:
+        return above
+    rows, columns = (-(-count // pool) for count in above.shape)
+    whole = np.full((rows * pool, columns * pool), np.nan)
+    whole[: above.shape[0], : above.shape[1]] = above
+    squares = whole.reshape(rows, pool, columns, pool)
+    return np.asarray(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
 
 
 def _beyond(discs: FloatArray, grid: ElevationGrid, start: FloatArray, radius: float) -> BoolArray:

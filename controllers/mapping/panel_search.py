@@ -102,8 +102,8 @@ class PanelSearch:
     Args:
         places: (N, 3) possible middles of the target's face [m].
         normals: (N, 2) unit vectors out of its face, on the ground.
-        structures: (N, K, 3) discs that stand about the target at each place, to be kept off: x, y
-            and radius [m].
+        frames: (N, 3) x, y [m] and yaw [rad] of the site's ground frame, if the target is at each
+            place.
         config: When it is seen, and what a view costs; None for the default.
 
     Attributes:
@@ -116,10 +116,10 @@ class PanelSearch:
         self,
         places: FloatArray,
         normals: FloatArray,
-        structures: FloatArray,
+        frames: FloatArray,
         config: PanelSearchConfig | None = None,
     ) -> None:
-        self.places, self._normals, self._structures = places, normals, structures
+        self.places, self._normals, self._frames = places, normals, frames
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(places), 1.0 / len(places))
         self.views = 0
@@ -129,17 +129,24 @@ class PanelSearch:
         """(3,) mean place of the target [m]."""
         return self.weights @ self.places
 
-    def likely_structures(self) -> FloatArray:
-        """Return (M, 3) discs that a rover keeps off, for something likely stands there [m]."""
+    def likely_discs(self, discs: FloatArray) -> FloatArray:
+        """Return (M, 3) discs that a rover keeps off, for something likely stands there [m].
+
+        Args:
+            discs: (K, 3) discs of the site: x, y and radius [m], in its ground frame.
+        """
         c, kept = self._config, [np.zeros((0, 3))]
-        for discs in np.swapaxes(self._structures, 0, 1):
-            cells = np.round(discs[:, :2] / c.grain).astype(int)
+        cosine, sine = np.cos(self._frames[:, 2]), np.sin(self._frames[:, 2])
+        for x, y, radius in discs:
+            spots = self._frames[:, :2] + np.column_stack(
+                [cosine * x - sine * y, sine * x + cosine * y]
+            )
+            cells = np.round(spots / c.grain).astype(int)
             found, which = np.unique(cells, axis=0, return_inverse=True)
             odds = np.bincount(which, self.weights)
             near = np.linalg.norm(c.grain * (found[:, None] - found), axis=2) < c.about
-            likely = near @ odds > c.likely
-            middles = c.grain * found[likely]
-            kept.append(np.column_stack([middles, np.full(len(middles), discs[0, 2])]))
+            middles = c.grain * found[near @ odds > c.likely]
+            kept.append(np.column_stack([middles, np.full(len(middles), radius)]))
         return np.concatenate(kept)
 
     def draw_places(self, count: int, rng: np.random.Generator) -> FloatArray:

@@ -56,6 +56,8 @@ class MappedGround:
         transform_map_to_ground: Transform from the map's frame to the ground frame, which is level
             with z = 0 on the ground.
         config: Size of the rover and limits of obstacles.
+        obstacles: (M, 2) further places that a rover keeps off, of whatever height [m], ground
+            frame.
 
     Attributes:
         points: (N, 3) surface points above the ground [m], ground frame.
@@ -66,8 +68,10 @@ class MappedGround:
         surface: Surface | None,
         transform_map_to_ground: RigidTransform,
         config: GroundConfig | None = None,
+        obstacles: ArrayLike | None = None,
     ) -> None:
         self._config = config or GroundConfig()
+        self._further = np.asarray([] if obstacles is None else obstacles, float).reshape(-1, 2)
         self.points = np.zeros((0, 3))
         if surface is not None and len(surface.means):
             places = transform_map_to_ground.apply(surface.means)
@@ -78,7 +82,8 @@ class MappedGround:
     @functools.cached_property
     def _obstacles(self) -> FloatArray:
         """(M, 2) x and y of the points that touch a rover [m]."""
-        return self.points[self.points[:, 2] < self._config.top, :2]
+        low = self.points[:, 2] < self._config.top
+        return np.vstack([self.points[low, :2], self._further])
 
     def is_free(self, place: ArrayLike) -> bool:
         """Return whether a rover is free of obstacles at a position (2,) [m], ground frame."""

@@ -1,5 +1,6 @@
 """Free cells by counting, paths beside Dijkstra's method in Python, and what each leg runs over."""
 
+import dataclasses
 import heapq
 import itertools
 import math
@@ -7,7 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from controllers.mapping.ground_paths import GroundPathConfig, free_cells, plan_path, shortened
+from controllers.mapping.ground_paths import (
+    GroundPathConfig,
+    free_cells,
+    path_lengths,
+    plan_path,
+    shortened,
+)
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
@@ -231,3 +238,33 @@ def test_string_pulling_keeps_the_shortest_chain_of_free_legs():
 def test_impossible_settings_are_named():
     with pytest.raises(ValueError, match="ground path climb = -1"):
         GroundPathConfig(climb=-1.0)
+
+
+def test_pooled_cells_are_as_high_as_the_highest_that_they_hold():
+    fine = field([(20, 40)], shape=(61, 80))
+    how = dataclasses.replace(HOW, pool=2)
+    start, goal = np.array([0.0, -0.5]), np.array([2.0, -0.5])
+    path = plan_path(fine, start, goal, config=how)
+    rock = np.array([CORNER[0] + 40.5 * CELL, CORNER[1] + 20.5 * CELL])
+    assert path is not None
+    points = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(path)])
+    # A pooled cell's middle lies up to half a fine cell's diagonal off the rock's.
+    assert np.linalg.norm(points - rock, axis=1).min() > HOW.radius - CELL
+    assert len(plan_path(fine, start, goal)) >= 3
+
+
+def test_lengths_are_those_of_the_paths_from_cell_to_cell():
+    rng = np.random.default_rng(4)
+    model = field(rng.integers((0, 0), (60, 80), (25, 2)))
+    start, goals = np.array([-0.5, -1.0]), rng.uniform([-0.7, -1.2], [2.7, 1.2], (12, 2))
+    lengths = path_lengths(model, start, goals)
+    free = free_by_counting(rises(model, HOW.window), start)
+    free[cell_at(start)] = True
+    for goal, length in zip(goals, lengths, strict=True):
+        expected = (
+            shortest_length(free, cell_at(start), cell_at(goal))
+            if free[cell_at(goal)]
+            else math.inf
+        )
+        assert length == pytest.approx(expected)
+    assert np.isinf(path_lengths(model, start, np.array([[99.0, 0.0]]))).all()

@@ -23,8 +23,8 @@ def camera(place, target):
 
 def search_of(*places, normal=(-1.0, 0.0)):
     spots = np.array(places, dtype=float)
-    structures = np.concatenate([spots[:, :2], np.full((len(spots), 1), 0.2)], axis=1)[:, None]
-    return PanelSearch(spots, np.tile(normal, (len(places), 1)), structures)
+    frames = np.column_stack([spots[:, :2], np.full(len(spots), 0.5 * math.pi)])
+    return PanelSearch(spots, np.tile(normal, (len(places), 1)), frames)
 
 
 def test_a_miss_makes_only_places_unlikely_that_it_should_have_shown():
@@ -98,8 +98,9 @@ def test_drawn_places_see_the_face_from_within_reach():
 def test_what_likely_stands_somewhere_is_kept_off():
     rng = np.random.default_rng(5)
     vague = search_of(*np.column_stack([rng.uniform(-3, 3, (900, 2)), np.zeros(900)]))
-    assert len(vague.likely_structures()) == 0
+    assert len(vague.likely_discs(np.array([[0.0, 0.0, 0.2]]))) == 0
     sure = search_of(*([[1.0, 0.5, 0.2]] * 9), [-2.0, 0.0, 0.2])
-    discs = sure.likely_structures()
-    assert np.linalg.norm(discs[:, :2] - [1.0, 0.5], axis=1).max() < 0.15
+    # A quarter turn of the ground frame brings its x to y.
+    discs = sure.likely_discs(np.array([[0.4, 0.0, 0.2]]))
+    assert np.linalg.norm(discs[:, :2] - [1.0, 0.9], axis=1).max() < 0.15
     assert np.all(discs[:, 2] == 0.2)

@@ -149,3 +149,13 @@ def test_occluders_are_what_is_mapped_before_a_target_and_near_it():
     found = MappedGround(surface(kept + left_out), LEVEL).occluders(position, normal)
     middles = np.array(sorted(part.points.mean(axis=0).tolist() for part in found))
     np.testing.assert_allclose(middles, sorted(kept), atol=0.51 * HOW.voxel)
+
+
+def test_further_obstacles_block_places_and_paths_but_hide_nothing():
+    post = np.array([[1.0, 0.0], [1.02, 0.0], [1.0, 0.02]])
+    ground = MappedGround(None, RigidTransform.identity(), obstacles=post)
+    assert not ground.is_free([1.0, 0.2]) and ground.is_free([1.0, 0.5])
+    path = ground.paths_from([0.0, 0.0]).path_to([2.0, 0.0])
+    assert path is not None
+    assert np.linalg.norm(path - post[0], axis=1).min() > 0.25
+    assert ground.occluders(np.array([1.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.0])) == []

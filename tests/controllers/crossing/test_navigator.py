@@ -1,0 +1,147 @@
+"""A rover's navigator on wheels that roll as they are told, without images."""
+
+import math
+import typing
+
+import numpy as np
+import pytest
+
+from controllers.crossing.knowledge import FieldKnowledge
+from controllers.crossing.navigator import NavigatorConfig
+from controllers.crossing.site import FieldDrawing
+from controllers.motion.driving import SkidSteer
+from tests.controllers.mission.hand_made import SITE
+from tests.controllers.motion.seen import PAIR, seen_at
+from twin.describe import describe_rover
+
+ROBOT = describe_rover("rover1")
+POSES = {"rover1": (4.0, 1.0, 0.3)}
+DRAWING = FieldDrawing(
+    SITE.insertion, SITE.target, SITE.transform_slot_to_panel, SITE.covariance,
+    POSES, (0.5, 0.5), (0.0, -0.92, 0.0),
+)  # fmt: skip
+ANGLES = np.array([0.0, 1.6, -0.1, -1.85])
+
+
+class Rolling:
+    """A rover whose wheels turn as commanded, and its navigator."""
+
+    def __init__(self, blind=False):
+        self.knowledge = FieldKnowledge.initial(ROBOT, DRAWING, blind)
+        self.navigator = self.knowledge.navigator
+        self.time, self.wheels = 0.0, np.zeros(4)
+        self.seen = self.tick()
+
+    def tick(self):
+        self.time += 0.01
+        seen = seen_at(self.time, self.wheels, ANGLES, PAIR, self.time)
+        self.navigator.observe(seen)
+        return seen
+
+    def drive(self, seconds=60.0):
+        """Drive until the end; return the places (N, 2) on the way."""
+        places = []
+        while not self.navigator.arrived and self.time < seconds:
+            command = self.navigator.step(self.seen)
+            self.wheels = np.array(command.wheels) if len(command.wheels) else np.zeros(4)
+            self.seen = self.tick()
+            places.append(self.navigator.place)
+        return np.array(places)
+
+
+def put_box(navigator, x, y, half=0.1, height=0.08):
+    """Map level ground about the rover, with a box on it."""
+    ground = navigator.ground
+    centres = ground.grid.centres
+    about = np.abs(centres).max(axis=-1) < 2.5
+    ground.heights[about] = 0.0
+    ground.variances[about] = 1e-6
+    box = (np.abs(centres[..., 0] - x) < half) & (np.abs(centres[..., 1] - y) < half)
+    ground.heights[box] = height
+
+
+def test_a_drive_ends_at_its_place_and_heading():
+    rover = Rolling()
+    assert rover.navigator.set_off(np.array([0.5, 1.2]), 0.8)
+    rover.drive()
+    assert math.dist(rover.navigator.place, (0.5, 1.2)) < 0.04
+    assert rover.navigator.yaw == pytest.approx(0.8, abs=0.05)
+
+
+def test_a_near_pose_is_reached_by_turning_and_driving_straight():
+    rover = Rolling()
+    assert rover.navigator.set_off(np.array([0.1, -0.05]), 0.1)
+    rover.drive()
+    assert math.dist(rover.navigator.place, (0.1, -0.05)) < 0.02
+
+
+def test_paths_lead_around_what_is_mapped_unless_the_navigator_is_blind():
+    for blind in (False, True):
+        rover = Rolling(blind)
+        put_box(rover.navigator, 0.0, 1.0)
+        assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
+        places = rover.drive()
+        nearest = np.linalg.norm(places - [0.0, 1.0], axis=1).min()
+        assert nearest < 0.05 if blind else nearest > 0.3
+
+
+def test_a_place_on_an_obstacle_has_no_path_and_one_behind_it_a_longer_one():
+    rover = Rolling()
+    put_box(rover.navigator, 0.0, 1.0)
+    lengths = rover.navigator.lengths_to(np.array([[0.0, 1.0], [0.0, 2.0], [1.0, 0.0]]))
+    assert np.isinf(lengths[0])
+    assert 2.02 < lengths[1] < 2.6
+    assert lengths[2] == pytest.approx(1.0, abs=0.1)
+    high = rover.navigator.high_places()
+    assert len(high) and np.abs(high[:, :2] - [0.0, 1.0]).max() < 0.12
+
+
+def test_what_held_a_rover_is_kept_off_after_it_backed_off():
+    rover = Rolling()
+    put_box(rover.navigator, 5.0, 5.0)
+    assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
+    rover.navigator.back_off(held=True)
+    rover.drive()
+    assert rover.navigator.place[1] < -0.15
+    assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
+    places = rover.drive(seconds=120.0)
+    ahead = [0.0, NavigatorConfig().paths.radius + 0.1]
+    assert np.linalg.norm(places - ahead, axis=1).min() > 0.3
+    assert math.dist(places[-1], (0.0, 2.0)) < 0.05
+
+
+def test_a_pair_is_due_after_some_way_or_turn():
+    rover = Rolling()
+    rover.navigator._taken = (0.0, 0.0)  # pyright: ignore
+    assert not rover.navigator.is_due(rover.seen)
+    rolling = SkidSteer.of(ROBOT, rover.navigator.odometry.turn_share)
+    for forward, turn in ((0.2, 0.0), (0.0, 0.3)):
+        rover = Rolling()
+        rover.navigator._taken = (0.0, 0.0)  # pyright: ignore
+        rover.wheels = rolling.wheel_speeds(forward, turn)
+        ticks = 0
+        while not rover.navigator.is_due(rover.seen):
+            rover.seen = rover.tick()
+            ticks += 1
+        far, angle = NavigatorConfig().apart
+        expected = far / forward if forward else angle / turn
+        assert 0.01 * ticks == pytest.approx(expected, rel=0.1)
+
+
+def test_the_site_and_a_partner_that_told_its_place_are_kept_off():
+    knowledge = Rolling().knowledge
+    alone = knowledge.discs()
+    knowledge.partner = np.array([1.0, 2.0])
+    both = knowledge.discs()
+    assert len(both) == len(alone) + 1
+    np.testing.assert_allclose(both[-1], [1.0, 2.0, 0.3])
+    x, y, _ = DRAWING.transform_panel_to_ground.translation
+    np.testing.assert_allclose(alone[0, :2], (x, y))
+
+
+def test_drawn_initial_poses_fill_their_limits():
+    rng = np.random.default_rng(0)
+    poses = DRAWING.draw_initial_poses("rover1", 4000, rng) - np.array(POSES["rover1"])
+    low, high = typing.cast(typing.Any, (poses.min(axis=0), poses.max(axis=0)))
+    np.testing.assert_allclose(-low, 0.5, atol=0.01)
+    np.testing.assert_allclose(high, 0.5, atol=0.01)
