@@ -27,6 +27,8 @@ class PanelSearchConfig:
             [rad].
         half_height: The same upright [rad].
         missed: Odds that a view misses a target that it should see.
+        passed: The same of one on the way: images are blurred, and one pair follows the other so
+            soon that they miss it for the same reason.
         opaque: Odds that something unmapped hides the target.
         view_time: Time that a view from the present place takes [s].
         speed: Speed of a drive [m/s].
@@ -42,6 +44,7 @@ class PanelSearchConfig:
     half_view: float = math.radians(15.0)
     half_height: float = math.radians(10.0)
     missed: float = 0.1
+    passed: float = 0.7
     opaque: float = 0.15
     view_time: float = 2.0
     speed: float = 0.15
@@ -176,7 +179,7 @@ class PanelSearch:
             transform_camera_to_frame: Pose of the left camera.
             ground: What is mapped of the ground.
             intended: View that was to be taken, which the joints may not quite reach; None for one
-                that was not chosen.
+                on the way.
         """
         c, eye = self._config, np.asarray(transform_camera_to_frame.translation)
         axis = transform_camera_to_frame.rotation.apply([0.0, 0.0, 1.0])
@@ -184,9 +187,11 @@ class PanelSearch:
         turn, tilt = _directions(axis[None])
         within = (_apart(bearing, turn) < c.half_view) & (abs(raised - tilt) < c.half_height)
         seen = within & self._visible(eye) & ~ground.hidden(eye, self.places)
+        odds = c.passed
         if intended is not None:
             seen |= intended.shown
-        self.weights *= np.where(seen, c.missed + c.opaque - c.missed * c.opaque, 1.0)
+            odds = c.missed
+        self.weights *= np.where(seen, odds + c.opaque - odds * c.opaque, 1.0)
         self.weights /= self.weights.sum()
         self.views += 1
 

@@ -37,8 +37,16 @@ def test_a_miss_makes_only_places_unlikely_that_it_should_have_shown():
         [-1.2, 0.0, 0.2],  # behind, and facing away
     )
     search.miss(camera(eye, [1.2, 0.0, 0.2]), EMPTY)
-    left = CONFIG.missed + CONFIG.opaque - CONFIG.missed * CONFIG.opaque
+    left = CONFIG.passed + CONFIG.opaque - CONFIG.passed * CONFIG.opaque
     np.testing.assert_allclose(search.weights, np.array([left, 1, 1, 1]) / (3 + left))
+
+
+def test_a_view_that_was_chosen_counts_more_than_one_on_the_way():
+    search = search_of([1.2, 0.0, 0.2], [-1.2, 0.0, 0.2])
+    chosen = search.best(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY)
+    search.miss(camera([0.0, 0.0, 0.4], chosen.target), EMPTY, chosen)
+    left = CONFIG.missed + CONFIG.opaque - CONFIG.missed * CONFIG.opaque
+    np.testing.assert_allclose(search.weights, np.array([left, 1.0]) / (1.0 + left))
 
 
 def test_a_face_turned_away_is_not_missed():
