@@ -87,6 +87,8 @@ class SearchPanel:
                 driven = yield from drive(seen, navigator, self._arm, goal, self._glimpse)
                 seen = driven.seen
                 if self._glimpsed is None:
+                    if not driven.arrived:  # Time passes before another decision.
+                        seen = yield from posed(seen, DRIVING)
                     continue
                 panel = self._glimpsed.transform_level_to_world.inv().translation
                 view = None
