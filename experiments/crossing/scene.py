@@ -42,10 +42,10 @@ BLOCK = (0.097, 0.097, 0.097)
 """Width, depth and height of what is put up [m]; a block's edge is a wheel's diameter."""
 _FIELD = dataclasses.replace(
     FIELD,
-    size=(18.0, 18.0),
-    rocks=900,
+    size=(22.0, 22.0),
+    rocks=1340,
     rock_radius=(0.02, 0.07),
-    blocks=150,
+    blocks=220,
     block_edge=(0.05, 0.10),
     texture_pixels=4096,
     texture_tile=2.0,
