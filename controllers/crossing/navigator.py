@@ -78,7 +78,6 @@ class Navigator:
         localized: Whether the frame is that of the panel.
         keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
             and radius [m].
-        plans: Number of paths planned.
     """
 
     def __init__(
@@ -100,7 +99,7 @@ class Navigator:
         grid = ElevationGrid((-half, -half), (count, count), cell)
         self.odometry = VisualOdometry(self._arm, geometry, steer)
         self.ground = ElevationMap(grid)
-        self.localized, self.plans = False, 0
+        self.localized = False
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
@@ -220,7 +219,6 @@ class Navigator:
 
     def path_to(self, place: FloatArray) -> FloatArray | None:
         """Return the path (N, 2) from the rover to a place (2,) in the frame [m]; None for none."""
-        self.plans += 1
         if self._blind:
             return np.array([self.place, place])
         return plan_path(self.ground, self.place, place, self._discs(), self._config.paths)

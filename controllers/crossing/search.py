@@ -36,14 +36,13 @@ class SearchPanel:
 
     Attributes:
         done: Whether the rover is localized.
-        views: Number of views taken at rest.
         search: Where the panel may be; None before the search begins.
     """
 
     name = "search"
 
     def __init__(self, knowledge: FieldKnowledge, rng: np.random.Generator) -> None:
-        self.done, self.views = False, 0
+        self.done = False
         self._knowledge, self._rng = knowledge, rng
         self._navigator = knowledge.navigator
         self._arm, _ = camera_arm(knowledge.robot)
@@ -95,7 +94,7 @@ class SearchPanel:
             else:
                 panel = navigator.odometry.pose().apply(view.target, inverse=True)
             seen = yield from posed(seen, aim(self._arm, panel, DRIVING))
-            self.views, self._glimpsed = self.views + 1, None
+            self._glimpsed = None
             found = navigator.take(seen, at_rest=True)
             if found is not None:
                 self._knowledge.localize(found)

@@ -13,7 +13,6 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.drawing import InsertionDrawing
 from perception.geometry.arrays import FloatArray
 from perception.registration.target import TargetCad
-from twin.description import RobotDescription
 
 _PANEL_MARGIN = 0.08
 """Width of the panel beside its markers [m]."""
@@ -66,16 +65,3 @@ class FieldDrawing:
         far, turn = self.initial_error
         errors = rng.uniform(-1.0, 1.0, (count, 3)) * [far, far, turn]
         return np.array(self.initial_poses[robot]) + errors
-
-
-@dataclasses.dataclass(frozen=True)
-class FieldRoles:
-    """Roles of the rovers.
-
-    Attributes:
-        master: Rover that maps the site and drives to the camera station.
-        slave: Rover that holds the card.
-    """
-
-    master: RobotDescription
-    slave: RobotDescription

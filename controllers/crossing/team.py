@@ -14,8 +14,9 @@ from controllers.crossing.knowledge import FieldKnowledge
 from controllers.crossing.map import MapSite
 from controllers.crossing.rover import FieldRover, FieldStage, StageError
 from controllers.crossing.search import SearchPanel
-from controllers.crossing.site import FieldDrawing, FieldRoles
+from controllers.crossing.site import FieldDrawing
 from controllers.insertion.camera_station import CameraStation, best_camera_station
+from controllers.mission.site import MissionRoles
 from controllers.placement.mapped_ground import MappedGround
 from controllers.placement.task import PlacementError
 from perception.geometry.arrays import FloatArray
@@ -63,7 +64,7 @@ class CrossingTeam:
 
     def __init__(
         self,
-        roles: FieldRoles,
+        roles: MissionRoles,
         site: FieldDrawing,
         config: CrossingConfig,
         rng: np.random.Generator,

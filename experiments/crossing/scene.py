@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from controllers.crossing.site import FieldDrawing, FieldRoles
+from controllers.crossing.site import FieldDrawing
+from controllers.mission.site import MissionRoles
 from experiments.ch5.insertion_scene import (
     FIELD,
     MASTER,
@@ -144,14 +145,14 @@ def survey(scene: CrossingScene, rng: np.random.Generator) -> FieldDrawing:
     )
 
 
-def roles(realism: RealismName = "ideal") -> FieldRoles:
+def roles(realism: RealismName = "ideal") -> MissionRoles:
     """Return the descriptions of both robots; the slave holds the card.
 
     Args:
         realism: Set whose stated tolerances they have.
     """
     robots = describe_rover(MASTER, mast=MAST), describe_rover(SLAVE, card=True, mast=MAST)
-    return FieldRoles(*(as_stated(robot, realism) for robot in robots))
+    return MissionRoles(*(as_stated(robot, realism) for robot in robots))
 
 
 def _initial_poses(rng: np.random.Generator) -> dict[str, FloatArray]:
