@@ -1,7 +1,8 @@
 """Paths of a rover over mapped ground: what its middle may enter, and the way around the rest.
 
 A rover is a disc about its middle. It may be wherever nothing that is too high to climb is known
-within the disc; unknown ground is free, as a rover sees what is before it.
+within the disc, and rather where nothing is near; unknown ground is free, as a rover sees what is
+before it.
 """
 
 import dataclasses
@@ -16,7 +17,7 @@ from controllers.mapping.planar_paths import Paths, shortest_paths
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
-from perception.geometry.arrays import BoolArray, FloatArray
+from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
 _NO_DISCS = np.zeros((0, 3))
@@ -34,6 +35,10 @@ class GroundPathConfig:
         radius: Radius of a disc about the rover's middle that holds it [m].
         climb: Height above the ground about it up to which a rover drives over things [m].
         second_climb: The same where there is no path otherwise [m].
+        margin: Distance beyond the disc within which cells cost more than others [m].
+        near_cost: How many times its length a path costs at the disc's edge, beyond once.
+        inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
+            map has within it at the start is none.
         window: Side of the square about a cell whose ground is fitted [m].
         pool: Number of cells along each side that make one of the paths' cells, as high as their
             highest: small cells tell small rocks, and paths need them not.
@@ -42,6 +47,9 @@ class GroundPathConfig:
     radius: float = 0.28
     climb: float = 0.025
     second_climb: float = 0.05
+    margin: float = 0.12
+    near_cost: float = 2.0
+    inner: float = 0.2
     window: float = 0.9
     pool: int = 1
 
@@ -54,22 +62,22 @@ class GroundPathConfig:
         check_numbers("ground path", self)
 
 
-def free_cells(
-    rises: FloatArray, radius: float = 0.28, climb: float = 0.025, cell: float = 0.05
-) -> BoolArray:
-    """Return the cells (rows, columns) that the middle of a rover may enter.
+def path_costs(
+    rises: FloatArray, climb: float, cell: float, config: GroundPathConfig
+) -> FloatArray:
+    """Return how many times its length a path of a rover costs in each cell.
 
     Args:
         rises: (rows, columns) heights above the ground about each cell [m]; NaN where unknown.
-        radius: Radius of a disc about the rover's middle that holds it [m]; the centres of higher
-            cells are farther away.
         climb: Height above the ground up to which a rover drives over things [m].
         cell: Side of a cell [m].
+        config: Size of the rover, and what it costs to be near obstacles.
+
+    Returns:
+        (rows, columns) 1 in the open, more beside obstacles, infinite where the rover's disc would
+        hold a higher cell's middle.
     """
-    higher = rises > climb
-    if not higher.any():
-        return np.ones(rises.shape, dtype=bool)
-    return np.asarray(distance_transform_edt(~higher, sampling=cell)) > radius
+    return _costs(_gaps(rises, climb, cell), config)
 
 
 def plan_path(
@@ -81,9 +89,9 @@ def plan_path(
 ) -> FloatArray | None:
     """Return the vertices of a short path of a rover over mapped ground.
 
-    What is within the rover's disc at the start is ignored, as it stands there already; a disc that
-    it stands in is not entered any deeper. The goal may be a cell nearer to something than a rover
-    is wide.
+    Of what is within the rover's disc at the start already it only comes no nearer, as long as it
+    is there; a further disc that it stands in is not entered any deeper. The goal may be a cell
+    nearer to something than a rover is wide.
 
     Args:
         elevation: Map of the ground, world.
@@ -102,8 +110,8 @@ def plan_path(
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    for free in _enterable(elevation, begin, obstacles, config):
-        path = _path_over(free, grid, begin, end)
+    for costs in _path_costs(elevation, begin, obstacles, config):
+        path = _path_over(costs, grid, begin, end)
         if path is not None:
             return path
     return None
@@ -116,9 +124,10 @@ def path_lengths(
     obstacles: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
 ) -> FloatArray:
-    """Return the lengths of a rover's shortest paths from cell to cell to several positions.
+    """Return the lengths of a rover's paths from cell to cell to several positions.
 
-    Where no path leads otherwise, they are those over what the rover can climb as a second choice.
+    They are what the paths cost, so more than their length beside obstacles. Where no path leads
+    otherwise, they are those over what the rover can climb as a second choice.
 
     Args:
         elevation: Map of the ground, world.
@@ -137,29 +146,51 @@ def path_lengths(
     cells = grid.cells_of(np.asarray(goals, dtype=float))
     inside = grid.inside(cells)
     lengths = np.full(len(cells), np.inf)
-    for free in _enterable(elevation, begin, obstacles, config):
-        free[first] = True
+    for costs in _path_costs(elevation, begin, obstacles, config):
         left = inside & np.isinf(lengths)
         if left.any():
-            lengths[left] = shortest_paths(free, first, grid.cell).lengths[*cells[left].T]
+            lengths[left] = shortest_paths(costs, first, grid.cell).lengths[*cells[left].T]
     return lengths
 
 
-def _enterable(
+def _path_costs(
     elevation: ElevationMap,
     start: FloatArray,
     obstacles: ArrayLike | None,
     config: GroundPathConfig,
-) -> Iterator[BoolArray]:
-    """Yield the paths' cells that a rover may enter: by what it climbs, then by what it can."""
+) -> Iterator[FloatArray]:
+    """Yield the costs of the paths' cells: by what a rover climbs, then by what it can."""
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
     discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
     above = rises(elevation, config.window)
-    above[np.hypot(*np.moveaxis(fine.centres - start, -1, 0)) <= config.radius] = np.nan
+    above[np.hypot(*np.moveaxis(fine.centres - start, -1, 0)) <= config.inner] = np.nan
     above = _pooled(above, config.pool)
-    kept_clear = _beyond(discs, grid, start, config.radius)
+    away = np.hypot(*np.moveaxis(grid.centres - start, -1, 0))
+    by_discs = _disc_gaps(discs, grid, start, config)
+    first = tuple(grid.cells_of([start])[0].tolist())
     for climb in (config.climb, config.second_climb):
-        yield free_cells(above, config.radius, climb, grid.cell) & kept_clear
+        gaps = _gaps(above, climb, grid.cell)
+        # What stands within the disc at the start is come no nearer, until it is left behind.
+        if gaps[first] <= config.radius:
+            gaps[(away <= config.radius) & (gaps >= gaps[first])] += config.radius
+        costs = _costs(np.minimum(gaps, by_discs), config)
+        costs[first] = 1.0
+        yield costs
+
+
+def _gaps(rises: FloatArray, climb: float, cell: float) -> FloatArray:
+    """Return the distance (rows, columns) of each cell from the nearest higher one [m]."""
+    higher = rises > climb
+    if not higher.any():
+        return np.full(rises.shape, np.inf)
+    return np.asarray(distance_transform_edt(~higher, sampling=cell))
+
+
+def _costs(gaps: FloatArray, config: GroundPathConfig) -> FloatArray:
+    """Return the cost of cells by the distance of each from the nearest obstacle [m]."""
+    free = gaps - config.radius
+    costs = 1.0 + config.near_cost * np.clip(1.0 - free / config.margin, 0.0, 1.0)
+    return np.where(free > 0.0, costs, np.inf)
 
 
 def _paths_grid(grid: ElevationGrid, pool: int) -> ElevationGrid:
@@ -181,43 +212,53 @@ def _pooled(above: FloatArray, pool: int) -> FloatArray:
     return np.asarray(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
 
 
-def _beyond(discs: FloatArray, grid: ElevationGrid, start: FloatArray, radius: float) -> BoolArray:
-    """Return the cells (rows, columns) in which a rover is clear of discs, or as far as it was."""
-    clear = np.ones(grid.shape, dtype=bool)
+def _disc_gaps(
+    discs: FloatArray, grid: ElevationGrid, start: FloatArray, config: GroundPathConfig
+) -> FloatArray:
+    """Return the distance (rows, columns) of each cell from the nearest disc [m].
+
+    Of a disc that the rover at the start reaches into it is as if that were smaller by as much.
+    """
+    gaps = np.full(grid.shape, np.inf)
     for x, y, size in discs:
-        away = min(size + radius, float(np.hypot(*(start - (x, y)))))
-        low, high = np.clip(grid.cells_of([(x - away, y - away), (x + away, y + away)]), 0, None)
+        held = min(size, float(np.hypot(*(start - (x, y)))) - config.radius)
+        reach = held + config.radius + config.margin
+        ends = grid.cells_of([(x - reach, y - reach), (x + reach, y + reach)])
+        low, high = np.clip(ends, 0, None)
         box = slice(low[0], high[0] + 1), slice(low[1], high[1] + 1)
-        clear[box] &= np.hypot(*np.moveaxis(grid.centres[box] - (x, y), -1, 0)) >= away
-    return clear
+        away = np.hypot(*np.moveaxis(grid.centres[box] - (x, y), -1, 0)) - held
+        gaps[box] = np.minimum(gaps[box], np.nextafter(away, np.inf))
+    return gaps
 
 
 def _path_over(
-    free: BoolArray, grid: ElevationGrid, start: FloatArray, goal: FloatArray
+    costs: FloatArray, grid: ElevationGrid, start: FloatArray, goal: FloatArray
 ) -> FloatArray | None:
     """Return the vertices (N, 2) of a path over free cells and those of its ends; None if none."""
     first, last = (tuple(cell) for cell in grid.cells_of([start, goal]).tolist())
-    free = free.copy()
-    free[first] = free[last] = True
+    costs = costs.copy()
+    if costs[last] == np.inf:
+        costs[last] = 1.0
     corner = np.array(grid.corner)
-    paths = shortest_paths(free, first, grid.cell)
+    paths = shortest_paths(costs, first, grid.cell)
     if not np.isfinite(paths.lengths[last]):
         return None
     path = GroundPaths(paths, start, corner, grid.cell).path_to(goal)
-    return None if path is None else shortened(path, free, corner, grid.cell)
+    return None if path is None else shortened(path, costs, corner, grid.cell)
 
 
-def shortened(path: FloatArray, free: BoolArray, corner: FloatArray, cell: float) -> FloatArray:
-    """Return the shortest path (M, 2) over some of a path's points whose legs run over free cells.
+def shortened(path: FloatArray, costs: FloatArray, corner: FloatArray, cell: float) -> FloatArray:
+    """Return the cheapest path (M, 2) over some of a path's points whose legs run over free cells.
 
     Args:
         path: (N, 2) points, x and y [m]; legs from each to the next may run anywhere.
-        free: (rows, columns) cells that may be entered.
+        costs: (rows, columns) how many times its length a path costs in each cell; infinite where
+            it may not be entered.
         corner: (2,) lowest corner of the first cell [m].
         cell: Side of a cell [m].
     """
     places = (path - corner)[:, ::-1] / cell
-    return path[_string_pulled(np.ascontiguousarray(places), free)]
+    return path[_string_pulled(np.ascontiguousarray(places), costs)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,18 +297,22 @@ class GroundPaths:
 
 
 @numba.njit(cache=True)
-def _string_pulled(places, free):
+def _string_pulled(places, costs):
     """Return the indices of the points that are kept; places in cells, row and column."""
     count = len(places)
-    shortest, before = np.full(count, np.inf), np.full(count, -1)
-    shortest[0] = 0.0
+    cheapest, before = np.full(count, np.inf), np.full(count, -1)
+    cheapest[0] = 0.0
     for j in range(1, count):
-        for i in range(j):
-            length = shortest[i] + _LEG
-            length += np.hypot(places[j, 0] - places[i, 0], places[j, 1] - places[i, 1])
-            # The leg from the point before is one of the path itself.
-            if length < shortest[j] and (i == j - 1 or _visible(places[i], places[j], free)):
-                shortest[j], before[j] = length, i
+        for i in range(j - 1, -1, -1):
+            length = np.hypot(places[j, 0] - places[i, 0], places[j, 1] - places[i, 1])
+            # No cell costs less than once its length.
+            if cheapest[i] + _LEG + length >= cheapest[j]:
+                continue
+            cost = _cost_along(places[i], places[j], costs)
+            if i == j - 1 and cost == np.inf:
+                cost = length  # The leg from the point before is one of the path itself.
+            if cheapest[i] + _LEG + cost < cheapest[j]:
+                cheapest[j], before[j] = cheapest[i] + _LEG + cost, i
     kept = [count - 1]
     while before[kept[-1]] >= 0:
         kept.append(before[kept[-1]])
@@ -275,8 +320,8 @@ def _string_pulled(places, free):
 
 
 @numba.njit(cache=True)
-def _visible(start, end, free):
-    """Return whether a line runs over free cells only, and past no corner of one that is not."""
+def _cost_along(start, end, costs):
+    """Return what a line costs [cells]; infinite past a corner of a cell that is not free."""
     row, column = int(np.floor(start[0])), int(np.floor(start[1]))
     last_row, last_column = int(np.floor(end[0])), int(np.floor(end[1]))
     down, right = end[0] - start[0], end[1] - start[1]
@@ -286,16 +331,21 @@ def _visible(start, end, free):
     each_column = 1.0 / abs(right) if right != 0.0 else np.inf
     next_row = (row + (down > 0) - start[0]) / down if down != 0.0 else np.inf
     next_column = (column + (right > 0) - start[1]) / right if right != 0.0 else np.inf
+    cost, gone = 0.0, 0.0
     while row != last_row or column != last_column:
-        if not free[row, column]:
-            return False
+        if costs[row, column] == np.inf:
+            return np.inf
         ahead_row = next_row if row != last_row else np.inf
         ahead_column = next_column if column != last_column else np.inf
+        ahead = min(ahead_row, ahead_column)
+        cost, gone = cost + (ahead - gone) * costs[row, column], ahead
         corner = abs(ahead_row - ahead_column) < _CORNER
-        if corner and not (free[row + step_down, column] and free[row, column + step_right]):
-            return False
+        if corner and (
+            costs[row + step_down, column] == np.inf or costs[row, column + step_right] == np.inf
+        ):
+            return np.inf
         if corner or ahead_row < ahead_column:
             row, next_row = row + step_down, next_row + each_row
         if corner or ahead_row > ahead_column:
             column, next_column = column + step_right, next_column + each_column
-    return bool(free[row, column])
+    return (cost + (1.0 - gone) * costs[row, column]) * np.hypot(down, right)
