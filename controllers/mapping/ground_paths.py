@@ -59,7 +59,9 @@ class GroundPathConfig:
         Raises:
             ValueError: Naming the wrong one.
         """
-        check_numbers("ground path", self)
+        names = {field.name for field in dataclasses.fields(self)} - {"near_cost"}
+        check_numbers("ground path", self, *sorted(names))
+        check_numbers("ground path", self, "near_cost", zero=True)
 
 
 def path_costs(
