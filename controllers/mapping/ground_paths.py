@@ -5,6 +5,7 @@ within the disc; unknown ground is free, as a rover sees what is before it.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 
 import numba
@@ -140,8 +141,10 @@ def path_lengths(
     for free in _enterable(elevation, begin, obstacles, config):
         free[first] = True
         left = inside & np.isinf(lengths)
+        left[left] = free[*cells[left].T]
         if left.any():
-            lengths[left] = shortest_paths(free, first, grid.cell).lengths[*cells[left].T]
+            paths = shortest_paths(free, first, grid.cell, goals=cells[left])
+            lengths[left] = paths.lengths[*cells[left].T]
     return lengths
 
 
@@ -154,8 +157,9 @@ def _enterable(
     """Yield the paths' cells that a rover may enter: by what it climbs, then by what it can."""
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
     discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
-    above = rises(elevation, config.window)
-    above[np.hypot(*np.moveaxis(fine.centres - start, -1, 0)) <= config.radius] = np.nan
+    above = rises(elevation, config.window).copy()
+    box, apart = _box_about(start, config.radius, fine)
+    above[box][apart <= config.radius] = np.nan
     above = _pooled(above, config.pool)
     kept_clear = _beyond(discs, grid, start, config.radius)
     for climb in (config.climb, config.second_climb):
@@ -177,8 +181,8 @@ def _pooled(above: FloatArray, pool: int) -> FloatArray:
     rows, columns = (-(-count // pool) for count in above.shape)
     whole = np.full((rows * pool, columns * pool), np.nan)
     whole[: above.shape[0], : above.shape[1]] = above
-    squares = whole.reshape(rows, pool, columns, pool)
-    return np.asarray(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
+    bands = functools.reduce(np.fmax, [whole[row::pool] for row in range(pool)])
+    return functools.reduce(np.fmax, [bands[:, column::pool] for column in range(pool)])
 
 
 def _beyond(discs: FloatArray, grid: ElevationGrid, start: FloatArray, radius: float) -> BoolArray:
@@ -186,10 +190,20 @@ def _beyond(discs: FloatArray, grid: ElevationGrid, start: FloatArray, radius: f
     clear = np.ones(grid.shape, dtype=bool)
     for x, y, size in discs:
         away = min(size + radius, float(np.hypot(*(start - (x, y)))))
-        low, high = np.clip(grid.cells_of([(x - away, y - away), (x + away, y + away)]), 0, None)
-        box = slice(low[0], high[0] + 1), slice(low[1], high[1] + 1)
-        clear[box] &= np.hypot(*np.moveaxis(grid.centres[box] - (x, y), -1, 0)) >= away
+        box, apart = _box_about(np.array([x, y]), away, grid)
+        clear[box] &= apart >= away
     return clear
+
+
+def _box_about(
+    place: FloatArray, radius: float, grid: ElevationGrid
+) -> tuple[tuple[slice, slice], FloatArray]:
+    """Return the box of cells that holds a disc, and their distances from its middle [m]."""
+    corners = np.clip(grid.cells_of([place - radius, place + radius]) + [[0], [1]], 0, grid.shape)
+    (top, left), (bottom, right) = corners.tolist()
+    cells = np.moveaxis(np.mgrid[top:bottom, left:right], 0, -1)
+    apart = np.hypot(*np.moveaxis(grid.centres_of(cells) - place, -1, 0))
+    return (slice(top, bottom), slice(left, right)), apart
 
 
 def _path_over(
@@ -200,7 +214,7 @@ def _path_over(
     free = free.copy()
     free[first] = free[last] = True
     corner = np.array(grid.corner)
-    paths = shortest_paths(free, first, grid.cell)
+    paths = shortest_paths(free, first, grid.cell, goals=np.array([last]))
     if not np.isfinite(paths.lengths[last]):
         return None
     path = GroundPaths(paths, start, corner, grid.cell).path_to(goal)

@@ -156,7 +156,15 @@ def _accumulate(window, within, right, plane, normal, target):
     d, a, b, offset = plane[0], plane[1], plane[2], plane[3]
     squares = 0.0
     gg, ggx, ggy, gxgx, gxgy, gygy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    g_sum, gx_sum, gy_sum, g_error, gx_error, gy_error, error_sum = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    g_sum, gx_sum, gy_sum, g_error, gx_error, gy_error, error_sum = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
     for i in range(within.size):
         x, y = window[0, i], window[1, i]
         moved = -(d + a * x + b * y)
