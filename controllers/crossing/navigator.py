@@ -150,9 +150,9 @@ class Navigator:
         if not (seen.stereo.usable and seen.stereo.stamp > self._stamp):
             return False
         far, turn = self._config.apart
-        distance, yaw = self._taken
-        turned = abs(math.remainder(self.yaw - yaw, 2.0 * math.pi))
-        return self.odometry.distance - distance > far or turned > turn
+        distance, turned = self._taken
+        odometry = self.odometry
+        return odometry.distance - distance > far or abs(odometry.turned - turned) > turn
 
     def take(self, seen: Observation, at_rest: bool) -> RobotLocalization | None:
         """Move the estimate by the present pair, and map it.
@@ -168,7 +168,7 @@ class Navigator:
         points = self._matcher.match(pair)
         self.odometry.see(stamp, pair[0], points)
         self._slips = self._slips + 1 if self.odometry.slip > _SLIPPED else 0
-        self._stamp, self._taken = stamp, (self.odometry.distance, self.yaw)
+        self._stamp, self._taken = stamp, (self.odometry.distance, self.odometry.turned)
         camera, covariance = self.odometry.camera(stamp)
         near, far = self._config.reach
         depth = points.points[:, 2]

@@ -6,6 +6,7 @@ before it.
 """
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 
 import numba
@@ -150,8 +151,10 @@ def path_lengths(
     lengths = np.full(len(cells), np.inf)
     for costs in _path_costs(elevation, begin, obstacles, config):
         left = inside & np.isinf(lengths)
+        left[left] = np.isfinite(costs[*cells[left].T])
         if left.any():
-            lengths[left] = shortest_paths(costs, first, grid.cell).lengths[*cells[left].T]
+            paths = shortest_paths(costs, first, grid.cell, goals=cells[left])
+            lengths[left] = paths.lengths[*cells[left].T]
     return lengths
 
 
@@ -164,17 +167,18 @@ def _path_costs(
     """Yield the costs of the paths' cells: by what a rover climbs, then by what it can."""
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
     discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
-    above = rises(elevation, config.window)
-    above[np.hypot(*np.moveaxis(fine.centres - start, -1, 0)) <= config.inner] = np.nan
+    above = rises(elevation, config.window).copy()
+    box, apart = _box_about(start, config.inner, fine)
+    above[box][apart <= config.inner] = np.nan
     above = _pooled(above, config.pool)
-    away = np.hypot(*np.moveaxis(grid.centres - start, -1, 0))
     by_discs = _disc_gaps(discs, grid, start, config)
     first = tuple(grid.cells_of([start])[0].tolist())
     for climb in (config.climb, config.second_climb):
         gaps = _gaps(above, climb, grid.cell)
         # What stands within the disc at the start is come no nearer, until it is left behind.
         if gaps[first] <= config.radius:
-            gaps[(away <= config.radius) & (gaps >= gaps[first])] += config.radius
+            box, apart = _box_about(start, config.radius, grid)
+            gaps[box][(apart <= config.radius) & (gaps[box] >= gaps[first])] += config.radius
         costs = _costs(np.minimum(gaps, by_discs), config)
         costs[first] = 1.0
         yield costs
@@ -210,8 +214,8 @@ def _pooled(above: FloatArray, pool: int) -> FloatArray:
     rows, columns = (-(-count // pool) for count in above.shape)
     whole = np.full((rows * pool, columns * pool), np.nan)
     whole[: above.shape[0], : above.shape[1]] = above
-    squares = whole.reshape(rows, pool, columns, pool)
-    return np.asarray(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
+    bands = functools.reduce(np.fmax, [whole[row::pool] for row in range(pool)])
+    return functools.reduce(np.fmax, [bands[:, column::pool] for column in range(pool)])
 
 
 def _disc_gaps(
@@ -225,12 +229,20 @@ def _disc_gaps(
     for x, y, size in discs:
         held = min(size, float(np.hypot(*(start - (x, y)))) - config.radius)
         reach = held + config.radius + config.margin
-        ends = grid.cells_of([(x - reach, y - reach), (x + reach, y + reach)])
-        low, high = np.clip(ends, 0, None)
-        box = slice(low[0], high[0] + 1), slice(low[1], high[1] + 1)
-        away = np.hypot(*np.moveaxis(grid.centres[box] - (x, y), -1, 0)) - held
-        gaps[box] = np.minimum(gaps[box], np.nextafter(away, np.inf))
+        box, apart = _box_about(np.array([x, y]), reach, grid)
+        gaps[box] = np.minimum(gaps[box], np.nextafter(apart - held, np.inf))
     return gaps
+
+
+def _box_about(
+    place: FloatArray, radius: float, grid: ElevationGrid
+) -> tuple[tuple[slice, slice], FloatArray]:
+    """Return the box of cells that holds a disc, and their distances from its middle [m]."""
+    corners = np.clip(grid.cells_of([place - radius, place + radius]) + [[0], [1]], 0, grid.shape)
+    (top, left), (bottom, right) = corners.tolist()
+    cells = np.moveaxis(np.mgrid[top:bottom, left:right], 0, -1)
+    apart = np.hypot(*np.moveaxis(grid.centres_of(cells) - place, -1, 0))
+    return (slice(top, bottom), slice(left, right)), apart
 
 
 def _path_over(
@@ -242,7 +254,7 @@ def _path_over(
     if costs[last] == np.inf:
         costs[last] = 1.0
     corner = np.array(grid.corner)
-    paths = shortest_paths(costs, first, grid.cell)
+    paths = shortest_paths(costs, first, grid.cell, goals=np.array([last]))
     if not np.isfinite(paths.lengths[last]):
         return None
     path = GroundPaths(paths, start, corner, grid.cell).path_to(goal)

@@ -41,7 +41,11 @@ class Paths:
 
 
 def shortest_paths(
-    enterable: BoolArray | FloatArray, start: tuple[int, int], cell: float, limit: float = np.inf
+    enterable: BoolArray | FloatArray,
+    start: tuple[int, int],
+    cell: float,
+    limit: float = np.inf,
+    goals: IntArray | None = None,
 ) -> Paths:
     """Find shortest paths by Dijkstra's method to eight neighbours, without cutting corners.
 
@@ -53,14 +57,20 @@ def shortest_paths(
         start: Row and column of the first cell; it need not be enterable.
         cell: Side of a cell [m].
         limit: Length beyond which paths are not searched for [m].
+        goals: (N, 2) cells, row and column, beyond the last of which paths are not searched for;
+            those found to other cells need not be the shortest. None for all cells.
     """
+    wanted = np.zeros(enterable.shape, dtype=bool)
+    if goals is not None:
+        wanted[*goals.T] = True
+    left = np.count_nonzero(wanted) if goals is not None else enterable.size + 1
     costs = np.where(enterable, 1.0, np.inf) if enterable.dtype == np.bool_ else enterable
-    lengths, previous = _dijkstra(costs, start[0], start[1], limit / cell)
+    lengths, previous = _dijkstra(costs, start[0], start[1], limit / cell, wanted, left)
     return Paths(start, lengths * cell, previous)
 
 
 @numba.njit(cache=True)
-def _dijkstra(costs, row, column, limit):
+def _dijkstra(costs, row, column, limit, wanted, left):
     """Settle cells in order of distance with a binary heap; entries out of date are skipped."""
     rows, columns = costs.shape
     distance = np.full(rows * columns, np.inf)
@@ -70,7 +80,7 @@ def _dijkstra(costs, row, column, limit):
     items = np.empty(8 * rows * columns + 1, dtype=np.int64)
     keys[0], items[0], size = 0.0, row * columns + column, 1
     distance[items[0]] = 0.0
-    while size > 0:
+    while size > 0 and left > 0:
         here, at = items[0], keys[0]
         size -= 1
         _sift_down(keys, items, size)
@@ -78,6 +88,7 @@ def _dijkstra(costs, row, column, limit):
             continue
         settled[here] = True
         r, c = here // columns, here % columns
+        left -= wanted[r, c]
         for dr in range(-1, 2):
             for dc in range(-1, 2):
                 nr, nc = r + dr, c + dc
