@@ -36,6 +36,8 @@ _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
+_CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
+_SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
 _LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
 _MOST_LOOKS = 2  # Looks at ground after which it counts as seen, as none shows what lies behind.
 
@@ -63,7 +65,7 @@ class NavigatorConfig:
     apart: tuple[float, float] = (0.15, 0.2)
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
-    paths: GroundPathConfig = GroundPathConfig(radius=0.3, climb=0.02, pool=2)
+    paths: GroundPathConfig = GroundPathConfig(radius=0.3, climb=0.015, least=2, pool=2)
 
 
 class Navigator:
@@ -109,6 +111,7 @@ class Navigator:
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
         self._drive: DrivePath | None = None
         self._looks = np.zeros(grid.shape, np.uint8)
+        self._looks[np.hypot(*np.moveaxis(grid.centres, -1, 0)) < _CLEAR] = _MOST_LOOKS
         self._look_at = np.zeros(2)
         self._start = RigidTransform.identity()
         self._goal: tuple[FloatArray, float | None] | None = None
@@ -252,7 +255,7 @@ class Navigator:
         places = grid.centres[box][~seen]
         places = places[np.linalg.norm(places - self.place, axis=1) > radius]
         for point in points:
-            over = places[np.linalg.norm(places - point, axis=1) < radius]
+            over = places[np.linalg.norm(places - point, axis=1) < _SEEN]
             if len(over):
                 nearest = over[np.argmin(np.linalg.norm(over - self.place, axis=1))]
                 about = np.linalg.norm(places - nearest, axis=1) < _LOOKED_AT

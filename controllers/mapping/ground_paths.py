@@ -6,19 +6,18 @@ before it.
 """
 
 import dataclasses
-import functools
 from collections.abc import Iterator
 
 import numba
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import correlate, distance_transform_edt
 
 from controllers.mapping.planar_paths import Paths, shortest_paths
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.geometry.checks import check_numbers
 
 _NO_DISCS = np.zeros((0, 3))
@@ -41,8 +40,10 @@ class GroundPathConfig:
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
             map has within it at the start is none.
         window: Side of the square about a cell whose ground is fitted [m].
-        pool: Number of cells along each side that make one of the paths' cells, as high as their
-            highest: small cells tell small rocks, and paths need them not.
+        least: Fewest higher cells in a square of three by three that are an obstacle: one alone is
+            noise where cells are smaller than rocks.
+        pool: Number of cells along each side that make one of the paths' cells: small cells tell
+            small rocks, and paths need them not.
     """
 
     radius: float = 0.28
@@ -52,6 +53,7 @@ class GroundPathConfig:
     near_cost: float = 2.0
     inner: float = 0.2
     window: float = 0.9
+    least: int = 1
     pool: int = 1
 
     def __post_init__(self) -> None:
@@ -60,34 +62,48 @@ class GroundPathConfig:
         Raises:
             ValueError: Naming the wrong one.
         """
-        names = {field.name for field in dataclasses.fields(self)} - {"near_cost"}
+        names = {field.name for field in dataclasses.fields(self)} - {"near_cost", "wide"}
         check_numbers("ground path", self, *sorted(names))
-        check_numbers("ground path", self, "near_cost", zero=True)
+        check_numbers("ground path", self, "near_cost", "wide", zero=True)
 
 
-def path_costs(
-    rises: FloatArray, climb: float, cell: float, config: GroundPathConfig
-) -> FloatArray:
-    """Return how many times its length a path of a rover costs in each cell.
+def obstacles(rises: FloatArray, climb: float, least: int = 1) -> BoolArray:
+    """Return the cells (rows, columns) that a rover does not drive over.
 
     Args:
         rises: (rows, columns) heights above the ground about each cell [m]; NaN where unknown.
         climb: Height above the ground up to which a rover drives over things [m].
+        least: Fewest higher cells in a square of three by three for one to be an obstacle.
+    """
+    higher = rises > climb
+    if least > 1:
+        square = np.ones((3, 3), np.uint8)
+        higher &= correlate(higher.astype(np.uint8), square, mode="constant") >= least
+    return higher
+
+
+def path_costs(
+    obstacles: BoolArray, radius: float, cell: float, config: GroundPathConfig
+) -> FloatArray:
+    """Return how many times its length a path of a rover costs in each cell.
+
+    Args:
+        obstacles: (rows, columns) cells that a rover does not drive over.
+        radius: Distance that the rover's middle keeps from the middles of those cells [m].
         cell: Side of a cell [m].
-        config: Size of the rover, and what it costs to be near obstacles.
+        config: What it costs to be near obstacles.
 
     Returns:
-        (rows, columns) 1 in the open, more beside obstacles, infinite where the rover's disc would
-        hold a higher cell's middle.
+        (rows, columns) 1 in the open, more beside obstacles, infinite within the radius.
     """
-    return _costs(_gaps(rises, climb, cell), config)
+    return _costs(_gaps(obstacles, cell), radius, config)
 
 
 def plan_path(
     elevation: ElevationMap,
     start: ArrayLike,
     goal: ArrayLike,
-    obstacles: ArrayLike | None = None,
+    discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
 ) -> FloatArray | None:
     """Return the vertices of a short path of a rover over mapped ground.
@@ -100,7 +116,7 @@ def plan_path(
         elevation: Map of the ground, world.
         start: (2,) position of the rover's middle [m], world.
         goal: (2,) position to be reached [m], world.
-        obstacles: (M, 3) further discs that no part of the rover may enter, as other robots: x and
+        discs: (M, 3) further discs that no part of the rover may enter, as other robots: x and
             y of the middle, and radius [m], world.
         config: Size of the rover and what it climbs; the default if not given.
 
@@ -113,7 +129,7 @@ def plan_path(
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    for costs in _path_costs(elevation, begin, obstacles, config):
+    for costs in _path_costs(elevation, begin, discs, config):
         path = _path_over(costs, grid, begin, end)
         if path is not None:
             return path
@@ -124,7 +140,7 @@ def path_lengths(
     elevation: ElevationMap,
     start: ArrayLike,
     goals: ArrayLike,
-    obstacles: ArrayLike | None = None,
+    discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
 ) -> FloatArray:
     """Return the lengths of a rover's paths from cell to cell to several positions.
@@ -136,7 +152,7 @@ def path_lengths(
         elevation: Map of the ground, world.
         start: (2,) position of the rover's middle [m], world; within the map.
         goals: (N, 2) positions to be reached [m], world.
-        obstacles: (M, 3) further discs, as in `plan_path`.
+        discs: (M, 3) further discs, as in `plan_path`.
         config: Size of the rover and what it climbs; the default if not given.
 
     Returns:
@@ -149,7 +165,7 @@ def path_lengths(
     cells = grid.cells_of(np.asarray(goals, dtype=float))
     inside = grid.inside(cells)
     lengths = np.full(len(cells), np.inf)
-    for costs in _path_costs(elevation, begin, obstacles, config):
+    for costs in _path_costs(elevation, begin, discs, config):
         left = inside & np.isinf(lengths)
         left[left] = np.isfinite(costs[*cells[left].T])
         if left.any():
@@ -161,40 +177,46 @@ def path_lengths(
 def _path_costs(
     elevation: ElevationMap,
     start: FloatArray,
-    obstacles: ArrayLike | None,
+    discs: ArrayLike | None,
     config: GroundPathConfig,
 ) -> Iterator[FloatArray]:
-    """Yield the costs of the paths' cells: by what a rover climbs, then by what it can."""
+    """Yield the costs of the paths' cells, the best first.
+
+    First paths that keep off farther than the disc, then as far, then over what a rover can climb.
+    """
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
-    discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
+    further = _NO_DISCS if discs is None else np.asarray(discs, dtype=float).reshape(-1, 3)
     above = rises(elevation, config.window).copy()
     box, apart = _box_about(start, config.inner, fine)
     above[box][apart <= config.inner] = np.nan
-    above = _pooled(above, config.pool)
-    by_discs = _disc_gaps(discs, grid, start, config)
     first = tuple(grid.cells_of([start])[0].tolist())
-    for climb in (config.climb, config.second_climb):
-        gaps = _gaps(above, climb, grid.cell)
-        # What stands within the disc at the start is come no nearer, until it is left behind.
-        if gaps[first] <= config.radius:
-            box, apart = _box_about(start, config.radius, grid)
-            gaps[box][(apart <= config.radius) & (gaps[box] >= gaps[first])] += config.radius
-        costs = _costs(np.minimum(gaps, by_discs), config)
+    for wider, climb in (
+        (config.wide, config.climb),
+        (0.0, config.climb),
+        (0.0, config.second_climb),
+    ):
+        radius = config.radius + wider
+        gaps = _gaps(_pooled(obstacles(above, climb, config.least), config.pool), grid.cell)
+        # What stands within the radius at the start is come no nearer, until it is left behind.
+        if gaps[first] <= radius:
+            box, apart = _box_about(start, radius, grid)
+            gaps[box][(apart <= radius) & (gaps[box] >= gaps[first])] += radius
+        gaps = np.minimum(gaps, _disc_gaps(further, grid, start, radius + config.margin, radius))
+        costs = _costs(gaps, radius, config)
         costs[first] = 1.0
         yield costs
 
 
-def _gaps(rises: FloatArray, climb: float, cell: float) -> FloatArray:
-    """Return the distance (rows, columns) of each cell from the nearest higher one [m]."""
-    higher = rises > climb
-    if not higher.any():
-        return np.full(rises.shape, np.inf)
-    return np.asarray(distance_transform_edt(~higher, sampling=cell))
+def _gaps(obstacles: BoolArray, cell: float) -> FloatArray:
+    """Return the distance (rows, columns) of each cell from the nearest obstacle [m]."""
+    if not obstacles.any():
+        return np.full(obstacles.shape, np.inf)
+    return np.asarray(distance_transform_edt(~obstacles, sampling=cell))
 
 
-def _costs(gaps: FloatArray, config: GroundPathConfig) -> FloatArray:
+def _costs(gaps: FloatArray, radius: float, config: GroundPathConfig) -> FloatArray:
     """Return the cost of cells by the distance of each from the nearest obstacle [m]."""
-    free = gaps - config.radius
+    free = gaps - radius
     costs = 1.0 + config.near_cost * np.clip(1.0 - free / config.margin, 0.0, 1.0)
     return np.where(free > 0.0, costs, np.inf)
 
@@ -207,29 +229,27 @@ def _paths_grid(grid: ElevationGrid, pool: int) -> ElevationGrid:
     return ElevationGrid(grid.corner, (rows, columns), pool * grid.cell)
 
 
-def _pooled(above: FloatArray, pool: int) -> FloatArray:
-    """Return the highest of each square of cells; NaN where none is known."""
+def _pooled(cells: BoolArray, pool: int) -> BoolArray:
+    """Return which squares of cells hold one that is set."""
     if pool == 1:
-        return above
-    rows, columns = (-(-count // pool) for count in above.shape)
-    whole = np.full((rows * pool, columns * pool), np.nan)
-    whole[: above.shape[0], : above.shape[1]] = above
-    bands = functools.reduce(np.fmax, [whole[row::pool] for row in range(pool)])
-    return functools.reduce(np.fmax, [bands[:, column::pool] for column in range(pool)])
+        return cells
+    rows, columns = (-(-count // pool) for count in cells.shape)
+    whole = np.zeros((rows * pool, columns * pool), bool)
+    whole[: cells.shape[0], : cells.shape[1]] = cells
+    return np.any(whole.reshape(rows, pool, columns, pool), axis=(1, 3))
 
 
 def _disc_gaps(
-    discs: FloatArray, grid: ElevationGrid, start: FloatArray, config: GroundPathConfig
+    discs: FloatArray, grid: ElevationGrid, start: FloatArray, reach: float, radius: float
 ) -> FloatArray:
-    """Return the distance (rows, columns) of each cell from the nearest disc [m].
+    """Return the distance (rows, columns) of each cell from the nearest disc, within a reach [m].
 
-    Of a disc that the rover at the start reaches into it is as if that were smaller by as much.
+    A disc within the radius of the start is as if it were smaller by as much.
     """
     gaps = np.full(grid.shape, np.inf)
     for x, y, size in discs:
-        held = min(size, float(np.hypot(*(start - (x, y)))) - config.radius)
-        reach = held + config.radius + config.margin
-        box, apart = _box_about(np.array([x, y]), reach, grid)
+        held = min(size, float(np.hypot(*(start - (x, y)))) - radius)
+        box, apart = _box_about(np.array([x, y]), held + reach, grid)
         gaps[box] = np.minimum(gaps[box], np.nextafter(apart - held, np.inf))
     return gaps
 

@@ -10,6 +10,7 @@ import pytest
 
 from controllers.mapping.ground_paths import (
     GroundPathConfig,
+    obstacles,
     path_costs,
     path_lengths,
     plan_path,
@@ -21,7 +22,7 @@ from perception.elevation.map import ElevationMap
 
 CELL = 0.05
 CORNER = (-1.0, -1.5)
-HOW = GroundPathConfig(near_cost=0.0)
+HOW = GroundPathConfig(near_cost=0.0, wide=0.0)
 """No more is paid beside obstacles, so that the cheapest paths are the shortest."""
 
 
@@ -107,14 +108,15 @@ def test_free_cells_are_those_with_nothing_higher_within_the_disc(radius, climb)
     above[10:50, 10:70] = rng.uniform(-0.1, 0.02, (40, 60))
     for row, column in rng.integers((10, 10), (50, 70), (25, 2)):
         above[row, column] = rng.uniform(0.0, 0.1)
-    found = np.isfinite(path_costs(above, climb, CELL, dataclasses.replace(HOW, radius=radius)))
+    found = np.isfinite(path_costs(obstacles(above, climb), radius, CELL, HOW))
     np.testing.assert_array_equal(found, free_by_counting(above, None, radius, climb))
     assert found.any() and not found.all()
 
 
 def test_unknown_ground_is_free():
     for rises_everywhere in (math.nan, 0.0):
-        costs = path_costs(np.full((5, 6), rises_everywhere), HOW.climb, CELL, HOW)
+        higher = obstacles(np.full((5, 6), rises_everywhere), HOW.climb)
+        costs = path_costs(higher, HOW.radius, CELL, HOW)
         np.testing.assert_array_equal(costs, 1.0)
 
 
@@ -237,13 +239,23 @@ def test_costs_fall_with_the_distance_from_what_is_high():
     above = np.zeros((40, 40))
     above[20, 20] = 0.1
     how = GroundPathConfig(margin=0.2, near_cost=3.0)
-    costs = path_costs(above, how.climb, CELL, how)
+    costs = path_costs(obstacles(above, how.climb), how.radius, CELL, how)
     gaps = CELL * np.hypot(*(np.mgrid[:40, :40] - 20))
     beyond = gaps - how.radius
     np.testing.assert_array_equal(np.isinf(costs), beyond <= 0.0)
     near = (beyond > 0.0) & (beyond < 0.2)
     np.testing.assert_allclose(costs[near], 1.0 + 3.0 * (0.2 - beyond[near]) / 0.2)
     np.testing.assert_array_equal(costs[beyond >= 0.2], 1.0)
+
+
+def test_a_cell_alone_is_noise_and_two_side_by_side_are_a_rock():
+    rng = np.random.default_rng(5)
+    above = np.where(rng.uniform(size=(40, 50)) < 0.05, 0.04, 0.0)
+    found = obstacles(above, 0.02, least=2)
+    for row, column in np.ndindex(above.shape):
+        about = above[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] > 0.02
+        assert found[row, column] == (above[row, column] > 0.02 and about.sum() > 1)
+    np.testing.assert_array_equal(obstacles(above, 0.02), above > 0.02)
 
 
 def test_a_path_keeps_off_rocks_where_there_is_room_and_squeezes_where_there_is_none():
