@@ -35,6 +35,8 @@ class GroundPathConfig:
         radius: Radius of a disc about the rover's middle that holds it [m].
         climb: Height above the ground about it up to which a rover drives over things [m].
         second_climb: The same where there is no path otherwise [m].
+        wide: Distance by which a path keeps off farther than the disc, where there is one that does
+            [m].
         margin: Distance beyond the disc within which cells cost more than others [m].
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
@@ -49,6 +51,7 @@ class GroundPathConfig:
     radius: float = 0.28
     climb: float = 0.025
     second_climb: float = 0.05
+    wide: float = 0.06
     margin: float = 0.12
     near_cost: float = 2.0
     inner: float = 0.2
