@@ -65,7 +65,9 @@ class NavigatorConfig:
     apart: tuple[float, float] = (0.15, 0.2)
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
-    paths: GroundPathConfig = GroundPathConfig(radius=0.3, climb=0.015, least=2, pool=2)
+    paths: GroundPathConfig = GroundPathConfig(
+        radius=0.3, climb=0.015, most_climb=0.035, least=2, pool=2
+    )
 
 
 class Navigator:

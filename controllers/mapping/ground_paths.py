@@ -1,12 +1,11 @@
 """Paths of a rover over mapped ground: what its middle may enter, and the way around the rest.
 
 A rover is a disc about its middle. It may be wherever nothing that is too high to climb is known
-within the disc, and rather where nothing is near; unknown ground is free, as a rover sees what is
-before it.
+within the disc; over what it climbs it drives only where the way around is much longer, and it
+rather keeps off both. Unknown ground is free, as a rover sees what is before it.
 """
 
 import dataclasses
-from collections.abc import Iterator
 
 import numba
 import numpy as np
@@ -33,11 +32,10 @@ class GroundPathConfig:
 
     Attributes:
         radius: Radius of a disc about the rover's middle that holds it [m].
-        climb: Height above the ground about it up to which a rover drives over things [m].
-        second_climb: The same where there is no path otherwise [m].
-        wide: Distance by which a path keeps off farther than the disc, where there is one that does
-            [m].
-        margin: Distance beyond the disc within which cells cost more than others [m].
+        climb: Height above the ground about it up to which things are none to go around [m].
+        most_climb: Height up to which a rover drives over things at all [m].
+        over_cost: How many times its length a path costs over those between, beyond once.
+        margin: Distance beyond the disc within which things are rather gone around, too [m].
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
             map has within it at the start is none.
@@ -50,8 +48,8 @@ class GroundPathConfig:
 
     radius: float = 0.28
     climb: float = 0.025
-    second_climb: float = 0.05
-    wide: float = 0.06
+    most_climb: float = 0.05
+    over_cost: float = 15.0
     margin: float = 0.12
     near_cost: float = 2.0
     inner: float = 0.2
@@ -65,9 +63,9 @@ class GroundPathConfig:
         Raises:
             ValueError: Naming the wrong one.
         """
-        names = {field.name for field in dataclasses.fields(self)} - {"near_cost", "wide"}
+        names = {field.name for field in dataclasses.fields(self)} - {"near_cost"}
         check_numbers("ground path", self, *sorted(names))
-        check_numbers("ground path", self, "near_cost", "wide", zero=True)
+        check_numbers("ground path", self, "near_cost", zero=True)
 
 
 def obstacles(rises: FloatArray, climb: float, least: int = 1) -> BoolArray:
@@ -83,23 +81,6 @@ def obstacles(rises: FloatArray, climb: float, least: int = 1) -> BoolArray:
         square = np.ones((3, 3), np.uint8)
         higher &= correlate(higher.astype(np.uint8), square, mode="constant") >= least
     return higher
-
-
-def path_costs(
-    obstacles: BoolArray, radius: float, cell: float, config: GroundPathConfig
-) -> FloatArray:
-    """Return how many times its length a path of a rover costs in each cell.
-
-    Args:
-        obstacles: (rows, columns) cells that a rover does not drive over.
-        radius: Distance that the rover's middle keeps from the middles of those cells [m].
-        cell: Side of a cell [m].
-        config: What it costs to be near obstacles.
-
-    Returns:
-        (rows, columns) 1 in the open, more beside obstacles, infinite within the radius.
-    """
-    return _costs(_gaps(obstacles, cell), radius, config)
 
 
 def plan_path(
@@ -132,11 +113,7 @@ def plan_path(
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    for costs in _path_costs(elevation, begin, discs, config):
-        path = _path_over(costs, grid, begin, end)
-        if path is not None:
-            return path
-    return None
+    return _path_over(path_costs(elevation, begin, discs, config), grid, begin, end)
 
 
 def path_lengths(
@@ -148,8 +125,7 @@ def path_lengths(
 ) -> FloatArray:
     """Return the lengths of a rover's paths from cell to cell to several positions.
 
-    They are what the paths cost, so more than their length beside obstacles. Where no path leads
-    otherwise, they are those over what the rover can climb as a second choice.
+    They are what the paths cost, so more than their length beside obstacles and over rocks.
 
     Args:
         elevation: Map of the ground, world.
@@ -168,24 +144,31 @@ def path_lengths(
     cells = grid.cells_of(np.asarray(goals, dtype=float))
     inside = grid.inside(cells)
     lengths = np.full(len(cells), np.inf)
-    for costs in _path_costs(elevation, begin, discs, config):
-        left = inside & np.isinf(lengths)
-        left[left] = np.isfinite(costs[*cells[left].T])
-        if left.any():
-            paths = shortest_paths(costs, first, grid.cell, goals=cells[left])
-            lengths[left] = paths.lengths[*cells[left].T]
+    costs = path_costs(elevation, begin, discs, config)
+    inside[inside] = np.isfinite(costs[*cells[inside].T])
+    if inside.any():
+        paths = shortest_paths(costs, first, grid.cell, goals=cells[inside])
+        lengths[inside] = paths.lengths[*cells[inside].T]
     return lengths
 
 
-def _path_costs(
+def path_costs(
     elevation: ElevationMap,
     start: FloatArray,
     discs: ArrayLike | None,
     config: GroundPathConfig,
-) -> Iterator[FloatArray]:
-    """Yield the costs of the paths' cells, the best first.
+) -> FloatArray:
+    """Return how many times its length a path of a rover costs in each cell of the paths.
 
-    First paths that keep off farther than the disc, then as far, then over what a rover can climb.
+    Args:
+        elevation: Map of the ground, world.
+        start: (2,) position of the rover's middle [m], world; within the map.
+        discs: (M, 3) further discs, as in `plan_path`.
+        config: Size of the rover, what it climbs, and what that costs.
+
+    Returns:
+        (rows, columns) 1 in the open, more beside and over things, infinite where the rover may not
+        be. What stands within the disc at the start it comes no nearer, until it is left behind.
     """
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
     further = _NO_DISCS if discs is None else np.asarray(discs, dtype=float).reshape(-1, 3)
@@ -193,21 +176,20 @@ def _path_costs(
     box, apart = _box_about(start, config.inner, fine)
     above[box][apart <= config.inner] = np.nan
     first = tuple(grid.cells_of([start])[0].tolist())
-    for wider, climb in (
-        (config.wide, config.climb),
-        (0.0, config.climb),
-        (0.0, config.second_climb),
-    ):
-        radius = config.radius + wider
-        gaps = _gaps(_pooled(obstacles(above, climb, config.least), config.pool), grid.cell)
-        # What stands within the radius at the start is come no nearer, until it is left behind.
-        if gaps[first] <= radius:
-            box, apart = _box_about(start, radius, grid)
-            gaps[box][(apart <= radius) & (gaps[box] >= gaps[first])] += radius
-        gaps = np.minimum(gaps, _disc_gaps(further, grid, start, radius + config.margin, radius))
-        costs = _costs(gaps, radius, config)
-        costs[first] = 1.0
-        yield costs
+    low, high = (
+        _gaps(_pooled(obstacles(above, climb, config.least), config.pool), grid.cell)
+        for climb in (config.climb, config.most_climb)
+    )
+    if high[first] <= config.radius:
+        box, apart = _box_about(start, config.radius, grid)
+        high[box][(apart <= config.radius) & (high[box] >= high[first])] += config.radius
+    by_discs = _disc_gaps(further, grid, start, config)
+    free = np.minimum(low, by_discs) - config.radius
+    costs = 1.0 + config.near_cost * np.clip(1.0 - free / config.margin, 0.0, 1.0)
+    costs[low <= config.radius] += config.over_cost
+    costs[np.minimum(high, by_discs) <= config.radius] = np.inf
+    costs[first] = 1.0
+    return costs
 
 
 def _gaps(obstacles: BoolArray, cell: float) -> FloatArray:
@@ -215,13 +197,6 @@ def _gaps(obstacles: BoolArray, cell: float) -> FloatArray:
     if not obstacles.any():
         return np.full(obstacles.shape, np.inf)
     return np.asarray(distance_transform_edt(~obstacles, sampling=cell))
-
-
-def _costs(gaps: FloatArray, radius: float, config: GroundPathConfig) -> FloatArray:
-    """Return the cost of cells by the distance of each from the nearest obstacle [m]."""
-    free = gaps - radius
-    costs = 1.0 + config.near_cost * np.clip(1.0 - free / config.margin, 0.0, 1.0)
-    return np.where(free > 0.0, costs, np.inf)
 
 
 def _paths_grid(grid: ElevationGrid, pool: int) -> ElevationGrid:
@@ -243,16 +218,17 @@ def _pooled(cells: BoolArray, pool: int) -> BoolArray:
 
 
 def _disc_gaps(
-    discs: FloatArray, grid: ElevationGrid, start: FloatArray, reach: float, radius: float
+    discs: FloatArray, grid: ElevationGrid, start: FloatArray, config: GroundPathConfig
 ) -> FloatArray:
-    """Return the distance (rows, columns) of each cell from the nearest disc, within a reach [m].
+    """Return the distance (rows, columns) of each cell from the nearest disc, where it counts [m].
 
-    A disc within the radius of the start is as if it were smaller by as much.
+    A disc that the rover reaches into at the start is as if it were smaller by as much.
     """
     gaps = np.full(grid.shape, np.inf)
     for x, y, size in discs:
-        held = min(size, float(np.hypot(*(start - (x, y)))) - radius)
-        box, apart = _box_about(np.array([x, y]), held + reach, grid)
+        held = min(size, float(np.hypot(*(start - (x, y)))) - config.radius)
+        reach = held + config.radius + config.margin
+        box, apart = _box_about(np.array([x, y]), reach, grid)
         gaps[box] = np.minimum(gaps[box], np.nextafter(apart - held, np.inf))
     return gaps
 

@@ -22,7 +22,7 @@ from perception.elevation.map import ElevationMap
 
 CELL = 0.05
 CORNER = (-1.0, -1.5)
-HOW = GroundPathConfig(near_cost=0.0, wide=0.0)
+HOW = GroundPathConfig(near_cost=0.0)
 """No more is paid beside obstacles, so that the cheapest paths are the shortest."""
 
 
@@ -101,23 +101,20 @@ def length_of(path):
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
-@pytest.mark.parametrize(("radius", "climb"), [(0.28, 0.025), (0.11, 0.05), (0.01, 0.025)])
-def test_free_cells_are_those_with_nothing_higher_within_the_disc(radius, climb):
-    rng = np.random.default_rng(0)
-    above = np.full((60, 80), np.nan)
-    above[10:50, 10:70] = rng.uniform(-0.1, 0.02, (40, 60))
-    for row, column in rng.integers((10, 10), (50, 70), (25, 2)):
-        above[row, column] = rng.uniform(0.0, 0.1)
-    found = np.isfinite(path_costs(obstacles(above, climb), radius, CELL, HOW))
-    np.testing.assert_array_equal(found, free_by_counting(above, None, radius, climb))
+@pytest.mark.parametrize("radius", [0.28, 0.11, 0.01])
+def test_free_cells_are_those_with_nothing_higher_within_the_disc(radius):
+    rng, start = np.random.default_rng(0), np.array([-0.9, -1.4])
+    model = field(rng.integers((10, 10), (50, 70), (25, 2)))
+    how = dataclasses.replace(HOW, radius=radius)
+    found = np.isfinite(path_costs(model, start, None, how))
+    expected = free_by_counting(rises(model, HOW.window), start, radius)
+    np.testing.assert_array_equal(found, expected)
     assert found.any() and not found.all()
 
 
 def test_unknown_ground_is_free():
-    for rises_everywhere in (math.nan, 0.0):
-        higher = obstacles(np.full((5, 6), rises_everywhere), HOW.climb)
-        costs = path_costs(higher, HOW.radius, CELL, HOW)
-        np.testing.assert_array_equal(costs, 1.0)
+    model = ElevationMap(ElevationGrid(CORNER, (60, 80), CELL))
+    np.testing.assert_array_equal(path_costs(model, np.zeros(2), None, HOW), 1.0)
 
 
 def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_free_cells():
@@ -179,7 +176,7 @@ def test_what_is_25_mm_high_is_driven_over_only_where_there_is_no_other_path():
     model = wall_with_gap(0.1, 0.04)
     path = plan_path(model, start, goal)
     np.testing.assert_allclose(path, [start, goal])
-    assert plan_path(model, start, goal, config=dataclasses.replace(HOW, second_climb=0.03)) is None
+    assert plan_path(model, start, goal, config=dataclasses.replace(HOW, most_climb=0.03)) is None
     assert plan_path(wall_with_gap(0.1, 0.07), start, goal) is None
     # With another path, longer, the wall is not driven over.
     model.heights[45:, 40] -= 0.1
@@ -235,14 +232,13 @@ def test_there_is_no_path_from_or_to_beyond_the_map(ends):
     assert plan_path(field([]), *ends) is None
 
 
-def test_costs_fall_with_the_distance_from_what_is_high():
-    above = np.zeros((40, 40))
-    above[20, 20] = 0.1
-    how = GroundPathConfig(margin=0.2, near_cost=3.0)
-    costs = path_costs(obstacles(above, how.climb), how.radius, CELL, how)
-    gaps = CELL * np.hypot(*(np.mgrid[:40, :40] - 20))
-    beyond = gaps - how.radius
-    np.testing.assert_array_equal(np.isinf(costs), beyond <= 0.0)
+@pytest.mark.parametrize(("height", "over"), [(0.06, math.inf), (0.042, 1.0 + 3.0 + 7.0)])
+def test_costs_fall_with_the_distance_from_what_is_high(height, over):
+    how = GroundPathConfig(margin=0.2, near_cost=3.0, over_cost=7.0)
+    costs = path_costs(field([(30, 40)], height=height), np.array([-0.9, -1.4]), None, how)
+    rows, columns = np.mgrid[:60, :80]
+    beyond = CELL * np.hypot(rows - 30, columns - 40) - how.radius
+    np.testing.assert_array_equal(costs[beyond <= 0.0], over)
     near = (beyond > 0.0) & (beyond < 0.2)
     np.testing.assert_allclose(costs[near], 1.0 + 3.0 * (0.2 - beyond[near]) / 0.2)
     np.testing.assert_array_equal(costs[beyond >= 0.2], 1.0)
