@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from experiments.bench.braid import bench_braid
 from experiments.bench.compression import bench_compression
+from experiments.bench.crossing import bench_crossing
 from experiments.bench.identification import bench_identification
 from experiments.bench.loop import bench_loop
 from experiments.bench.mapping import bench_mapping
@@ -17,6 +18,7 @@ from experiments.harness.output import Output
 
 BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "loop": bench_loop,
+    "crossing": bench_crossing,
     "identification": bench_identification,
     "mapping": bench_mapping,
     "placement": bench_placement,
