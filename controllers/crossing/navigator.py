@@ -229,11 +229,21 @@ class Navigator:
         centres = self.ground.grid.centres[rows, columns]
         return np.column_stack([centres, self.ground.heights[rows, columns]])
 
-    def path_to(self, place: FloatArray) -> FloatArray | None:
-        """Return the path (N, 2) from the rover to a place (2,) in the frame [m]; None for none."""
+    def path_to(self, place: FloatArray, kept: FloatArray | None = None) -> FloatArray | None:
+        """Return the path from the rover to a place.
+
+        Args:
+            place: (2,) in the frame [m].
+            kept: (N, 2) path there that is kept unless another one is clearly cheaper; None for
+                none.
+
+        Returns:
+            (N, 2) points in the frame [m]; None for none.
+        """
         if self._blind:
             return np.array([self.place, place])
-        return plan_path(self.ground, self.place, place, self._discs(), self._config.paths)
+        paths = self._config.paths
+        return plan_path(self.ground, self.place, place, self._discs(), paths, kept)
 
     def unseen(self, path: FloatArray, far: float | None = None) -> FloatArray | None:
         """Return ground that the rover has not seen and would soon drive over.
@@ -316,7 +326,7 @@ class Navigator:
 
     @property
     def waits(self) -> bool:
-        """Whether the rover has stopped on its way before ground that it has not seen."""
+        """Whether the rover has stopped on its way: it has not seen the ground, or has no path."""
         return self._waits and self._drive is not None and not self._drive.moving
 
     @property
@@ -361,16 +371,14 @@ class Navigator:
         if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal
-        if heading is None and not np.isfinite(self.lengths_to(place[None])[0]):
-            self.halt()  # What was mapped since leaves no room there; any place will do.
-            return
-        path = self.path_to(place)
-        if path is None:
-            return
-        self._drive.replan(self._in_start(path), self._turn(heading))
-        if self.unseen(path, self._config.ahead[1]) is not None:
+        rest = np.column_stack([self._drive.rest, np.zeros(len(self._drive.rest))])
+        kept = np.vstack([self.place, np.asarray(self._start.apply(rest))[:, :2]])
+        path = self.path_to(place, kept)
+        if path is None or self.unseen(path, self._config.ahead[1]) is not None:
             self._waits = True
             self._drive.stop()
+        elif path is not kept:
+            self._drive.replan(self._in_start(path), self._turn(heading))
 
     def _discs(self) -> FloatArray:
         """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""

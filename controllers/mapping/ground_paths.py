@@ -20,6 +20,8 @@ from perception.geometry.arrays import BoolArray, FloatArray
 from perception.geometry.checks import check_numbers
 
 _NO_DISCS = np.zeros((0, 3))
+_SWITCH = 1.3
+"""How many times as much as another a path may cost to be kept."""
 _LEG = 1e-6
 """Length that a vertex must save to be one, over a cell's side."""
 _CORNER = 1e-9
@@ -89,12 +91,13 @@ def plan_path(
     goal: ArrayLike,
     discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
+    kept: FloatArray | None = None,
 ) -> FloatArray | None:
     """Return the vertices of a short path of a rover over mapped ground.
 
-    Of what is within the rover's disc at the start already it only comes no nearer, as long as it
-    is there; a further disc that it stands in is not entered any deeper. The goal may be a cell
-    nearer to something than a rover is wide.
+    The rover comes no nearer to anything that is within its disc at the start already, and enters a
+    further disc that it stands in no deeper. The goal may be a cell nearer to something than a
+    rover is wide.
 
     Args:
         elevation: Map of the ground, world.
@@ -103,6 +106,8 @@ def plan_path(
         discs: (M, 3) further discs that no part of the rover may enter, as other robots: x and
             y of the middle, and radius [m], world.
         config: Size of the rover and what it climbs; the default if not given.
+        kept: (N, 2) path from the start to the goal that is kept unless another one is clearly
+            cheaper, as turning from one to the other takes time; None for none.
 
     Returns:
         (N, 2) vertices, start and goal included [m], world; each leg runs over free cells. None if
@@ -113,7 +118,12 @@ def plan_path(
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    return _path_over(path_costs(elevation, begin, discs, config), grid, begin, end)
+    costs = path_costs(elevation, begin, discs, config)
+    path, corner = _path_over(costs, grid, begin, end), np.array(grid.corner)
+    if path is not None and kept is not None:
+        old, new = (_cost_of((each - corner)[:, ::-1] / grid.cell, costs) for each in (kept, path))
+        return kept if old <= _SWITCH * new else path
+    return path
 
 
 def path_lengths(
@@ -168,7 +178,7 @@ def path_costs(
 
     Returns:
         (rows, columns) 1 in the open, more beside and over things, infinite where the rover may not
-        be. What stands within the disc at the start it comes no nearer, until it is left behind.
+        be.
     """
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
     further = _NO_DISCS if discs is None else np.asarray(discs, dtype=float).reshape(-1, 3)
@@ -177,17 +187,20 @@ def path_costs(
     above[box][apart <= config.inner] = np.nan
     first = tuple(grid.cells_of([start])[0].tolist())
     low, high = (
-        _gaps(_pooled(obstacles(above, climb, config.least), config.pool), grid.cell)
+        _pooled(obstacles(above, climb, config.least), config.pool)
         for climb in (config.climb, config.most_climb)
     )
-    if high[first] <= config.radius:
-        box, apart = _box_about(start, config.radius, grid)
-        high[box][(apart <= config.radius) & (high[box] >= high[first])] += config.radius
-    by_discs = _disc_gaps(further, grid, start, config)
-    free = np.minimum(low, by_discs) - config.radius
-    costs = 1.0 + config.near_cost * np.clip(1.0 - free / config.margin, 0.0, 1.0)
-    costs[low <= config.radius] += config.over_cost
-    costs[np.minimum(high, by_discs) <= config.radius] = np.inf
+    # What stands within the disc at the start is each come no nearer.
+    box, apart = _box_about(start, config.radius, grid)
+    held = high[box] & (apart <= config.radius)
+    high[box] &= ~held
+    points = np.pad(grid.centres[box][held], ((0, 0), (0, 1)))
+    by_discs = _disc_gaps(np.vstack([further, points]), grid, start, config)
+    low_gaps = np.minimum(_gaps(low, grid.cell), by_discs)
+    margins = 1.0 - (low_gaps - config.radius) / config.margin
+    costs = 1.0 + config.near_cost * np.clip(margins, 0.0, 1.0)
+    costs[low_gaps <= config.radius] += config.over_cost
+    costs[np.minimum(_gaps(high, grid.cell), by_discs) <= config.radius] = np.inf
     costs[first] = 1.0
     return costs
 
@@ -330,6 +343,12 @@ def _string_pulled(places, costs):
     while before[kept[-1]] >= 0:
         kept.append(before[kept[-1]])
     return np.array(kept[::-1])
+
+
+def _cost_of(places: FloatArray, costs: FloatArray) -> float:
+    """Return what a path over places (N, 2), row and column, costs [cells]."""
+    legs = zip(places[:-1], places[1:], strict=True)
+    return sum(float(_cost_along(first, second, costs)) for first, second in legs)
 
 
 @numba.njit(cache=True)

@@ -191,6 +191,14 @@ class DrivePath(ReckonedDrive):
             rest += max(float(self._arcs[-1]) - self._gone, 0.0)
         return rest
 
+    @property
+    def rest(self) -> FloatArray:
+        """(N, 2) vertices of the path that are left, in the frame of the first path [m]."""
+        legs = [leg[1:] for leg in self._legs]
+        if self._phase in (_Phase.FACE, _Phase.FOLLOW):
+            legs.insert(0, self._leg[self._arcs > self._gone])
+        return np.vstack([np.zeros((0, 2)), *legs])
+
     def _begin(self, phase: _Phase) -> None:
         """Begin the next part of the path in a phase, or turn to the final heading."""
         self._phase = phase if self._legs else _Phase.ALIGN

@@ -40,27 +40,21 @@ def middle_of(row, column):
     return CORNER[0] + (column + 0.5) * CELL, CORNER[1] + (row + 0.5) * CELL
 
 
-def gaps_by_counting(above, start=None, climb=HOW.climb):
-    """Distance of each cell from the nearest higher one, by that of their middles."""
+def free_by_counting(above, start=None, radius=HOW.radius, climb=HOW.climb, discs=()):
+    """Each cell beside each higher one; to those within the disc at the start it is no nearer."""
     rocks = [middle_of(*cell) for cell in np.argwhere(above > climb)]
     if start is not None:
         rocks = [rock for rock in rocks if math.dist(rock, start) > HOW.inner]
-    gaps = np.full(above.shape, math.inf)
-    for cell in np.ndindex(above.shape):
-        gaps[cell] = min((math.dist(middle_of(*cell), rock) for rock in rocks), default=math.inf)
-    return gaps
-
-
-def free_by_counting(above, start=None, radius=HOW.radius, climb=HOW.climb, discs=()):
-    """Each cell beside each higher one; from a start too near to one, none nearer is free."""
-    gaps = gaps_by_counting(above, start, climb)
-    own = math.inf if start is None else gaps[cell_at(start)]
-    free = gaps > radius
+    held = [rock for rock in rocks if start is not None and math.dist(rock, start) <= radius]
+    free = np.ones(above.shape, dtype=bool)
     for cell in np.ndindex(above.shape):
         place = middle_of(*cell)
-        if own <= radius and math.dist(place, start) <= radius:
-            free[cell] = gaps[cell] >= own
-        free[cell] &= all(math.dist(place, disc[:2]) >= radius + disc[2] for disc in discs)
+        free[cell] = all(
+            math.dist(place, rock) >= math.dist(start, rock) - 1e-12
+            if rock in held
+            else math.dist(place, rock) > radius
+            for rock in rocks
+        ) and all(math.dist(place, disc[:2]) >= radius + disc[2] for disc in discs)
     return free
 
 
@@ -208,6 +202,39 @@ def test_a_rover_with_a_rock_in_its_disc_drives_away_and_comes_no_nearer_to_it()
         assert away[np.linalg.norm(points - start, axis=1) > HOW.radius + CELL].min() > (
             HOW.radius - CELL
         )
+
+
+def test_a_rover_between_two_rocks_comes_no_nearer_to_either():
+    """Beside one at 0.22 m it does not come as near to another."""
+    rocks = [(30, 24), (33, 26)]
+    model, start = field(rocks), np.array([0.02, -0.02])
+    how = dataclasses.replace(HOW, radius=0.4)
+    near = [math.dist(start, middle_of(*rock)) for rock in rocks]
+    assert HOW.inner < near[0] < near[1] < how.radius
+    for goal in goals_around():
+        path = plan_path(model, start, goal, config=how)
+        points = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(path)])
+        for rock, least in zip(rocks, near, strict=True):
+            assert np.linalg.norm(points - middle_of(*rock), axis=1).min() > least - CELL
+
+
+def goals_around():
+    """Places all around, a metre away and more."""
+    turns = np.random.default_rng(6).uniform(-math.pi, math.pi, 12)
+    return 1.0 * np.column_stack([np.cos(turns), np.sin(turns)])
+
+
+def test_a_path_is_kept_until_another_is_clearly_cheaper():
+    model = field([(30, 38)])
+    start, goal = np.array([0.0, 0.025]), np.array([1.9, 0.025])
+    left = plan_path(model, start, goal, config=HOW)
+    right = left * [1.0, -1.0] + [0.0, 0.05]  # Mirrored at the line through the rock.
+    for kept in (left, right):
+        assert plan_path(model, start, goal, config=HOW, kept=kept) is kept
+    far = np.array([start, [0.9, -1.2], goal])
+    np.testing.assert_allclose(plan_path(model, start, goal, config=HOW, kept=far), left)
+    through = np.array([start, goal])
+    np.testing.assert_allclose(plan_path(model, start, goal, config=HOW, kept=through), left)
 
 
 def test_other_robots_are_gone_around_and_a_rover_beside_one_comes_no_closer():

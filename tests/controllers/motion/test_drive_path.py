@@ -194,6 +194,22 @@ def test_a_new_path_is_taken_on_without_a_stop_and_counts_from_the_first_start()
     assert driver.distance == pytest.approx(driver.odometry.distance) and driver.distance > 2.5
 
 
+def test_what_is_left_of_a_path_begins_where_the_rover_is():
+    driver, seen = DrivePath(STEER, ZIGZAG), []
+
+    def watch(tick, pose):
+        if tick % 50 == 0 and len(driver.rest):
+            seen.append(np.vstack([driver.place, driver.rest]))
+
+    drive(driver, each_tick=watch)
+    for rest in seen:
+        np.testing.assert_allclose(rest[-1], ZIGZAG[-1])
+        assert len(rest) <= len(ZIGZAG)
+        np.testing.assert_allclose(rest[1:], ZIGZAG[len(ZIGZAG) + 1 - len(rest) :])
+    assert {len(rest) for rest in seen} == {2, 3, 4, 5}
+    assert not len(driver.rest)
+
+
 def test_a_path_that_begins_elsewhere_is_approached_straight() -> None:
     path = np.array([(0.3, 0.4), (0.3, 1.4)])
     done = drive(DrivePath(STEER, path))
