@@ -339,7 +339,7 @@ class Navigator:
         return self._drive.blocked
 
     def back_off(self, held: bool) -> None:
-        """Drive back a little.
+        """Begin to drive back a little, if there is room for that.
 
         Args:
             held: Whether something before the rover holds it, which is kept off from then on.
@@ -348,8 +348,11 @@ class Navigator:
         if held:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
             self._bumps.append([*ahead, _BUMP])
-        back = np.array([[0.0, 0.0, 0.0], [0.0, -_BACK, 0.0]])
-        self.follow(np.asarray(pose.apply(back))[:, :2], None, backwards=True)
+        back = pose.apply(np.array([[0.0, 0.0, 0.0], [0.0, -_BACK, 0.0]]))[:, :2]
+        if self.is_clear(back):
+            self.follow(back, None, backwards=True)
+        else:
+            self.halt()
 
     def halt(self) -> None:
         """End the drive where the rover is."""

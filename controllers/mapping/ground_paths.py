@@ -37,6 +37,9 @@ class GroundPathConfig:
         climb: Height above the ground about it up to which things are none to go around [m].
         most_climb: Height up to which a rover drives over things at all [m].
         over_cost: How many times its length a path costs over those between, beyond once.
+        sure: Distance from the start up to which the map is believed to show what no rover drives
+            over [m]; some of what it shows farther away is none, as a nearer look tells.
+        far_cost: How many times its length a path costs over that, beyond once.
         margin: Distance beyond the disc within which things are rather gone around, too [m].
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
@@ -52,6 +55,8 @@ class GroundPathConfig:
     climb: float = 0.025
     most_climb: float = 0.05
     over_cost: float = 15.0
+    sure: float = 1.5
+    far_cost: float = 60.0
     margin: float = 0.12
     near_cost: float = 2.0
     inner: float = 0.2
@@ -177,8 +182,8 @@ def path_costs(
         config: Size of the rover, what it climbs, and what that costs.
 
     Returns:
-        (rows, columns) 1 in the open, more beside and over things, infinite where the rover may not
-        be.
+        (rows, columns) 1 in the open, more beside and over things and where something seems to
+        stand far away, infinite where the rover may not be.
     """
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
     further = _NO_DISCS if discs is None else np.asarray(discs, dtype=float).reshape(-1, 3)
@@ -200,7 +205,10 @@ def path_costs(
     margins = 1.0 - (low_gaps - config.radius) / config.margin
     costs = 1.0 + config.near_cost * np.clip(margins, 0.0, 1.0)
     costs[low_gaps <= config.radius] += config.over_cost
-    costs[np.minimum(_gaps(high, grid.cell), by_discs) <= config.radius] = np.inf
+    costs[_gaps(high, grid.cell) <= config.radius] = 1.0 + config.far_cost
+    box, apart = _box_about(start, config.sure, grid)
+    costs[box][(costs[box] > config.far_cost) & (apart <= config.sure)] = np.inf
+    costs[by_discs <= config.radius] = np.inf
     costs[first] = 1.0
     return costs
 

@@ -306,12 +306,14 @@ class VisualOdometry:
         tool = self._arm.tool_in_robot(before.angles)
         begin = levelled(view.transform_camera_to_frame * tool.inv())
         motion = begin.inv() * levelled(pose)
-        steps = [p.rolled for p in self._pasts if before.time < p.time <= after.time]
-        way, rolled = np.sum(steps, axis=0) if steps else np.zeros(2)
-        if abs(way) > _ROLLED:
-            self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / abs(way)
-        if abs(rolled) > _TURNED:
-            self._learn_turns(float(motion.rotation.as_euler("ZXY")[0]), float(rolled))
+        rolled, _ = self._rolled_since(before, after)
+        way = float(np.linalg.norm(rolled.translation))
+        if way > _ROLLED:
+            self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / way
+        steps = [p.rolled[1] for p in self._pasts if before.time < p.time <= after.time]
+        turned = float(np.sum(steps))
+        if abs(turned) > _TURNED:
+            self._learn_turns(float(motion.rotation.as_euler("ZXY")[0]), turned)
 
     def _learn_turns(self, turned: float, rolled: float) -> None:
         """Update the turn share by a turn that was seen, and that of rolling wheels [rad]."""

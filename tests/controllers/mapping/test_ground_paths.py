@@ -22,7 +22,7 @@ from perception.elevation.map import ElevationMap
 
 CELL = 0.05
 CORNER = (-1.0, -1.5)
-HOW = GroundPathConfig(near_cost=0.0)
+HOW = GroundPathConfig(near_cost=0.0, sure=99.0)
 """No more is paid beside obstacles, so that the cheapest paths are the shortest."""
 
 
@@ -171,7 +171,7 @@ def test_what_is_25_mm_high_is_driven_over_only_where_there_is_no_other_path():
     path = plan_path(model, start, goal)
     np.testing.assert_allclose(path, [start, goal])
     assert plan_path(model, start, goal, config=dataclasses.replace(HOW, most_climb=0.03)) is None
-    assert plan_path(wall_with_gap(0.1, 0.07), start, goal) is None
+    assert plan_path(wall_with_gap(0.1, 0.07), start, goal, config=HOW) is None
     # With another path, longer, the wall is not driven over.
     model.heights[45:, 40] -= 0.1
     around = plan_path(model, start, goal)
@@ -261,7 +261,7 @@ def test_there_is_no_path_from_or_to_beyond_the_map(ends):
 
 @pytest.mark.parametrize(("height", "over"), [(0.06, math.inf), (0.042, 1.0 + 3.0 + 7.0)])
 def test_costs_fall_with_the_distance_from_what_is_high(height, over):
-    how = GroundPathConfig(margin=0.2, near_cost=3.0, over_cost=7.0)
+    how = GroundPathConfig(margin=0.2, near_cost=3.0, over_cost=7.0, sure=99.0)
     costs = path_costs(field([(30, 40)], height=height), np.array([-0.9, -1.4]), None, how)
     rows, columns = np.mgrid[:60, :80]
     beyond = CELL * np.hypot(rows - 30, columns - 40) - how.radius
@@ -269,6 +269,19 @@ def test_costs_fall_with_the_distance_from_what_is_high(height, over):
     near = (beyond > 0.0) & (beyond < 0.2)
     np.testing.assert_allclose(costs[near], 1.0 + 3.0 * (0.2 - beyond[near]) / 0.2)
     np.testing.assert_array_equal(costs[beyond >= 0.2], 1.0)
+
+
+def test_what_is_high_far_away_costs_and_closer_by_bars_the_way():
+    model = field([(row, 60) for row in range(60)])
+    start, goal = np.array([-0.5, 0.0]), np.array([2.8, 0.0])
+    path = plan_path(model, start, goal)
+    np.testing.assert_allclose(path, [start, goal])  # A wall from side to side.
+    length, cost = path_lengths(model, start, np.array([[1.6, 0.0], goal]))
+    how = GroundPathConfig()
+    assert length == pytest.approx(2.1, abs=0.1)
+    assert cost == pytest.approx(3.3 + 2.0 * how.radius * how.far_cost, rel=0.15)
+    near = path_costs(model, np.array([1.0, 0.0]), None, how)
+    assert np.isinf(near[30, 60]) and near[0, 60] == 1.0 + how.far_cost
 
 
 def test_a_cell_alone_is_noise_and_two_side_by_side_are_a_rock():
