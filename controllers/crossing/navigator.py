@@ -25,7 +25,7 @@ from controllers.motion.driving import SkidSteer
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray
 from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
 from twin.description import RobotDescription
 from twin.robot import Command, Observation
@@ -35,10 +35,12 @@ _SLIPPED, _SLIPS = 0.7, 2
 _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
+_STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
 _SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
 _LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
+_CLEARED = 100  # Count of looks at ground that needs none.
 _MOST_LOOKS = 2  # Looks at ground after which it counts as seen, as none shows what lies behind.
 
 
@@ -66,7 +68,7 @@ class NavigatorConfig:
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
     paths: GroundPathConfig = GroundPathConfig(
-        radius=0.3, climb=0.015, most_climb=0.035, least=2, pool=2
+        radius=0.33, climb=0.015, most_climb=0.035, least=2, pool=2
     )
 
 
@@ -113,7 +115,7 @@ class Navigator:
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
         self._drive: DrivePath | None = None
         self._looks = np.zeros(grid.shape, np.uint8)
-        self._looks[np.hypot(*np.moveaxis(grid.centres, -1, 0)) < _CLEAR] = _MOST_LOOKS
+        self._looks[np.hypot(*np.moveaxis(grid.centres, -1, 0)) < _CLEAR] = _CLEARED
         self._look_at = np.zeros(2)
         self._start = RigidTransform.identity()
         self._goal: tuple[FloatArray, float | None] | None = None
@@ -221,7 +223,8 @@ class Navigator:
         """Return the lengths (N,) of the paths to places (N, 2) in the frame [m]; inf for none."""
         if self._blind:
             return np.linalg.norm(places - self.place, axis=1)
-        return path_lengths(self.ground, self.place, places, self._discs(), self._config.paths)
+        paths, doubted = self._config.paths, self._doubted()
+        return path_lengths(self.ground, self.place, places, self._discs(), paths, doubted)
 
     def high_places(self) -> FloatArray:
         """Return the places (N, 3) of mapped cells that a rover does not stand on [m], frame."""
@@ -242,8 +245,8 @@ class Navigator:
         """
         if self._blind:
             return np.array([self.place, place])
-        paths = self._config.paths
-        return plan_path(self.ground, self.place, place, self._discs(), paths, kept)
+        paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
+        return plan_path(self.ground, self.place, place, discs, paths, kept, doubted)
 
     def unseen(self, path: FloatArray, far: float | None = None) -> FloatArray | None:
         """Return ground that the rover has not seen and would soon drive over.
@@ -284,13 +287,12 @@ class Navigator:
         self._looks[near] += 1
 
     def is_clear(self, path: FloatArray) -> bool:
-        """Return whether nothing mapped stands in a rover's way along a path (N, 2) [m], frame."""
+        """Return whether nothing is mapped in the way of straight drives over points (N, 2) [m]."""
         points = _along(path, math.inf, self.ground.grid.cell)
         high = self.high_places()[:, :2]
-        radius = self._config.paths.radius
         discs = np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
         away = np.linalg.norm(points[:, None] - discs[:, :2], axis=2) - discs[:, 2]
-        return self._blind or bool((away > radius - self.ground.grid.cell).all())
+        return self._blind or bool((away > _STRAIGHT).all())
 
     def set_off(self, place: FloatArray, heading: float | None) -> bool:
         """Begin a drive to a place; return whether there is a path.
@@ -339,7 +341,7 @@ class Navigator:
         return self._drive.blocked
 
     def back_off(self, held: bool) -> None:
-        """Begin to drive back a little, if there is room for that.
+        """Begin to drive a little back, or else forward, if there is room for either.
 
         Args:
             held: Whether something before the rover holds it, which is kept off from then on.
@@ -348,11 +350,11 @@ class Navigator:
         if held:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
             self._bumps.append([*ahead, _BUMP])
-        back = pose.apply(np.array([[0.0, 0.0, 0.0], [0.0, -_BACK, 0.0]]))[:, :2]
-        if self.is_clear(back):
-            self.follow(back, None, backwards=True)
-        else:
-            self.halt()
+        self.halt()
+        for way in (-_BACK, _BACK):
+            path = np.asarray(pose.apply(np.array([[0.0, 0.0, 0.0], [0.0, way, 0.0]])))[:, :2]
+            if self.is_clear(path):
+                return self.follow(path, None, backwards=way < 0.0)
 
     def halt(self) -> None:
         """End the drive where the rover is."""
@@ -382,6 +384,10 @@ class Navigator:
             self._drive.stop()
         elif path is not kept:
             self._drive.replan(self._in_start(path), self._turn(heading))
+
+    def _doubted(self) -> BoolArray:
+        """Return cells that looks have not shown: hidden, or of something without grain."""
+        return (self._looks >= _MOST_LOOKS) & (self._looks < _CLEARED) & ~self.ground.known
 
     def _discs(self) -> FloatArray:
         """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""

@@ -97,6 +97,7 @@ def plan_path(
     discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
     kept: FloatArray | None = None,
+    doubted: BoolArray | None = None,
 ) -> FloatArray | None:
     """Return the vertices of a short path of a rover over mapped ground.
 
@@ -113,6 +114,7 @@ def plan_path(
         config: Size of the rover and what it climbs; the default if not given.
         kept: (N, 2) path from the start to the goal that is kept unless another one is clearly
             cheaper, as turning from one to the other takes time; None for none.
+        doubted: (rows, columns) cells that may hold something, as in `path_costs`.
 
     Returns:
         (N, 2) vertices, start and goal included [m], world; each leg runs over free cells. None if
@@ -123,7 +125,7 @@ def plan_path(
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    costs = path_costs(elevation, begin, discs, config)
+    costs = path_costs(elevation, begin, discs, config, doubted)
     path, corner = _path_over(costs, grid, begin, end), np.array(grid.corner)
     if path is not None and kept is not None:
         old, new = (_cost_of((each - corner)[:, ::-1] / grid.cell, costs) for each in (kept, path))
@@ -137,6 +139,7 @@ def path_lengths(
     goals: ArrayLike,
     discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
+    doubted: BoolArray | None = None,
 ) -> FloatArray:
     """Return the lengths of a rover's paths from cell to cell to several positions.
 
@@ -148,6 +151,7 @@ def path_lengths(
         goals: (N, 2) positions to be reached [m], world.
         discs: (M, 3) further discs, as in `plan_path`.
         config: Size of the rover and what it climbs; the default if not given.
+        doubted: (rows, columns) cells that may hold something, as in `path_costs`.
 
     Returns:
         (N,) lengths [m]; infinite where no path leads, and beyond the map.
@@ -159,7 +163,7 @@ def path_lengths(
     cells = grid.cells_of(np.asarray(goals, dtype=float))
     inside = grid.inside(cells)
     lengths = np.full(len(cells), np.inf)
-    costs = path_costs(elevation, begin, discs, config)
+    costs = path_costs(elevation, begin, discs, config, doubted)
     inside[inside] = np.isfinite(costs[*cells[inside].T])
     if inside.any():
         paths = shortest_paths(costs, first, grid.cell, goals=cells[inside])
@@ -172,6 +176,7 @@ def path_costs(
     start: FloatArray,
     discs: ArrayLike | None,
     config: GroundPathConfig,
+    doubted: BoolArray | None = None,
 ) -> FloatArray:
     """Return how many times its length a path of a rover costs in each cell of the paths.
 
@@ -180,6 +185,8 @@ def path_costs(
         start: (2,) position of the rover's middle [m], world; within the map.
         discs: (M, 3) further discs, as in `plan_path`.
         config: Size of the rover, what it climbs, and what that costs.
+        doubted: (rows, columns) cells of the map that may hold something, which costs as much as
+            to drive over what can be climbed; None for none.
 
     Returns:
         (rows, columns) 1 in the open, more beside and over things and where something seems to
@@ -192,9 +199,11 @@ def path_costs(
     above[box][apart <= config.inner] = np.nan
     first = tuple(grid.cells_of([start])[0].tolist())
     low, high = (
-        _pooled(obstacles(above, climb, config.least), config.pool)
-        for climb in (config.climb, config.most_climb)
+        obstacles(above, climb, config.least) for climb in (config.climb, config.most_climb)
     )
+    if doubted is not None:
+        low |= doubted
+    low, high = _pooled(low, config.pool), _pooled(high, config.pool)
     # What stands within the disc at the start is each come no nearer.
     box, apart = _box_about(start, config.radius, grid)
     held = high[box] & (apart <= config.radius)

@@ -31,6 +31,8 @@ _OTHER_POSTURE = 0.02  # Change of a joint from which on its errors count [rad].
 _STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
 _STILL = 1e-4  # Motion below which a rover has not moved since its last pair [m, rad].
 _ROLLED = 0.1  # Way of the wheels that tells of slip [m].
+_PIVOTED = 0.1  # Turn on the spot that tells of slip [rad].
+_HELD = 0.6  # Slip from which on something holds the rover, and its turns tell nothing.
 _TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
 _SHARES = (0.1, 1.0)  # Turn shares that skidding can have.
 
@@ -123,7 +125,8 @@ class VisualOdometry:
         turn_share: Turn share by the turns seen so far.
         distance: Distance driven by the wheels, forward and back [m].
         turned: Angle turned by the wheels, left positive [rad].
-        slip: Share of the wheels' last way that features did not see; 0 where they saw nothing.
+        slip: Share of the wheels' last way, or of a turn on the spot, that features did not see; 0
+            where they saw nothing.
         seen: Number of motions that features gave.
         missed: Number of motions for which the wheels stood in.
     """
@@ -311,9 +314,12 @@ class VisualOdometry:
         if way > _ROLLED:
             self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / way
         steps = [p.rolled[1] for p in self._pasts if before.time < p.time <= after.time]
-        turned = float(np.sum(steps))
-        if abs(turned) > _TURNED:
-            self._learn_turns(float(motion.rotation.as_euler("ZXY")[0]), turned)
+        turned, seen = float(np.sum(steps)), float(motion.rotation.as_euler("ZXY")[0])
+        expected = self.turn_share * turned
+        if way <= _ROLLED and abs(expected) > _PIVOTED:
+            self.slip = 1.0 - seen / expected
+        if abs(turned) > _TURNED and self.slip < _HELD:
+            self._learn_turns(seen, turned)
 
     def _learn_turns(self, turned: float, rolled: float) -> None:
         """Update the turn share by a turn that was seen, and that of rolling wheels [rad]."""

@@ -271,6 +271,19 @@ def test_costs_fall_with_the_distance_from_what_is_high(height, over):
     np.testing.assert_array_equal(costs[beyond >= 0.2], 1.0)
 
 
+def test_doubted_ground_is_gone_around_where_that_is_short():
+    model, start = field([]), np.array([-0.5, 0.0])
+    doubted = np.zeros((60, 80), bool)
+    doubted[28:33, 38:42] = True
+    path = plan_path(model, start, [2.5, 0.0], doubted=doubted)
+    points = np.concatenate([np.linspace(a, b, 500) for a, b in itertools.pairwise(path)])
+    middles = [middle_of(*cell) for cell in np.argwhere(doubted)]
+    assert min(np.linalg.norm(points - middle, axis=1).min() for middle in middles) > HOW.radius
+    doubted[:, 38:42] = True
+    path = plan_path(model, start, [2.5, 0.0], doubted=doubted)
+    np.testing.assert_allclose(path, [start, [2.5, 0.0]])
+
+
 def test_what_is_high_far_away_costs_and_closer_by_bars_the_way():
     model = field([(row, 60) for row in range(60)])
     start, goal = np.array([-0.5, 0.0]), np.array([2.8, 0.0])

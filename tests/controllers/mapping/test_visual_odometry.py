@@ -104,6 +104,31 @@ def test_a_seen_motion_replaces_that_of_the_wheels_and_tells_the_turn_share():
     assert VisualOdometryConfig().turn_scatter < odometry.turn_sigma < 0.06
 
 
+@pytest.mark.parametrize(("forward", "turn"), [(0.1, 0.0), (0.0, 0.3)])
+def test_wheels_that_turn_while_the_rover_stays_slip_and_tell_nothing_of_turns(forward, turn):
+    odometry, matcher = rover(share=0.5)
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    matcher.motions.append(RigidTransform.identity())
+    time = drive(odometry, forward, turn, 2.0, time)
+    odometry.see(time - 0.01, IMAGE, POINTS)
+    assert odometry.slip == pytest.approx(1.0, abs=0.02)
+    assert odometry.turn_share == 0.5
+
+
+def test_a_rover_back_at_an_earlier_view_has_not_slipped():
+    odometry, matcher = rover()
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    ahead = RigidTransform.from_translation([0.0, 0.3, 0.0])
+    for speed, robot_motion in ((0.1, ahead), (-0.1, RigidTransform.identity())):
+        matcher.motions.append(camera_motion(odometry, robot_motion))
+        time = drive(odometry, speed, 0.0, 3.0, time)
+        odometry.see(time - 0.01, IMAGE, POINTS)
+        assert abs(odometry.slip) < 0.02
+    np.testing.assert_allclose(odometry.level_pose().translation, 0.0, atol=1e-3)
+
+
 def test_where_nothing_is_recognised_the_wheels_stand_in_with_their_covariance():
     seen, sees = rover(share=0.5, sigma=0.1)
     blind, misses = rover(share=0.5, sigma=0.1)
