@@ -9,6 +9,10 @@ from controllers.mapping.stereo_view import MapperConfig
 from controllers.motion.arm_move import ArmMove
 from twin.robot import Command, Observation
 
+_CLEAR = (0.3, -0.02)
+"""Radius about the arm's base, and least height above it, of the space that the rover holds when it
+has driven somewhere [m]."""
+
 
 class MapSite:
     """Drives the rover's arm through views of the site, chosen by their information.
@@ -31,7 +35,7 @@ class MapSite:
         self.mapper = StereoMapper(
             {robot.name: robot},
             knowledge.map,
-            MapperConfig(scans=scans),
+            MapperConfig(scans=scans, clear=_CLEAR),
             rng,
             localizations={robot.name: knowledge.localization},
         )
