@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.harness.contract import OptionError
 from experiments.mission.mission import Options
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import MissionTrial, prepared
@@ -20,8 +21,10 @@ TRIES = 4
 
 
 def test_the_mission_accepts_two_robots_by_their_ports() -> None:
-    target = "serial:/dev/a,robot=rover1,serial:/dev/b,robot=rover2"
+    target = "serial:/dev/a,radio=/dev/c,robot=rover1,serial:/dev/b,radio=/dev/d,robot=rover2"
     assert Options(quick=True, robot=target).robot == target
+    with pytest.raises(OptionError, match="need a radio"):
+        Options(quick=True, robot="serial:/dev/a,robot=rover1,serial:/dev/b,robot=rover2")
 
 
 @pytest.mark.slow
@@ -53,6 +56,6 @@ def _end_first_stage(folder: Path) -> None:
             until=lambda: any(team.ended),
         )
         assert team.ended == ["identify"]
-        for part in (team.master, team.slave):
+        for part in team.parts:
             assert part.belief.identification is not None
             assert (part.belief.pitch is None) == bool(part.belief.doubts)

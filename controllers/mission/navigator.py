@@ -15,6 +15,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
 from controllers.mapping.ground_paths import GroundPathConfig, path_lengths, plan_path
 from controllers.mapping.localization import RobotLocalization
+from controllers.mapping.map_sharing import completed
 from controllers.mapping.panel_search import Ground
 from controllers.mapping.shared_map import SharedMap, within
 from controllers.mapping.stereo_view import MapperConfig
@@ -76,6 +77,8 @@ class Navigator:
         odometry: Pose of the rover in the frame.
         ground: Elevation map in the frame.
         localized: Whether the frame is that of the panel.
+        received: Elevation map of the other rover, as far as it was received, in the same frame;
+            None before. It completes what paths are planned on.
         keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
             and radius [m].
     """
@@ -100,6 +103,7 @@ class Navigator:
         self.odometry = VisualOdometry(self._arm, geometry, steer)
         self.ground = ElevationMap(grid)
         self.localized = False
+        self.received: ElevationMap | None = None
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
@@ -209,7 +213,7 @@ class Navigator:
         """Return the lengths (N,) of the paths to places (N, 2) in the frame [m]; inf for none."""
         if self._blind:
             return np.linalg.norm(places - self.place, axis=1)
-        return path_lengths(self.ground, self.place, places, self._discs(), self._config.paths)
+        return path_lengths(self._planned(), self.place, places, self._discs(), self._config.paths)
 
     def high_places(self) -> FloatArray:
         """Return the places (N, 3) of mapped cells that a rover does not stand on [m], frame."""
@@ -221,7 +225,7 @@ class Navigator:
         """Return the path (N, 2) from the rover to a place (2,) in the frame [m]; None for none."""
         if self._blind:
             return np.array([self.place, place])
-        return plan_path(self.ground, self.place, place, self._discs(), self._config.paths)
+        return plan_path(self._planned(), self.place, place, self._discs(), self._config.paths)
 
     def first_step(self, place: FloatArray, far: float) -> FloatArray | None:
         """Return the point (3,) some way along the path to a place, in the rover's frame [m]."""
@@ -313,6 +317,10 @@ class Navigator:
         path = self.path_to(place)
         if path is not None:
             self._drive.replan(self._in_start(path), self._turn(heading))
+
+    def _planned(self) -> ElevationMap:
+        """Return the map that paths are planned on."""
+        return self.ground if self.received is None else completed(self.ground, self.received)
 
     def _discs(self) -> FloatArray:
         """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""

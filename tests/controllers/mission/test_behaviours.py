@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from controllers.crossing.behaviours import DRIVING, drive, posed, retreat
 from controllers.insertion.camera_station import camera_arm
+from controllers.mission.behaviours import DRIVING, drive, posed, retreat
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
 from twin.robot import Command
