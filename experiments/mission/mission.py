@@ -80,11 +80,8 @@ class Options(contract.Options):
         if not 0.0 <= self.loss < 1.0:
             raise OptionError(f"--loss {self.loss}: expected a share of messages, 0 to 1")
         missions = len(self.job_seeds(40, 1)) * len(self.cells)
-        wirings = wirings_of(self.robot)
-        if wirings and missions > 1:
+        if self.robot.startswith("serial:") and missions > 1:
             raise OptionError("--robot serial: one mission at a time, with --quick")
-        if any(not wiring.radio for wiring in wirings):
-            raise OptionError("--robot serial: rovers of a mission need a radio: add radio=PORT")
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -109,6 +106,7 @@ def run(options: Options, output: Output) -> None:
             ``collisions_p/<cell>``.
     """
     check_calibrations(options.robot)
+    check_radios(options.robot)
     seeds = options.job_seeds(40, 1)
     only = "" if options.only == "all" else options.only
     jobs = [
@@ -140,6 +138,19 @@ def run(options: Options, output: Output) -> None:
         first = whole[0]
         why = first.reason or f"the belief after {first.inconsistent or first.failed_stage} is off"
         output.failure = f"no mission succeeded; the first ended in {_stage_of(first)}: {why}"
+
+
+def check_radios(target: str) -> None:
+    """Refuse real robots that cannot reach each other.
+
+    Args:
+        target: Option ``--robot``.
+
+    Raises:
+        OptionError: If one has no radio.
+    """
+    if any(not wiring.radio for wiring in wirings_of(target)):
+        raise OptionError("--robot serial: rovers of a mission need a radio: add radio=PORT")
 
 
 def _run_all(jobs: list[MissionTrial], options: Options, output: Output) -> list[MissionResult]:

@@ -9,6 +9,7 @@ import sys
 import types
 from pathlib import Path
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -193,6 +194,8 @@ def parts(item):
         return {"closed": cells, "defaults": item.__defaults__, **vars(item)}
     if isinstance(item, functools.partial):
         return {"function": item.func, "args": item.args, "keywords": item.keywords}
+    if isinstance(item, cv2.Algorithm):
+        return {name: getattr(item, name)() for name in dir(item) if name.startswith("get")}
     if not hasattr(item, "__dict__") and not hasattr(item, "__slots__"):
         raise TypeError(f"what a {type(item)} holds is not known")
     slots = [slot for kind in type(item).__mro__ for slot in getattr(kind, "__slots__", ())]

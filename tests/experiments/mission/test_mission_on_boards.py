@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from experiments.harness.contract import OptionError
-from experiments.mission.mission import Options
+from experiments.mission.mission import Options, check_radios
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import MissionTrial, prepared
 from tests.twin.hardware.realtime_emulator import serial_target
@@ -23,8 +23,9 @@ TRIES = 4
 def test_the_mission_accepts_two_robots_by_their_ports() -> None:
     target = "serial:/dev/a,radio=/dev/c,robot=rover1,serial:/dev/b,radio=/dev/d,robot=rover2"
     assert Options(quick=True, robot=target).robot == target
+    check_radios(target)
     with pytest.raises(OptionError, match="need a radio"):
-        Options(quick=True, robot="serial:/dev/a,robot=rover1,serial:/dev/b,robot=rover2")
+        check_radios("serial:/dev/a,radio=/dev/c,robot=rover1,serial:/dev/b,robot=rover2")
 
 
 @pytest.mark.slow
