@@ -195,7 +195,11 @@ class MissionRadio:
         time, last = self._told
         if self._now >= time + PERIOD or (done, self.ready) != (last.done, last.ready):
             status = Status(done, self.ready, slot)
-            self.send(status.pack())
+            try:
+                message = status.pack()
+            except RadioError:  # A place out of range is not told; what is done is.
+                message = Status(done, self.ready).pack()
+            self.send(message)
             self._told = self._now, status
 
     def wait(self) -> None:

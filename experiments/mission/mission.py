@@ -235,7 +235,8 @@ def _measure_contacts(results: Results, output: Output) -> None:
 
 def _measure_places(results: Results, output: Output) -> None:
     """Measure where the master believes the slot to be at its station, and the ways there."""
-    ratios = [path.driven / path.shortest for r in results for path in r.paths if path.shortest]
+    ways = [path for r in results for path in r.paths if 0.0 < path.shortest < math.inf]
+    ratios = [path.driven / path.shortest for path in ways]
     _measure_some("path_ratio", ratios, output)
     stops = [r.misses[0] for r in results if len(r.misses)]
     _measure_some("first_stop_miss_mm", [1e3 * far for far, _ in stops], output)
@@ -251,8 +252,8 @@ def _measure_places(results: Results, output: Output) -> None:
     for key, (found, low, high) in values.items():
         output.measure(key, distribution(found))
         _check(f"{key}, median", float(np.median(found)), low, high, output)
-    if finite := [ratio for ratio in ratios if math.isfinite(ratio)]:
-        _check("path_ratio, median", float(np.median(finite)), -math.inf, RATIO, output)
+    if ratios:
+        _check("path_ratio, median", float(np.median(ratios)), -math.inf, RATIO, output)
 
 
 def _is_station(belief: BeliefResult) -> bool:
@@ -303,6 +304,12 @@ def _tabulate(
         for name, j, r in zip(names, jobs, results, strict=True)
     ]  # fmt: skip
     output.table("missions", columns, rows)
-    said = [[j.seed, words] for j, r in zip(jobs, results, strict=True) for words in r.notices]
+    said = [
+        [name or "whole", j.seed, words]
+        for name, j, r in zip(names, jobs, results, strict=True)
+        for words in r.notices
+    ]
+    for name, seed, words in said:
+        print(f"{name} mission, seed {seed}: {words}")
     if said:
-        output.table("notices", ["seed", "notice"], said)
+        output.table("notices", ["cell", "seed", "notice"], said)

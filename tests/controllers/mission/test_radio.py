@@ -82,6 +82,15 @@ def test_a_status_is_sent_once_a_second_and_at_once_when_a_part_is_done() -> Non
     assert np.diff(times).max() <= PERIOD
 
 
+def test_a_rover_that_believes_itself_out_of_range_still_says_what_it_has_done() -> None:
+    one, other = both_radios()
+    far = SlotPose(RigidTransform.from_translation([0.0, 90.0, 0.0]), np.eye(6))
+    one.begin_tick(0.0)
+    one.tell(2, far)
+    other.begin_tick(0.0)
+    assert other.partner == Status(2)
+
+
 def test_each_kind_of_message_goes_to_whom_it_is_for() -> None:
     one, other = both_radios()
     for message in (b"\x14guidance", b"\x17map", b"\x14more"):

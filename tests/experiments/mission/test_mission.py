@@ -70,13 +70,16 @@ def measured(
 
 
 def test_missions_are_counted_by_what_ended_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     paths = (PathResult(SLAVE, 3.0, 2.0), PathResult(MASTER, 2.0, 2.0))
+    none = (PathResult(SLAVE, 3.0, math.inf), PathResult(MASTER, 2.0, math.nan))
+    said = ("31.0 s: rover1 hears rover2 again",)
     made = [
         result(beliefs=(STATION,), tracks=TRACKS, paths=paths, radio_bytes={"search": 900},
                map_bytes=5000),
-        result(beliefs=(STATION, OTHER), tracks=TRACKS, collisions=(HIT, HIT)),
+        result(beliefs=(STATION, OTHER), tracks=TRACKS, collisions=(HIT, HIT), paths=none,
+               notices=said),
         result(beliefs=(), tracks=TRACKS, failed_stage="search", reason="not found",
                stages={"identify": 14.0}, place_error=math.nan, seated=False),
     ]  # fmt: skip
@@ -94,6 +97,9 @@ def test_missions_are_counted_by_what_ended_them(
     assert found["stage_seconds/identify"]["n"] == 3 and found["stage_seconds/search"]["n"] == 2
     assert found["first_stop_miss_mm"]["median"] == pytest.approx(50.0)
     assert not failure
+    assert said[0] in capsys.readouterr().out
+    table = (tmp_path / "mission" / "tables" / "notices.csv").read_text()
+    assert said[0] in table
 
 
 def test_a_run_in_which_no_mission_succeeds_says_where_the_first_ended(
