@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import experiments.mission.trial as trial_room
 from controllers.mission.team import STAGES
 from experiments.harness.sweep import _read, _write
 from experiments.mission.scene import draw_scene, survey
@@ -18,9 +19,12 @@ from experiments.mission.trial import (
     MissionTrial,
     PathResult,
     generators,
+    prepared,
     upright,
 )
 from models.clutter import ScreenConfig
+from models.datasheets import RADIO
+from twin.hardware.emulator.modem import ModemConfig
 
 
 def result(**changes):
@@ -109,3 +113,22 @@ def test_shortest_path_leads_around_what_truly_stands_there():
     low = ScreenConfig((2.0, -4.5), 0.0, (1.0, 0.12, 0.02))
     assert length(low) == pytest.approx(3.0, abs=0.06)
     assert math.isnan(shortest_path(drawn, site, np.full(2, np.nan), goal))
+
+
+class Asked(Exception):
+    """Ends a preparation where robots would be connected."""
+
+
+@pytest.mark.parametrize(("loss", "lost"), [(0.0, RADIO.packet_loss), (0.2, 0.2)])
+def test_messages_are_lost_as_by_the_realism_or_more(monkeypatch, loss, lost):
+    asked = {}
+
+    def connect(target, **settings):
+        asked.update(settings)
+        raise Asked
+
+    monkeypatch.setattr(trial_room, "connect", connect)
+    with pytest.raises(Asked), prepared(MissionTrial(1, loss=loss)):
+        pass
+    assert asked["lines"].modems == dataclasses.replace(ModemConfig.of(RADIO), packet_loss=lost)
+    assert asked["seed"] == 1 and len(asked["robots"]) == 2
