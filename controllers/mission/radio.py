@@ -203,7 +203,7 @@ class MissionRadio:
             self._told = self._now, status
 
     def wait(self) -> None:
-        """State that the rover has done its part, and waits for the other.
+        """State that the rover can do no more without the other, and waits for it.
 
         Raises:
             StageError: If nothing was heard for too long.
@@ -212,12 +212,12 @@ class MissionRadio:
             raise StageError(self.stage, f"nothing heard from {self._name} for {PATIENCE:.0f} s")
         if self.silent and not self._waits:
             self._waits = True
-            self._note(f"has done its part of {self.stage}, waits for {self._name}")
+            self._note(f"waits for {self._name} in {self.stage}")
 
     def _notice(self) -> None:
         """Note the beginning and the end of a silence."""
         if self.silent and not self._quiet:
-            self._note(f"has not heard {self._name} for {SILENT:.0f} s; goes on with {self.stage}")
+            self._note(f"has not heard {self._name} for {SILENT:.0f} s in {self.stage}")
         if self._quiet and not self.silent:
             self._note(f"hears {self._name} again")
             self._waits = False

@@ -121,9 +121,11 @@ def test_silence_is_noted_when_it_begins_and_ends_and_a_rover_that_has_done_its_
         radio.begin_tick(now)
         if now > begun + 10.0:
             radio.wait()
-    (first, goes_on), (second, waits), (third, hears) = radio.notices
-    assert "goes on with approach" in goes_on and first == pytest.approx(begun + SILENT, abs=0.11)
-    assert "done its part of approach, waits" in waits and second == pytest.approx(22.1, abs=0.11)
+    (first, begins), (second, waits), (third, hears) = radio.notices
+    assert "has not heard rover2 for 4 s in approach" in begins and first == pytest.approx(
+        begun + SILENT, abs=0.11
+    )
+    assert "waits for rover2 in approach" in waits and second == pytest.approx(22.1, abs=0.11)
     assert "hears rover2 again" in hears and third == pytest.approx(begun + 20.0, abs=1.1)
 
 
