@@ -1,16 +1,16 @@
 """Paths of a rover over mapped ground: what its middle may enter, and the way around the rest.
 
 A rover is a disc about its middle. It may be wherever nothing that is too high to climb is known
-within the disc; unknown ground is free, as a rover sees what is before it.
+within the disc; over what it climbs it drives only where the way around is much longer, and it
+rather keeps off both. Unknown ground is free, as a rover sees what is before it.
 """
 
 import dataclasses
-from collections.abc import Iterator
 
 import numba
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import correlate, distance_transform_edt
 
 from controllers.mapping.planar_paths import Paths, shortest_paths
 from perception.elevation.grid import ElevationGrid
@@ -32,17 +32,29 @@ class GroundPathConfig:
 
     Attributes:
         radius: Radius of a disc about the rover's middle that holds it [m].
-        climb: Height above the ground about it up to which a rover drives over things [m].
-        second_climb: The same where there is no path otherwise [m].
+        climb: Height above the ground about it up to which things are none to go around [m].
+        most_climb: Height up to which a rover drives over things at all [m].
+        over_cost: How many times its length a path costs over those between, beyond once.
+        margin: Distance beyond the disc within which things are rather gone around, too [m].
+        near_cost: How many times its length a path costs at the disc's edge, beyond once.
+        inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
+            map has within it at the start is none.
         window: Side of the square about a cell whose ground is fitted [m].
-        pool: Number of cells along each side that make one of the paths' cells, as high as their
-            highest: small cells tell small rocks, and paths need them not.
+        least: Fewest higher cells in a square of three by three that are an obstacle: one alone is
+            noise where cells are smaller than rocks.
+        pool: Number of cells along each side that make one of the paths' cells: small cells tell
+            small rocks, and paths need them not.
     """
 
     radius: float = 0.28
     climb: float = 0.025
-    second_climb: float = 0.05
+    most_climb: float = 0.05
+    over_cost: float = 15.0
+    margin: float = 0.12
+    near_cost: float = 2.0
+    inner: float = 0.2
     window: float = 0.9
+    least: int = 1
     pool: int = 1
 
     def __post_init__(self) -> None:
@@ -51,45 +63,44 @@ class GroundPathConfig:
         Raises:
             ValueError: Naming the wrong one.
         """
-        check_numbers("ground path", self)
+        names = {field.name for field in dataclasses.fields(self)} - {"near_cost"}
+        check_numbers("ground path", self, *sorted(names))
+        check_numbers("ground path", self, "near_cost", zero=True)
 
 
-def free_cells(
-    rises: FloatArray, radius: float = 0.28, climb: float = 0.025, cell: float = 0.05
-) -> BoolArray:
-    """Return the cells (rows, columns) that the middle of a rover may enter.
+def obstacles(rises: FloatArray, climb: float, least: int = 1) -> BoolArray:
+    """Return the cells (rows, columns) that a rover does not drive over.
 
     Args:
         rises: (rows, columns) heights above the ground about each cell [m]; NaN where unknown.
-        radius: Radius of a disc about the rover's middle that holds it [m]; the centres of higher
-            cells are farther away.
         climb: Height above the ground up to which a rover drives over things [m].
-        cell: Side of a cell [m].
+        least: Fewest higher cells in a square of three by three for one to be an obstacle.
     """
     higher = rises > climb
-    if not higher.any():
-        return np.ones(rises.shape, dtype=bool)
-    return np.asarray(distance_transform_edt(~higher, sampling=cell)) > radius
+    if least > 1:
+        square = np.ones((3, 3), np.uint8)
+        higher &= correlate(higher.astype(np.uint8), square, mode="constant") >= least
+    return higher
 
 
 def plan_path(
     elevation: ElevationMap,
     start: ArrayLike,
     goal: ArrayLike,
-    obstacles: ArrayLike | None = None,
+    discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
 ) -> FloatArray | None:
     """Return the vertices of a short path of a rover over mapped ground.
 
-    What is within the rover's disc at the start is ignored, as it stands there already; a disc that
-    it stands in is not entered any deeper. The goal may be a cell nearer to something than a rover
-    is wide.
+    Of what is within the rover's disc at the start already it only comes no nearer, as long as it
+    is there; a further disc that it stands in is not entered any deeper. The goal may be a cell
+    nearer to something than a rover is wide.
 
     Args:
         elevation: Map of the ground, world.
         start: (2,) position of the rover's middle [m], world.
         goal: (2,) position to be reached [m], world.
-        obstacles: (M, 3) further discs that no part of the rover may enter, as other robots: x and
+        discs: (M, 3) further discs that no part of the rover may enter, as other robots: x and
             y of the middle, and radius [m], world.
         config: Size of the rover and what it climbs; the default if not given.
 
@@ -102,29 +113,25 @@ def plan_path(
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    for free in _enterable(elevation, begin, obstacles, config):
-        path = _path_over(free, grid, begin, end)
-        if path is not None:
-            return path
-    return None
+    return _path_over(path_costs(elevation, begin, discs, config), grid, begin, end)
 
 
 def path_lengths(
     elevation: ElevationMap,
     start: ArrayLike,
     goals: ArrayLike,
-    obstacles: ArrayLike | None = None,
+    discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
 ) -> FloatArray:
-    """Return the lengths of a rover's shortest paths from cell to cell to several positions.
+    """Return the lengths of a rover's paths from cell to cell to several positions.
 
-    Where no path leads otherwise, they are those over what the rover can climb as a second choice.
+    They are what the paths cost, so more than their length beside obstacles and over rocks.
 
     Args:
         elevation: Map of the ground, world.
         start: (2,) position of the rover's middle [m], world; within the map.
         goals: (N, 2) positions to be reached [m], world.
-        obstacles: (M, 3) further discs, as in `plan_path`.
+        discs: (M, 3) further discs, as in `plan_path`.
         config: Size of the rover and what it climbs; the default if not given.
 
     Returns:
@@ -137,29 +144,59 @@ def path_lengths(
     cells = grid.cells_of(np.asarray(goals, dtype=float))
     inside = grid.inside(cells)
     lengths = np.full(len(cells), np.inf)
-    for free in _enterable(elevation, begin, obstacles, config):
-        free[first] = True
-        left = inside & np.isinf(lengths)
-        if left.any():
-            lengths[left] = shortest_paths(free, first, grid.cell).lengths[*cells[left].T]
+    costs = path_costs(elevation, begin, discs, config)
+    inside[inside] = np.isfinite(costs[*cells[inside].T])
+    if inside.any():
+        paths = shortest_paths(costs, first, grid.cell, goals=cells[inside])
+        lengths[inside] = paths.lengths[*cells[inside].T]
     return lengths
 
 
-def _enterable(
+def path_costs(
     elevation: ElevationMap,
     start: FloatArray,
-    obstacles: ArrayLike | None,
+    discs: ArrayLike | None,
     config: GroundPathConfig,
-) -> Iterator[BoolArray]:
-    """Yield the paths' cells that a rover may enter: by what it climbs, then by what it can."""
+) -> FloatArray:
+    """Return how many times its length a path of a rover costs in each cell of the paths.
+
+    Args:
+        elevation: Map of the ground, world.
+        start: (2,) position of the rover's middle [m], world; within the map.
+        discs: (M, 3) further discs, as in `plan_path`.
+        config: Size of the rover, what it climbs, and what that costs.
+
+    Returns:
+        (rows, columns) 1 in the open, more beside and over things, infinite where the rover may not
+        be. What stands within the disc at the start it comes no nearer, until it is left behind.
+    """
     fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
-    discs = _NO_DISCS if obstacles is None else np.asarray(obstacles, dtype=float).reshape(-1, 3)
-    above = rises(elevation, config.window)
-    above[np.hypot(*np.moveaxis(fine.centres - start, -1, 0)) <= config.radius] = np.nan
-    above = _pooled(above, config.pool)
-    kept_clear = _beyond(discs, grid, start, config.radius)
-    for climb in (config.climb, config.second_climb):
-        yield free_cells(above, config.radius, climb, grid.cell) & kept_clear
+    further = _NO_DISCS if discs is None else np.asarray(discs, dtype=float).reshape(-1, 3)
+    above = rises(elevation, config.window).copy()
+    box, apart = _box_about(start, config.inner, fine)
+    above[box][apart <= config.inner] = np.nan
+    first = tuple(grid.cells_of([start])[0].tolist())
+    low, high = (
+        _gaps(_pooled(obstacles(above, climb, config.least), config.pool), grid.cell)
+        for climb in (config.climb, config.most_climb)
+    )
+    if high[first] <= config.radius:
+        box, apart = _box_about(start, config.radius, grid)
+        high[box][(apart <= config.radius) & (high[box] >= high[first])] += config.radius
+    by_discs = _disc_gaps(further, grid, start, config)
+    free = np.minimum(low, by_discs) - config.radius
+    costs = 1.0 + config.near_cost * np.clip(1.0 - free / config.margin, 0.0, 1.0)
+    costs[low <= config.radius] += config.over_cost
+    costs[np.minimum(high, by_discs) <= config.radius] = np.inf
+    costs[first] = 1.0
+    return costs
+
+
+def _gaps(obstacles: BoolArray, cell: float) -> FloatArray:
+    """Return the distance (rows, columns) of each cell from the nearest obstacle [m]."""
+    if not obstacles.any():
+        return np.full(obstacles.shape, np.inf)
+    return np.asarray(distance_transform_edt(~obstacles, sampling=cell))
 
 
 def _paths_grid(grid: ElevationGrid, pool: int) -> ElevationGrid:
@@ -170,54 +207,71 @@ def _paths_grid(grid: ElevationGrid, pool: int) -> ElevationGrid:
     return ElevationGrid(grid.corner, (rows, columns), pool * grid.cell)
 
 
-def _pooled(above: FloatArray, pool: int) -> FloatArray:
-    """Return the highest of each square of cells; NaN where none is known."""
+def _pooled(cells: BoolArray, pool: int) -> BoolArray:
+    """Return which squares of cells hold one that is set."""
     if pool == 1:
-        return above
-    rows, columns = (-(-count // pool) for count in above.shape)
-    whole = np.full((rows * pool, columns * pool), np.nan)
-    whole[: above.shape[0], : above.shape[1]] = above
-    squares = whole.reshape(rows, pool, columns, pool)
-    return np.asarray(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
+        return cells
+    rows, columns = (-(-count // pool) for count in cells.shape)
+    whole = np.zeros((rows * pool, columns * pool), bool)
+    whole[: cells.shape[0], : cells.shape[1]] = cells
+    return np.any(whole.reshape(rows, pool, columns, pool), axis=(1, 3))
 
 
-def _beyond(discs: FloatArray, grid: ElevationGrid, start: FloatArray, radius: float) -> BoolArray:
-    """Return the cells (rows, columns) in which a rover is clear of discs, or as far as it was."""
-    clear = np.ones(grid.shape, dtype=bool)
+def _disc_gaps(
+    discs: FloatArray, grid: ElevationGrid, start: FloatArray, config: GroundPathConfig
+) -> FloatArray:
+    """Return the distance (rows, columns) of each cell from the nearest disc, where it counts [m].
+
+    A disc that the rover reaches into at the start is as if it were smaller by as much.
+    """
+    gaps = np.full(grid.shape, np.inf)
     for x, y, size in discs:
-        away = min(size + radius, float(np.hypot(*(start - (x, y)))))
-        low, high = np.clip(grid.cells_of([(x - away, y - away), (x + away, y + away)]), 0, None)
-        box = slice(low[0], high[0] + 1), slice(low[1], high[1] + 1)
-        clear[box] &= np.hypot(*np.moveaxis(grid.centres[box] - (x, y), -1, 0)) >= away
-    return clear
+        held = min(size, float(np.hypot(*(start - (x, y)))) - config.radius)
+        reach = held + config.radius + config.margin
+        box, apart = _box_about(np.array([x, y]), reach, grid)
+        gaps[box] = np.minimum(gaps[box], np.nextafter(apart - held, np.inf))
+    return gaps
+
+
+def _box_about(
+    place: FloatArray, radius: float, grid: ElevationGrid
+) -> tuple[tuple[slice, slice], FloatArray]:
+    """Return the box of cells that holds a disc, and their distances from its middle [m]."""
+    corners = np.clip(grid.cells_of([place - radius, place + radius]) + [[0], [1]], 0, grid.shape)
+    (top, left), (bottom, right) = corners.tolist()
+    cells = np.moveaxis(np.mgrid[top:bottom, left:right], 0, -1)
+    apart = np.hypot(*np.moveaxis(grid.centres_of(cells) - place, -1, 0))
+    return (slice(top, bottom), slice(left, right)), apart
 
 
 def _path_over(
-    free: BoolArray, grid: ElevationGrid, start: FloatArray, goal: FloatArray
+    costs: FloatArray, grid: ElevationGrid, start: FloatArray, goal: FloatArray
 ) -> FloatArray | None:
     """Return the vertices (N, 2) of a path over free cells and those of its ends; None if none."""
     first, last = (tuple(cell) for cell in grid.cells_of([start, goal]).tolist())
-    free = free.copy()
-    free[first] = free[last] = True
+    costs = costs.copy()
+    if costs[last] == np.inf:
+        costs[last] = 1.0
     corner = np.array(grid.corner)
-    paths = shortest_paths(free, first, grid.cell)
+    paths = shortest_paths(costs, first, grid.cell, goals=np.array([last]))
     if not np.isfinite(paths.lengths[last]):
         return None
     path = GroundPaths(paths, start, corner, grid.cell).path_to(goal)
-    return None if path is None else shortened(path, free, corner, grid.cell)
+    return None if path is None else shortened(path, costs, corner, grid.cell)
 
 
-def shortened(path: FloatArray, free: BoolArray, corner: FloatArray, cell: float) -> FloatArray:
-    """Return the shortest path (M, 2) over some of a path's points whose legs run over free cells.
+def shortened(path: FloatArray, costs: FloatArray, corner: FloatArray, cell: float) -> FloatArray:
+    """Return the cheapest path (M, 2) over some of a path's points whose legs run over free cells.
 
     Args:
         path: (N, 2) points, x and y [m]; legs from each to the next may run anywhere.
-        free: (rows, columns) cells that may be entered.
+        costs: (rows, columns) how many times its length a path costs in each cell; infinite where
+            it may not be entered.
         corner: (2,) lowest corner of the first cell [m].
         cell: Side of a cell [m].
     """
     places = (path - corner)[:, ::-1] / cell
-    return path[_string_pulled(np.ascontiguousarray(places), free)]
+    return path[_string_pulled(np.ascontiguousarray(places), costs)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,18 +310,22 @@ class GroundPaths:
 
 
 @numba.njit(cache=True)
-def _string_pulled(places, free):
+def _string_pulled(places, costs):
     """Return the indices of the points that are kept; places in cells, row and column."""
     count = len(places)
-    shortest, before = np.full(count, np.inf), np.full(count, -1)
-    shortest[0] = 0.0
+    cheapest, before = np.full(count, np.inf), np.full(count, -1)
+    cheapest[0] = 0.0
     for j in range(1, count):
-        for i in range(j):
-            length = shortest[i] + _LEG
-            length += np.hypot(places[j, 0] - places[i, 0], places[j, 1] - places[i, 1])
-            # The leg from the point before is one of the path itself.
-            if length < shortest[j] and (i == j - 1 or _visible(places[i], places[j], free)):
-                shortest[j], before[j] = length, i
+        for i in range(j - 1, -1, -1):
+            length = np.hypot(places[j, 0] - places[i, 0], places[j, 1] - places[i, 1])
+            # No cell costs less than once its length.
+            if cheapest[i] + _LEG + length >= cheapest[j]:
+                continue
+            cost = _cost_along(places[i], places[j], costs)
+            if i == j - 1 and cost == np.inf:
+                cost = length  # The leg from the point before is one of the path itself.
+            if cheapest[i] + _LEG + cost < cheapest[j]:
+                cheapest[j], before[j] = cheapest[i] + _LEG + cost, i
     kept = [count - 1]
     while before[kept[-1]] >= 0:
         kept.append(before[kept[-1]])
@@ -275,8 +333,8 @@ def _string_pulled(places, free):
 
 
 @numba.njit(cache=True)
-def _visible(start, end, free):
-    """Return whether a line runs over free cells only, and past no corner of one that is not."""
+def _cost_along(start, end, costs):
+    """Return what a line costs [cells]; infinite past a corner of a cell that is not free."""
     row, column = int(np.floor(start[0])), int(np.floor(start[1]))
     last_row, last_column = int(np.floor(end[0])), int(np.floor(end[1]))
     down, right = end[0] - start[0], end[1] - start[1]
@@ -286,16 +344,21 @@ def _visible(start, end, free):
     each_column = 1.0 / abs(right) if right != 0.0 else np.inf
     next_row = (row + (down > 0) - start[0]) / down if down != 0.0 else np.inf
     next_column = (column + (right > 0) - start[1]) / right if right != 0.0 else np.inf
+    cost, gone = 0.0, 0.0
     while row != last_row or column != last_column:
-        if not free[row, column]:
-            return False
+        if costs[row, column] == np.inf:
+            return np.inf
         ahead_row = next_row if row != last_row else np.inf
         ahead_column = next_column if column != last_column else np.inf
+        ahead = min(ahead_row, ahead_column)
+        cost, gone = cost + (ahead - gone) * costs[row, column], ahead
         corner = abs(ahead_row - ahead_column) < _CORNER
-        if corner and not (free[row + step_down, column] and free[row, column + step_right]):
-            return False
+        if corner and (
+            costs[row + step_down, column] == np.inf or costs[row, column + step_right] == np.inf
+        ):
+            return np.inf
         if corner or ahead_row < ahead_column:
             row, next_row = row + step_down, next_row + each_row
         if corner or ahead_row > ahead_column:
             column, next_column = column + step_right, next_column + each_column
-    return bool(free[row, column])
+    return (cost + (1.0 - gone) * costs[row, column]) * np.hypot(down, right)

@@ -126,6 +126,8 @@ class PanelSearch:
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(places), 1.0 / len(places))
         self.views = 0
+        # Discs of the site and what they made likely, until the next view.
+        self._found: tuple[FloatArray, FloatArray] | None = None
 
     @property
     def mean(self) -> FloatArray:
@@ -138,6 +140,8 @@ class PanelSearch:
         Args:
             discs: (K, 3) discs of the site: x, y and radius [m], in its ground frame.
         """
+        if self._found is not None and np.array_equal(self._found[0], discs):
+            return self._found[1]
         c, kept = self._config, [np.zeros((0, 3))]
         cosine, sine = np.cos(self._frames[:, 2]), np.sin(self._frames[:, 2])
         for x, y, radius in discs:
@@ -150,7 +154,8 @@ class PanelSearch:
             near = np.linalg.norm(c.grain * (found[:, None] - found), axis=2) < c.about
             middles = c.grain * found[near @ odds > c.likely]
             kept.append(np.column_stack([middles, np.full(len(middles), radius)]))
-        return np.concatenate(kept)
+        self._found = discs.copy(), np.concatenate(kept)
+        return self._found[1]
 
     def draw_places(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Return (count, 2) places that look at the faces of likely targets [m].
@@ -193,6 +198,7 @@ class PanelSearch:
             odds = c.missed
         self.weights *= np.where(seen, odds + c.opaque - odds * c.opaque, 1.0)
         self.weights /= self.weights.sum()
+        self._found = None
         self.views += 1
 
     def best(

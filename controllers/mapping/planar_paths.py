@@ -16,7 +16,8 @@ class Paths:
 
     Attributes:
         start: Row and column of the first cell.
-        lengths: (rows, columns) length of the path [m]; infinite where there is none.
+        lengths: (rows, columns) length of the path [m], times what its cells cost; infinite where
+            there is none.
         previous: (rows, columns) flat index of the cell before, -1 where none.
     """
 
@@ -40,26 +41,38 @@ class Paths:
 
 
 def shortest_paths(
-    enterable: BoolArray, start: tuple[int, int], cell: float, limit: float = np.inf
+    enterable: BoolArray | FloatArray,
+    start: tuple[int, int],
+    cell: float,
+    limit: float = np.inf,
+    goals: IntArray | None = None,
 ) -> Paths:
     """Find shortest paths by Dijkstra's method to eight neighbours, without cutting corners.
 
     A diagonal step needs both cells beside it.
 
     Args:
-        enterable: (rows, columns) cells that may be entered.
+        enterable: (rows, columns) cells that may be entered; or how many times its length a step
+            into each costs, infinite for a cell that may not be entered.
         start: Row and column of the first cell; it need not be enterable.
         cell: Side of a cell [m].
         limit: Length beyond which paths are not searched for [m].
+        goals: (N, 2) cells, row and column, beyond the last of which paths are not searched for;
+            those found to other cells need not be the shortest. None for all cells.
     """
-    lengths, previous = _dijkstra(enterable, start[0], start[1], limit / cell)
+    wanted = np.zeros(enterable.shape, dtype=bool)
+    if goals is not None:
+        wanted[*goals.T] = True
+    left = np.count_nonzero(wanted) if goals is not None else enterable.size + 1
+    costs = np.where(enterable, 1.0, np.inf) if enterable.dtype == np.bool_ else enterable
+    lengths, previous = _dijkstra(costs, start[0], start[1], limit / cell, wanted, left)
     return Paths(start, lengths * cell, previous)
 
 
 @numba.njit(cache=True)
-def _dijkstra(enterable, row, column, limit):
+def _dijkstra(costs, row, column, limit, wanted, left):
     """Settle cells in order of distance with a binary heap; entries out of date are skipped."""
-    rows, columns = enterable.shape
+    rows, columns = costs.shape
     distance = np.full(rows * columns, np.inf)
     previous = np.full(rows * columns, -1, dtype=np.int64)
     settled = np.zeros(rows * columns, dtype=np.bool_)
@@ -67,7 +80,7 @@ def _dijkstra(enterable, row, column, limit):
     items = np.empty(8 * rows * columns + 1, dtype=np.int64)
     keys[0], items[0], size = 0.0, row * columns + column, 1
     distance[items[0]] = 0.0
-    while size > 0:
+    while size > 0 and left > 0:
         here, at = items[0], keys[0]
         size -= 1
         _sift_down(keys, items, size)
@@ -75,16 +88,17 @@ def _dijkstra(enterable, row, column, limit):
             continue
         settled[here] = True
         r, c = here // columns, here % columns
+        left -= wanted[r, c]
         for dr in range(-1, 2):
             for dc in range(-1, 2):
                 nr, nc = r + dr, c + dc
-                if nr < 0 or nr >= rows or nc < 0 or nc >= columns or not enterable[nr, nc]:
+                if nr < 0 or nr >= rows or nc < 0 or nc >= columns or costs[nr, nc] == np.inf:
                     continue
                 diagonal = dr != 0 and dc != 0
-                if diagonal and not (enterable[r, nc] and enterable[nr, c]):
+                if diagonal and (costs[r, nc] == np.inf or costs[nr, c] == np.inf):
                     continue
                 there = nr * columns + nc
-                new = at + (ROOT if diagonal else 1.0)
+                new = at + (ROOT if diagonal else 1.0) * costs[nr, nc]
                 if new < distance[there] and new <= limit:
                     distance[there], previous[there] = new, here
                     _sift_up(keys, items, size, new, there)

@@ -1,5 +1,6 @@
 """The robots' common map, and the fusion of views into it."""
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
@@ -162,10 +163,16 @@ class SharedMap:
         return np.asarray(occupied), np.asarray(free)
 
 
+@numba.njit(cache=True)
 def within(points: FloatArray, spheres: FloatArray) -> BoolArray:
     """Return (N,), whether points (N, 3) lie in one of the spheres (M, 4), centre and radius."""
     hit = np.zeros(len(points), np.bool_)
-    for *centre, radius in spheres:
-        offset = points - centre
-        hit |= np.einsum("ij,ij->i", offset, offset) < radius**2
+    for point in range(len(points)):
+        for sphere in range(len(spheres)):
+            square = 0.0
+            for axis in range(3):
+                square += (points[point, axis] - spheres[sphere, axis]) ** 2
+            if square < spheres[sphere, 3] ** 2:
+                hit[point] = True
+                break
     return hit

@@ -122,6 +122,7 @@ class VisualOdometry:
         covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * pose``, in the frame.
         turn_share: Turn share by the turns seen so far.
         distance: Distance driven by the wheels, forward and back [m].
+        turned: Angle turned by the wheels, left positive [rad].
         slip: Share of the wheels' last way that features did not see; 0 where they saw nothing.
         seen: Number of motions that features gave.
         missed: Number of motions for which the wheels stood in.
@@ -142,7 +143,7 @@ class VisualOdometry:
         self._pose = RigidTransform.identity()
         self._at: _Past | None = None
         self._views: collections.deque[_Seen] = collections.deque(maxlen=_VIEWS)
-        self.turn_share, self.distance = steer.turn_share, 0.0
+        self.turn_share, self.distance, self.turned = steer.turn_share, 0.0, 0.0
         self.covariance = np.zeros((6, 6))
         self.seen, self.missed, self.slip = 0, 0, 0.0
 
@@ -173,6 +174,7 @@ class VisualOdometry:
             share = config.period / (config.period + config.tilt_lag)
             tilt = self._pasts[-1].tilt + share * (tilt - self._pasts[-1].tilt)
         self.distance += abs(rolled[0])
+        self.turned += self.turn_share * rolled[1]
         self._pasts.append(_Past(seen.time, rolled, tilt, angles))
         while self._pasts[0].time < min(seen.time - _KEPT, self._at.time):
             self._pasts.popleft()

@@ -18,10 +18,13 @@ from perception.geometry.arrays import FloatArray
 from twin.robot import Command, Observation
 
 Behaviour = Generator[Command, Observation, Observation]
-DRIVING = np.array([0.0, 1.6, -0.1, -1.85])
-"""Posture of the arm on the way: folded above the rover, the head high, its view 20 degrees below
+DRIVING = np.array([0.0, 1.6, -0.2, -1.85])
+"""Posture of the arm on the way: folded above the rover, the head high, its view 26 degrees below
 the horizon [rad]."""
-_GLANCE = 0.55  # Distance along a path to a point that is looked at before the rover sets off [m].
+LOOKING = np.array([0.0, 1.9, -0.9, -1.85])
+"""Posture of the arm to look at the ground just beside the rover: 49 degrees below the horizon, and
+the wrist 8 degrees before its limit [rad]."""
+_MOST_LOOKS = 12  # Largest number of looks at unseen ground before the rover sets off.
 _MOST_STALLS = 3  # Largest number of times that a rover may get stuck on one way.
 OnPair = Callable[[Observation, RobotLocalization | None], bool]
 """Called with each pair taken on the way; returns whether the drive is to end there."""
@@ -76,44 +79,106 @@ def drive(
     navigator: Navigator,
     arm: SerialChain,
     goal: tuple[FloatArray, float | None],
-    on_pair: OnPair = lambda seen, found: False,
+    on_pair: OnPair | None = None,
 ) -> Generator[Command, Observation, Driven]:
     """Drive along planned paths, taking pairs on the way; back off where something holds the rover.
 
-    Before it sets off the head looks at the ground just before the rover, which it cannot see on
-    the way after a turn.
+    The rover drives over no ground that it has not seen: what the head does not see on the way, as
+    beside the rover where a path turns, it looks at beforehand.
 
     Args:
         seen: Latest observation.
         navigator: Localization, map and drive of the rover.
         arm: Chain of the arm, with the left camera as its tool.
         goal: Place (2,) [m] and heading [rad] in the frame; None for any heading.
-        on_pair: Called with each pair taken on the way.
+        on_pair: Called with each pair taken on the way; None to let no pair end the drive.
     """
+    on_pair = on_pair or _any
     place, heading = goal
-    reason = ""
-    for _ in range(_MOST_STALLS):
-        first = navigator.first_step(place, _GLANCE)
-        if first is None:
-            return Driven(seen, False, "there is no path on what is mapped")
-        seen = yield from posed(seen, aim(arm, first, DRIVING))
-        if on_pair(seen, navigator.take(seen, at_rest=True)):
-            return Driven(seen, True)
-        seen = yield from posed(seen, DRIVING)
-        if on_pair(seen, navigator.take(seen, at_rest=True)):
+    stalls, reason = 0, ""
+    while stalls < _MOST_STALLS:
+        seen, found = yield from _look_along(
+            seen, navigator, arm, lambda: navigator.path_to(place), on_pair
+        )
+        if found:
             return Driven(seen, True)
         if not navigator.set_off(place, heading):
             return Driven(seen, False, "there is no path on what is mapped")
-        while not (navigator.arrived or navigator.blocked):
-            if navigator.is_due(seen):
-                if on_pair(seen, navigator.take(seen, at_rest=False)):
-                    navigator.halt()
-                    return Driven(seen, True)
-                navigator.correct()
-            seen = yield navigator.step(seen)
+        seen, found = yield from _go_on(seen, navigator, on_pair)
         reason = navigator.blocked
-        if not reason:
+        if found or (navigator.arrived and not reason):
             navigator.halt()
             return Driven(seen, True)
-        seen = yield from retreat(seen, navigator, held=True)
+        if reason:
+            stalls += 1
+            seen = yield from retreat(seen, navigator, held=True)
     return Driven(seen, False, f"stuck {_MOST_STALLS} times: {reason}")
+
+
+def drive_straight(
+    seen: Observation,
+    navigator: Navigator,
+    arm: SerialChain,
+    path: FloatArray,
+    heading: float,
+    backwards: bool = False,
+) -> Behaviour:
+    """Drive along a short path as it is, once the ground before the rover was looked at.
+
+    Args:
+        seen: Latest observation.
+        navigator: Localization, map and drive of the rover.
+        arm: Chain of the arm, with the left camera as its tool.
+        path: (N, 2) points, in the frame [m].
+        heading: Heading at its end, in the frame [rad].
+        backwards: Whether the rover drives backwards, where it came from.
+    """
+    if backwards:
+        seen = yield from posed(seen, DRIVING)
+        navigator.take(seen, at_rest=True)
+    else:
+        seen, _ = yield from _look_along(seen, navigator, arm, lambda: path, _any)
+    navigator.follow(path, heading, backwards)
+    seen, _ = yield from _go_on(seen, navigator, _any)
+    navigator.halt()
+    return seen
+
+
+def _look_along(
+    seen: Observation,
+    navigator: Navigator,
+    arm: SerialChain,
+    plan: Callable[[], FloatArray | None],
+    on_pair: OnPair,
+) -> Generator[Command, Observation, tuple[Observation, bool]]:
+    """Look at the ground along a path until it was seen; return whether a pair ended that."""
+    for _ in range(_MOST_LOOKS):
+        path = plan()
+        point = None if path is None else navigator.unseen(path)
+        if point is None:
+            break
+        seen = yield from posed(seen, aim(arm, point, LOOKING))
+        found = navigator.take(seen, at_rest=True)
+        navigator.looked()
+        if on_pair(seen, found):
+            return seen, True
+    seen = yield from posed(seen, DRIVING)
+    return seen, on_pair(seen, navigator.take(seen, at_rest=True))
+
+
+def _go_on(
+    seen: Observation, navigator: Navigator, on_pair: OnPair
+) -> Generator[Command, Observation, tuple[Observation, bool]]:
+    """Drive until the rover has arrived, is held or waits; return whether a pair ended that."""
+    while not (navigator.arrived or navigator.blocked or navigator.waits):
+        if navigator.is_due(seen):
+            if on_pair(seen, navigator.take(seen, at_rest=False)):
+                return seen, True
+            navigator.correct()
+        seen = yield navigator.step(seen)
+    return seen, False
+
+
+def _any(seen: Observation, found: RobotLocalization | None) -> bool:
+    """Let no pair end a drive."""
+    return False

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
@@ -21,7 +22,6 @@ from controllers.mapping.shared_map import SharedMap, within
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mapping.visual_odometry import VisualOdometry, levelled
 from controllers.motion.drive_path import DrivePath
-from controllers.motion.drive_to_pose import DriveToPose
 from controllers.motion.driving import SkidSteer
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
@@ -36,8 +36,11 @@ _SLIPPED, _SLIPS = 0.7, 2
 _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
-_NEAR = 0.35  # Distance of a place to which a rover turns, drives straight and turns again [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
+_CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
+_SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
+_LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
+_MOST_LOOKS = 2  # Looks at ground after which it counts as seen, as none shows what lies behind.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +53,8 @@ class NavigatorConfig:
         reach: Nearest and farthest depth that enters it [m].
         stride: Distance between matched pixels on the way [px].
         apart: Distance [m] and turn [rad] after which a new pair is taken on the way.
+        ahead: Length of a path that must have been seen before the rover sets off [m], and on the
+            way.
         aura: Margin about the rover's own spheres that is excluded from the map [m].
         paths: Size of the rover and limits of obstacles.
     """
@@ -58,9 +63,12 @@ class NavigatorConfig:
     cell: float = 0.025
     reach: tuple[float, float] = (0.35, 2.5)
     stride: int = 3
-    apart: tuple[float, float] = (0.2, 0.2)
+    apart: tuple[float, float] = (0.15, 0.2)
+    ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
-    paths: GroundPathConfig = GroundPathConfig(radius=0.3, climb=0.02, pool=2)
+    paths: GroundPathConfig = GroundPathConfig(
+        radius=0.3, climb=0.015, most_climb=0.035, least=2, pool=2
+    )
 
 
 class Navigator:
@@ -104,13 +112,17 @@ class Navigator:
         self.ground = ElevationMap(grid)
         self.localized = False
         self.received: ElevationMap | None = None
+        self._whole = self.ground
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
-        self._drive: DrivePath | DriveToPose | None = None
+        self._drive: DrivePath | None = None
+        self._looks = np.zeros(grid.shape, np.uint8)
+        self._looks[np.hypot(*np.moveaxis(grid.centres, -1, 0)) < _CLEAR] = _MOST_LOOKS
+        self._look_at = np.zeros(2)
         self._start = RigidTransform.identity()
-        self._goal: tuple[FloatArray, float | None] = (np.zeros(2), None)
-        self._slips = 0
+        self._goal: tuple[FloatArray, float | None] | None = None
+        self._slips, self._waits = 0, False
         self._bumps: list[list[float]] = []
 
     @property
@@ -148,9 +160,9 @@ class Navigator:
         if not (seen.stereo.usable and seen.stereo.stamp > self._stamp):
             return False
         far, turn = self._config.apart
-        distance, yaw = self._taken
-        turned = abs(math.remainder(self.yaw - yaw, 2.0 * math.pi))
-        return self.odometry.distance - distance > far or turned > turn
+        distance, turned = self._taken
+        odometry = self.odometry
+        return odometry.distance - distance > far or abs(odometry.turned - turned) > turn
 
     def take(self, seen: Observation, at_rest: bool) -> RobotLocalization | None:
         """Move the estimate by the present pair, and map it.
@@ -166,7 +178,7 @@ class Navigator:
         points = self._matcher.match(pair)
         self.odometry.see(stamp, pair[0], points)
         self._slips = self._slips + 1 if self.odometry.slip > _SLIPPED else 0
-        self._stamp, self._taken = stamp, (self.odometry.distance, self.yaw)
+        self._stamp, self._taken = stamp, (self.odometry.distance, self.odometry.turned)
         camera, covariance = self.odometry.camera(stamp)
         near, far = self._config.reach
         depth = points.points[:, 2]
@@ -198,6 +210,7 @@ class Navigator:
         if not self.localized:
             moved = self.odometry.level_pose() * before.inv()
             self.ground = self.ground.moved(levelled(moved), self.odometry.covariance)
+            self._looks[...] = 0
             self._bumps = [[*moved.apply([x, y, 0.0])[:2], r] for x, y, r in self._bumps]
         self.localized = True
 
@@ -227,19 +240,55 @@ class Navigator:
             return np.array([self.place, place])
         return plan_path(self._planned(), self.place, place, self._discs(), self._config.paths)
 
-    def first_step(self, place: FloatArray, far: float) -> FloatArray | None:
-        """Return the point (3,) some way along the path to a place, in the rover's frame [m]."""
-        path = self.path_to(place)
-        if path is None:
+    def unseen(self, path: FloatArray, far: float | None = None) -> FloatArray | None:
+        """Return ground that the rover has not seen and would soon drive over.
+
+        Args:
+            path: (N, 2) path from where the rover is, frame [m].
+            far: Length of the path that counts [m]; None for what is to be seen before a start.
+
+        Returns:
+            Middle (3,) of the first such ground, in the rover's frame [m]; None if there is none.
+        """
+        if self._blind:
             return None
-        leg = path[1] - path[0]
-        point = path[0] + leg * min(1.0, far / max(float(np.linalg.norm(leg)), 1e-9))
-        pose = self.odometry.pose()
-        local = pose.apply(np.append(point, pose.translation[2]), inverse=True)
-        return np.array([*local[:2], -self._robot.centre_height])
+        grid, radius = self.ground.grid, self._config.paths.radius
+        points = _along(path, self._config.ahead[0] if far is None else far, 2.0 * grid.cell)
+        low = np.maximum(grid.cells_of([points.min(axis=0) - radius])[0], 0)
+        high = grid.cells_of([points.max(axis=0) + radius])[0] + 1
+        box = slice(low[0], high[0]), slice(low[1], high[1])
+        seen = np.asarray(binary_dilation(self.ground.known[box]), dtype=bool)
+        seen |= self._looks[box] >= _MOST_LOOKS
+        places = grid.centres[box][~seen]
+        places = places[np.linalg.norm(places - self.place, axis=1) > radius]
+        for point in points:
+            over = places[np.linalg.norm(places - point, axis=1) < _SEEN]
+            if len(over):
+                nearest = over[np.argmin(np.linalg.norm(over - self.place, axis=1))]
+                about = np.linalg.norm(places - nearest, axis=1) < _LOOKED_AT
+                self._look_at = places[about].mean(axis=0)
+                pose = self.odometry.pose()
+                local = pose.apply([*self._look_at, pose.translation[2]], inverse=True)
+                return np.array([*local[:2], -self._robot.centre_height])
+        return None
+
+    def looked(self) -> None:
+        """Take note that a pair was taken of the ground that `unseen` gave last."""
+        centres = self.ground.grid.centres
+        near = np.hypot(*np.moveaxis(centres - self._look_at, -1, 0)) < 1.5 * _LOOKED_AT
+        self._looks[near] += 1
+
+    def is_clear(self, path: FloatArray) -> bool:
+        """Return whether nothing mapped stands in a rover's way along a path (N, 2) [m], frame."""
+        points = _along(path, math.inf, self.ground.grid.cell)
+        high = self.high_places()[:, :2]
+        radius = self._config.paths.radius
+        discs = np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
+        away = np.linalg.norm(points[:, None] - discs[:, :2], axis=2) - discs[:, 2]
+        return self._blind or bool((away > radius - self.ground.grid.cell).all())
 
     def set_off(self, place: FloatArray, heading: float | None) -> bool:
-        """Begin a drive; return whether there is a path.
+        """Begin a drive to a place; return whether there is a path.
 
         Args:
             place: (2,) where it ends, in the frame [m].
@@ -248,24 +297,32 @@ class Navigator:
         path = self.path_to(place)
         if path is None:
             return False
-        self._goal, self._slips = (place, heading), 0
-        self._start = self.odometry.level_pose()
-        local, turn = self._in_start(path), self._turn(heading)
-        if turn is not None and np.linalg.norm(local[-1]) < _NEAR:
-            self._drive = DriveToPose(self.steer(), [*local[-1], turn], free=self._is_free)
-        else:
-            self._drive = DrivePath(self.steer(), local, turn)
+        self.follow(path, heading)
+        self._goal = place, heading
         return True
 
-    def _is_free(self, pose: FloatArray) -> bool:
-        """Return whether a path leads to a pose (3,) in the frame of the drive's beginning."""
-        place = self._start.apply([pose[0], pose[1], 0.0])[:2]
-        return bool(np.isfinite(self.lengths_to(np.asarray(place)[None])[0]))
+    def follow(self, path: FloatArray, heading: float | None, backwards: bool = False) -> None:
+        """Begin a drive along a path that is not planned anew.
+
+        Args:
+            path: (N, 2) points, in the frame [m].
+            heading: Heading at its end, in the frame [rad]; None for any.
+            backwards: Whether the rover drives backwards.
+        """
+        self._goal, self._slips, self._waits = None, 0, False
+        self._start = self.odometry.level_pose()
+        local = self._in_start(path)
+        self._drive = DrivePath(self.steer(), local, self._turn(heading), backwards=backwards)
 
     @property
     def arrived(self) -> bool:
         """Whether the drive has ended, or there is none."""
         return self._drive is None or self._drive.done
+
+    @property
+    def waits(self) -> bool:
+        """Whether the rover has stopped on its way before ground that it has not seen."""
+        return self._waits and self._drive is not None and not self._drive.moving
 
     @property
     def blocked(self) -> str:
@@ -274,7 +331,7 @@ class Navigator:
             return ""
         if self._slips >= _SLIPS:
             return "the wheels turn, but the rover does not move"
-        return self._drive.blocked if isinstance(self._drive, DrivePath) else ""
+        return self._drive.blocked
 
     def back_off(self, held: bool) -> None:
         """Drive back a little.
@@ -286,10 +343,8 @@ class Navigator:
         if held:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
             self._bumps.append([*ahead, _BUMP])
-        self._start, self._slips = pose, 0
-        back = np.array([[0.0, 0.0], [0.0, -_BACK]])
-        self._goal = (np.asarray(pose.apply([0.0, -_BACK, 0.0]))[:2], None)
-        self._drive = DrivePath(self.steer(), back, None, backwards=True)
+        back = np.array([[0.0, 0.0, 0.0], [0.0, -_BACK, 0.0]])
+        self.follow(np.asarray(pose.apply(back))[:, :2], None, backwards=True)
 
     def halt(self) -> None:
         """End the drive where the rover is."""
@@ -303,24 +358,34 @@ class Navigator:
 
     def correct(self) -> None:
         """Correct the drive by the estimate, and plan anew around what was mapped since."""
-        if not isinstance(self._drive, DrivePath):
+        if self._drive is None:
             return
         here = self._start.inv() * self.odometry.level_pose()
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
-        if self._drive.remaining < _LAST:
+        if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal
         if heading is None and not np.isfinite(self.lengths_to(place[None])[0]):
             self.halt()  # What was mapped since leaves no room there; any place will do.
             return
         path = self.path_to(place)
-        if path is not None:
-            self._drive.replan(self._in_start(path), self._turn(heading))
+        if path is None:
+            return
+        self._drive.replan(self._in_start(path), self._turn(heading))
+        if self.unseen(path, self._config.ahead[1]) is not None:
+            self._waits = True
+            self._drive.stop()
 
     def _planned(self) -> ElevationMap:
         """Return the map that paths are planned on."""
-        return self.ground if self.received is None else completed(self.ground, self.received)
+        if self.received is None:
+            return self.ground
+        whole = completed(self.ground, self.received)
+        # The same map keeps what was found of it.
+        if not np.array_equal(whole.heights, self._whole.heights, equal_nan=True):
+            self._whole = whole
+        return self._whole
 
     def _discs(self) -> FloatArray:
         """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""
@@ -346,3 +411,10 @@ class Navigator:
         local = np.vstack([np.hstack([points, radii]), self._robot.body_spheres])
         local[:, :3] = self.odometry.pose().apply(local[:, :3])
         return local + [0.0, 0.0, 0.0, self._config.aura]
+
+
+def _along(path: FloatArray, far: float, step: float) -> FloatArray:
+    """Return points (K, 2) of a path (N, 2), a step apart, up to a length of it."""
+    arcs = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.append(np.arange(0.0, min(far, arcs[-1]), step), min(far, arcs[-1]))
+    return np.column_stack([np.interp(at, arcs, path[:, axis]) for axis in (0, 1)])

@@ -9,6 +9,7 @@ from experiments.bench.identification import bench_identification
 from experiments.bench.loop import bench_loop
 from experiments.bench.mapping import bench_mapping
 from experiments.bench.markers import bench_markers
+from experiments.bench.mission import bench_mission
 from experiments.bench.placement import bench_placement
 from experiments.bench.scaling import bench_scaling
 from experiments.harness import contract
@@ -24,6 +25,7 @@ BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "compression": bench_compression,
     "braid": bench_braid,
     "scaling": bench_scaling,
+    "mission": bench_mission,
 }
 
 

@@ -5,6 +5,7 @@ filter of one number behind a gate; poses are known here, with their covariance.
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,6 +63,20 @@ class ElevationMapConfig:
             raise ValueError(f"elevation map correlated_points = {count}: expected 1 or more")
 
 
+class FoundRises(NamedTuple):
+    """What `perception.elevation.ground.rises` found last; read-only.
+
+    Attributes:
+        heights: (rows, columns) heights of the map at that time [m].
+        window: Side of the square about a cell whose ground it was compared with [m].
+        rises: (rows, columns) heights above the ground [m].
+    """
+
+    heights: FloatArray
+    window: float
+    rises: FloatArray
+
+
 class ElevationMap:
     """Height of the surface in each cell of a grid, and its variance.
 
@@ -74,6 +89,7 @@ class ElevationMap:
         config: Fusion of views.
         heights: (rows, columns) height of the surface [m]; NaN where unknown.
         variances: (rows, columns) variance of the height [m^2]; NaN where unknown.
+        found_rises: Heights above the ground as found last, for `perception.elevation.ground`.
     """
 
     def __init__(self, grid: ElevationGrid, config: ElevationMapConfig | None = None) -> None:
@@ -82,6 +98,7 @@ class ElevationMap:
         self.variances: FloatArray = np.full(grid.shape, np.nan)
         self._lower = np.full(grid.size, np.nan), np.full(grid.size, np.nan)
         self._lower_views = np.zeros(grid.size, np.int64)
+        self.found_rises: FoundRises | None = None
 
     @property
     def known(self) -> BoolArray:

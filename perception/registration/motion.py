@@ -204,8 +204,9 @@ def agreeing(
         if fitted and np.all(squared_distances(fitted.pose, alone, sight) <= GATE):
             return fitted, everybody
     best: tuple[float, PoseSolution, BoolArray] | None = None
+    fitted_before: set[bytes] = set()
     for pose in _proposals(alone, sight, guess, rng):
-        found = _settle(pose, known, alone, sight)
+        found = _settle(pose, known, alone, sight, fitted_before)
         if found is not None and (best is None or found[0] < best[0]):
             best = found
     if best is None:
@@ -266,15 +267,22 @@ def _minimal_sets(count: int, rng: np.random.Generator) -> NDArray[np.intp]:
 
 
 def _settle(
-    pose: Pose, known: KnownPoints, alone: KnownPoints, sight: Sighting
+    pose: Pose, known: KnownPoints, alone: KnownPoints, sight: Sighting, fitted_before: set[bytes]
 ) -> tuple[float, PoseSolution, BoolArray] | None:
-    """Fit to those that agree until these stay the same; return what is left unexplained."""
+    """Fit to those that agree until these stay the same; return what is left unexplained.
+
+    None is returned where a fit fails, and where this has come to fiducials that were fitted from
+    another pose, which went on the same way; their masks are added to `fitted_before`.
+    """
     chosen = squared_distances(pose, alone, sight) <= WIDE * GATE
-    fitted = None
+    fitted, own = None, set[bytes]()
     for _ in range(10):
+        if chosen.tobytes() in fitted_before:
+            return None
         fitted = _fit(pose, known, sight, chosen)
         if fitted is None:
             return None
+        own.add(chosen.tobytes())
         pose = fitted.pose
         agreed = squared_distances(pose, alone, sight) <= GATE
         if np.array_equal(agreed, chosen):
@@ -282,6 +290,7 @@ def _settle(
         chosen = agreed
     else:
         fitted = _fit(pose, known, sight, chosen)
+    fitted_before |= own
     if fitted is None:
         return None
     return fitted.cost + GATE * float(np.sum(~chosen)), fitted, chosen

@@ -70,20 +70,29 @@ def refine(
 @numba.njit(cache=True)
 def _refine(left, right, pixels, starts, half, iterations, result):
     rows, columns = left.shape
-    count = (2 * half + 1) ** 2
+    count, right = (2 * half + 1) ** 2, right.ravel()
     normal, target, step, plane = np.zeros((4, 4)), np.zeros(4), np.zeros(4), np.zeros(4)
+    lower = np.zeros((4, 4))
+    # Pixels of a window in one row, so that they are taken several at a time.
+    window, within = np.empty((3, count)), np.empty(count, np.int32)
     for n in range(pixels.shape[0]):
         u, v = pixels[n, 0], pixels[n, 1]
         if u < half or u >= columns - half or v < half or v >= rows - half:
             continue
-        window = left[v - half : v + half + 1, u - half : u + half + 1]
-        strip = right[v - half : v + half + 1]
+        i = 0
+        for y in range(-half, half + 1):
+            for x in range(-half, half + 1):
+                window[0, i], window[1, i], window[2, i] = x, y, left[v + y, u + x]
+                within[i] = (v + y) * columns + u + x
+                i += 1
         plane[:3] = starts[n]
         plane[3] = 0.0
         fitted = False
         for _ in range(iterations):
-            squares = _accumulate(window, strip, u, plane, normal, target)
-            if squares < 0.0 or not _solve(normal, target, step):
+            if not _inside(u, half, columns, plane):
+                break
+            _accumulate(window, within, right, plane, normal, target)
+            if not _solve(normal, target, lower, step):
                 break
             plane += step
             # A window must not fold over itself, and what moved this far has lost its match.
@@ -93,72 +102,111 @@ def _refine(left, right, pixels, starts, half, iterations, result):
             if abs(step[0]) < 1e-3 and half * (abs(step[1]) + abs(step[2])) < 1e-2:
                 fitted = True
                 break
-        if not fitted:
+        if not (fitted and _inside(u, half, columns, plane)):
             continue
-        squares = _accumulate(window, strip, u, plane, normal, target)
+        squares = _accumulate(window, within, right, plane, normal, target)
         target[:] = 0.0
         target[0] = 1.0
-        if squares < 0.0 or not _solve(normal, target, step):
+        if not _solve(normal, target, lower, step):
             continue
         result[n, :3] = plane[:3]
         result[n, 3] = math.sqrt(step[0] * (squares / (count - 4)))
         result[n, 4] = math.sqrt(squares / count)
-        result[n, 5] = _contrast(window)
+        part = left[v - half : v + half + 1, u - half : u + half + 1]
+        result[n, 5] = _contrast(part)
         inner = half - half // 2
-        result[n, 6] = _contrast(window[inner : 2 * half + 1 - inner, inner : 2 * half + 1 - inner])
+        result[n, 6] = _contrast(part[inner : 2 * half + 1 - inner, inner : 2 * half + 1 - inner])
 
 
 @numba.njit(cache=True)
-def _accumulate(window, strip, column, plane, normal, target):
+def _inside(column, half, columns, plane):
+    """Return whether the right image has all that a window's fit takes from it.
+
+    Args:
+        column: Column of the window's middle [px].
+        half: Half of the window's edge [px].
+        columns: Width of the right image [px].
+        plane: (4,) disparity in the middle [px], and its change per column and per row.
+    """
+    for y in (-half, half):
+        for x in (-half, half):
+            at = math.floor(column + x - (plane[0] + plane[1] * x + plane[2] * y))
+            if at < 1 or at > columns - 3:
+                return False
+    return True
+
+
+# Without strict order of its sums this loop runs on eight pixels at a time.
+@numba.njit(cache=True, fastmath=True)
+def _accumulate(window, within, right, plane, normal, target):
     """Fill the normal equations of a window's plane of disparity and offset of brightness.
 
     Args:
-        window: (2 half + 1, 2 half + 1) window of the left image.
-        strip: (2 half + 1, W) the same rows of the right image.
-        column: Column of the window's middle [px].
+        window: (3, N) columns and rows from the window's middle [px], and left grey levels.
+        within: (N,) flat indices of the same pixels.
+        right: (H * W,) right image, flat.
         plane: (4,) disparity in the middle [px], its change per column and per row, and the grey
-            level of the left image over that of the right one.
+            level of the left image over that of the right one; the window is inside.
         normal: (4, 4) normal matrix, of which the upper triangle is written.
         target: (4,) right-hand side, written.
 
     Returns:
-        The sum of squares, or -1 where the window leaves the right image.
+        The sum of squares.
     """
-    half, last = window.shape[0] // 2, strip.shape[1] - 3
     d, a, b, offset = plane[0], plane[1], plane[2], plane[3]
-    normal[:] = 0.0
-    target[:] = 0.0
     squares = 0.0
-    for y in range(-half, half + 1):
-        row = strip[y + half]
-        for x in range(-half, half + 1):
-            at = column + x - (d + a * x + b * y)
-            k = int(math.floor(at))
-            if k < 1 or k > last:
-                return -1.0
-            t = at - k
-            p, q, r, s = row[k - 1], row[k], row[k + 1], row[k + 2]
-            # Catmull-Rom: the curve through q and r with central differences as slopes.
-            c1 = 0.5 * (r - p)
-            c2 = p - 2.5 * q + 2.0 * r - 0.5 * s
-            c3 = 0.5 * (s - p) + 1.5 * (q - r)
-            value = q + t * (c1 + t * (c2 + t * c3))
-            gradient = c1 + t * (2.0 * c2 + t * 3.0 * c3)
-            error = window[y + half, x + half] - value - offset
-            squares += error * error
-            # The picture moves to the left as the disparity grows.
-            slopes = (gradient, gradient * x, gradient * y, -1.0)
-            for i in range(4):
-                target[i] -= slopes[i] * error
-                for j in range(i, 4):
-                    normal[i, j] += slopes[i] * slopes[j]
+    gg, ggx, ggy, gxgx, gxgy, gygy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    g_sum, gx_sum, gy_sum, g_error, gx_error, gy_error, error_sum = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
+    for i in range(within.size):
+        x, y = window[0, i], window[1, i]
+        moved = -(d + a * x + b * y)
+        whole = np.floor(moved)
+        t = moved - whole
+        k = np.uint32(within[i] + np.int32(whole))  # Unsigned, as negative indices take a branch.
+        p, q = right[k - np.uint32(1)], right[k]
+        r, s = right[k + np.uint32(1)], right[k + np.uint32(2)]
+        # Catmull-Rom: the curve through q and r with central differences as slopes.
+        c1 = 0.5 * (r - p)
+        c2 = p - 2.5 * q + 2.0 * r - 0.5 * s
+        c3 = 0.5 * (s - p) + 1.5 * (q - r)
+        value = q + t * (c1 + t * (c2 + t * c3))
+        g = c1 + t * (2.0 * c2 + t * 3.0 * c3)
+        error = window[2, i] - value - offset
+        gx, gy = g * x, g * y
+        squares += error * error
+        gg += g * g
+        ggx += g * gx
+        ggy += g * gy
+        gxgx += gx * gx
+        gxgy += gx * gy
+        gygy += gy * gy
+        g_sum += g
+        gx_sum += gx
+        gy_sum += gy
+        g_error += g * error
+        gx_error += gx * error
+        gy_error += gy * error
+        error_sum += error
+    # The picture moves to the left as the disparity grows: the slopes are (g, gx, gy, -1).
+    normal[0, 0], normal[0, 1], normal[0, 2], normal[0, 3] = gg, ggx, ggy, -g_sum
+    normal[1, 1], normal[1, 2], normal[1, 3] = gxgx, gxgy, -gx_sum
+    normal[2, 2], normal[2, 3] = gygy, -gy_sum
+    normal[3, 3] = within.size
+    target[0], target[1], target[2], target[3] = -g_error, -gx_error, -gy_error, error_sum
     return squares
 
 
 @numba.njit(cache=True)
-def _solve(normal, target, solution):
+def _solve(normal, target, lower, solution):
     """Solve by Cholesky from the upper triangle; False where a direction is not seen."""
-    lower = np.zeros((4, 4))
     for i in range(4):
         for j in range(i + 1):
             total = normal[j, i]

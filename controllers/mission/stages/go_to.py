@@ -1,8 +1,9 @@
 """Stages ``approach`` and ``place``: a rover drives to its place, and localizes itself there.
 
 The slave drives to where the drawing wants it before the slot, the master to the best camera
-station on its map (chapter 4). Paths are planned on what is mapped. At its end the rover finds the
-panel again; if it has missed its place by too much it drives on.
+station on its map (chapter 4). Paths are planned on what is mapped, to a run-up behind the place:
+its last stretch the rover drives straight ahead, for turns on the spot move it aside. There and at
+its place it finds the panel again; if it has missed its place, it backs off and drives on anew.
 """
 
 import math
@@ -12,7 +13,7 @@ import numpy as np
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.stereo_view import MapperConfig
-from controllers.mission.behaviours import DRIVING, Behaviour, drive, posed
+from controllers.mission.behaviours import DRIVING, Behaviour, drive, drive_straight, posed
 from controllers.mission.belief import MissionBelief
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
@@ -21,6 +22,8 @@ from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
 _MOST_DRIVES = 4  # Largest number of drives to the place.
+_RUN_UP = 0.4  # Length of the straight stretch before a place [m].
+_NEAR, _ALONG = 0.3, 0.6  # Distance [m] and heading [rad] of a rover that need only back off.
 _VIEWS = 8  # Views in which the panel is searched for at the place.
 
 
@@ -65,14 +68,44 @@ class GoToPlace:
 
     def _run(self) -> Behaviour:
         seen = yield Command()
-        while self.stops < _MOST_DRIVES and (self.stops == 0 or self._missed()):
-            driven = yield from drive(seen, self._navigator, self._arm, self._goal())
-            seen = driven.seen
-            if not driven.arrived:
-                raise StageError(self.name, driven.reason)
+        while self.stops == 0 or self._missed():
+            if self.stops == _MOST_DRIVES:
+                off, turn = self._off()
+                raise StageError(
+                    self.name,
+                    f"{1e3 * off:.0f} mm and {math.degrees(turn):.0f} degrees off its place after "
+                    f"{_MOST_DRIVES} drives",
+                )
+            seen = yield from self._go(seen)
             self.stops += 1
             seen = yield from self._look(seen)
         return seen
+
+    def _go(self, seen: Observation) -> Behaviour:
+        """Drive to the place once: straight ahead from a run-up, if there is room for one."""
+        place, heading = self._goal()
+        run_up = place - _RUN_UP * _ahead(heading)
+        if not self._navigator.is_clear(np.array([run_up, place])):
+            return (yield from self._drive(seen, place, heading))
+        off, turn = self._off()
+        if off < _NEAR and turn < _ALONG:
+            back = np.array([self._navigator.place, run_up])
+            seen = yield from drive_straight(
+                seen, self._navigator, self._arm, back, heading, backwards=True
+            )
+        else:
+            seen = yield from self._drive(seen, run_up, heading)
+        seen = yield from self._look(seen)
+        place, heading = self._goal()
+        last = np.array([place - _RUN_UP * _ahead(heading), place])
+        return (yield from drive_straight(seen, self._navigator, self._arm, last, heading))
+
+    def _drive(self, seen: Observation, place: FloatArray, heading: float) -> Behaviour:
+        """Drive to a place (2,) [m] and heading [rad] of the frame along planned paths."""
+        driven = yield from drive(seen, self._navigator, self._arm, (place, heading))
+        if not driven.arrived:
+            raise StageError(self.name, driven.reason)
+        return driven.seen
 
     def _goal(self) -> tuple[FloatArray, float]:
         """Return place (2,) [m] and heading [rad] in the frame of the map."""
@@ -81,12 +114,16 @@ class GoToPlace:
         ahead = to_map.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
         return np.asarray(to_map.apply([x, y, 0.0]))[:2], math.atan2(-ahead[0], ahead[1])
 
+    def _off(self) -> tuple[float, float]:
+        """Return how far the rover is from its place [m], and from its heading [rad]."""
+        place, heading = self._goal()
+        turn = math.remainder(heading - self._navigator.yaw, 2.0 * math.pi)
+        return math.dist(place, self._navigator.place), abs(turn)
+
     def _missed(self) -> bool:
         """Return whether the rover is too far from its place."""
-        place, heading = self._goal()
-        off = math.dist(place, self._navigator.place)
-        turn = math.remainder(heading - self._navigator.yaw, 2.0 * math.pi)
-        return off > self._near[0] or abs(turn) > self._near[1]
+        off, turn = self._off()
+        return off > self._near[0] or turn > self._near[1]
 
     def _look(self, seen: Observation) -> Behaviour:
         """Find the panel again; where it does not show itself, odometry tells the place."""
@@ -110,6 +147,11 @@ class GoToPlace:
             goal = search.after(angles, hints, np.asarray(seen.inclinometer.value, dtype=float))
         knowledge.stay()
         return seen
+
+
+def _ahead(heading: float) -> FloatArray:
+    """Return the unit vector (2,) along a heading [rad]."""
+    return np.array([-math.sin(heading), math.cos(heading)])
 
 
 class Wait:

@@ -10,7 +10,8 @@ import pytest
 
 from controllers.mapping.ground_paths import (
     GroundPathConfig,
-    free_cells,
+    obstacles,
+    path_costs,
     path_lengths,
     plan_path,
     shortened,
@@ -21,7 +22,8 @@ from perception.elevation.map import ElevationMap
 
 CELL = 0.05
 CORNER = (-1.0, -1.5)
-HOW = GroundPathConfig()
+HOW = GroundPathConfig(near_cost=0.0)
+"""No more is paid beside obstacles, so that the cheapest paths are the shortest."""
 
 
 def field(rocks, shape=(60, 80), slope=0.1, height=0.06):
@@ -34,20 +36,31 @@ def field(rocks, shape=(60, 80), slope=0.1, height=0.06):
     return model
 
 
-def free_by_counting(above, start=None, radius=HOW.radius, climb=HOW.climb, discs=()):
-    """Each cell beside each higher one, by the distance of their middles."""
-    rocks = [
-        (CORNER[0] + (column + 0.5) * CELL, CORNER[1] + (row + 0.5) * CELL)
-        for row, column in np.argwhere(above > climb)
-    ]
+def middle_of(row, column):
+    return CORNER[0] + (column + 0.5) * CELL, CORNER[1] + (row + 0.5) * CELL
+
+
+def gaps_by_counting(above, start=None, climb=HOW.climb):
+    """Distance of each cell from the nearest higher one, by that of their middles."""
+    rocks = [middle_of(*cell) for cell in np.argwhere(above > climb)]
     if start is not None:
-        rocks = [rock for rock in rocks if math.dist(rock, start) > radius]
-    free = np.ones(above.shape, dtype=bool)
-    for row, column in np.ndindex(above.shape):
-        place = CORNER[0] + (column + 0.5) * CELL, CORNER[1] + (row + 0.5) * CELL
-        free[row, column] = all(math.dist(place, rock) > radius for rock in rocks) and all(
-            math.dist(place, disc[:2]) >= radius + disc[2] for disc in discs
-        )
+        rocks = [rock for rock in rocks if math.dist(rock, start) > HOW.inner]
+    gaps = np.full(above.shape, math.inf)
+    for cell in np.ndindex(above.shape):
+        gaps[cell] = min((math.dist(middle_of(*cell), rock) for rock in rocks), default=math.inf)
+    return gaps
+
+
+def free_by_counting(above, start=None, radius=HOW.radius, climb=HOW.climb, discs=()):
+    """Each cell beside each higher one; from a start too near to one, none nearer is free."""
+    gaps = gaps_by_counting(above, start, climb)
+    own = math.inf if start is None else gaps[cell_at(start)]
+    free = gaps > radius
+    for cell in np.ndindex(above.shape):
+        place = middle_of(*cell)
+        if own <= radius and math.dist(place, start) <= radius:
+            free[cell] = gaps[cell] >= own
+        free[cell] &= all(math.dist(place, disc[:2]) >= radius + disc[2] for disc in discs)
     return free
 
 
@@ -88,21 +101,20 @@ def length_of(path):
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
-@pytest.mark.parametrize(("radius", "climb"), [(0.28, 0.025), (0.11, 0.05), (0.01, 0.025)])
-def test_free_cells_are_those_with_nothing_higher_within_the_disc(radius, climb):
-    rng = np.random.default_rng(0)
-    above = np.full((60, 80), np.nan)
-    above[10:50, 10:70] = rng.uniform(-0.1, 0.02, (40, 60))
-    for row, column in rng.integers((10, 10), (50, 70), (25, 2)):
-        above[row, column] = rng.uniform(0.0, 0.1)
-    found = free_cells(above, radius, climb, CELL)
-    np.testing.assert_array_equal(found, free_by_counting(above, None, radius, climb))
+@pytest.mark.parametrize("radius", [0.28, 0.11, 0.01])
+def test_free_cells_are_those_with_nothing_higher_within_the_disc(radius):
+    rng, start = np.random.default_rng(0), np.array([-0.9, -1.4])
+    model = field(rng.integers((10, 10), (50, 70), (25, 2)))
+    how = dataclasses.replace(HOW, radius=radius)
+    found = np.isfinite(path_costs(model, start, None, how))
+    expected = free_by_counting(rises(model, HOW.window), start, radius)
+    np.testing.assert_array_equal(found, expected)
     assert found.any() and not found.all()
 
 
 def test_unknown_ground_is_free():
-    assert free_cells(np.full((5, 6), np.nan)).all()
-    assert free_cells(np.zeros((5, 6))).all()
+    model = ElevationMap(ElevationGrid(CORNER, (60, 80), CELL))
+    np.testing.assert_array_equal(path_costs(model, np.zeros(2), None, HOW), 1.0)
 
 
 def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_free_cells():
@@ -113,7 +125,7 @@ def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_fr
         free = free_by_counting(rises(model, HOW.window), start)
         free[cell_at(start)] = free[cell_at(goal)] = True
         expected = shortest_length(free, cell_at(start), cell_at(goal))
-        path = plan_path(model, start, goal)
+        path = plan_path(model, start, goal, config=HOW)
         if not math.isfinite(expected):
             assert path is None  # Rocks of 60 mm are none to climb, either.
             blocked += 1
@@ -140,7 +152,7 @@ def test_a_path_around_a_wall_is_as_short_as_the_rover_s_disc_allows():
     """Two tangents and an arc about the wall's end; only chords over cells stay beyond it."""
     model = field([(row, 40) for row in range(35)])
     start, goal = np.array([0.0, -0.5]), np.array([2.0, -0.5])
-    path = plan_path(model, start, goal)
+    path = plan_path(model, start, goal, config=HOW)
     end = np.array(CORNER) + CELL * np.array([40.5, 34.5])
     to_start, to_goal = start - end, goal - end
     far = np.hypot(*to_start), np.hypot(*to_goal)
@@ -164,7 +176,7 @@ def test_what_is_25_mm_high_is_driven_over_only_where_there_is_no_other_path():
     model = wall_with_gap(0.1, 0.04)
     path = plan_path(model, start, goal)
     np.testing.assert_allclose(path, [start, goal])
-    assert plan_path(model, start, goal, config=GroundPathConfig(second_climb=0.03)) is None
+    assert plan_path(model, start, goal, config=dataclasses.replace(HOW, most_climb=0.03)) is None
     assert plan_path(wall_with_gap(0.1, 0.07), start, goal) is None
     # With another path, longer, the wall is not driven over.
     model.heights[45:, 40] -= 0.1
@@ -176,22 +188,37 @@ def test_a_rover_may_leave_where_it_stands_and_reach_a_goal_a_cell_too_near():
     model = field([(30, 22), (30, 45)])
     start, goal = [0.2, 0.0], [1.0, 0.025]
     assert not free_by_counting(rises(model, HOW.window))[cell_at(start)]
-    path = plan_path(model, start, goal)
+    path = plan_path(model, start, goal, config=HOW)
     np.testing.assert_allclose(path, [start, goal])
     assert plan_path(model, start, [1.1, 0.025]) is None
     rock = np.array(CORNER) + CELL * np.array([45.5, 30.5])
     assert plan_path(model, start, rock - [0.26, 0.0]) is not None
 
 
+def test_a_rover_with_a_rock_in_its_disc_drives_away_and_comes_no_nearer_to_it():
+    rock = (30, 24)
+    model, start = field([rock]), np.array([0.0, 0.0])
+    beside = math.dist(start, middle_of(*rock))
+    assert HOW.inner < beside < HOW.radius
+    for goal in ([-0.6, -0.8], [2.0, 0.0], [0.2, 1.0]):
+        path = plan_path(model, start, np.array(goal), config=HOW)
+        points = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(path)])
+        away = np.linalg.norm(points - middle_of(*rock), axis=1)
+        assert away.min() > beside - CELL
+        assert away[np.linalg.norm(points - start, axis=1) > HOW.radius + CELL].min() > (
+            HOW.radius - CELL
+        )
+
+
 def test_other_robots_are_gone_around_and_a_rover_beside_one_comes_no_closer():
     model = field([])
     start, goal, other = np.array([0.0, 0.0]), np.array([2.0, 0.0]), np.array([1.0, 0.1, 0.3])
-    path = plan_path(model, start, goal, [other])
+    path = plan_path(model, start, goal, [other], HOW)
     free = free_by_counting(rises(model, HOW.window), start, discs=[other])
     assert_runs_over(path, free)
     assert path[:, 1].min() < -0.4
     beside = np.array([0.4, 0.0, 0.3])
-    path = plan_path(model, start, goal, [beside])
+    path = plan_path(model, start, goal, [beside], HOW)
     assert len(path) > 2
     for first, second in itertools.pairwise(path):
         along = np.linspace(first, second, 200)
@@ -205,6 +232,68 @@ def test_there_is_no_path_from_or_to_beyond_the_map(ends):
     assert plan_path(field([]), *ends) is None
 
 
+@pytest.mark.parametrize(("height", "over"), [(0.06, math.inf), (0.042, 1.0 + 3.0 + 7.0)])
+def test_costs_fall_with_the_distance_from_what_is_high(height, over):
+    how = GroundPathConfig(margin=0.2, near_cost=3.0, over_cost=7.0)
+    costs = path_costs(field([(30, 40)], height=height), np.array([-0.9, -1.4]), None, how)
+    rows, columns = np.mgrid[:60, :80]
+    beyond = CELL * np.hypot(rows - 30, columns - 40) - how.radius
+    np.testing.assert_array_equal(costs[beyond <= 0.0], over)
+    near = (beyond > 0.0) & (beyond < 0.2)
+    np.testing.assert_allclose(costs[near], 1.0 + 3.0 * (0.2 - beyond[near]) / 0.2)
+    np.testing.assert_array_equal(costs[beyond >= 0.2], 1.0)
+
+
+def test_a_cell_alone_is_noise_and_two_side_by_side_are_a_rock():
+    rng = np.random.default_rng(5)
+    above = np.where(rng.uniform(size=(40, 50)) < 0.05, 0.04, 0.0)
+    found = obstacles(above, 0.02, least=2)
+    for row, column in np.ndindex(above.shape):
+        about = above[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] > 0.02
+        assert found[row, column] == (above[row, column] > 0.02 and about.sum() > 1)
+    np.testing.assert_array_equal(obstacles(above, 0.02), above > 0.02)
+
+
+def test_a_path_keeps_off_rocks_where_there_is_room_and_squeezes_where_there_is_none():
+    """Past one rock with a margin, and through a gap that leaves none."""
+    start, goal = np.array([-0.5, 0.0]), np.array([2.5, 0.0])
+    gap = [(row, 38) for row in range(60) if not 22 < row < 36]
+    for rocks, least in (([(24, 38)], 0.36), (gap, 0.28)):
+        model = field(rocks)
+        path = plan_path(model, start, goal)
+        points = np.concatenate([np.linspace(a, b, 500) for a, b in itertools.pairwise(path)])
+        away = min(np.linalg.norm(points - middle_of(*rock), axis=1).min() for rock in rocks)
+        assert away > least
+        assert length_of(path) < 3.3
+
+
+def cost_by_steps(first, second, costs):
+    """What a line over cells costs, summed in small steps [cells]."""
+    places = np.linspace(first, second, 20001)
+    middles = 0.5 * (places[1:] + places[:-1])
+    length = np.linalg.norm(second - first) / len(middles)
+    return float(sum(costs[int(y), int(x)] for x, y in middles)) * length
+
+
+def test_string_pulling_keeps_the_cheapest_chain_where_cells_cost():
+    rng, corner = np.random.default_rng(3), np.zeros(2)
+    for _ in range(8):
+        costs = rng.uniform(1.0, 4.0, (9, 9))
+        path = rng.uniform(0.01, 8.99, (5, 2))
+        legs = {
+            (i, j): cost_by_steps(path[i], path[j], costs)
+            for i, j in itertools.combinations(range(5), 2)
+        }
+        chains = [
+            (0, *inner, 4)
+            for count in range(4)
+            for inner in itertools.combinations((1, 2, 3), count)
+        ]
+        best = min(chains, key=lambda chain: sum(legs[leg] for leg in itertools.pairwise(chain)))
+        pulled = shortened(CELL * path, costs, corner, CELL)
+        np.testing.assert_allclose(pulled, CELL * path[list(best)])
+
+
 def test_string_pulling_keeps_the_shortest_chain_of_free_legs():
     """Against all subsets of a path's points."""
     rng, corner = np.random.default_rng(2), np.zeros(2)
@@ -212,7 +301,7 @@ def test_string_pulling_keeps_the_shortest_chain_of_free_legs():
         free = rng.uniform(size=(9, 9)) < 0.75
         path = np.cumsum(rng.integers(-1, 2, (8, 2)), axis=0) + rng.uniform(0.0, 1.0, (8, 2)) + 4.0
         path = np.clip(path, 0.01, 8.99)
-        pulled = shortened(CELL * path, free, corner, CELL)
+        pulled = shortened(CELL * path, np.where(free, 1.0, math.inf), corner, CELL)
 
         def is_free(first, second, free=free):
             places = np.linspace(first, second, 2000)
@@ -250,14 +339,14 @@ def test_pooled_cells_are_as_high_as_the_highest_that_they_hold():
     points = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(path)])
     # A pooled cell's middle lies up to half a fine cell's diagonal off the rock's.
     assert np.linalg.norm(points - rock, axis=1).min() > HOW.radius - CELL
-    assert len(plan_path(fine, start, goal)) >= 3
+    assert len(plan_path(fine, start, goal, config=HOW)) >= 3
 
 
 def test_lengths_are_those_of_the_paths_from_cell_to_cell():
     rng = np.random.default_rng(4)
     model = field(rng.integers((0, 0), (60, 80), (25, 2)))
     start, goals = np.array([-0.5, -1.0]), rng.uniform([-0.7, -1.2], [2.7, 1.2], (12, 2))
-    lengths = path_lengths(model, start, goals)
+    lengths = path_lengths(model, start, goals, config=HOW)
     free = free_by_counting(rises(model, HOW.window), start)
     free[cell_at(start)] = True
     for goal, length in zip(goals, lengths, strict=True):

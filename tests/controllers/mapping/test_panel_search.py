@@ -112,3 +112,7 @@ def test_what_likely_stands_somewhere_is_kept_off():
     discs = sure.likely_discs(np.array([[0.4, 0.0, 0.2]]))
     assert np.linalg.norm(discs[:, :2] - [1.0, 0.9], axis=1).max() < 0.15
     assert np.all(discs[:, 2] == 0.2)
+    for _ in range(40):
+        sure.miss(camera([0.0, 0.5, 0.4], [1.0, 0.5, 0.2]), EMPTY)
+    discs = sure.likely_discs(np.array([[0.4, 0.0, 0.2]]))
+    assert np.linalg.norm(discs[:, :2] - [-2.0, 0.4], axis=1).max() < 0.15

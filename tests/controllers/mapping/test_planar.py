@@ -64,6 +64,22 @@ def test_path_lengths_are_those_of_scipy():
     np.testing.assert_allclose(found.lengths.ravel(), 0.5 * expected, rtol=1e-12)
 
 
+def test_path_lengths_to_goals_are_those_of_a_search_for_all_cells():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        enterable = rng.random((30, 37)) > 0.35
+        cells = np.argwhere(enterable)
+        start = tuple(int(i) for i in rng.choice(cells))
+        goals = rng.choice(cells, 3)
+        some = shortest_paths(enterable, start, 0.5, goals=goals)
+        flat = start[0] * 37 + start[1]
+        expected = csgraph.dijkstra(grid_graph(enterable), directed=False, indices=flat)
+        expected = 0.5 * expected.reshape(30, 37)[*goals.T]
+        np.testing.assert_allclose(some.lengths[*goals.T], expected, rtol=1e-12)
+    near = shortest_paths(np.ones((30, 37), dtype=bool), (3, 3), 0.5, goals=np.array([[3, 5]]))
+    assert np.isfinite(near.lengths).sum() < 40
+
+
 def test_a_path_is_free_connected_and_of_the_reported_length():
     enterable = np.random.default_rng(3).random((30, 37)) > 0.3
     start = tuple(int(i) for i in np.argwhere(enterable)[0])

@@ -69,6 +69,7 @@ def test_wheels_alone_turn_by_their_share_of_a_circle():
     assert x == pytest.approx(radius * (math.cos(turned) - 1.0), abs=1e-4)
     assert y == pytest.approx(radius * math.sin(turned), abs=1e-4)
     assert odometry.distance == pytest.approx(2.0)
+    assert odometry.turned == pytest.approx(0.5 * 0.2 * 20.0)
 
 
 def test_a_slope_is_climbed():

@@ -3,7 +3,14 @@
 import numpy as np
 
 from controllers.insertion.camera_station import camera_arm
-from controllers.mission.behaviours import DRIVING, drive, posed, retreat
+from controllers.mission.behaviours import (
+    DRIVING,
+    LOOKING,
+    drive,
+    drive_straight,
+    posed,
+    retreat,
+)
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
 from twin.robot import Command
@@ -14,20 +21,36 @@ STEPS = 100
 
 
 class HandNavigator:
-    """Drives for some ticks; may be held, or find no path."""
+    """Drives for some ticks; may be held, find no path, or not have seen ground before it."""
 
-    def __init__(self, path=True, held=0, shows_at=None):
-        self.calls = []
-        self._path, self._held, self._shows_at = path, held, shows_at
+    def __init__(self, path=True, held=0, unseen=(), waits_at=None):
+        self.calls, self.postures = [], []
+        self._path, self._held, self._unseen = path, held, list(unseen)
         self._left, self.blocked, self.taken = 0, "", 0
+        self.waits, self._waits_at = False, waits_at
 
-    def first_step(self, place, far):
-        return np.array([0.0, far, -0.06]) if self._path else None
+    @property
+    def looks(self):
+        """Number of pairs taken in the posture for looks at the ground."""
+        return sum(abs(posture[2] - LOOKING[2]) < 1e-6 for posture in self.postures)
+
+    def path_to(self, place):
+        return np.array([[0.0, 0.0], place]) if self._path else None
+
+    def unseen(self, path):
+        return np.array(self._unseen[0]) if self._unseen else None
+
+    def looked(self):
+        self._unseen.pop(0)
 
     def set_off(self, place, heading):
         self.calls.append("set off")
-        self._left, self.blocked = STEPS, ""
+        self._left, self.blocked, self.waits = self._left or STEPS, "", False
         return self._path
+
+    def follow(self, path, heading, backwards=False):
+        self.calls.append("back" if backwards else "straight")
+        self._left = STEPS
 
     @property
     def arrived(self):
@@ -38,6 +61,7 @@ class HandNavigator:
 
     def take(self, seen, at_rest):
         self.taken += 1
+        self.postures.append(np.array(seen.arm_angles.value))
         return None
 
     def correct(self):
@@ -53,6 +77,9 @@ class HandNavigator:
 
     def step(self, seen):
         self._left -= 1
+        if self._left == self._waits_at:
+            self.waits, self._waits_at = True, None
+            self._unseen.append([0.0, 0.6, -0.06])
         if self._held and self._left == STEPS // 2:
             self._held -= 1
             self.blocked = "something holds the rover"
@@ -86,12 +113,43 @@ def test_posed_returns_with_a_pair_taken_at_the_goal():
     assert 1.0 <= time < 3.0  # a second of motion, and the time of rest
 
 
-def test_a_drive_looks_before_it_sets_off_and_takes_pairs_on_the_way():
+def test_a_drive_takes_pairs_before_and_on_the_way():
     navigator = HandNavigator()
     driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert driven.arrived and not driven.reason
     assert navigator.calls[0] == "set off" and navigator.calls[-1] == "halt"
-    assert navigator.calls.count("correct") == 5 and navigator.taken == 7
+    assert navigator.calls.count("correct") == 5 and navigator.taken == 6
+    np.testing.assert_allclose(navigator.postures, np.tile(DRIVING, (6, 1)), atol=1e-9)
+
+
+def test_unseen_ground_is_looked_at_before_a_drive_sets_off():
+    sides = [[-0.6, 0.1, -0.06], [0.5, 0.5, -0.06]]
+    navigator = HandNavigator(unseen=sides)
+    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    assert driven.arrived and navigator.calls.count("set off") == 1
+    for posture, point in zip(navigator.postures, sides):
+        seen = ARM.tool_in_robot(posture).apply(point, inverse=True)
+        off = np.degrees(np.arctan2(np.hypot(*seen[:2]), seen[2]))
+        assert off < 15.0  # The wrist is at its limit; half the view's height is 16 degrees.
+        np.testing.assert_allclose(posture[1:3], LOOKING[1:3], atol=1e-9)
+    np.testing.assert_allclose(navigator.postures[2], DRIVING, atol=1e-9)
+
+
+def test_a_rover_that_waits_before_unseen_ground_looks_at_it_and_drives_on():
+    navigator = HandNavigator(waits_at=30)
+    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    assert driven.arrived and navigator.calls.count("set off") == 2
+    assert navigator.calls.count("back off") == 0
+    assert navigator.looks == 1
+
+
+def test_a_straight_drive_looks_ahead_but_not_where_it_came_from():
+    for backwards, looks in ((False, 1), (True, 0)):
+        navigator = HandNavigator(unseen=[[0.0, 0.6, -0.06]])
+        path = np.array([[0.0, 0.0], [0.0, 0.4]])
+        play(drive_straight(first(), navigator, ARM, path, 0.0, backwards))
+        assert navigator.calls[0] == ("back" if backwards else "straight")
+        assert navigator.looks == looks
 
 
 def test_a_held_rover_backs_off_and_tries_again():
@@ -112,7 +170,7 @@ def test_without_a_path_nothing_moves():
     navigator = HandNavigator(path=False)
     driven, time = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert not driven.arrived and "no path" in driven.reason
-    assert navigator.calls == [] and time == 0.0
+    assert navigator.calls == ["set off"] and time < 1.0
 
 
 def test_a_pair_may_end_the_drive():

@@ -14,7 +14,7 @@ from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
 
 ROBOT = describe_rover("rover1")
-ANGLES = np.array([0.0, 1.6, -0.1, -1.85])
+ANGLES = np.array([0.0, 1.6, -0.2, -1.85])
 
 
 class Rolling:
@@ -62,11 +62,55 @@ def test_a_drive_ends_at_its_place_and_heading():
     assert rover.navigator.yaw == pytest.approx(0.8, abs=0.05)
 
 
-def test_a_near_pose_is_reached_by_turning_and_driving_straight():
+def test_a_given_path_is_followed_as_it_is_forward_and_back():
     rover = Rolling()
-    assert rover.navigator.set_off(np.array([0.1, -0.05]), 0.1)
+    put_box(rover.navigator, 0.0, 0.5)
+    rover.navigator.follow(np.array([[0.0, 0.0], [0.0, 1.0]]), 0.0)
     rover.drive()
-    assert math.dist(rover.navigator.place, (0.1, -0.05)) < 0.02
+    np.testing.assert_allclose(rover.navigator.place, [0.0, 1.0], atol=0.02)
+    rover.navigator.follow(np.array([[0.0, 1.0], [0.0, 0.4]]), 0.0, backwards=True)
+    rover.drive()
+    np.testing.assert_allclose(rover.navigator.place, [0.0, 0.4], atol=0.02)
+    assert rover.navigator.yaw == pytest.approx(0.0, abs=0.02)
+    assert not rover.navigator.is_clear(np.array([[0.0, 0.0], [0.0, 1.0]]))
+    assert rover.navigator.is_clear(np.array([[1.0, 0.0], [1.0, 1.0]]))
+
+
+def test_ground_on_the_way_is_unseen_until_it_is_mapped_or_was_looked_at():
+    navigator = Rolling().navigator
+    ground, path = navigator.ground, np.array([[0.0, 0.0], [0.0, 2.0]])
+    centres = ground.grid.centres
+    ground.heights[...] = 0.0
+    hidden = np.hypot(centres[..., 0] - 0.1, centres[..., 1] - 0.7) < 0.1
+    ground.heights[hidden] = np.nan
+    point = navigator.unseen(path)
+    assert point is not None
+    np.testing.assert_allclose(point[:2], [0.1, 0.7], atol=0.05)
+    assert navigator.unseen(path, 0.2) is None  # Not as far as that.
+    assert navigator.unseen(np.array([[0.0, 0.0], [0.0, -2.0]])) is None
+    navigator.looked()
+    assert navigator.unseen(path) is not None
+    navigator.looked()  # What no look has shown is behind something.
+    assert navigator.unseen(path) is None
+    ground.heights[np.hypot(*np.moveaxis(centres, -1, 0)) < 0.25] = np.nan
+    assert navigator.unseen(path) is None  # The rover stands there.
+
+
+def test_a_drive_stops_before_ground_that_was_not_seen():
+    rover = Rolling()
+    ground = rover.navigator.ground
+    centres = ground.grid.centres
+    ground.heights[centres[..., 1] < 1.2] = 0.0
+    assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
+    for tick in range(3000):
+        if rover.navigator.waits:
+            break
+        if tick % 50 == 0:
+            rover.navigator.correct()
+        rover.wheels = np.array(rover.navigator.step(rover.seen).wheels)
+        rover.seen = rover.tick()
+    assert rover.navigator.waits and not rover.navigator.arrived
+    assert 0.5 < rover.navigator.place[1] < 0.85
 
 
 def test_paths_lead_around_what_is_mapped_unless_the_navigator_is_blind():

@@ -170,6 +170,18 @@ def test_too_little_about_a_cell_tells_nothing_of_it():
     assert np.abs(found[10:20, 10:20]).max() < 0.05
 
 
+def test_rises_follow_the_heights_and_the_window():
+    model = mapped(np.random.default_rng(4).normal(0.0, 0.01, (40, 50)))
+    first = rises(model, 0.5)
+    assert rises(model, 0.5) is first
+    model.heights[20, 30] += 0.1
+    model.heights[5, 5] = np.nan
+    changed = rises(model, 0.5)
+    assert changed[20, 30] > first[20, 30] + 0.08 and np.isnan(changed[5, 5])
+    np.testing.assert_array_equal(changed, rises(mapped(model.heights), 0.5))
+    assert not np.allclose(changed, rises(model, 0.9), equal_nan=True)
+
+
 def test_window_narrower_than_three_cells_is_refused():
     with pytest.raises(ValueError, match="window 0.04"):
         rises(mapped(np.zeros((5, 5))), 0.04)
