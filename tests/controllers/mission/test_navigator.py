@@ -185,3 +185,16 @@ def test_paths_lead_around_what_the_other_rover_has_mapped_where_nothing_is_know
     put_box(rover.navigator, 5.0, 5.0)
     assert len(rover.navigator.path_to(np.array([0.0, 2.0]))) == 2
     assert not rover.navigator.high_places().size
+
+
+def test_the_map_that_paths_are_planned_on_stays_the_same_until_something_is_added():
+    navigator, received = Rolling().navigator, Rolling().navigator
+    assert navigator._planned() is navigator.ground
+    put_box(received, 0.0, 1.0)
+    navigator.received = received.ground
+    before = navigator._planned()
+    assert navigator._planned() is before and before is not navigator.ground
+    put_box(navigator, 5.0, 5.0)
+    after = navigator._planned()
+    assert after is not before
+    np.testing.assert_array_equal(after.heights, navigator.ground.heights)
