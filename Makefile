@@ -21,7 +21,7 @@ help: ## list the commands
 
 setup: $(PACKAGES) $(RENDERING) ## install all into .venv; quick when it is there
 
-demo: setup ## run the mission: two rovers find out what they need and insert a card
+demo: setup ## run the mission: two rovers find their site and insert a card
 	$(BIN)/python -m experiments mission --quick --record
 
 test: setup $(VIEWERS) ## run the tests; PYTEST_ARGS="-m 'not slow'" for the quick ones

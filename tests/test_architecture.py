@@ -134,7 +134,6 @@ LAYERS = (
     {"placement"},
     {"insertion"},
     {"mission"},
-    {"crossing"},
 )
 """Rooms of the controllers from below."""
 

@@ -39,19 +39,8 @@ class Polled(NamedTuple):
     outcomes: list[Outcome]
 
 
-class Link(Protocol):
-    """One robot's end of the radio."""
-
-    def send(self, message: bytes) -> int:
-        """Queue a message that must arrive: in order, once, or reported as unconfirmed.
-
-        Returns:
-            The ticket that an `Outcome` of a later `poll` carries.
-
-        Raises:
-            RadioError: If the message is empty or too long, or too many wait to be sent.
-        """
-        ...
+class LatestLink(Protocol):
+    """One robot's end of the radio, for values that the next one replaces."""
 
     def send_latest(self, message: bytes) -> None:
         """Send a value once; one that still waits with the same first byte (its type) is replaced.
@@ -63,4 +52,19 @@ class Link(Protocol):
 
     def poll(self) -> Polled:
         """Transmit what the line has capacity for, and return what has arrived by now."""
+        ...
+
+
+class Link(LatestLink, Protocol):
+    """One robot's end of the radio."""
+
+    def send(self, message: bytes) -> int:
+        """Queue a message that must arrive: in order, once, or reported as unconfirmed.
+
+        Returns:
+            The ticket that an `Outcome` of a later `poll` carries.
+
+        Raises:
+            RadioError: If the message is empty or too long, or too many wait to be sent.
+        """
         ...

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from perception.geometry.arrays import FloatArray
-from twin.link import Link
+from twin.link import LatestLink
 
 KIND = 0x14
 """First byte: format version 1, type 4."""
@@ -25,6 +25,8 @@ _CARD, _SLOT, _POSE = 1, 2, 4
 _FORM = struct.Struct(">BBi6h21e")
 _QUESTION, _ANSWER = 0x15, 0x16
 """First bytes: types 5 and 6. Both are as long, so that both ways take equally long."""
+KINDS = KIND, _QUESTION, _ANSWER
+"""First bytes of all messages of a `GuidanceLink`."""
 _TIMES = struct.Struct(">B2i")  # Times of question and answer, each by its robot's clock.
 _ASK_PERIOD = 0.83
 """Time between two questions [s]; in no step with pictures, so that not every answer waits behind
@@ -120,7 +122,7 @@ class GuidanceLink:
         offset_limit: Largest error of the offset [s], whatever the ways of question and answer.
     """
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: LatestLink) -> None:
         self.offset, self.offset_limit = math.nan, math.inf
         self._link = link
         self._asked = self._received = -math.inf

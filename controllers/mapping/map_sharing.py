@@ -47,6 +47,7 @@ _NONE = -(2**31)
 """Number of no delta, before all others."""
 _MOST_PATIENCE = 60.0
 """Longest time after which a delta without a receipt is taken for lost [s]."""
+_ENOUGH = 50  # Number of cells that tell the difference of two maps.
 _NO_CELLS = np.zeros(0, np.intp)
 
 
@@ -229,6 +230,27 @@ class MapSharing:
         _, robot, number, bits = _RECEIPT.unpack(content)
         if robot == self._robot:
             self._outgoing.confirm(number, bits)
+
+
+def completed(own: ElevationMap, received: ElevationMap) -> ElevationMap:
+    """Return a robot's map with what it has received where it knows nothing itself.
+
+    Both robots have levelled their maps by themselves: the received heights are moved by the median
+    difference of what both know, if that is enough.
+
+    Args:
+        own: The robot's own map, which stays as it is.
+        received: What it has received, in the same frame and cells.
+    """
+    known = own.known
+    both, missing = known & received.known, ~known & received.known
+    shift = 0.0
+    if np.count_nonzero(both) >= _ENOUGH:
+        shift = float(np.median(own.heights[both] - received.heights[both]))
+    whole = own.copy()
+    whole.heights[missing] = received.heights[missing] + shift
+    whole.variances[missing] = received.variances[missing]
+    return whole
 
 
 class _Outgoing:

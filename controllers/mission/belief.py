@@ -1,4 +1,4 @@
-"""Estimates of one robot of a mission: first from the drawing, then measured or received."""
+"""Estimates of one rover of a mission: first from drawings, then measured or received."""
 
 import dataclasses
 import math
@@ -7,85 +7,82 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from controllers.identification.pitch import PitchEstimate
+from controllers.insertion.camera_station import stereo_geometry
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
-from controllers.mission.exchange import Exchange, SlotPose, TurnShare
+from controllers.mapping.stereo_view import MapperConfig
+from controllers.mission.navigator import Navigator
+from controllers.mission.radio import SlotPose
 from controllers.mission.site import SiteDrawing
 from controllers.motion.base_tilt import TiltAxis, drawn_springs, roll_axis
-from controllers.motion.driving import Odometry, SkidSteer
+from controllers.motion.driving import SkidSteer
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, transport_covariance
+from perception.voxels.grid import VoxelGrid
+from perception.voxels.map import VoxelMap
 from twin.description import RobotDescription
 from twin.robot import Observation, RobotError
 
 _SLIDING = 0.12
 """Standard deviation of a turn share as drawn. Assumption: loads that differ, rocks and rolling
 friction move it by a quarter."""
-_UNLIKE = 0.025
-"""Standard deviation of two robots' difference: 12 as made scattered by 0.0175 on flat ground."""
+_PARTNER = 0.3  # Radius of a disc that holds a rover [m].
+_UNSURE = 0.3  # Most by which a rover's disc is larger where its place is not known well [m].
+_VOXEL = 0.01  # Edge of the map's voxels [m].
+_BOX = ((-2.4, -2.4, -0.5), (2.4, 2.4, 0.8))  # Corners of the voxel map, about the panel [m].
 
 
 @dataclasses.dataclass
 class MissionBelief:
-    """Estimates of one robot.
+    """Estimates of one rover.
 
     Attributes:
-        robot: Description of the robot.
+        robot: Description of the rover.
         site: Drawing of the site.
-        transform_slot_to_level: Transform from the slot to the robot frame; the master's is level.
-        slot_covariance: (6, 6) covariance of the slot's pose, as a twist in the robot frame.
-        partner: Pose of the slot in the other robot's frame.
-        turn_share: Actual turn of the skidding rover over that of rolling wheels; until identified
-            as drawn (`drawn_turn_share`).
+        map: Voxel map of the site, whose frame the panel defines.
+        navigator: Odometry, elevation map and drive of the rover.
+        localization: Localization of the rover on the map; None before it has found the panel.
+        partner: Slot in the other rover's frame, which says where that stands; None before it has
+            been received.
         pitch: Identified pitch dynamics on the springs; None before the identification, and where
             it failed.
         identification: Latest identification of the pitch dynamics, used or not; None before it.
         doubts: Why the latest identification is not used, in words; none if it is.
-        map: Map of the site; None without one.
-        localization: Localization of the robot on the map, once it has found the panel.
     """
 
     robot: RobotDescription
     site: SiteDrawing
-    transform_slot_to_level: RigidTransform
-    slot_covariance: FloatArray
-    partner: SlotPose
-    turn_share: TurnShare
+    map: SharedMap
+    navigator: Navigator
+    localization: RobotLocalization | None = None
+    partner: SlotPose | None = None
     pitch: PitchEstimate | None = None
     identification: PitchEstimate | None = None
     doubts: tuple[str, ...] = ()
-    map: SharedMap | None = None
-    localization: RobotLocalization | None = None
 
     @classmethod
     def initial(
-        cls, robot: RobotDescription, partner: RobotDescription, site: SiteDrawing
+        cls, robot: RobotDescription, site: SiteDrawing, blind: bool = False
     ) -> "MissionBelief":
-        """Return a robot's estimates at the start, from the drawing alone.
+        """Return a rover's estimates at the start, from drawings alone.
 
         Args:
-            robot: Description of the robot.
-            partner: Description of the other robot.
+            robot: Description of the rover.
             site: Drawing of the site.
+            blind: Whether paths are planned as if nothing stood on the ground.
         """
-        slot = site.initial_slot(robot.name, robot.centre_height)
-        other = site.initial_slot(partner.name, partner.centre_height)
-        return cls(robot, site, *slot, SlotPose(*other), drawn_turn_share(robot))
+        config, geometry = MapperConfig(), stereo_geometry(robot)
+        voxels = VoxelMap(VoxelGrid(_VOXEL, *_BOX))
+        panel = SharedMap(voxels, geometry, site.target, config.stereo.stride, config.reach)
+        share = drawn_turn_share(robot)
+        steer = SkidSteer.of(robot, share.share, share.deviation)
+        return cls(robot, site, panel, Navigator(robot, panel, steer, blind=blind))
 
     @property
     def home(self) -> FloatArray:
         """(n,) joint angles of the arm at home [rad]."""
         assert self.robot.arm is not None
         return self.robot.arm.home
-
-    @property
-    def transform_ground_to_level(self) -> RigidTransform:
-        """Transform from the ground below the slot to the robot frame of the slot's estimate."""
-        return self.transform_slot_to_level * self.site.insertion.transform_slot_to_ground.inv()
-
-    def steer(self) -> SkidSteer:
-        """Return the kinematics of the robot's wheels with the identified turn share."""
-        return SkidSteer.of(self.robot, self.turn_share.share, self.turn_share.deviation)
 
     def springs(self) -> tuple[TiltAxis, TiltAxis]:
         """Return pitch and roll dynamics; those of the drawing where none were identified."""
@@ -94,65 +91,118 @@ class MissionBelief:
         pitch = TiltAxis.of(self.pitch)
         return pitch, roll_axis(pitch, self.robot)
 
-    def slot_in_robot(self, tilt: FloatArray) -> tuple[RigidTransform, FloatArray]:
-        """Return the slot's pose in the tilted robot's frame, and its covariance (6, 6).
+    @property
+    def transform_ground_to_map(self) -> RigidTransform:
+        """Transform from the ground frame to that of the map, once the panel was found."""
+        assert self.map.transform_target_to_world is not None
+        return self.map.transform_target_to_world * self.site.transform_panel_to_ground.inv()
+
+    def localize(self, found: RobotLocalization) -> None:
+        """Take over a localization by the panel, measured at the navigator's latest pair.
 
         Args:
-            tilt: (2,) pitch and roll of the robot [rad].
+            found: Localization of the rover.
         """
+        self.navigator.localize(found)
+        self.localization = found
+        self.navigator.keep_off = self.structures
+
+    def stay(self) -> None:
+        """Take over the localization that odometry gives where the panel does not show itself."""
+        self.localization = self.navigator.localization()
+
+    def place_in_ground(self) -> FloatArray:
+        """Return the rover's x, y [m] and yaw [rad] in the ground frame, (3,)."""
+        to_ground = self.transform_ground_to_map.inv()
+        pose = to_ground * self.navigator.odometry.level_pose()
+        x, y, _ = pose.translation
+        ahead = pose.rotation.apply([0.0, 1.0, 0.0])
+        return np.array([x, y, math.atan2(-ahead[0], ahead[1])])
+
+    def slot_in_level(self) -> tuple[RigidTransform, FloatArray]:
+        """Return the slot's pose in the levelled rover's frame, and its covariance (6, 6)."""
+        assert self.localization is not None and self.map.transform_target_to_world is not None
+        to_world = self.map.transform_target_to_world
+        to_level = self.localization.transform_level_to_world.inv()
+        covariance = composed_covariance(
+            to_world, self.localization.robot_covariance(), self.site.covariance
+        )
+        slot = to_level * to_world * self.site.transform_slot_to_panel
+        return slot, transport_covariance(to_level, covariance)
+
+    def slot_in_robot(self, tilt: FloatArray) -> tuple[RigidTransform, FloatArray]:
+        """Return the slot's pose in the tilted rover's frame, and its covariance (6, 6).
+
+        Args:
+            tilt: (2,) pitch and roll of the rover [rad].
+        """
+        slot, covariance = self.slot_in_level()
         upright = tilt_to_level(tilt).inv()
-        covariance = transport_covariance(upright, self.slot_covariance)
-        return upright * self.transform_slot_to_level, covariance
+        return upright * slot, transport_covariance(upright, covariance)
+
+    def slot_now(self) -> SlotPose | None:
+        """Return the slot in the rover's frame by odometry; None before the rover is localized."""
+        to_world = self.map.transform_target_to_world
+        if self.localization is None or to_world is None:
+            return None
+        pose, pose_covariance = self.navigator.odometry.estimate()
+        covariance = composed_covariance(to_world, pose_covariance, self.site.covariance)
+        slot = pose.inv() * to_world * self.site.transform_slot_to_panel
+        return SlotPose(slot, transport_covariance(pose.inv(), covariance))
 
     def card_in_robot(
-        self, tilt: FloatArray, transform_card_to_partner: RigidTransform
+        self, tilt: FloatArray, partner: SlotPose, transform_card_to_partner: RigidTransform
     ) -> RigidTransform:
-        """Return the approximate pose of the partner's card in the tilted robot's frame.
+        """Return the approximate pose of the partner's card in the tilted rover's frame.
 
         Args:
-            tilt: (2,) pitch and roll of the robot [rad].
+            tilt: (2,) pitch and roll of the rover [rad].
+            partner: Slot in the partner's frame.
             transform_card_to_partner: Pose of the card in the partner's frame, by its joints.
         """
         slot, _ = self.slot_in_robot(tilt)
-        return slot * self.partner.transform_slot_to_robot.inv() * transform_card_to_partner
+        return slot * partner.transform_slot_to_robot.inv() * transform_card_to_partner
 
-    def localize(self, found: RobotLocalization) -> None:
-        """Update the slot's pose from the robot's localization on the map.
+    def discs(self) -> FloatArray:
+        """Return discs (K, 3) that hold site and other rover: x, y, radius [m], ground frame."""
+        discs, there = self.site.structures, self._partner_in_ground()
+        if self.partner is None or there is None:
+            return discs
+        turn = there.rotation.as_matrix()
+        place = turn @ self.partner.covariance[3:, 3:] @ turn.T
+        unsure = min(2.0 * math.sqrt(place[0, 0] + place[1, 1]), _UNSURE)
+        return np.vstack([discs, [*there.translation[:2], _PARTNER + unsure]])
 
-        Args:
-            found: Localization of the robot.
-        """
-        assert self.map is not None and self.map.transform_target_to_world is not None
-        to_world = self.map.transform_target_to_world
-        to_level = found.transform_level_to_world.inv()
-        covariance = composed_covariance(to_world, found.robot_covariance(), self.site.covariance)
-        self.localization = found
-        slot = to_world * self.site.transform_slot_to_panel
-        self.transform_slot_to_level = to_level * slot
-        self.slot_covariance = transport_covariance(to_level, covariance)
+    def partner_place(self) -> FloatArray | None:
+        """Return (2,) the other rover's place in the ground frame [m]; None if it is unknown."""
+        there = self._partner_in_ground()
+        return None if there is None else np.asarray(there.translation)[:2]
 
-    def reckon(self, odometry: Odometry) -> None:
-        """Update the slot's pose by the robot's own dead reckoning of a drive.
+    def _partner_in_ground(self) -> RigidTransform | None:
+        """Return the other rover's pose in the ground frame; None if it is unknown."""
+        if self.partner is None:
+            return None
+        ground = self.site.insertion.transform_slot_to_ground
+        return ground * self.partner.transform_slot_to_robot.inv()
 
-        Args:
-            odometry: Dead reckoning since the slot's pose was that of the belief.
-        """
-        to_level = odometry.transform_level_to_start().inv()
-        before = transport_covariance(to_level, self.slot_covariance)
-        self.transform_slot_to_level = to_level * self.transform_slot_to_level
-        self.slot_covariance = before + odometry.covariance()
+    def structures(self) -> FloatArray:
+        """Return these discs (K, 3) in the frame of the map, once the panel was found [m]."""
+        discs = self.discs()
+        flat = np.column_stack([discs[:, :2], np.zeros(len(discs))])
+        return np.column_stack([self.transform_ground_to_map.apply(flat)[:, :2], discs[:, 2]])
 
-    def receive(self, exchange: Exchange, partner: str) -> None:
-        """Take over the slot's pose and the turn share that the partner posted.
 
-        Args:
-            exchange: Message exchange between the robots.
-            partner: Name of the other robot.
-        """
-        self.partner = exchange.read(partner, SlotPose) or self.partner
-        share = exchange.read(partner, TurnShare)
-        if share is not None:
-            self.turn_share = TurnShare(share.share, math.hypot(share.deviation, _UNLIKE))
+@dataclasses.dataclass(frozen=True)
+class TurnShare:
+    """Turn share of a skidding rover.
+
+    Attributes:
+        share: Actual turn over that of rolling wheels.
+        deviation: Standard deviation of the share.
+    """
+
+    share: float
+    deviation: float
 
 
 def drawn_turn_share(robot: RobotDescription) -> TurnShare:

@@ -1,44 +1,30 @@
-"""One robot's part of a mission: stages in sequence, each using the estimates of earlier ones.
+"""One rover's part of a mission: stages in sequence, each using the estimates of earlier ones.
 
-A stage ends when both robots have completed their parts of it.
+A stage ends when both rovers have completed their parts of it, as far as the radio says so.
 """
 
 from collections.abc import Iterator
-from typing import Protocol
-
-import numpy as np
 
 from controllers.mission.belief import MissionBelief
-from controllers.mission.exchange import ArmPosture, Exchange, StagesDone
+from controllers.mission.map_exchange import MapExchange
+from controllers.mission.radio import MissionRadio
+from controllers.mission.stage import MissionStage
+from controllers.mission.stages.insert import InsertCard
 from twin.robot import Command, Observation
 
 
-class MissionStage(Protocol):
-    """One robot's part of a stage."""
-
-    name: str
-
-    @property
-    def done(self) -> bool:
-        """Whether the robot has completed its part of the stage."""
-        ...
-
-    def step(self, seen: Observation) -> Command | None:
-        """Process an observation and return the next command; None for none."""
-        ...
-
-
 class RobotMission:
-    """One robot's part of a mission, which uses its own observations alone.
+    """One rover's part of a mission, which uses its own observations and its radio alone.
 
     Args:
-        belief: Estimates of the robot.
-        partner: Name of the other robot.
-        exchange: Message exchange between the robots.
-        stages: Stages of the robot, each created when the previous one has ended.
+        belief: Estimates of the rover.
+        radio: The rover's end of the radio.
+        number: Number of the rover in its messages, 0 to 255.
+        stages: Stages of the rover, each created when the previous one has ended.
 
     Attributes:
-        belief: Estimates of the robot.
+        belief: Estimates of the rover.
+        radio: The rover's end of the radio.
         stage: Present stage.
         ended: Names of the completed stages.
         over: Whether the last stage has ended.
@@ -47,44 +33,59 @@ class RobotMission:
     def __init__(
         self,
         belief: MissionBelief,
-        partner: str,
-        exchange: Exchange,
+        radio: MissionRadio,
+        number: int,
         stages: Iterator[MissionStage],
     ) -> None:
-        self.belief = belief
+        self.belief, self.radio = belief, radio
         self.ended: list[str] = []
         self.over = False
-        self._partner, self._exchange, self._stages = partner, exchange, stages
+        self._number, self._stages = number, stages
+        self._maps: MapExchange | None = None
         self.stage = next(stages)
 
     @property
     def name(self) -> str:
-        """Name of the robot."""
+        """Name of the rover."""
         return self.belief.robot.name
 
-    def report(self, seen: Observation) -> None:
-        """Post the arm's posture, and whether the robot's part of this stage is completed.
-
-        Args:
-            seen: Observation of the robot.
-        """
-        channel = seen.arm_angles
-        angles = np.asarray(channel.value, dtype=float) if channel.usable else None
-        self._exchange.post(self.name, ArmPosture(angles))
-        if self.stage.done:
-            self._exchange.post(self.name, StagesDone(len(self.ended) + 1))
-
     def step(self, seen: Observation) -> Command | None:
-        """Continue the present stage, or begin the next; to be called after `report` of both.
+        """Continue the present stage, or begin the next.
 
         Args:
-            seen: Observation of the robot.
+            seen: Observation of the rover.
+
+        Raises:
+            StageError: If the stage cannot do its part, or the other rover is silent for too long.
         """
-        other = self._exchange.read(self._partner, StagesDone)
-        done = other is not None and other.count > len(self.ended)
-        if self.stage.done and done and not self.over:
-            self.ended.append(self.stage.name)
-            following = next(self._stages, None)
-            self.over = following is None
-            self.stage = following or self.stage
-        return self.stage.step(seen)
+        radio = self.radio
+        radio.stage = self.stage.name
+        radio.begin_tick(seen.time)
+        self.belief.partner = radio.partner.slot
+        if self.stage.done and not self.over:
+            self._end_stage()
+        if self.stage.name != InsertCard.name:  # From then on the line is for guidance.
+            self._exchange_maps(seen.time)
+        command = self.stage.step(seen)
+        radio.stage = self.stage.name
+        radio.tell(len(self.ended) + (self.stage.done and not self.over), self.belief.slot_now())
+        return command
+
+    def _exchange_maps(self, now: float) -> None:
+        """Exchange maps as soon as both rovers are in the panel's frame."""
+        if self.belief.localization is None or self.belief.partner is None:
+            return
+        if self._maps is None:
+            self._maps = MapExchange(self.belief, self.radio, self._number)
+        self._maps.step(now)
+
+    def _end_stage(self) -> None:
+        """Begin the next stage if the other rover has completed its part, too."""
+        if self.radio.partner.done <= len(self.ended):
+            self.radio.wait()
+            return
+        self.ended.append(self.stage.name)
+        self.radio.ready = False
+        following = next(self._stages, None)
+        self.over = following is None
+        self.stage = following or self.stage

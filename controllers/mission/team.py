@@ -1,27 +1,37 @@
-"""Both rovers of a mission, joined by their message exchange."""
+"""Both rovers of a mission; the controller that the loop runs."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from controllers.insertion.camera_station import CameraStation, best_camera_station
 from controllers.insertion.card_arm import CardArm
 from controllers.mission.belief import MissionBelief
-from controllers.mission.exchange import Exchange, MapBegun
-from controllers.mission.robot_mission import MissionStage, RobotMission
+from controllers.mission.radio import MissionRadio
+from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import MissionRoles, SiteDrawing
-from controllers.mission.stages.find import FindPanel
+from controllers.mission.stage import MissionStage, StageError
+from controllers.mission.stages.go_to import GoToPlace, Wait
 from controllers.mission.stages.identify import SwingArm
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
-from controllers.mission.stages.map import MapTogether
-from controllers.mission.stages.meet import FindCard, GuidedSlave, TurnInView
-from controllers.mission.stages.place import PlaceCamera, choose_station
-from controllers.mission.stages.rest import Rest
+from controllers.mission.stages.map_site import MapSite
+from controllers.mission.stages.search import SearchPanel
+from controllers.placement.mapped_ground import MappedGround
+from controllers.placement.task import PlacementError
+from perception.geometry.arrays import FloatArray
 from twin.link import Link
 from twin.robot import Command, Observation
 
-OMITTABLE = ("identification", "mapping", "placement")
-"""Parts that an ablation can leave out of a mission."""
+OMITTABLE = ("paths", "occluders")
+"""Points of the map that an ablation takes away: those that paths avoid, or those by which the
+camera station is chosen."""
+STAGES = ("identify", "search", "approach", "map", "place", "insert")
+"""Stages in their order; both rovers end each together."""
+_FILLING = 0.05  # Distance of points that stand for a disc [m].
+_NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.06, 0.12)
+"""Tolerances of both rovers' places: distance [m] and heading [rad]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,26 +40,29 @@ class MissionConfig:
 
     Attributes:
         without: Part of `OMITTABLE` that is left out; empty for none.
-        scans: Number of views of the master alone, and of each robot when both have met.
+        scans: Number of views with which the master maps the site.
     """
 
     without: str = ""
-    scans: tuple[int, int] = (4, 3)
+    scans: int = 5
 
 
 class MissionTeam:
-    """Runs both robots' parts; a `twin.robot.Controller`.
+    """Runs both rovers' parts; a `twin.robot.Controller`.
+
+    Stages are `STAGES`: both identify themselves and search; the slave approaches the slot; the
+    master maps the site and goes to its camera station; then both insert the card.
 
     Args:
-        roles: Descriptions of both robots.
+        roles: Descriptions of both rovers.
         site: Drawing of the site.
         config: Configuration of the mission.
-        rng: Random generator for the excitations and for candidate views.
-        links: Each robot's end of the radio, by robot name.
+        rng: Random generator for excitations, searches and candidate views.
+        links: Each rover's end of the radio, by name.
 
     Attributes:
-        master: Part of the robot with the camera.
-        slave: Part of the robot that holds the card.
+        master: Part of the rover with the camera.
+        slave: Part of the rover that holds the card.
     """
 
     def __init__(
@@ -60,26 +73,33 @@ class MissionTeam:
         rng: np.random.Generator,
         links: Mapping[str, Link],
     ) -> None:
-        exchange = Exchange(links)
-        identify, explore = rng.spawn(2)
-        swings = identify.spawn(2)
-        master = MissionBelief.initial(roles.master, roles.slave, site)
-        slave = MissionBelief.initial(roles.slave, roles.master, site)
-        guiding = _master_stages(master, roles, exchange, config, (swings[0], explore))
-        holding = _slave_stages(slave, roles, exchange, config, swings[1])
-        self.master = RobotMission(master, roles.slave.name, exchange, guiding)
-        self.slave = RobotMission(slave, roles.master.name, exchange, holding)
+        guiding, holding = rng.spawn(2)
+        blind = config.without == "paths"
+        names = roles.master.name, roles.slave.name
+        radios = [
+            MissionRadio(links[name], partner) for name, partner in zip(names, reversed(names))
+        ]
+        master = MissionBelief.initial(roles.master, site, blind)
+        slave = MissionBelief.initial(roles.slave, site, blind)
+        arm = CardArm(roles.slave, site.insertion.tip)
+        card = arm.transform_card_to_robot(slave.home)
+        guides = _master_stages(master, radios[0], config, guiding, card)
+        self.master = RobotMission(master, radios[0], 1, guides)
+        held = _slave_stages(slave, radios[1], holding)
+        self.slave = RobotMission(slave, radios[1], 2, held)
 
     def reset(self) -> None:
         """Do nothing: each mission has a new team."""
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Let both robots post their state, then step each."""
-        parts = (self.master, self.slave)
-        for part in parts:
-            part.report(observations[part.name])
-        commands = {part.name: part.step(observations[part.name]) for part in parts}
+        """Step both rovers, each with its own observation."""
+        commands = {part.name: part.step(observations[part.name]) for part in self.parts}
         return {name: command for name, command in commands.items() if command is not None}
+
+    @property
+    def parts(self) -> tuple[RobotMission, RobotMission]:
+        """Both rovers' parts, the master's first."""
+        return self.master, self.slave
 
     @property
     def over(self) -> bool:
@@ -88,55 +108,79 @@ class MissionTeam:
 
     @property
     def ended(self) -> list[str]:
-        """Names of the stages that both robots have completed."""
+        """Names of the stages that both rovers have completed."""
         return [name for name, _ in zip(self.master.ended, self.slave.ended)]
+
+    @property
+    def stage(self) -> str:
+        """Name of the first stage that not both rovers have completed; the last, if all are."""
+        return STAGES[min(len(self.ended), len(STAGES) - 1)]
+
+    @property
+    def notices(self) -> list[str]:
+        """What both rovers state of the radio, in words, by the time of their clocks."""
+        found = [
+            (time, part.name, words) for part in self.parts for time, words in part.radio.notices
+        ]
+        return [f"{time:.1f} s: {name} {words}" for time, name, words in sorted(found)]
 
 
 def _master_stages(
     belief: MissionBelief,
-    roles: MissionRoles,
-    exchange: Exchange,
+    radio: MissionRadio,
     config: MissionConfig,
-    sources: tuple[np.random.Generator, np.random.Generator],
+    rng: np.random.Generator,
+    card: RigidTransform,
 ) -> Iterator[MissionStage]:
-    """Yield the stages of the robot with the camera; generators are for excitation and views."""
-    swing, explore = sources
-    assert roles.slave.arm is not None
-    arm = CardArm(roles.slave, belief.site.insertion.tip)
-    card = arm.transform_card_to_robot(roles.slave.arm.home)
-    slave = GuidedSlave(belief, roles.slave.name, exchange, card)
-    if config.without != "identification":
-        yield SwingArm(belief, swing)
-    if config.without != "mapping":
-        yield FindPanel(belief, config.scans[0], explore)
-    if belief.map is not None:
-        exchange.post(belief.robot.name, MapBegun())
-    yield FindCard(slave)
-    belief.receive(exchange, slave.name)
-    if belief.map is not None:
-        yield MapTogether.begin(belief, roles.slave, exchange, config.scans[1], explore)
-    placed = config.without != "placement"
-    if placed:
-        yield PlaceCamera(belief, choose_station(belief))
-    yield GuideInsertion(slave, placed)
+    """Yield the stages of the rover with the camera; the card's pose is in the slave's frame."""
+    yield SwingArm(belief, rng)
+    yield SearchPanel(belief, rng)
+    yield Wait("approach", belief)
+    yield MapSite(belief, config.scans, rng)
+    place = _station(belief, occluders=config.without != "occluders").place
+    yield GoToPlace("place", belief, place, _NEAR_STATION)
+    yield GuideInsertion(belief, radio, card)
 
 
 def _slave_stages(
-    belief: MissionBelief,
-    roles: MissionRoles,
-    exchange: Exchange,
-    config: MissionConfig,
-    rng: np.random.Generator,
+    belief: MissionBelief, radio: MissionRadio, rng: np.random.Generator
 ) -> Iterator[MissionStage]:
-    """Yield the stages of the robot that holds the card; the generator is for the excitation."""
-    partner = roles.master.name
-    if config.without != "identification":
-        yield SwingArm(belief, rng)
-    if config.without != "mapping":
-        yield Rest(belief, FindPanel.name)
-    yield TurnInView(belief, exchange, turns=config.without != "identification")
-    if exchange.read(partner, MapBegun) is not None:
-        yield MapTogether(belief, exchange)
-    if config.without != "placement":
-        yield Rest(belief, PlaceCamera.name)
-    yield InsertCard(belief, partner, exchange)
+    """Yield the stages of the rover that holds the card."""
+    yield SwingArm(belief, rng)
+    yield SearchPanel(belief, rng)
+    yield GoToPlace("approach", belief, belief.site.card_place, _NEAR_SLOT)
+    yield Wait(MapSite.name, belief)
+    yield Wait("place", belief)
+    yield InsertCard(belief, radio)
+
+
+def _station(belief: MissionBelief, occluders: bool) -> CameraStation:
+    """Return the best camera station that the master can reach, on its map.
+
+    Args:
+        belief: Estimates of the master.
+        occluders: Whether what is mapped is taken into account.
+
+    Raises:
+        StageError: If there is none.
+    """
+    to_ground = belief.transform_ground_to_map.inv()
+    if occluders:
+        high = to_ground.apply(belief.navigator.high_places())
+        kept_off = np.vstack([high[:, :2], _filled(belief.discs())])
+        ground = MappedGround(belief.map.voxels.surface(), to_ground, obstacles=kept_off)
+    else:
+        ground = MappedGround(None, to_ground)
+    start, drawing = belief.place_in_ground()[:2], belief.site.insertion
+    try:
+        return best_camera_station(belief.robot, drawing, ground=ground, start=start)
+    except PlacementError as error:
+        raise StageError("place", str(error)) from error
+
+
+def _filled(discs: FloatArray) -> FloatArray:
+    """Return points (N, 2) a few centimetres apart that fill discs (K, 3) [m]."""
+    side = np.arange(-0.5, 0.51, _FILLING)
+    square = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    spread = [square[np.hypot(*square.T) <= radius] + (x, y) for x, y, radius in discs]
+    return np.vstack([discs[:, :2], *spread])

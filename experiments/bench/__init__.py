@@ -2,7 +2,7 @@
 
 - `bench`: the experiment ``bench``: which benchmarks, in which order.
 - `loop`: the control loop beside bare physics.
-- `crossing`: CPU time of physics, drawing and perception on the way across a field.
+- `mission`: CPU time of physics, drawing and perception in a mission's search.
 - `identification`: our estimator beside ``mujoco.sysid``.
 - `mapping`: voxel maps beside OctoMap.
 - `placement`: placing a camera again within a vision period.

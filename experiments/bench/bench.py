@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 from experiments.bench.braid import bench_braid
 from experiments.bench.compression import bench_compression
-from experiments.bench.crossing import bench_crossing
 from experiments.bench.identification import bench_identification
 from experiments.bench.loop import bench_loop
 from experiments.bench.mapping import bench_mapping
 from experiments.bench.markers import bench_markers
+from experiments.bench.mission import bench_mission
 from experiments.bench.placement import bench_placement
 from experiments.bench.scaling import bench_scaling
 from experiments.harness import contract
@@ -18,7 +18,6 @@ from experiments.harness.output import Output
 
 BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "loop": bench_loop,
-    "crossing": bench_crossing,
     "identification": bench_identification,
     "mapping": bench_mapping,
     "placement": bench_placement,
@@ -26,6 +25,7 @@ BENCHMARKS: dict[str, Callable[[contract.Options, Output], None]] = {
     "compression": bench_compression,
     "braid": bench_braid,
     "scaling": bench_scaling,
+    "mission": bench_mission,
 }
 
 

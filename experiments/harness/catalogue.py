@@ -116,15 +116,9 @@ _ALL: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="mission",
-        summary="two rovers identify themselves, map, place a camera and insert a card in one run",
+        summary="two rovers dropped in a field find their site, map it and insert a card",
         thesis="figure 1-5, chapters 2 to 5 together",
         module="experiments.mission.mission",
-    ),
-    Experiment(
-        name="crossing",
-        summary="two rovers dropped in a field search their site, map it and drive to their places",
-        thesis="chapters 3 and 4 on the way, beyond it",
-        module="experiments.crossing.crossing",
     ),
     Experiment(
         name="appa-control",

@@ -1,6 +1,6 @@
 """Medians and fractions with their 95 % intervals, in the form that metrics.json holds."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from scipy import stats
@@ -108,3 +108,26 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> float:
     pairs = list(zip(first, second, strict=True))
     only_first, differ = sum(a and not b for a, b in pairs), sum(a != b for a, b in pairs)
     return float(stats.binomtest(only_first, differ, 0.5).pvalue) if differ else 1.0
+
+
+def sign_test(differences: Iterable[float]) -> float:
+    """Return the exact two-sided p of the sign test of paired differences; 1 where none differs.
+
+    Args:
+        differences: Difference of each pair; zeros are left out.
+    """
+    signs = [difference > 0 for difference in differences if difference != 0]
+    return float(stats.binomtest(sum(signs), len(signs), 0.5).pvalue) if signs else 1.0
+
+
+def holm(tests: Mapping[str, float]) -> dict[str, float]:
+    """Return p of several tests, corrected for their number (Holm 1979).
+
+    Args:
+        tests: p of each test by its name.
+    """
+    corrected, largest = dict(tests), 0.0
+    for rank, name in enumerate(sorted(tests, key=lambda each: tests[each])):
+        largest = max(largest, min(1.0, (len(tests) - rank) * tests[name]))
+        corrected[name] = largest
+    return corrected

@@ -1,17 +1,52 @@
-"""Figures of ``mission``: site after each stage, errors of the estimates, and the ablation."""
+"""Figures of ``mission``: the field and both rovers' tracks, and the site after each stage."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon
 
-from experiments.harness.intervals import Distribution, error_bars
-from experiments.mission.results import after_stage, stages_of
-from experiments.mission.trial import MissionResult
-from perception.geometry.arrays import FloatArray, ImageArray
+from experiments.mission.scene import CARD_PLACE, MASTER, SLAVE, draw_scene
+from experiments.mission.trial import MissionResult, MissionTrial, generators
+from models.clutter import Solids
+from models.compose import make_terrain
+from perception.geometry.arrays import ImageArray
 
-COLOURS = {"master": "tab:blue", "slave": "tab:orange"}
+_COLOURS = {MASTER: "tab:blue", SLAVE: "tab:orange"}
+_NAMES = {MASTER: "master", SLAVE: "slave, with the card"}
+
+
+def draw_tracks(trial: MissionTrial, result: MissionResult) -> Figure:
+    """Draw the field as it is, and both rovers' tracks.
+
+    Args:
+        trial: Settings of the mission.
+        result: Its result.
+    """
+    scene = draw_scene(trial.width, generators(trial.seed)[0])
+    ground = make_terrain(scene.field, scene.robots)
+    figure = Figure(figsize=(7.0, 7.0), layout="constrained")
+    axes = figure.add_subplot()
+    for solids, colour in (
+        (ground.rocks, "0.8"), (ground.blocks, "0.55"), (ground.screens, "0.2"),
+    ):  # fmt: skip
+        _draw_solids(axes, solids, colour)
+    panel = scene.field.panel
+    assert panel is not None
+    along = 0.5 * panel.size[0] * np.array([np.cos(panel.yaw), np.sin(panel.yaw)])
+    ends = np.array([np.array(panel.position) - along, np.array(panel.position) + along])
+    axes.plot(*ends.T, color="tab:red", linewidth=3, label="panel")
+    axes.plot(*CARD_PLACE[:2], "x", color="black", label="the slave's place")
+    for robot, track in result.tracks.items():
+        axes.plot(*track.T, color=_COLOURS[robot], label=_NAMES[robot])
+        axes.plot(*track[0], "o", color=_COLOURS[robot])
+    points = np.vstack([np.zeros((1, 2)), *result.tracks.values()])
+    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")
+    axes.legend(loc="best", fontsize=8)
+    return figure
 
 
 def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
@@ -32,79 +67,11 @@ def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
     return figure
 
 
-def draw_knowledge(results: Sequence[MissionResult]) -> Figure:
-    """Draw the errors of the slot's position after each stage, and the expected deviations.
-
-    Args:
-        results: Results of missions.
-    """
-    figure = Figure(figsize=(7.0, 4.6), layout="constrained")
-    axes = figure.add_subplot()
-    names = [name for name in stages_of(results) if name != "insert"]
-    place = np.arange(len(names), dtype=float)
-    for offset, robot in ((-0.12, "master"), (0.12, "slave")):
-        for stage, name in enumerate(names):
-            known = after_stage(results, name)
-            errors, sigmas = (
-                [np.linalg.norm(getattr(ended, f"{robot}_{what}")) for ended in known]
-                for what in ("error", "sigma")
-            )
-            spots = np.full(len(errors), place[stage] + offset)
-            axes.plot(
-                spots, 1e3 * np.array(errors), "o", color=COLOURS[robot], alpha=0.6, markersize=4,
-                label=f"{robot}: true error" if stage == 0 else None,
-            )  # fmt: skip
-            axes.plot(
-                [spots[0] - 0.1, spots[0] + 0.1], [1e3 * float(np.median(sigmas))] * 2, "-",
-                color=COLOURS[robot], linewidth=2,
-                label=f"{robot}: expected r.m.s. error" if stage == 0 else None,
-            )  # fmt: skip
-    axes.set_yscale("log")
-    axes.set_xticks(place, [f"after {name}" for name in names])
-    axes.set(ylabel="position of the slot [mm]", title="Errors of the estimated slot position")
-    figure.legend(fontsize=8, ncols=2, loc="outside lower center")
-    axes.grid(visible=True, axis="y", alpha=0.3)
-    return figure
-
-
-def draw_worth(
-    shares: Mapping[str, Distribution],
-    stops: Mapping[str, Sequence[float]],
-    off: Mapping[str, Sequence[float]],
-) -> Figure:
-    """Draw the ablation: cards inserted, first stops of the master, offsets of inserted cards.
-
-    Args:
-        shares: Fractions with intervals, by omitted stage; "" for whole missions.
-        stops: Distances of first stops from the camera station [m], by omitted stage; empty where
-            the master does not drive.
-        off: Distances of inserted cards from the slot's middle [m], by omitted stage.
-    """
-    figure = Figure(figsize=(12.0, 3.8), layout="constrained")
-    inserted, stopped, seated = figure.subplots(1, 3)
-    place = np.arange(len(shares), dtype=float)
-    mean, errors = error_bars(list(shares.values()))
-    colours = ["tab:green", *["tab:orange"] * (len(shares) - 1)]
-    inserted.bar(place, mean, 0.6, color=colours)
-    inserted.errorbar(place, mean, errors, fmt="none", color="k", capsize=4)
-    inserted.set(ylabel="card inserted (95 % interval)", ylim=(0.0, 1.05))
-    for spot, colour, kind in zip(place, colours, shares):
-        _scatter(stopped, spot, 100.0 * np.asarray(stops[kind], dtype=float), colour, "stays")
-        _scatter(seated, spot, 1e3 * np.asarray(off[kind], dtype=float), colour, "none is in")
-    stopped.set(ylabel="first stop from the camera station [cm]", ylim=(0.0, None))
-    seated.set(ylabel="inserted card from the slot's middle [mm]", ylim=(0.0, None))
-    labels = [f"without\n{name}" if name else "whole\nmission" for name in shares]
-    for axes in (inserted, stopped, seated):
-        axes.set_xticks(place, labels, fontsize=8)
-        axes.set_xlim(-0.5, len(place) - 0.5)
-    return figure
-
-
-def _scatter(axes: Axes, spot: float, values: FloatArray, colour: str, without: str) -> None:
-    """Draw values beside each other about a position, and their median; without values, a text."""
-    places = spot + np.linspace(-0.2, 0.2, len(values))
-    axes.plot(places, values, "o", color=colour, alpha=0.7, markersize=4)
-    if len(values):
-        axes.plot([spot - 0.3, spot + 0.3], [np.median(values)] * 2, "k-", linewidth=2)
-    else:
-        axes.text(spot, 0.0, without, ha="center", va="bottom")
+def _draw_solids(axes: Axes, solids: Solids, colour: str) -> None:
+    for centre, half, yaw in zip(solids.centres, solids.half_sizes, solids.yaws):
+        if colour == "0.8":
+            axes.add_patch(Circle(centre[:2], float(half[:2].mean()), color=colour))
+            continue
+        c, s = np.cos(yaw), np.sin(yaw)
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * half[:2]
+        axes.add_patch(Polygon(corners @ np.array([[c, s], [-s, c]]) + centre[:2], color=colour))

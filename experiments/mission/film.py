@@ -6,9 +6,8 @@ from pathlib import Path
 import rerun.blueprint as rrb
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from controllers.mission.robot_mission import MissionStage
-from controllers.mission.stages.find import FindPanel
-from controllers.mission.stages.map import MapTogether
+from controllers.mission.stage import MissionStage
+from controllers.mission.stages.map_site import MapSite
 from experiments.ch5.task_film import InsertionLog, insertion_views, scene_picture
 from experiments.mission.scene import MASTER
 from experiments.mission.trial import Mission, MissionResult, MissionTrial, perform, prepared
@@ -18,9 +17,10 @@ from twin.loop import LoopRecorder, Tick
 from twin.recording.layout import task_blueprint
 from twin.recording.record import Recorder
 
-_LASTS = {"identify": 13.5, "find": 12.0, "meet": 13.0, "map": 9.0, "place": 22.0, "insert": 20.0}
-_ANY_LASTS = 15.0
-"""Typical durations of stages for the progress bars [s]; `_ANY_LASTS` for any other stage."""
+_LASTS = {
+    "identify": 14.0, "search": 140.0, "approach": 90.0, "map": 20.0, "place": 60.0, "insert": 25.0,
+}  # fmt: skip
+"""Typical durations of stages for the progress bars [s]."""
 _POINTS = 30_000
 Steps = list[tuple[str, float, ImageArray]]
 
@@ -35,13 +35,13 @@ class _Bars(LoopRecorder):
 
     def record(self, tick: Tick) -> None:
         """Take one tick."""
-        name = self._mission.team.slave.stage.name
+        name = self._mission.team.stage
         if name != self._stage:
             self.flush()
             self._stage, self._since = name, tick.time
             self._bar = self._progress.add_task(name, total=1.0, robot_time="")
         if tick.step % 20 == 0 and self._bar is not None:
-            part = min((tick.time - self._since) / _LASTS.get(name, _ANY_LASTS), 0.99)
+            part = min((tick.time - self._since) / _LASTS[name], 0.99)
             self._progress.update(self._bar, completed=part, robot_time=f"{tick.time:6.1f} s")
 
     def flush(self) -> None:
@@ -80,11 +80,11 @@ class _Notes(LoopRecorder):
         self._log.add(insertion.inserter if insertion is not None else None, stage.name)
         if stage is not self._stage:
             self._stage, self._views = stage, 0
-        if isinstance(stage, FindPanel | MapTogether) and len(stage.mapper.views) > self._views:
+        if isinstance(stage, MapSite) and len(stage.mapper.views) > self._views:
             self._views = len(stage.mapper.views)
             self._map(stage)
 
-    def _map(self, stage: FindPanel | MapTogether) -> None:
+    def _map(self, stage: MapSite) -> None:
         """Log the present map, once the panel has been found."""
         shared = stage.mapper.shared
         if shared.transform_target_to_world is not None:

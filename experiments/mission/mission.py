@@ -1,43 +1,47 @@
-"""``mission``: two rovers start near a slot, and insert a card by their own estimates.
+"""``mission``: two rovers, dropped metres off their site, find it and insert a card together.
 
-One continuous run: both swing their arms and identify their pitch dynamics (chapter 2); the master
-finds the panel and maps the site (chapter 3); it finds the card in the slave's gripper, and the
-slave identifies its turn share from the master's measurements; the master drives to the best camera
-station for card and slot (chapter 4), finds the panel again, and guides the slave, which feeds
-forward its tilt on the springs under the arm (chapter 5). Each stage uses the estimates of earlier
-stages. The ablation leaves a stage out.
+One continuous run in a field that each seed draws anew; what a rover knows of its initial pose is
+half a metre and 30 degrees off. Both swing their arms and identify their pitch dynamics (chapter 2)
+and search for the panel by driving, on paths planned on what they have mapped (chapter 3). The
+slave drives before the slot; the master maps the site, chooses its camera station and drives there
+(chapter 4), and guides the slave, which inserts the card (chapter 5). All that passes between them
+goes by radio. What is drawn and measured stands in ``docs/mission.md``.
 """
 
 import dataclasses
+import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from controllers.mission.team import OMITTABLE
+from controllers.mission.team import OMITTABLE, STAGES
 from experiments.ch2.rover.confidence import measure_confidence
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
-from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
+from experiments.harness.intervals import (
+    Distribution,
+    distribution,
+    holm,
+    mcnemar,
+    sign_test,
+    success_fraction,
+)
 from experiments.harness.output import Output
 from experiments.harness.robot_option import check_calibrations, check_robot
 from experiments.harness.sweep import sweep
-from experiments.mission.figures import draw_knowledge, draw_steps, draw_worth
+from experiments.mission.figures import draw_steps, draw_tracks
 from experiments.mission.film import film_mission
-from experiments.mission.results import (
-    after_stage,
-    first_stops,
-    off_middle,
-    stage_seconds,
-    stages_of,
-)
-from experiments.mission.trial import MissionResult, MissionTrial, run_mission
+from experiments.mission.scene import MASTER
+from experiments.mission.trial import BeliefResult, MissionResult, MissionTrial, run_mission
+from twin.connect import wirings_of
 from twin.realism import RealismName
 
-WANTED = 0.9
-_SLIP_STAGE = "identification"
-"""Part whose omission degrades dead reckoning."""
-Results = list[MissionResult]
+ARRIVED, SUCCEEDED, RATIO, STATION, NEES = 0.9, 0.85, 1.5, (30.0, 2.0), (0.5, 2.0)
+"""Bars of ``docs/mission.md``: fractions that arrive and succeed, driven over shortest path, error
+of the station [mm, deg], and its squared normalised error over its degrees of freedom."""
+MAP_BYTES, LARGEST_FORCE = 20_000, 10.0  # Bytes of maps on the air; force on the card [N].
+Results = Sequence[MissionResult]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,238 +51,265 @@ class Options(contract.Options):
     Attributes:
         robot: Robots that are driven: sim, quantised (counts as the boards do), emulated (over the
             boards' own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
-        without: Knowledge that further missions do without: identification, mapping, placement
-            (unless said, each of them in a full run and none in a quick one; "none" for none), one
-            at a time and with the same seeds.
+        without: Points of the map that further missions of the same seeds do without: paths (they
+            are planned as if nothing stood on the ground) or occluders (so is the camera station
+            chosen), one at a time.
+        loss: Share of the radio's messages that are lost in further missions of the same seeds; 0
+            for none.
         realism: How far simulated robots, their sensors and cameras are from their drawings: ideal,
             default or harsh; with any but ideal each seed has robots of its own.
-        only: Last stage to run, which is identify, or all.
+        only: Last stage to run, or all.
     """
 
     robot: str = "sim"
     without: tuple[str, ...] = ()
+    loss: float = 0.0
     realism: RealismName = "default"
-    only: Literal["identify", "all"] = "all"
+    only: Literal["identify", "search", "approach", "map", "place", "all"] = "all"
 
     def __post_init__(self) -> None:
-        """Refuse unknown robots and stages.
+        """Refuse unknown robots and parts.
 
         Raises:
             OptionError: Naming it and the known ones.
         """
         super().__post_init__()
         check_robot(self.robot)
-        missions = len(self.job_seeds(20, 1)) * (1 + len(self.ablations))
+        if unknown := set(self.without) - set(OMITTABLE):
+            raise OptionError(f"--without {min(unknown)}: expected some of {', '.join(OMITTABLE)}")
+        if not 0.0 <= self.loss < 1.0:
+            raise OptionError(f"--loss {self.loss}: expected a share of messages, 0 to 1")
+        missions = len(self.job_seeds(40, 1)) * len(self.cells)
         if self.robot.startswith("serial:") and missions > 1:
             raise OptionError("--robot serial: one mission at a time, with --quick")
-        known = (*OMITTABLE, "none")
-        if unknown := set(self.without) - set(known):
-            raise OptionError(f"--without {min(unknown)}: expected some of {', '.join(known)}")
 
     @property
-    def ablations(self) -> tuple[str, ...]:
-        """Stages that are left out, one at a time."""
-        if "none" in self.without or self.only != "all":
-            return ()
-        return self.without or (() if self.quick else OMITTABLE)
+    def cells(self) -> tuple[str, ...]:
+        """Kinds of missions: whole ones, ``without_<part>``, and ``with_loss``."""
+        lost = ("with_loss",) if self.loss else ()
+        return ("", *(f"without_{part}" for part in self.without), *lost)
 
 
 def run(options: Options, output: Output) -> None:
     """Run the missions.
 
     Args:
-        options: ``quick`` runs one mission (about a minute), else there are 20, and as many
-            without each stage.
-        output: Receives ``success_fraction``, ``success_fraction/without_<stage>``,
-            ``mcnemar_p/without_<stage>``, ``stage_longer_by_s/without_<stage>/<stage>``,
-            ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``stops`` and ``card_off_middle_mm`` of
-            whole missions and without each stage, ``first_stop_miss_more_by_mm/without_<stage>``,
-            ``card_off_middle_more_by_mm/without_<stage>`` (where both inserted),
-            ``last_stop_miss_mm``, ``last_stop_miss_deg``, ``wall_over_sim_time``,
-            ``turn_share/<stage>``, ``turn_share_sigma/<stage>``, ``slave_place/<stage>/<part>`` and
-            the errors of the estimates after each stage.
+        options: ``quick`` runs one mission (some minutes), else there are 40 of each cell.
+        output: Receives ``success_fraction``, ``arrived_fraction``, ``failures/<stage>`` and
+            ``inconsistent/<stage>`` (counts), ``station_error_mm``, ``station_error_deg``,
+            ``station_nees``, ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``path_ratio``,
+            ``collisions`` and ``tip_overs`` (counts), ``collided_fraction``, ``map_bytes``,
+            ``radio_bytes/<stage>``, ``stage_seconds/<stage>``, ``driven_m/<robot>``, ``seconds``,
+            ``wall_over_sim_time``, ``largest_force`` and the identification's errors; with
+            ``/<cell>`` fractions and collisions of further missions, ``lost_and_won/<cell>``, and
+            the p of both, corrected for their number: ``success_p/<cell>``,
+            ``collisions_p/<cell>``.
     """
     check_calibrations(options.robot)
-    seeds = options.job_seeds(20, 1)
-    kinds = ("", *options.ablations)
+    check_radios(options.robot)
+    seeds = options.job_seeds(40, 1)
+    only = "" if options.only == "all" else options.only
     jobs = [
         MissionTrial(
             seed,
-            without=kind,
+            without=cell.removeprefix("without_") if cell.startswith("without_") else "",
+            loss=options.loss if cell == "with_loss" else 0.0,
             robot=options.robot,
             realism=options.realism,
-            only="" if options.only == "all" else options.only,
+            only=only,
         )
-        for kind in kinds
+        for cell in options.cells
         for seed in seeds
     ]
-    if options.only != "all":
-        _measure_identification(sweep(run_mission, jobs, options, output, label="missions"), output)
-        return
-    if len(jobs) == 1:
-        result, steps = film_mission(jobs[0], output.file("run.rrd") if options.record else None)
-        results = [result]
-        if steps:
-            output.figure("mission_steps", draw_steps(steps))
-    else:
-        results = sweep(run_mission, jobs, options, output, label="missions")
-        if options.record:
-            film_mission(jobs[0], output.file("run.rrd"))
+    results = _run_all(jobs, options, output)
     cells = {
-        kind: [r for j, r in zip(jobs, results, strict=True) if j.without == kind] for kind in kinds
+        cell: results[at * len(seeds) : (at + 1) * len(seeds)]
+        for at, cell in enumerate(options.cells)
     }
-    _measure(cells, output)
-    _measure_identification(cells[""], output)
-    _tabulate(jobs, results, output)
-    _measure_stages(cells[""], output)
-    output.figure("mission_knowledge", draw_knowledge(cells[""]))
-    if not any(result.success for result in cells[""]):
-        output.failure = f"no card was inserted: {cells[''][0].reason or 'not seated'}"
-    if len(kinds) > 1:
-        shares = {kind: _success(results) for kind, results in cells.items()}
-        output.figure("mission_ablation", draw_worth(shares, first_stops(cells), off_middle(cells)))
+    whole = cells[""]
+    identified = [each for result in whole for each in result.identifications]
+    if identified:
+        measure_confidence(identified, output)
+    _measure(whole, options, output)
+    _compare(cells, output)
+    _tabulate(options.cells, jobs, results, output)
+    output.figure("mission_tracks", draw_tracks(jobs[0], results[0]))
+    if options.only == "all" and not any(result.success for result in whole):
+        first = whole[0]
+        why = first.reason or f"the belief after {first.inconsistent or first.failed_stage} is off"
+        output.failure = f"no mission succeeded; the first ended in {_stage_of(first)}: {why}"
 
 
-def _measure_identification(results: Results, output: Output) -> None:
-    found = [each for result in results for each in result.identifications]
-    if found:
-        measure_confidence(found, output)
+def check_radios(target: str) -> None:
+    """Refuse real robots that cannot reach each other.
+
+    Args:
+        target: Option ``--robot``.
+
+    Raises:
+        OptionError: If one has no radio.
+    """
+    if any(not wiring.radio for wiring in wirings_of(target)):
+        raise OptionError("--robot serial: rovers of a mission need a radio: add radio=PORT")
+
+
+def _run_all(jobs: list[MissionTrial], options: Options, output: Output) -> list[MissionResult]:
+    """Run the missions; a single one with progress bars and pictures."""
+    recording = output.file("run.rrd") if options.record else None
+    if len(jobs) > 1:
+        results = sweep(run_mission, jobs, options, output, label="missions")
+        if recording is not None:
+            film_mission(jobs[0], recording)
+        return results
+    result, steps = film_mission(jobs[0], recording)
+    if steps:
+        output.figure("mission_steps", draw_steps(steps))
+    return [result]
+
+
+def _stage_of(result: MissionResult) -> str:
+    """Return the stage to which a mission without success is counted."""
+    return result.inconsistent or result.failed_stage or "insert"
 
 
 def _success(results: Results) -> Distribution:
     return success_fraction(result.success for result in results)
 
 
-def _measure(cells: dict[str, Results], output: Output) -> None:
-    whole = cells[""]
-    share = _success(whole)
-    output.measure("success_fraction", share)
-    output.check(
-        "missions that end with an inserted card", share["mean"], f">= {WANTED}",
-        share["mean"] >= WANTED,
-    )  # fmt: skip
-    output.measure("seconds", distribution(r.seconds for r in whole))
-    _measure_some("wall_over_sim_time", [r.wall_over_sim for r in whole], output)
-    forces = [r.peak for r in whole if np.isfinite(r.peak)]
-    if forces:
-        output.measure("largest_force", max(forces))
-        output.check("largest force on the card [N]", max(forces), "<= 10", max(forces) <= 10.0)  # noqa: PLR2004
-    for kind, off in off_middle(cells).items():
-        _measure_some(f"card_off_middle_mm{_suffix(kind)}", [1e3 * far for far in off], output)
-    for kind, results in cells.items():
-        _measure_stops(kind, results, output)
-        if kind:
-            _compare(kind, whole, results, output)
+def _arrived(results: Results) -> Distribution:
+    return success_fraction(result.arrived for result in results)
 
 
 def _measure_some(key: str, values: Sequence[float], output: Output) -> None:
     """Store the distribution of the finite values, if there are any."""
-    finite = [value for value in values if np.isfinite(value)]
+    finite = [value for value in values if math.isfinite(value)]
     if finite:
         output.measure(key, distribution(finite))
 
 
-def _suffix(kind: str) -> str:
-    return f"/without_{kind}" if kind else ""
+def _check(what: str, value: float, low: float, high: float, output: Output) -> None:
+    """Check that a value is within limits, of which one may be infinite."""
+    limits = [f">= {low:g}"] * math.isfinite(low) + [f"<= {high:g}"] * math.isfinite(high)
+    output.check(what, value, ", ".join(limits), low <= value <= high)
 
 
-def _compare(kind: str, whole: Results, results: Results, output: Output) -> None:
-    """Compare missions of the same seeds with and without a stage."""
-    share, without = _success(whole), _success(results)
-    output.measure(f"success_fraction/without_{kind}", without)
-    with_it, left_out = ([bool(r.success) for r in each] for each in (whole, results))
-    lost = sum(a and not b for a, b in zip(with_it, left_out))
-    won = sum(b and not a for a, b in zip(with_it, left_out))
-    output.measure(f"lost_and_won/without_{kind}", [lost, won])
-    output.measure(f"mcnemar_p/without_{kind}", mcnemar(with_it, left_out))
-    output.measure(f"seconds/without_{kind}", distribution(r.seconds for r in results))
-    pairs = [(stage_seconds(a), stage_seconds(b)) for a, b in zip(whole, results)]
-    for stage in pairs[0][0]:
-        longer = [b[stage] - a[stage] for a, b in pairs if stage in a and stage in b]
-        _measure_some(f"stage_longer_by_s/without_{kind}/{stage}", longer, output)
-    _compare_places(kind, whole, results, output)
-    fewer = without["mean"] < share["mean"]
-    output.check(
-        f"without {kind}: fewer cards inserted", without["mean"], f"< {share['mean']:.2f}", fewer
-    )
-
-
-def _compare_places(kind: str, whole: Results, results: Results, output: Output) -> None:
-    """Measure the increase of the master's and the card's position errors without a stage."""
-    more = {
-        "first_stop_miss_more_by_mm": [
-            1e3 * (b.misses[0, 0] - a.misses[0, 0])
-            for a, b in zip(whole, results)
-            if len(a.misses) and len(b.misses)
-        ],
-        "card_off_middle_more_by_mm": [
-            1e3 * (abs(b.across) - abs(a.across))
-            for a, b in zip(whole, results)
-            if a.success and b.success
-        ],
-    }
-    for name, values in more.items():
-        _measure_some(f"{name}/without_{kind}", values, output)
-    farther = more["first_stop_miss_more_by_mm"]
-    if kind == _SLIP_STAGE and farther:
-        low = distribution(farther)["low"]
-        output.check(
-            f"without {kind}: first stop farther from the camera's place [mm]", low,
-            "> 0 within its interval", low > 0.0,
-        )  # fmt: skip
-
-
-def _measure_stops(kind: str, results: Results, output: Output) -> None:
-    """Store how often the master stopped on its path, and its error at the first stop."""
-    stops = [result.misses for result in results if len(result.misses)]
-    for name, values in (
-        ("stops", [len(misses) for misses in stops]),
-        ("first_stop_miss_mm", [1e3 * misses[0, 0] for misses in stops]),
-        ("first_stop_miss_deg", [float(np.degrees(misses[0, 1])) for misses in stops]),
-        ("last_stop_miss_mm", [1e3 * misses[-1, 0] for misses in stops]),
-        ("last_stop_miss_deg", [float(np.degrees(misses[-1, 1])) for misses in stops]),
-    ):
-        _measure_some(f"{name}{_suffix(kind)}", values, output)
-
-
-def _measure_stages(results: Results, output: Output) -> None:
-    """Store the errors of the estimates after each stage, over the missions that have ended it."""
-    rows: list[list[Any]] = []
-    for name in stages_of(results):
-        if name == "insert":
-            continue
-        known = after_stage(results, name)
-        master, slave = (
-            [1e3 * float(np.linalg.norm(getattr(ended, f"{robot}_error"))) for ended in known]
-            for robot in ("master", "slave")
-        )
-        output.measure(f"slot_error_mm/master/{name}", distribution(master))
-        output.measure(f"slot_error_mm/slave/{name}", distribution(slave))
-        for robot, turns in zip(("master", "slave"), np.degrees([e.turns for e in known]).T):
-            output.measure(f"slot_error_deg/{robot}/{name}", distribution(turns))
-        for what, values in zip(
-            ("x_m", "y_m", "yaw_rad"), np.transpose([e.slave_place for e in known])
+def _measure(results: Results, options: Options, output: Output) -> None:
+    """Measure whole missions, as far as they were to run."""
+    if options.only == "all":
+        for what, share, bar in (
+            ("arrived_fraction", _arrived(results), ARRIVED),
+            ("success_fraction", _success(results), SUCCEEDED),
         ):
-            output.measure(f"slave_place/{name}/{what}", distribution(values))
-        ends, shares, sigmas = (
-            [getattr(e, what) for e in known]
-            for what in ("ended", "turn_share", "turn_share_sigma")
-        )
-        output.measure(f"turn_share/{name}", distribution(shares))
-        output.measure(f"turn_share_sigma/{name}", distribution(sigmas))
-        values = (ends, master, slave, shares, sigmas)
-        rows.append([name, *(float(np.median(each)) for each in values)])
-    columns = ["after", "time [s]", "slot from the master, error [mm]",
-               "slot from the slave, error [mm]", "share of a turn", "its deviation"]  # fmt: skip
-    output.table("stages", columns, rows)
+            output.measure(what, share)
+            _check(what, share["mean"], bar, math.inf, output)
+    for stage in STAGES:
+        output.measure(f"failures/{stage}", sum(r.failed_stage == stage for r in results))
+        output.measure(f"inconsistent/{stage}", sum(r.inconsistent == stage for r in results))
+        spent = [r.radio_bytes[stage] for r in results if stage in r.radio_bytes]
+        _measure_some(f"radio_bytes/{stage}", spent, output)
+        lasted = [_seconds(r)[stage] for r in results if stage in r.stages]
+        _measure_some(f"stage_seconds/{stage}", lasted, output)
+    maps = [r.map_bytes for r in results]
+    output.measure("map_bytes", distribution(maps))
+    _check("bytes of maps on the air", max(maps), -math.inf, MAP_BYTES, output)
+    output.measure("seconds", distribution(r.seconds for r in results))
+    _measure_some("wall_over_sim_time", [r.wall_over_sim for r in results], output)
+    for index, robot in enumerate(("master", "slave")):
+        output.measure(f"driven_m/{robot}", distribution(r.driven[index] for r in results))
+    _measure_contacts(results, output)
+    _measure_places(results, output)
 
 
-def _tabulate(jobs: Sequence[MissionTrial], results: Results, output: Output) -> None:
-    columns = ["without", "seed", "success", "reason", "time [s]", "peak [N]", "across [mm]",
-               "ahead [mm]", "wall/time", "stops"]  # fmt: skip
+def _measure_contacts(results: Results, output: Output) -> None:
+    touches, fallen = _touches(results), sum(len(result.fallen) for result in results)
+    output.measure("collisions", sum(touches))
+    output.measure("collided_fraction", success_fraction(count > 0 for count in touches))
+    output.measure("tip_overs", fallen)
+    for what, count in (("collisions", sum(touches)), ("rovers tipped over", fallen)):
+        _check(what, count, -math.inf, 0, output)
+    forces = [r.peak for r in results if r.peak > 0.0]
+    if forces:
+        output.measure("largest_force", max(forces))
+        _check("largest force on the card [N]", max(forces), -math.inf, LARGEST_FORCE, output)
+
+
+def _measure_places(results: Results, output: Output) -> None:
+    """Measure where the master believes the slot to be at its station, and the ways there."""
+    ways = [path for r in results for path in r.paths if 0.0 < path.shortest < math.inf]
+    ratios = [path.driven / path.shortest for path in ways]
+    _measure_some("path_ratio", ratios, output)
+    stops = [r.misses[0] for r in results if len(r.misses)]
+    _measure_some("first_stop_miss_mm", [1e3 * far for far, _ in stops], output)
+    _measure_some("first_stop_miss_deg", [math.degrees(turn) for _, turn in stops], output)
+    stations = [each for result in results for each in result.beliefs if _is_station(each)]
+    if not stations:
+        return
+    values = {
+        "station_error_mm": ([1e3 * each.error for each in stations], -math.inf, STATION[0]),
+        "station_error_deg": ([math.degrees(e.turn) for e in stations], -math.inf, STATION[1]),
+        "station_nees": ([each.nees / 6.0 for each in stations], *NEES),
+    }
+    for key, (found, low, high) in values.items():
+        output.measure(key, distribution(found))
+        _check(f"{key}, median", float(np.median(found)), low, high, output)
+    if ratios:
+        _check("path_ratio, median", float(np.median(ratios)), -math.inf, RATIO, output)
+
+
+def _is_station(belief: BeliefResult) -> bool:
+    return belief.stage == "place" and belief.robot == MASTER
+
+
+def _touches(results: Results) -> list[int]:
+    return [len(result.collisions) for result in results]
+
+
+def _seconds(result: MissionResult) -> dict[str, float]:
+    """Return the durations of the stages that have ended [s], by name."""
+    ends = [0.0, *result.stages.values()]
+    return {name: end - begin for name, begin, end in zip(result.stages, ends, ends[1:])}
+
+
+def _compare(cells: dict[str, list[MissionResult]], output: Output) -> None:
+    """Compare further missions with the whole ones of the same seeds."""
+    whole, others = cells[""], [cell for cell in cells if cell]
+    succeeded = [result.success for result in whole]
+    tests: dict[str, float] = {}
+    for cell in others:
+        results = cells[cell]
+        output.measure(f"success_fraction/{cell}", _success(results))
+        output.measure(f"arrived_fraction/{cell}", _arrived(results))
+        output.measure(f"collisions/{cell}", sum(_touches(results)))
+        differ = [(a, b.success) for a, b in zip(succeeded, results, strict=True)]
+        changes = [differ.count((True, False)), differ.count((False, True))]
+        output.measure(f"lost_and_won/{cell}", changes)
+        tests[f"success_p/{cell}"] = mcnemar(succeeded, [each for _, each in differ])
+        more = np.subtract(_touches(results), _touches(whole))
+        tests[f"collisions_p/{cell}"] = sign_test(more)
+    for key, p in holm(tests).items():
+        output.measure(key, p)
+
+
+def _tabulate(
+    cells: Sequence[str], jobs: list[MissionTrial], results: Results, output: Output
+) -> None:
+    names = np.repeat(cells, len(jobs) // len(cells)).tolist()
+    columns = ["cell", "seed", "success", "arrived", "stage", "reason", "time [s]", "wall/time",
+               "slave off its place [mm]", "collisions", "driven [m]", "peak [N]", "across [mm]",
+               "ahead [mm]", "map [bytes]"]  # fmt: skip
     rows = [
-        [j.without or "-", j.seed, r.success, r.reason, r.seconds, r.peak,
-         1e3 * r.across, 1e3 * r.ahead, r.wall_over_sim, len(r.misses)]
-        for j, r in zip(jobs, results)
+        [name or "whole", j.seed, r.success, r.arrived, "" if r.success else _stage_of(r),
+         r.reason, r.seconds, r.wall_over_sim, 1e3 * r.place_error, len(r.collisions),
+         sum(r.driven), r.peak, 1e3 * r.across, 1e3 * r.ahead, r.map_bytes]
+        for name, j, r in zip(names, jobs, results, strict=True)
     ]  # fmt: skip
     output.table("missions", columns, rows)
+    said = [
+        [name or "whole", j.seed, words]
+        for name, j, r in zip(names, jobs, results, strict=True)
+        for words in r.notices
+    ]
+    for name, seed, words in said:
+        print(f"{name} mission, seed {seed}: {words}")
+    if said:
+        output.table("notices", ["cell", "seed", "notice"], said)

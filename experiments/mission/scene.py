@@ -1,8 +1,8 @@
-"""Scene of ``mission``: two rovers before a slot, on rough ground, beside a known panel.
+"""Scene of ``mission``: two rovers dropped metres away from a slot and a panel, in a rough field.
 
-The panel is the target of chapter 3: a robot that detects it is localized on the map. Slot and
-panel belong to one site whose drawing the robots have. The robots start some centimetres and
-degrees off their nominal initial poses.
+What is drawn, and within which limits, stands in ``docs/mission.md``. Slot and panel belong to one
+site whose drawing the robots have; the panel is the target of chapter 3, by which a robot is
+localized.
 """
 
 import dataclasses
@@ -20,20 +20,43 @@ from experiments.ch5.insertion_scene import (
     insertion_drawing,
     transform_between,
 )
-from models.clutter import PanelConfig
+from models.clutter import PanelConfig, ScreenConfig
 from models.compose import FieldConfig, RobotPlacement, make_model
+from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
 from twin.describe import describe_rover
 from twin.realism import RealismName, as_stated
 
-INITIAL_POSES = {MASTER: (0.82, -0.35, math.pi / 2), SLAVE: (0.0, -0.92, 0.0)}
-"""Nominal initial poses of the robots: x, y [m] and yaw [rad], world."""
-INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR = 0.06, 0.10
-"""Greatest error of an initial pose, in x and y [m] and in yaw [rad]; errors are uniform."""
-PANEL = PanelConfig((-0.5, -0.3), yaw=math.pi / 2, tilt=0.3)
+MAST = 0.065
+"""Height by which both stereo heads are raised, so that the slave looks over its card [m]."""
+CARD_PLACE = (0.0, -0.92, 0.0)
+"""Place before the slot from which the slave inserts the card: x, y [m] and yaw [rad]."""
+INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR = 0.5, math.radians(30.0)
+"""Greatest error of what is known of an initial pose, in x and y [m] and in yaw [rad]; uniform."""
 SURVEY_PLACE, SURVEY_TURN = 1e-3, 1e-3
 """Standard deviations of the site from its drawing, along [m] and about [rad] each axis."""
+WALL = (1.0, 0.12, 0.6)
+PILLAR = (0.10, 0.10, 0.45)
+BLOCK = (0.097, 0.097, 0.097)
+"""Width, depth and height of what is put up [m]; a block's edge is a wheel's diameter."""
+_FIELD = dataclasses.replace(
+    FIELD,
+    size=(22.0, 22.0),
+    rocks=1340,
+    rock_radius=(0.02, 0.07),
+    blocks=220,
+    block_edge=(0.05, 0.10),
+    texture_pixels=4096,
+    texture_tile=2.0,
+    friction_patches=(0.3, 0.8),
+    clear=((*CARD_PLACE[:2], 0.45), (0.0, 0.1, 0.25)),
+)
+_PLINTH = ScreenConfig((0.0, 0.22), 0.0, (0.16, 0.16, 0.2))
+_NEAREST, _FARTHEST, _APART = 3.0, 8.0, 2.0  # Initial poses from the slot and from another [m].
+_STEEPEST = math.radians(10.0)
+_WALL_ODDS, _WALL_FAR = 0.75, (1.0, 1.6)
+_ALONG_WALL = np.linspace(-0.5, 0.5, 9)  # Points of a wall that keep off [its width].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,34 +64,53 @@ class MissionScene:
     """Scene as built.
 
     Attributes:
-        field: Ground, rocks, panel and slot.
+        field: Ground, rocks, blocks, walls, panel and slot.
         robots: The master, and the slave with the card.
+        known: Initial poses as the robots know them: x, y [m] and yaw [rad], by robot name.
     """
 
     field: FieldConfig
     robots: tuple[RobotPlacement, RobotPlacement]
+    known: dict[str, tuple[float, float, float]]
 
 
 def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
-    """Draw ground and initial poses.
+    """Draw ground, site and initial poses.
 
     Args:
         width: Width between the slot's walls [m].
-        rng: Random generator for ground and initial poses.
+        rng: Random generator for all that is drawn.
     """
+    steep, uphill = rng.uniform(0.0, _STEEPEST), rng.uniform(-math.pi, math.pi)
+    x, y = rng.uniform(-0.1, 0.1, 2)
+    turn = rng.uniform(-1.0, 1.0) * math.radians(20.0)
+    panel = PanelConfig((-0.5 + x, -0.3 + y), yaw=math.pi / 2 + turn, tilt=0.3, ballast=0.12)
+    poses = _initial_poses(rng)
+    walls = [
+        wall
+        for pose in poses.values()
+        if (wall := _wall(panel, pose, list(poses.values()), rng)) is not None
+    ]
+    away, aside = rng.uniform(0.40, 0.50), rng.uniform(-1.0, 1.0) * math.radians(20.0)
+    pillar = ScreenConfig((away * math.cos(aside), away * math.sin(aside)), aside, PILLAR)
     field = dataclasses.replace(
-        FIELD,
+        _FIELD,
         seed=int(rng.integers(2**31)),
-        texture_pixels=2048,
-        panel=PANEL,
+        slope=(steep * math.cos(uphill), steep * math.sin(uphill)),
+        panel=panel,
         slot_width=width,
+        screens=(_PLINTH, *walls, pillar, *(_block(pose, rng) for pose in poses.values())),
     )
     errors = np.array([INITIAL_PLACE_ERROR, INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR])
-    robots = []
-    for name, nominal in INITIAL_POSES.items():
-        x, y, yaw = np.array(nominal) + errors * rng.uniform(-1.0, 1.0, 3)
-        robots.append(RobotPlacement(name, (x, y), yaw, card=name == SLAVE))
-    return MissionScene(field, (robots[0], robots[1]))
+    known: dict[str, tuple[float, float, float]] = {}
+    for name, pose in poses.items():
+        x, y, yaw = (pose + errors * rng.uniform(-1.0, 1.0, 3)).tolist()
+        known[name] = (x, y, yaw)
+    robots = [
+        RobotPlacement(name, (pose[0], pose[1]), pose[2], card=name == SLAVE, mast=MAST)
+        for name, pose in poses.items()
+    ]
+    return MissionScene(field, (robots[0], robots[1]), known)
 
 
 def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
@@ -78,7 +120,8 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
         scene: Scene as built.
         rng: Random generator for the differences.
     """
-    model = make_model(dataclasses.replace(scene.field, texture_pixels=16), ())
+    bare = dataclasses.replace(scene.field, texture_pixels=16, rocks=0, blocks=0, screens=())
+    model = make_model(bare, ())
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     deviations = np.array([SURVEY_TURN] * 3 + [SURVEY_PLACE] * 3)
@@ -87,15 +130,17 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
     error = RigidTransform.from_exp_coords(deviations * rng.normal(size=6))
     # Errors about the slot's own place, in the panel's axes.
     drawn = centred * error * centred.inv() * true
-    marker = PANEL.markers[0]
-    assert scene.field.slot_width is not None
+    assert scene.field.slot_width is not None and scene.field.panel is not None
+    panel = scene.field.panel
+    marker = panel.markers[0]
     return SiteDrawing(
         insertion_drawing(scene.field.slot_width),
-        TargetCad(PANEL.marker_points, marker.radius, marker.dark),
+        TargetCad(panel.marker_points, marker.radius, marker.dark),
         drawn,
         transport_covariance(centred, np.diag(deviations**2)),
-        INITIAL_POSES,
+        scene.known,
         (INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR),
+        CARD_PLACE,
     )
 
 
@@ -105,5 +150,51 @@ def roles(realism: RealismName = "ideal") -> MissionRoles:
     Args:
         realism: Set whose stated tolerances they have.
     """
-    robots = describe_rover(MASTER), describe_rover(SLAVE, card=True)
+    robots = describe_rover(MASTER, mast=MAST), describe_rover(SLAVE, card=True, mast=MAST)
     return MissionRoles(*(as_stated(robot, realism) for robot in robots))
+
+
+def _initial_poses(rng: np.random.Generator) -> dict[str, FloatArray]:
+    """Return x, y [m] and yaw [rad] of each rover."""
+    poses: dict[str, FloatArray] = {}
+    for name in (MASTER, SLAVE):
+        while name not in poses:
+            far, bearing = rng.uniform(_NEAREST, _FARTHEST), rng.uniform(-math.pi, math.pi)
+            place = far * np.array([math.cos(bearing), math.sin(bearing)])
+            if all(math.dist(place, other[:2]) >= _APART for other in poses.values()):
+                poses[name] = np.array([*place, rng.uniform(-math.pi, math.pi)])
+    return poses
+
+
+def _wall(
+    panel: PanelConfig, pose: FloatArray, poses: list[FloatArray], rng: np.random.Generator
+) -> ScreenConfig | None:
+    """Return a wall across the line of sight from a pose to the panel; None for none."""
+    wanted, near = rng.uniform() < _WALL_ODDS, rng.uniform(*_WALL_FAR)
+    if not wanted:
+        return None
+    line = pose[:2] - np.array(panel.position)
+    length = float(np.linalg.norm(line))
+    ahead = line / length
+    across = np.array([-ahead[1], ahead[0]])
+    clear = [
+        (np.array(CARD_PLACE[:2]), 0.75),
+        (np.zeros(2), 0.5),
+        (np.array(panel.position), panel.footprint + 0.1),
+        *((other[:2], 0.5) for other in poses),
+    ]
+    for far in (near, *np.arange(_WALL_FAR[0], length - 0.5, 0.1)):
+        middle = np.array(panel.position) + far * ahead
+        points = middle + WALL[0] * _ALONG_WALL[:, None] * across
+        if all(np.linalg.norm(points - place, axis=1).min() > gap for place, gap in clear):
+            yaw = math.atan2(across[1], across[0])
+            return ScreenConfig((float(middle[0]), float(middle[1])), yaw, WALL)
+    return None
+
+
+def _block(pose: FloatArray, rng: np.random.Generator) -> ScreenConfig:
+    """Return a block in the straight way from a pose to the slot."""
+    place = np.array(CARD_PLACE[:2])
+    while math.dist(place, CARD_PLACE[:2]) < 0.55:  # noqa: PLR2004
+        place = (1.0 - rng.uniform(0.3, 0.8)) * pose[:2]
+    return ScreenConfig((float(place[0]), float(place[1])), float(rng.uniform(0.0, 1.5)), BLOCK)

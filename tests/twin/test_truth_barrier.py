@@ -9,6 +9,7 @@ import sys
 import types
 from pathlib import Path
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
@@ -16,11 +17,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import experiments
 import twin.hardware.emulator.scene as scene_room
+from controllers.insertion.camera_station import camera_arm
+from controllers.mapping.localization import RobotLocalization
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
-from controllers.mission.stages.meet import GuidedSlave
 from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import MissionTrial, prepared
+from tests.controllers.motion.seen import seen_at
 from tests.twin.scene import SERVO, compile_scene
 from twin.camera import Renderer, StereoConfig, StereoRig
 from twin.describe import describe, describe_rover
@@ -191,6 +194,8 @@ def parts(item):
         return {"closed": cells, "defaults": item.__defaults__, **vars(item)}
     if isinstance(item, functools.partial):
         return {"function": item.func, "args": item.args, "keywords": item.keywords}
+    if isinstance(item, cv2.Algorithm):
+        return {name: getattr(item, name)() for name in dir(item) if name.startswith("get")}
     if not hasattr(item, "__dict__") and not hasattr(item, "__slots__"):
         raise TypeError(f"what a {type(item)} holds is not known")
     slots = [slot for kind in type(item).__mro__ for slot in getattr(kind, "__slots__", ())]
@@ -261,16 +266,26 @@ def missions():
             for cached in (describe_rover, insertion_drawing):
                 cached.cache_clear()
             patch.setattr(scene_room, "make_model", lambda *a, c=change: c(make_model(*a)))
-            found.append(stack.enter_context(prepared(MissionTrial(seed=4))))
+            found.append(stack.enter_context(prepared(MissionTrial(seed=4, realism="ideal"))))
         yield found
 
 
 def all_stages(team):
     """A team, and its last stages, which it makes when the ones before have ended."""
-    exchange = team.slave._exchange
-    slave = GuidedSlave(team.master.belief, SLAVE, exchange, RigidTransform.identity())
-    insert = InsertCard(team.slave.belief, MASTER, exchange)
-    return team, insert, GuideInsertion(slave, placed=True)
+    for part in team.parts:
+        _localize(part.belief)
+    master, slave = team.parts
+    insert = InsertCard(slave.belief, slave.radio)
+    return team, insert, GuideInsertion(master.belief, master.radio, RigidTransform.identity())
+
+
+def _localize(belief):
+    """Let a rover believe that it stands at the panel."""
+    belief.navigator.observe(seen_at(0.0))
+    belief.map.transform_target_to_world = RigidTransform.identity()
+    level = RigidTransform.from_translation([0.0, 0.0, 0.2])
+    arm, _ = camera_arm(belief.robot)
+    belief.localize(RobotLocalization(arm, level, 1e-6 * np.eye(6), np.zeros((6, 10))))
 
 
 def test_robots_as_made_differ_from_the_drawn_ones_in_every_number(missions):

@@ -1,10 +1,9 @@
-"""Stages of a mission, one file each, in their order.
+"""Stages of a mission, in their order.
 
-- `identify`: each robot swings its arm and finds how it pitches on its springs (chapter 2).
-- `find`: the master finds the panel and begins the map (sections 3.2.2, 3.2.3).
-- `meet`: the master finds the card; the slave learns how it turns and where the slot is.
-- `map`: both map the place together (sections 3.2.4, 3.2.5).
-- `place`: the master drives to the best camera station (chapter 4).
+- `identify`: each rover swings its arm and finds how it pitches on its springs (chapter 2).
+- `search`: each rover finds the panel by driving (sections 3.2.2 to 3.2.4).
+- `go_to`: `approach`, in which the slave drives before the slot, and `place`, in which the master
+  drives to the best camera station (chapter 4); and what a rover does in the other's stage.
+- `map_site`: the master maps the site (section 3.2.3).
 - `insert`: the master guides, the slave inserts the card (chapter 5).
-- `rest`: what a robot does in a stage in which it has no part.
 """

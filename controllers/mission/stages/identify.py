@@ -32,6 +32,7 @@ class SwingArm:
 
     def step(self, seen: Observation) -> Command:
         """Return the command of the swing; at its end hold the arm and fit, a step each tick."""
+        self._belief.navigator.observe(seen)
         name = self._belief.robot.name
         if not self._identifier.done:
             return self._identifier.step({name: seen})[name]

@@ -1,29 +1,39 @@
 """Stage ``insert``, chapter 5: the master guides, the slave inserts the card."""
 
+import dataclasses
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+
 from controllers.insertion.camera_station import camera_arm
 from controllers.insertion.card_arm import CardArm
-from controllers.insertion.card_inserter import CardInserter, CardInserterConfig
+from controllers.insertion.card_inserter import CardInserter, CardInserterConfig, InsertionStage
+from controllers.insertion.guidance import KINDS, Guidance, GuidanceLink
 from controllers.insertion.team import (
     InsertionMaster,
     InsertionSlave,
     guide_config,
+    marker_guide,
     surrogate_sensing,
 )
 from controllers.mapping.searching import aim
 from controllers.mission.belief import MissionBelief, tilt_of
-from controllers.mission.exchange import ArmReady, Exchange
-from controllers.mission.stages.meet import GuidedSlave
+from controllers.mission.radio import MissionRadio, RadioPort, SlotPose
+from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from twin.robot import Command, Observation
+
+_GUIDED = (InsertionStage.WAIT, InsertionStage.APPROACH, InsertionStage.ALIGN)
 
 
 class GuideInsertion:
     """The master's part: it aims its camera at card and slot, and sends guidance.
 
     Args:
-        slave: Slave that holds the card.
-        placed: Whether the camera moves to its best view, or keeps its pose.
+        belief: Estimates of the master.
+        radio: The master's end of the radio.
+        transform_card_to_slave: Pose of the card in the slave's frame, with its arm at home.
 
     Attributes:
         done: Always true: the slave's part ends the stage.
@@ -32,40 +42,51 @@ class GuideInsertion:
     name = "insert"
     done = True
 
-    def __init__(self, slave: GuidedSlave, placed: bool) -> None:
-        self._slave, self._placed, self._name = slave, placed, slave.belief.robot.name
+    def __init__(
+        self, belief: MissionBelief, radio: MissionRadio, transform_card_to_slave: RigidTransform
+    ) -> None:
+        self._belief, self._radio, self._card = belief, radio, transform_card_to_slave
+        self._port = RadioPort(radio, KINDS)
         self._master: InsertionMaster | None = None
-        self._move = ArmMove(slave.belief.home)
+        self._move = ArmMove(belief.home)
+
+    @property
+    def sent(self) -> Guidance | None:
+        """Guidance sent in this tick; None without a new one."""
+        return None if self._master is None else self._master.sent
 
     def step(self, seen: Observation) -> Command:
         """Move the arm to its initial pose of the insertion, then guide."""
-        exchange = self._slave.exchange
-        if self._master is None:
-            self._master, self._move = self._begin(seen)
-        ready = exchange.read(self._slave.name, ArmReady)
-        if ready is not None and ready.ready:
+        self._belief.navigator.observe(seen)
+        partner = self._radio.partner
+        if self._master is None and partner.slot is not None:
+            self._master, self._move = self._begin(seen, partner.slot)
+        if self._master is not None and self._radio.ready and partner.ready:
             return self._master.step(seen)
+        self._port.poll()  # Questions of before are not answered.
         command = self._move.command(seen)
-        exchange.post(self._name, ArmReady(self._move.is_there(seen)))
+        self._radio.ready = self._master is not None and self._move.is_there(seen)
         return command
 
-    def _begin(self, seen: Observation) -> tuple[InsertionMaster, ArmMove]:
-        belief, tilt = self._slave.belief, tilt_of(seen, self._name)
-        card = belief.card_in_robot(tilt, self._slave.transform_card_to_slave)
-        middle = 0.5 * (belief.slot_in_robot(tilt)[0].translation + card.translation)
+    def _begin(self, seen: Observation, slave: SlotPose) -> tuple[InsertionMaster, ArmMove]:
+        belief, name = self._belief, self._belief.robot.name
+        tilt = tilt_of(seen, name)
+        slot, card = belief.slot_in_robot(tilt), belief.card_in_robot(tilt, slave, self._card)
+        middle = 0.5 * (slot[0].translation + card.translation)
         start = aim(camera_arm(belief.robot)[0], middle, belief.home)
-        guide = self._slave.guide(card, tilt, start, self._placed)
-        master = InsertionMaster(self._name, guide, self._slave.exchange.guidance[self._name])
+        guide = marker_guide(belief.robot, belief.site.insertion, slot, card, start, placed=True)
+        master = InsertionMaster(name, guide, GuidanceLink(self._port))
         return master, ArmMove(guide.begin(), speed=0.5)
 
 
 class InsertCard:
     """The slave's part: it moves the card to the slot and inserts it.
 
+    While nothing is heard from the master, it stands still, unless force guides the card already.
+
     Args:
         belief: Estimates of the slave.
-        partner: Name of the master.
-        exchange: Message exchange between the robots.
+        radio: The slave's end of the radio.
 
     Attributes:
         slave: The slave's part of the insertion.
@@ -73,36 +94,51 @@ class InsertCard:
 
     name = "insert"
 
-    def __init__(self, belief: MissionBelief, partner: str, exchange: Exchange) -> None:
+    def __init__(self, belief: MissionBelief, radio: MissionRadio) -> None:
         robot, drawing = belief.robot, belief.site.insertion
         arm, springs = CardArm(robot, drawing.tip), belief.springs()
         inserter = CardInserter(
             CardInserterConfig(guide_config(drawing, drawn_springs(robot)[0])),
             arm,
-            belief.steer(),
-            belief.transform_slot_to_level,
-            belief.slot_covariance,
+            belief.navigator.steer(),
+            *belief.slot_in_level(),
             BaseTilt(*springs, arm.mount),
         )
         sensing = surrogate_sensing(robot, drawing.tip, springs)
-        self._link = exchange.guidance[robot.name]
+        self._link = GuidanceLink(RadioPort(radio, KINDS))
         self.slave = InsertionSlave(robot.name, inserter, sensing, self._link)
-        self._name, self._partner, self._exchange = robot.name, partner, exchange
+        self._belief, self._radio = belief, radio
         self._move, self._begun = ArmMove(belief.home), False
+        self._held = Command()
 
     @property
     def done(self) -> bool:
-        """Whether the card is inserted, or the insertion has failed."""
-        return self.slave.inserter.over
+        """Whether the card is inserted."""
+        return self.slave.inserter.stage is InsertionStage.DONE
 
     def step(self, seen: Observation) -> Command:
-        """Move the arm to its initial pose of the insertion, then insert."""
-        if self._begun:
-            return self.slave.step(seen)
-        self._link.receive(seen.time)  # Discard guidance from before the stage.
-        command = self._move.command(seen)
-        ready = self._exchange.read(self._partner, ArmReady)
-        if ready is not None and ready.ready and self._move.is_there(seen):
-            self._exchange.post(self._name, ArmReady(True))
-            self._begun = True
-        return command
+        """Move the arm to its initial pose of the insertion, then insert.
+
+        Raises:
+            StageError: If the insertion has failed.
+        """
+        self._belief.navigator.observe(seen)
+        inserter = self.slave.inserter
+        if not self._begun:
+            self._link.receive(seen.time)  # Discard guidance from before the stage.
+            self._held = self._move.command(seen)
+            self._begun = self._move.is_there(seen) and self._radio.partner.ready
+            self._radio.ready = self._begun
+            if not self._begun:
+                self._radio.wait()
+            return self._held
+        if self._radio.silent and inserter.stage in _GUIDED:
+            self._link.receive(seen.time)
+            self._radio.wait()
+            return dataclasses.replace(
+                self._held, wheels=np.zeros(4), arm_rates=np.zeros_like(self._held.arm_rates)
+            )
+        self._held = self.slave.step(seen)
+        if inserter.stage is InsertionStage.FAILED:
+            raise StageError(self.name, inserter.reason)
+        return self._held

@@ -9,7 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controllers.insertion import guidance
-from controllers.mapping.map_sharing import FRAGMENT, RECEIPT, MapSharing, MapSharingConfig
+from controllers.mapping.map_sharing import (
+    FRAGMENT,
+    RECEIPT,
+    MapSharing,
+    MapSharingConfig,
+    completed,
+)
 from controllers.mapping.messages import PoseMessage, WrenchMessage
 from perception.elevation.deltas import STEP, TILE, TileDelta, encode_delta
 from perception.elevation.grid import ElevationGrid
@@ -423,3 +429,22 @@ def test_impossible_settings_are_named():
         MapSharingConfig(quiet=0.0)
     with pytest.raises(ValueError, match="unreceipted = 40: expected up to 28"):
         MapSharingConfig(unreceipted=40)
+
+
+def test_received_heights_complete_a_map_by_the_difference_of_what_both_know():
+    own, received = ElevationMap(GRID), ElevationMap(GRID)
+    shape = GRID.shape
+    truth = np.random.default_rng(1).normal(0.0, 0.02, shape)
+    half = shape[1] // 2
+    own.heights[:, : half + 2], own.variances[:, : half + 2] = truth[:, : half + 2], 1e-5
+    received.heights[:, half - 2 :] = truth[:, half - 2 :] - 0.03
+    received.variances[:, half - 2 :] = 4e-5
+    whole = completed(own, received)
+    np.testing.assert_allclose(whole.heights, truth, atol=1e-12)
+    np.testing.assert_array_equal(whole.variances[:, : half + 2], 1e-5)
+    np.testing.assert_array_equal(whole.variances[:, half + 2 :], 4e-5)
+    assert not own.known[:, half + 2 :].any()
+    # Too few cells in common: as received.
+    alone = ElevationMap(GRID)
+    alone.heights[0, 0], alone.variances[0, 0] = 5.0, 1e-5
+    assert completed(alone, received).heights[0, -1] == received.heights[0, -1]

@@ -6,9 +6,9 @@ import typing
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.guidance import Guidance, GuidanceLink
+from controllers.insertion.camera_station import camera_arm
+from controllers.mapping.localization import RobotLocalization, level_target
 from controllers.mission.belief import MissionBelief, drawn_turn_share
-from controllers.mission.exchange import Exchange
 from controllers.mission.site import SiteDrawing
 from experiments.ch5.insertion_scene import insertion_drawing
 from models.clutter import PanelConfig
@@ -16,6 +16,7 @@ from models.datasheets import CARD_AND_SLOT
 from perception.registration.target import TargetCad
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
+from twin.link import Polled
 from twin.robot import Command, Observation
 
 MASTER, SLAVE = "rover1", "rover2"
@@ -37,7 +38,8 @@ def site() -> SiteDrawing:
     cad = TargetCad(panel.marker_points, panel.markers[0].radius, panel.markers[0].dark)
     aside = RigidTransform.from_components([0.1, -0.5, 0.2], Rotation.from_euler("z", 0.4))
     drawing = insertion_drawing(CARD_AND_SLOT.slot_widths[-1])
-    return SiteDrawing(drawing, cad, aside, 1e-6 * np.eye(6), POSES, (0.06, 0.1))
+    place = (0.0, -0.92, 0.0)
+    return SiteDrawing(drawing, cad, aside, 1e-6 * np.eye(6), POSES, (0.5, 0.5), place)
 
 
 SITE = site()
@@ -45,8 +47,7 @@ SITE = site()
 
 def belief_of(name: str) -> MissionBelief:
     """Return the estimates of a rover at the start."""
-    other = SLAVE if name == MASTER else MASTER
-    return MissionBelief.initial(ROVERS[name], ROVERS[other], SITE)
+    return MissionBelief.initial(ROVERS[name], SITE)
 
 
 def transform_robot_to_ground(name: str) -> RigidTransform:
@@ -62,32 +63,57 @@ def planar_pose(x: float, y: float, yaw: float) -> RigidTransform:
 
 
 class HandLink:
-    """An end of the radio that loses and delays nothing.
+    """An end of a radio that loses and delays nothing, unless it is silent.
 
     Attributes:
-        incoming: Guidance that has arrived.
-        sent: What was sent in each tick; None without guidance.
+        silent: Whether what is sent is lost.
+        sent: All messages that were sent, lost or not.
     """
 
     def __init__(self) -> None:
-        self.incoming: list[Guidance] = []
-        self.sent: list[Guidance | None] = []
+        self.silent = False
+        self.sent: list[bytes] = []
+        self.arrived: list[bytes] = []
+        self.partner = self
 
-    def receive(self, now: float) -> list[Guidance]:
-        """Return the guidance received since the last call."""
-        views, self.incoming = self.incoming, []
-        return views
+    def send(self, message: bytes) -> int:
+        """Send a message."""
+        self.send_latest(message)
+        return 0
 
-    def send(self, guidance: Guidance | None, now: float) -> None:
-        """Note what is sent."""
-        self.sent.append(guidance)
+    def send_latest(self, message: bytes) -> None:
+        """Send a message."""
+        self.sent.append(message)
+        if not self.silent:
+            self.partner.arrived.append(message)
+
+    def poll(self) -> Polled:
+        """Return what has arrived."""
+        arrived, self.arrived = self.arrived, []
+        return Polled(arrived, [])
 
 
-def exchange_with(*names: str) -> tuple[Exchange, dict[str, HandLink]]:
-    """Return an exchange, and each robot's end of its radio."""
-    exchange, links = Exchange({}), {name: HandLink() for name in names}
-    exchange.guidance.update(typing.cast(dict[str, GuidanceLink], links))
-    return exchange, links
+def hand_links() -> tuple[HandLink, HandLink]:
+    """Return both ends of a radio."""
+    links = HandLink(), HandLink()
+    links[0].partner, links[1].partner = links[1], links[0]
+    return links
+
+
+def localized(name: str) -> MissionBelief:
+    """Return the estimates of a level rover that the panel has localized at its initial pose.
+
+    The map's frame is the panel's as drawn.
+    """
+    belief = belief_of(name)
+    belief.navigator.observe(seen_at(0.0))
+    panel = SITE.transform_panel_to_ground
+    to_world = level_target(transform_robot_to_ground(name).inv() * panel)
+    belief.map.transform_target_to_world = to_world
+    level = to_world * panel.inv() * transform_robot_to_ground(name)
+    arm, _ = camera_arm(ROVERS[name])
+    belief.localize(RobotLocalization(arm, level, 1e-6 * np.eye(6), np.zeros((6, 10))))
+    return belief
 
 
 class Stage(typing.Protocol):

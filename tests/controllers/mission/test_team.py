@@ -1,83 +1,193 @@
-"""Both robots' lists of stages, by what the mission goes without."""
+"""Both rovers' parts, which a radio with losses and silences keeps together."""
 
-import math
-import types
 import typing
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.camera_station import CameraStation
-from controllers.mission import team
-from controllers.mission.exchange import Exchange
+from controllers.mission import robot_mission, team
+from controllers.mission.radio import PATIENCE, MissionRadio
+from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import MissionRoles
-from controllers.mission.team import MissionConfig
-from tests.controllers.mission.hand_made import MASTER, ROVERS, SLAVE, HandLink, belief_of
+from controllers.mission.stage import MissionStage, StageError
+from controllers.mission.team import STAGES, MissionConfig, MissionTeam
+from tests.controllers.mission.hand_made import (
+    MASTER,
+    POSES,
+    ROVERS,
+    SITE,
+    SLAVE,
+    HandLink,
+    belief_of,
+    hand_links,
+    localized,
+)
+from tests.controllers.motion.seen import seen_at
+from twin.hardware.emulator.modem import ModemConfig, virtual_links
 from twin.robot import Command, Observation
 
-ALL = ["identify", "find", "meet", "map", "place", "insert"]
-LEFT_OUT = {
-    "": [],
-    "identification": ["identify"],
-    "mapping": ["find", "map"],
-    "placement": ["place"],
-}
+TICK = 0.05
 
 
-@pytest.mark.parametrize("without", LEFT_OUT)
-def test_both_robots_have_the_same_stages_less_what_is_left_out(
-    monkeypatch: pytest.MonkeyPatch, without: str
-) -> None:
-    config, rng = MissionConfig(without), np.random.default_rng(0)
-    roles = MissionRoles(ROVERS[MASTER], ROVERS[SLAVE])
-    exchange = Exchange(typing.cast(typing.Any, {MASTER: HandLink(), SLAVE: HandLink()}))
-    master, slave = belief_of(MASTER), belief_of(SLAVE)
-    shared = types.SimpleNamespace(transform_target_to_world=RigidTransform.identity())
-    station = CameraStation((0.8, -0.4, math.pi / 2), np.zeros(4), 0.5, 0.0)
-    monkeypatch.setattr(team, "choose_station", lambda belief: station)
-    monkeypatch.setattr(
-        team.MapTogether, "begin", lambda *_: types.SimpleNamespace(name="map", done=True)
-    )
-    guiding = team._master_stages(master, roles, exchange, config, (rng, rng))
-    holding = team._slave_stages(slave, roles, exchange, config, rng)
-    names: list[tuple[str, str]] = []
-    while (stage := next(guiding, None)) is not None:
-        if stage.name == "find":
-            master.map = typing.cast(typing.Any, shared)
-        exchange.mapper = typing.cast(typing.Any, types.SimpleNamespace())
-        other = next(holding)
-        names.append((stage.name, other.name))
-        if stage.name == "meet":
-            assert (typing.cast(typing.Any, other)._turns != []) == (without != "identification")
-        if stage.name == "insert":
-            assert typing.cast(typing.Any, stage)._placed == (without != "placement")
-    assert next(holding, None) is None
-    expected = [name for name in ALL if name not in LEFT_OUT[without]]
-    assert names == [(name, name) for name in expected]
+class Work:
+    """A stage that takes some time."""
 
+    def __init__(self, name: str, seconds: float) -> None:
+        self.name, self._left = name, seconds
 
-class Part:
-    """One robot's part, which notes in what order it is called."""
-
-    def __init__(self, name: str, calls: list[str], command: Command | None) -> None:
-        self.name, self.over, self._calls, self._command = name, False, calls, command
-        self.ended = ["one", "two"] if name == MASTER else ["one"]
-
-    def report(self, seen: Observation) -> None:
-        self._calls.append(f"{self.name} reports {seen.time}")
+    @property
+    def done(self) -> bool:
+        return self._left <= 0.0
 
     def step(self, seen: Observation) -> Command | None:
-        self._calls.append(f"{self.name} steps {seen.time}")
-        return self._command
+        self._left -= TICK
+        return None
 
 
-def test_both_robots_report_before_either_steps() -> None:
-    both, calls, command = team.MissionTeam.__new__(team.MissionTeam), [], Command()
-    both.master = typing.cast(typing.Any, Part(MASTER, calls, command))
-    both.slave = typing.cast(typing.Any, Part(SLAVE, calls, None))
-    assert both.step({MASTER: Observation(1.0), SLAVE: Observation(2.0)}) == {MASTER: command}
-    assert set(calls[:2]) == {f"{MASTER} reports 1.0", f"{SLAVE} reports 2.0"}
-    assert set(calls[2:]) == {f"{MASTER} steps 1.0", f"{SLAVE} steps 2.0"}
-    # A stage has ended when both have ended it.
-    assert both.ended == ["one"] and not both.over
+def parts_with(
+    links: typing.Any, *seconds: tuple[float, float]
+) -> tuple[RobotMission, RobotMission]:
+    """Return both rovers' parts; each stage takes each rover some time."""
+
+    def stages(index: int) -> Iterator[MissionStage]:
+        for number, each in enumerate(seconds):
+            yield Work(f"stage {number}", each[index])
+
+    return tuple(
+        RobotMission(belief_of(name), MissionRadio(link, partner), index, stages(index))
+        for index, (name, partner, link) in enumerate(
+            [(MASTER, SLAVE, links[0]), (SLAVE, MASTER, links[1])]
+        )
+    )  # type: ignore[return-value]
+
+
+def play(
+    parts: tuple[RobotMission, RobotMission],
+    seconds: float,
+    tick: typing.Callable[[float], None] = lambda now: None,
+) -> dict[str, list[float]]:
+    """Step both parts; return the times at which each has ended its stages."""
+    ends: dict[str, list[float]] = {part.name: [] for part in parts}
+    for step in range(round(seconds / TICK)):
+        now = TICK * step
+        tick(now)
+        for part in parts:
+            part.step(seen_at(now))
+            if len(part.ended) > len(ends[part.name]):
+                ends[part.name].append(now)
+    return ends
+
+
+def test_a_stage_ends_for_both_when_both_have_done_their_parts() -> None:
+    parts = parts_with(hand_links(), (2.0, 5.0), (4.0, 1.0))
+    ends = play(parts, 12.0)
+    for first, second in ends.values():
+        assert first == pytest.approx(5.0, abs=0.2) and second == pytest.approx(9.0, abs=0.3)
+    assert all(part.over and part.ended == ["stage 0", "stage 1"] for part in parts)
+    assert all(not part.radio.notices for part in parts)
+
+
+@pytest.mark.parametrize("begin", [1.0, 6.0, 14.0])
+def test_a_mission_goes_on_after_twenty_seconds_of_silence(begin: float) -> None:
+    """In the midst of a stage, where one waits for the other, and where one has gone on alone."""
+    links = hand_links()
+    parts = parts_with(links, (3.0, 9.0), (8.0, 6.0), (2.0, 2.0))
+
+    def silence(now: float) -> None:
+        for link in links:
+            link.silent = begin <= now < begin + 20.0
+
+    ends = play(parts, 60.0, silence)
+    assert all(part.over for part in parts)
+    # Each has gone on with its own part: no stage takes longer than the silence and both parts.
+    assert max(ends[MASTER]) < 40.0
+    for part in parts:
+        assert any("not heard" in words for _, words in part.radio.notices)
+        assert any("again" in words for _, words in part.radio.notices)
+    assert any("waits" in words for part in parts for _, words in part.radio.notices)
+
+
+def test_a_radio_that_falls_silent_for_good_ends_the_stage_after_the_patience_that_it_states() -> (
+    None
+):
+    links = hand_links()
+    parts = parts_with(links, (3.0, 5.0), (200.0, 10.0))
+    links_off = 8.0
+
+    def silence(now: float) -> None:
+        for link in links:
+            link.silent = now >= links_off
+
+    with pytest.raises(StageError, match="stage 1: nothing heard from rover1 for 60 s") as failed:
+        play(parts, 150.0, silence)
+    assert failed.value.stage == "stage 1"
+    assert parts[1].stage.done and not parts[0].stage.done
+    assert parts[1].radio.silence == pytest.approx(PATIENCE, abs=2.0)
+
+
+def test_with_a_fifth_of_the_messages_lost_all_stages_end_within_seconds() -> None:
+    clock = [0.0]
+    rng = np.random.default_rng(2)
+    links = virtual_links([MASTER, SLAVE], lambda: clock[0], rng, ModemConfig(packet_loss=0.2))
+    parts = parts_with([links[MASTER], links[SLAVE]], *[(1.0, 3.0), (3.0, 1.0)] * 3)
+    ends = play(parts, 60.0, lambda now: clock.__setitem__(0, now))
+    for each in ends.values():
+        assert len(each) == 6 and max(each) < 6 * 3.0 + 6 * 4.0
+
+
+def test_the_rovers_have_their_parts_of_all_stages_in_order(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Stages made by hand: whether each is made only when the one before has ended."""
+    made: list[tuple[str, str]] = []
+
+    def stand_in(name: str) -> typing.Callable[..., Work]:
+        def make(*args: typing.Any, **named: typing.Any) -> Work:
+            belief = next(arg for arg in args if hasattr(arg, "robot"))
+            called = next((arg for arg in args if isinstance(arg, str)), name)
+            made.append((belief.robot.name, called))
+            return Work(called, 0.1)
+
+        make.name = name  # type: ignore[attr-defined]
+        return make
+
+    for kind, name in (
+        ("SwingArm", "identify"), ("SearchPanel", "search"), ("GoToPlace", ""), ("Wait", ""),
+        ("MapSite", "map"), ("GuideInsertion", "insert"), ("InsertCard", "insert"),
+    ):  # fmt: skip
+        monkeypatch.setattr(team, kind, stand_in(name))
+    station = type("Station", (), {"place": (1.0, 0.0, 0.0)})()
+    monkeypatch.setattr(team, "_station", lambda belief, occluders: station)
+    links = dict(zip((MASTER, SLAVE), hand_links(), strict=True))
+    roles = MissionRoles(ROVERS[MASTER], ROVERS[SLAVE])
+    both = MissionTeam(roles, SITE, MissionConfig(), np.random.default_rng(0), links)
+    assert both.stage == "identify" and len(made) == 2
+    for step in range(400):
+        now = TICK * step
+        both.step({MASTER: seen_at(now), SLAVE: seen_at(now)})
+    assert both.over and both.ended == list(STAGES) and both.stage == "insert"
+    for name in (MASTER, SLAVE):
+        assert [stage for robot, stage in made if robot == name] == list(STAGES)
+    assert both.notices == []
+
+
+def test_a_rover_reads_the_others_place_from_its_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robot_mission, "MapExchange", NoMaps)
+    links: tuple[HandLink, HandLink] = hand_links()
+    parts = parts_with(links, (9.0, 9.0))
+    parts[1].belief = localized(SLAVE)
+    play(parts, 1.5)
+    place = parts[0].belief.partner_place()
+    assert place is not None
+    np.testing.assert_allclose(place, POSES[SLAVE][:2], atol=2e-3)
+
+
+class NoMaps:
+    """Exchanges nothing."""
+
+    def __init__(self, *args: object) -> None:
+        pass
+
+    def step(self, now: float) -> None:
+        pass

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from experiments.harness.intervals import distribution, fraction, mcnemar
+from experiments.harness.intervals import distribution, fraction, holm, mcnemar, sign_test
 
 
 @pytest.mark.parametrize("n", [6, 9, 20, 51])
@@ -66,3 +66,15 @@ def test_mcnemar_is_the_exact_binomial_of_the_pairs_that_differ():
     assert mcnemar([True] * 5, [False] * 5) == pytest.approx(2 / 32)
     with pytest.raises(ValueError, match="zip"):
         mcnemar([True], [True, False])
+
+
+def test_sign_test_counts_the_pairs_that_differ():
+    assert sign_test([1, 2, 5, 0, 1, 3, 0]) == pytest.approx(2 / 32)
+    assert sign_test([1, -2, 0]) == 1.0 == sign_test([0, 0])
+
+
+def test_holm_multiplies_by_the_tests_left_and_keeps_their_order():
+    # The example of Holm's procedure with four tests: 0.005, 0.01, 0.03, 0.04.
+    found = holm({"a": 0.01, "b": 0.04, "c": 0.03, "d": 0.005})
+    assert found == pytest.approx({"a": 0.03, "b": 0.06, "c": 0.06, "d": 0.02})
+    assert holm({"a": 0.9}) == {"a": 0.9} and holm({}) == {}

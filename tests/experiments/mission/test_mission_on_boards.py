@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.mission.mission import Options
+from experiments.harness.contract import OptionError
+from experiments.mission.mission import Options, check_radios
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import MissionTrial, prepared
 from tests.twin.hardware.realtime_emulator import serial_target
@@ -20,8 +21,11 @@ TRIES = 4
 
 
 def test_the_mission_accepts_two_robots_by_their_ports() -> None:
-    target = "serial:/dev/a,robot=rover1,serial:/dev/b,robot=rover2"
+    target = "serial:/dev/a,radio=/dev/c,robot=rover1,serial:/dev/b,radio=/dev/d,robot=rover2"
     assert Options(quick=True, robot=target).robot == target
+    check_radios(target)
+    with pytest.raises(OptionError, match="need a radio"):
+        check_radios("serial:/dev/a,radio=/dev/c,robot=rover1,serial:/dev/b,robot=rover2")
 
 
 @pytest.mark.slow
@@ -53,6 +57,6 @@ def _end_first_stage(folder: Path) -> None:
             until=lambda: any(team.ended),
         )
         assert team.ended == ["identify"]
-        for part in (team.master, team.slave):
+        for part in team.parts:
             assert part.belief.identification is not None
             assert (part.belief.pitch is None) == bool(part.belief.doubts)

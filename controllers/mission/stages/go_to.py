@@ -10,12 +10,12 @@ import math
 
 import numpy as np
 
-from controllers.crossing.behaviours import DRIVING, Behaviour, drive, drive_straight, posed
-from controllers.crossing.knowledge import FieldKnowledge
-from controllers.crossing.rover import StageError
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.stereo_view import MapperConfig
+from controllers.mission.behaviours import DRIVING, Behaviour, drive, drive_straight, posed
+from controllers.mission.belief import MissionBelief
+from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import FloatArray
 from perception.registration.target import possible_markers
@@ -45,7 +45,7 @@ class GoToPlace:
     def __init__(
         self,
         name: str,
-        knowledge: FieldKnowledge,
+        knowledge: MissionBelief,
         place: tuple[float, float, float],
         near: tuple[float, float],
     ) -> None:
@@ -167,7 +167,7 @@ class Wait:
 
     done = True
 
-    def __init__(self, name: str, knowledge: FieldKnowledge) -> None:
+    def __init__(self, name: str, knowledge: MissionBelief) -> None:
         self.name, self._navigator, self._rest = name, knowledge.navigator, ArmMove(DRIVING)
 
     def step(self, seen: Observation) -> Command:

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controllers.crossing.navigator import Navigator
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.searching import aim
+from controllers.mission.navigator import Navigator
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import FloatArray
 from twin.robot import Command, Observation

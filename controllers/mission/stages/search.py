@@ -8,13 +8,13 @@ that of the map (thesis sections 3.2.2 to 3.2.4).
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.crossing.behaviours import DRIVING, Behaviour, drive, posed, retreat
-from controllers.crossing.knowledge import FieldKnowledge
-from controllers.crossing.rover import StageError
 from controllers.insertion.camera_station import camera_arm
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.panel_search import PanelSearch, Viewpoint
 from controllers.mapping.searching import aim
+from controllers.mission.behaviours import DRIVING, Behaviour, drive, posed, retreat
+from controllers.mission.belief import MissionBelief
+from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import FloatArray
 from twin.robot import Command, Observation
@@ -41,7 +41,7 @@ class SearchPanel:
 
     name = "search"
 
-    def __init__(self, knowledge: FieldKnowledge, rng: np.random.Generator) -> None:
+    def __init__(self, knowledge: MissionBelief, rng: np.random.Generator) -> None:
         self.done = False
         self._knowledge, self._rng = knowledge, rng
         self._navigator = knowledge.navigator

@@ -6,20 +6,14 @@ import typing
 import numpy as np
 import pytest
 
-from controllers.crossing.knowledge import FieldKnowledge
-from controllers.crossing.navigator import NavigatorConfig
-from controllers.crossing.site import FieldDrawing
+from controllers.mission.belief import MissionBelief
+from controllers.mission.navigator import NavigatorConfig
 from controllers.motion.driving import SkidSteer
-from tests.controllers.mission.hand_made import SITE
+from tests.controllers.mission.hand_made import POSES, SITE
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
 
 ROBOT = describe_rover("rover1")
-POSES = {"rover1": (4.0, 1.0, 0.3)}
-DRAWING = FieldDrawing(
-    SITE.insertion, SITE.target, SITE.transform_slot_to_panel, SITE.covariance,
-    POSES, (0.5, 0.5), (0.0, -0.92, 0.0),
-)  # fmt: skip
 ANGLES = np.array([0.0, 1.6, -0.2, -1.85])
 
 
@@ -27,7 +21,7 @@ class Rolling:
     """A rover whose wheels turn as commanded, and its navigator."""
 
     def __init__(self, blind=False):
-        self.knowledge = FieldKnowledge.initial(ROBOT, DRAWING, blind)
+        self.knowledge = MissionBelief.initial(ROBOT, SITE, blind)
         self.navigator = self.knowledge.navigator
         self.time, self.wheels = 0.0, np.zeros(4)
         self.seen = self.tick()
@@ -172,20 +166,35 @@ def test_a_pair_is_due_after_some_way_or_turn():
         assert 0.01 * ticks == pytest.approx(expected, rel=0.1)
 
 
-def test_the_site_and_a_partner_that_told_its_place_are_kept_off():
-    knowledge = Rolling().knowledge
-    alone = knowledge.discs()
-    knowledge.partner = np.array([1.0, 2.0])
-    both = knowledge.discs()
-    assert len(both) == len(alone) + 1
-    np.testing.assert_allclose(both[-1], [1.0, 2.0, 0.3])
-    x, y, _ = DRAWING.transform_panel_to_ground.translation
-    np.testing.assert_allclose(alone[0, :2], (x, y))
-
-
 def test_drawn_initial_poses_fill_their_limits():
     rng = np.random.default_rng(0)
-    poses = DRAWING.draw_initial_poses("rover1", 4000, rng) - np.array(POSES["rover1"])
+    poses = SITE.draw_initial_poses("rover1", 4000, rng) - np.array(POSES["rover1"])
     low, high = typing.cast(typing.Any, (poses.min(axis=0), poses.max(axis=0)))
     np.testing.assert_allclose(-low, 0.5, atol=0.01)
     np.testing.assert_allclose(high, 0.5, atol=0.01)
+
+
+def test_paths_lead_around_what_the_other_rover_has_mapped_where_nothing_is_known():
+    rover = Rolling()
+    received = Rolling().navigator
+    put_box(received, 0.0, 1.0)
+    assert len(rover.navigator.path_to(np.array([0.0, 2.0]))) == 2
+    rover.navigator.received = received.ground
+    assert len(rover.navigator.path_to(np.array([0.0, 2.0]))) > 2
+    # What the rover has seen itself counts.
+    put_box(rover.navigator, 5.0, 5.0)
+    assert len(rover.navigator.path_to(np.array([0.0, 2.0]))) == 2
+    assert not rover.navigator.high_places().size
+
+
+def test_the_map_that_paths_are_planned_on_stays_the_same_until_something_is_added():
+    navigator, received = Rolling().navigator, Rolling().navigator
+    assert navigator._planned() is navigator.ground
+    put_box(received, 0.0, 1.0)
+    navigator.received = received.ground
+    before = navigator._planned()
+    assert navigator._planned() is before and before is not navigator.ground
+    put_box(navigator, 5.0, 5.0)
+    after = navigator._planned()
+    assert after is not before
+    np.testing.assert_array_equal(after.heights, navigator.ground.heights)

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
 from controllers.mapping.ground_paths import GroundPathConfig, path_lengths, plan_path
 from controllers.mapping.localization import RobotLocalization
+from controllers.mapping.map_sharing import completed
 from controllers.mapping.panel_search import Ground
 from controllers.mapping.shared_map import SharedMap, within
 from controllers.mapping.stereo_view import MapperConfig
@@ -86,6 +87,8 @@ class Navigator:
         odometry: Pose of the rover in the frame.
         ground: Elevation map in the frame.
         localized: Whether the frame is that of the panel.
+        received: Elevation map of the other rover, as far as it was received, in the same frame;
+            None before. It completes what paths are planned on.
         keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
             and radius [m].
     """
@@ -110,6 +113,8 @@ class Navigator:
         self.odometry = VisualOdometry(self._arm, geometry, steer)
         self.ground = ElevationMap(grid)
         self.localized = False
+        self.received: ElevationMap | None = None
+        self._whole = self.ground
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
@@ -223,8 +228,8 @@ class Navigator:
         """Return the lengths (N,) of the paths to places (N, 2) in the frame [m]; inf for none."""
         if self._blind:
             return np.linalg.norm(places - self.place, axis=1)
-        paths, doubted = self._config.paths, self._doubted()
-        return path_lengths(self.ground, self.place, places, self._discs(), paths, doubted)
+        paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
+        return path_lengths(self._planned(), self.place, places, discs, paths, doubted)
 
     def high_places(self) -> FloatArray:
         """Return the places (N, 3) of mapped cells that a rover does not stand on [m], frame."""
@@ -246,7 +251,7 @@ class Navigator:
         if self._blind:
             return np.array([self.place, place])
         paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
-        return plan_path(self.ground, self.place, place, discs, paths, kept, doubted)
+        return plan_path(self._planned(), self.place, place, discs, paths, kept, doubted)
 
     def unseen(self, path: FloatArray, far: float | None = None) -> FloatArray | None:
         """Return ground that the rover has not seen and would soon drive over.
@@ -388,6 +393,16 @@ class Navigator:
     def _doubted(self) -> BoolArray:
         """Return cells that looks have not shown: hidden, or of something without grain."""
         return (self._looks >= _MOST_LOOKS) & (self._looks < _CLEARED) & ~self.ground.known
+
+    def _planned(self) -> ElevationMap:
+        """Return the map that paths are planned on."""
+        if self.received is None:
+            return self.ground
+        whole = completed(self.ground, self.received)
+        # The same map keeps what was found of it.
+        if not np.array_equal(whole.heights, self._whole.heights, equal_nan=True):
+            self._whole = whole
+        return self._whole
 
     def _discs(self) -> FloatArray:
         """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""

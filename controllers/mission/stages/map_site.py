@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from controllers.crossing.behaviours import DRIVING
-from controllers.crossing.knowledge import FieldKnowledge
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.mapping.stereo_view import MapperConfig
+from controllers.mission.behaviours import DRIVING
+from controllers.mission.belief import MissionBelief
 from controllers.motion.arm_move import ArmMove
 from twin.robot import Command, Observation
 
@@ -28,7 +28,7 @@ class MapSite:
 
     name = "map"
 
-    def __init__(self, knowledge: FieldKnowledge, scans: int, rng: np.random.Generator) -> None:
+    def __init__(self, knowledge: MissionBelief, scans: int, rng: np.random.Generator) -> None:
         assert knowledge.localization is not None
         robot, self._navigator = knowledge.robot, knowledge.navigator
         self._name, self._home = robot.name, ArmMove(DRIVING)

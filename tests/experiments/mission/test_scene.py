@@ -1,4 +1,4 @@
-"""The field of a crossing: what is drawn keeps its limits, and hides the panel."""
+"""The field of a mission: what is drawn keeps its limits, and hides the panel."""
 
 import dataclasses
 import math
@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from experiments.crossing.scene import (
+from experiments.mission.scene import (
     CARD_PLACE,
     INITIAL_PLACE_ERROR,
     INITIAL_YAW_ERROR,
@@ -18,7 +18,7 @@ from experiments.crossing.scene import (
     roles,
     survey,
 )
-from experiments.crossing.trial import generators
+from experiments.mission.trial import generators
 from models.compose import make_model
 from models.datasheets import CARD_AND_SLOT
 
@@ -115,3 +115,26 @@ def test_roles_look_over_the_card():
     drawn = roles("default")
     assert drawn.master.name == MASTER and drawn.slave.name == SLAVE
     assert drawn.slave.head is not None and drawn.master.head is not None
+
+
+def test_errors_of_the_drawing_are_consistent_with_its_covariance() -> None:
+    scene = draw_scene(WIDTH, np.random.default_rng(0))
+    exact = survey(scene, _Zeros())
+    squares = []
+    for seed in range(24):
+        drawn = survey(scene, np.random.default_rng(seed))
+        error = exact.transform_slot_to_panel * drawn.transform_slot_to_panel.inv()
+        xi = np.asarray(error.as_exp_coords())
+        squares.append(xi @ np.linalg.solve(drawn.covariance, xi))
+    # Of 24 draws of chi squared with six degrees of freedom the mean lies within three deviations.
+    assert 3.9 < np.mean(squares) < 8.1
+
+
+class _Zeros(np.random.Generator):
+    """Draws no errors."""
+
+    def __init__(self) -> None:
+        super().__init__(np.random.PCG64(0))
+
+    def normal(self, *_: object, size: int = 1, **__: object) -> np.ndarray:
+        return np.zeros(size)

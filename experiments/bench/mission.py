@@ -1,4 +1,4 @@
-"""CPU time of a crossing's beginning: physics, drawing and perception of two rovers."""
+"""CPU time of a mission's search: physics, drawing and perception of two rovers."""
 
 import contextlib
 import functools
@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from controllers.crossing.navigator import Navigator
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.visual_odometry import VisualOdometry
-from experiments.crossing.trial import CrossingTrial, prepared
+from controllers.mission.navigator import Navigator
 from experiments.harness.contract import Options
 from experiments.harness.output import Output
+from experiments.mission.trial import MissionTrial, prepared
 from perception.elevation.map import ElevationMap
 from perception.stereo.matching import StereoMatcher
 from twin.camera import StereoHead
@@ -19,7 +19,7 @@ from twin.loop import run
 from twin.simulation import Simulation
 
 SEED = 1  # One of those for development.
-SETTLING = 5.0  # Robot time in which compiled functions are loaded [s].
+SETTLING = 20.0  # Robot time of the identification, and of loading compiled functions [s].
 BOUND = 0.5
 PARTS: dict[str, tuple[tuple[type, str], ...]] = {
     "physics and sensors": ((Simulation, "tick"),),
@@ -33,28 +33,28 @@ PARTS: dict[str, tuple[tuple[type, str], ...]] = {
 """Methods that each part is the time of; none calls one of another part."""
 
 
-def bench_crossing(options: Options, output: Output) -> None:
-    """Measure the CPU time of each part of the crossing's beginning, on one core.
+def bench_mission(options: Options, output: Output) -> None:
+    """Measure the CPU time of each part of a mission's search, on one core.
 
     Args:
         options: ``quick`` ends it after 10 s.
-        output: Receives ``crossing_cpu``, in seconds for each second of robot time, and
-            ``crossing_cpu/<part>``.
+        output: Receives ``mission_cpu``, in seconds for each second of robot time, and
+            ``mission_cpu/<part>``.
     """
     seconds = 10.0 if options.quick else 100.0
-    with prepared(CrossingTrial(SEED)) as crossing:
-        robots, clock = crossing.connection.robots, crossing.connection.clock
-        run(robots, [crossing.team], clock, duration=SETTLING)
+    with prepared(MissionTrial(SEED)) as mission:
+        robots, clock = mission.connection.robots, mission.connection.clock
+        run(robots, [mission.team], clock, duration=SETTLING)
         with timed_parts() as spent:
             begin = time.process_time()
-            run(robots, [crossing.team], clock, duration=seconds)
+            run(robots, [mission.team], clock, duration=seconds)
             total = time.process_time() - begin
     spent["controllers and the rest"] = total - sum(spent.values())
     for part, used in spent.items():
-        output.measure(f"crossing_cpu/{part}", used / seconds)
-    output.measure("crossing_cpu", total / seconds)
+        output.measure(f"mission_cpu/{part}", used / seconds)
+    output.measure("mission_cpu", total / seconds)
     output.check(
-        "crossing, CPU time over robot time",
+        "search of a mission, CPU time over robot time",
         total / seconds,
         f"<= {BOUND}",
         total / seconds <= BOUND,

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from controllers.crossing.behaviours import (
+from controllers.insertion.camera_station import camera_arm
+from controllers.mission.behaviours import (
     DRIVING,
     LOOKING,
     drive,
@@ -10,7 +11,6 @@ from controllers.crossing.behaviours import (
     posed,
     retreat,
 )
-from controllers.insertion.camera_station import camera_arm
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
 from twin.robot import Command

@@ -1,1 +1,0 @@
-"""Crossing a field: the scene, one crossing, and the experiment over many."""

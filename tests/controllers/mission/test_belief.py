@@ -1,0 +1,99 @@
+"""What a rover of the mission believes: where the slot, the other rover and its card are."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from controllers.insertion.card_arm import CardArm
+from controllers.mapping.localization import tilt_to_level
+from controllers.mission.belief import tilt_of
+from controllers.mission.radio import SlotPose
+from tests.controllers.mission.hand_made import (
+    HOME,
+    MASTER,
+    POSES,
+    ROVERS,
+    SITE,
+    SLAVE,
+    belief_of,
+    localized,
+    transform_robot_to_ground,
+)
+from tests.controllers.motion.seen import seen_at
+from twin.robot import Observation, RobotError
+
+SLOT = SITE.insertion.transform_slot_to_ground
+TILT = np.array([0.06, -0.03])
+
+
+def test_localization_and_the_site_drawing_give_the_slot_pose() -> None:
+    slot, covariance = localized(MASTER).slot_in_level()
+    expected = transform_robot_to_ground(MASTER).inv() * SLOT
+    np.testing.assert_allclose(slot.as_matrix(), expected.as_matrix(), atol=1e-9)
+    # The drawing's error and that of the localization, each a thousandth of a radian.
+    assert np.sqrt(np.trace(covariance[:3, :3])) == pytest.approx(math.sqrt(6.0) * 1e-3)
+
+
+def test_slot_in_a_tilted_rover_is_moved_by_its_tilt() -> None:
+    belief = localized(MASTER)
+    slot, _ = belief.slot_in_robot(TILT)
+    back = tilt_to_level(TILT) * slot
+    np.testing.assert_allclose(back.as_matrix(), belief.slot_in_level()[0].as_matrix(), atol=1e-12)
+
+
+def test_a_rover_that_is_not_localized_says_nothing_of_the_slot() -> None:
+    belief = belief_of(MASTER)
+    assert belief.slot_now() is None
+    assert belief.partner_place() is None
+    assert len(belief.discs()) == len(SITE.structures)
+
+
+def test_slot_now_is_that_of_the_rover_where_odometry_has_it() -> None:
+    belief = localized(SLAVE)
+    for tick in range(1, 101):  # A second at a radian a second: a wheel's radius.
+        belief.navigator.observe(seen_at(0.01 * tick, np.ones(4)))
+    now = belief.slot_now()
+    assert now is not None
+    forward = RigidTransform.from_translation([0.0, ROVERS[SLAVE].wheel_radius, 0.0])
+    expected = (transform_robot_to_ground(SLAVE) * forward).inv() * SLOT
+    np.testing.assert_allclose(
+        now.transform_slot_to_robot.as_matrix(), expected.as_matrix(), atol=2e-3
+    )
+    assert np.linalg.eigvalsh(now.covariance).min() > 0.0
+    assert now.covariance[4, 4] > 1e-5  # The drive's own error beside that of the panel.
+
+
+def test_card_is_where_both_localizations_and_the_slaves_joints_have_it() -> None:
+    master, slave = localized(MASTER), localized(SLAVE)
+    card = CardArm(ROVERS[SLAVE], SITE.insertion.tip).transform_card_to_robot(HOME)
+    told = slave.slot_now()
+    assert told is not None
+    found = tilt_to_level(TILT) * master.card_in_robot(TILT, told, card)
+    expected = transform_robot_to_ground(MASTER).inv() * transform_robot_to_ground(SLAVE) * card
+    np.testing.assert_allclose(found.as_matrix(), expected.as_matrix(), atol=1e-9)
+
+
+def test_the_other_rovers_place_is_kept_off_and_more_of_it_where_it_is_not_sure() -> None:
+    belief = localized(MASTER)
+    tilted = transform_robot_to_ground(SLAVE) * RigidTransform.from_rotation(
+        Rotation.from_euler("xy", [0.1, -0.1])
+    )
+    sure = SlotPose(tilted.inv() * SLOT, np.zeros((6, 6)))
+    belief.partner = sure
+    assert len(belief.discs()) == len(SITE.structures) + 1
+    np.testing.assert_allclose(belief.discs()[-1], [*POSES[SLAVE][:2], 0.3], atol=1e-9)
+    np.testing.assert_allclose(belief.partner_place(), POSES[SLAVE][:2], atol=1e-9)
+    known = np.diag([0.0, 0.0, 0.0, 0.03, 0.04, 0.0]) ** 2
+    belief.partner = dataclasses.replace(sure, covariance=known)
+    # Seven degrees of tilt leave the level part of 5 cm nearly as it is.
+    assert belief.discs()[-1, 2] == pytest.approx(0.4, abs=1e-3)
+    belief.partner = dataclasses.replace(sure, covariance=np.eye(6))
+    assert belief.discs()[-1, 2] == pytest.approx(0.6)
+
+
+def test_a_missing_inclinometer_stops_the_mission_with_its_name() -> None:
+    with pytest.raises(RobotError, match="inclinometer of rover1 is missing"):
+        tilt_of(Observation(0.0), MASTER)
