@@ -51,9 +51,9 @@ class Options(contract.Options):
     Attributes:
         robot: Robots that are driven: sim, quantised (counts as the boards do), emulated (over the
             boards' own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
-        without: Points of the map that further missions of the same seeds do without: paths (they
-            are planned as if nothing stood on the ground) or occluders (so is the camera station
-            chosen), one at a time.
+        without: What further missions of the same seeds do without, one at a time: points of the
+            map for paths (they are planned as if nothing stood on the ground), occluders (so is the
+            camera station chosen), or the guard against tipping over.
         loss: Share of the radio's messages that are lost in further missions of the same seeds; 0
             for none.
         realism: How far simulated robots, their sensors and cameras are from their drawings: ideal,
