@@ -369,6 +369,14 @@ class Navigator:
             if self.is_clear(path):
                 return self.follow(path, None, backwards=way < 0.0)
 
+    @property
+    def course(self) -> FloatArray:
+        """(N, 2) path of the drive from where the rover is, in the frame [m]; none without one."""
+        if self._drive is None:
+            return np.zeros((0, 2))
+        rest = np.column_stack([self._drive.rest, np.zeros(len(self._drive.rest))])
+        return np.vstack([self.place, np.asarray(self._start.apply(rest))[:, :2]])
+
     def halt(self) -> None:
         """End the drive where the rover is."""
         self._drive = None
@@ -389,8 +397,7 @@ class Navigator:
         if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal
-        rest = np.column_stack([self._drive.rest, np.zeros(len(self._drive.rest))])
-        kept = np.vstack([self.place, np.asarray(self._start.apply(rest))[:, :2]])
+        kept = self.course
         path = self.path_to(place, kept)
         if path is None or self.unseen(path, self._config.ahead[1]) is not None:
             self._waits = True
