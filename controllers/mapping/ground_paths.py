@@ -22,8 +22,8 @@ from perception.geometry.checks import check_numbers
 _NO_DISCS = np.zeros((0, 3))
 _SWITCH = 1.3
 """How many times as much as another a path may cost to be kept."""
-_LEG = 1e-6
-"""Length that a vertex must save to be one, over a cell's side."""
+_LEAST = 1e-6
+"""Length that a leg must save at least to be one [cells]."""
 _CORNER = 1e-9
 """Part of a line within which it passes through the corner of cells."""
 
@@ -42,6 +42,7 @@ class GroundPathConfig:
         far_cost: How many times its length a path costs over that, beyond once.
         margin: Distance beyond the disc within which things are rather gone around, too [m].
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
+        corner: Length that each corner of a path costs [m]: a rover turns there, and pivots aside.
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
             map has within it at the start is none.
         window: Side of the square about a cell whose ground is fitted [m].
@@ -57,8 +58,9 @@ class GroundPathConfig:
     over_cost: float = 15.0
     sure: float = 1.5
     far_cost: float = 60.0
-    margin: float = 0.12
-    near_cost: float = 2.0
+    margin: float = 0.25
+    near_cost: float = 3.0
+    corner: float = 0.15
     inner: float = 0.2
     window: float = 0.9
     least: int = 1
@@ -126,9 +128,9 @@ def plan_path(
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
     costs = path_costs(elevation, begin, discs, config, doubted)
-    path, corner = _path_over(costs, grid, begin, end), np.array(grid.corner)
+    path = _path_over(costs, grid, begin, end, config.corner)
     if path is not None and kept is not None:
-        old, new = (_cost_of((each - corner)[:, ::-1] / grid.cell, costs) for each in (kept, path))
+        old, new = (_cost_of(each, costs, grid, config.corner) for each in (kept, path))
         return kept if old <= _SWITCH * new else path
     return path
 
@@ -275,7 +277,7 @@ def _box_about(
 
 
 def _path_over(
-    costs: FloatArray, grid: ElevationGrid, start: FloatArray, goal: FloatArray
+    costs: FloatArray, grid: ElevationGrid, start: FloatArray, goal: FloatArray, turn: float
 ) -> FloatArray | None:
     """Return the vertices (N, 2) of a path over free cells and those of its ends; None if none."""
     first, last = (tuple(cell) for cell in grid.cells_of([start, goal]).tolist())
@@ -287,10 +289,12 @@ def _path_over(
     if not np.isfinite(paths.lengths[last]):
         return None
     path = GroundPaths(paths, start, corner, grid.cell).path_to(goal)
-    return None if path is None else shortened(path, costs, corner, grid.cell)
+    return None if path is None else shortened(path, costs, corner, grid.cell, turn)
 
 
-def shortened(path: FloatArray, costs: FloatArray, corner: FloatArray, cell: float) -> FloatArray:
+def shortened(
+    path: FloatArray, costs: FloatArray, corner: FloatArray, cell: float, turn: float = 0.0
+) -> FloatArray:
     """Return the cheapest path (M, 2) over some of a path's points whose legs run over free cells.
 
     Args:
@@ -299,9 +303,10 @@ def shortened(path: FloatArray, costs: FloatArray, corner: FloatArray, cell: flo
             it may not be entered.
         corner: (2,) lowest corner of the first cell [m].
         cell: Side of a cell [m].
+        turn: Length that each of the path's legs costs beside its own [m].
     """
     places = (path - corner)[:, ::-1] / cell
-    return path[_string_pulled(np.ascontiguousarray(places), costs)]
+    return path[_string_pulled(np.ascontiguousarray(places), costs, max(turn / cell, _LEAST))]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -340,7 +345,7 @@ class GroundPaths:
 
 
 @numba.njit(cache=True)
-def _string_pulled(places, costs):
+def _string_pulled(places, costs, leg):
     """Return the indices of the points that are kept; places in cells, row and column."""
     count = len(places)
     cheapest, before = np.full(count, np.inf), np.full(count, -1)
@@ -349,23 +354,25 @@ def _string_pulled(places, costs):
         for i in range(j - 1, -1, -1):
             length = np.hypot(places[j, 0] - places[i, 0], places[j, 1] - places[i, 1])
             # No cell costs less than once its length.
-            if cheapest[i] + _LEG + length >= cheapest[j]:
+            if cheapest[i] + leg + length >= cheapest[j]:
                 continue
             cost = _cost_along(places[i], places[j], costs)
             if i == j - 1 and cost == np.inf:
                 cost = length  # The leg from the point before is one of the path itself.
-            if cheapest[i] + _LEG + cost < cheapest[j]:
-                cheapest[j], before[j] = cheapest[i] + _LEG + cost, i
+            if cheapest[i] + leg + cost < cheapest[j]:
+                cheapest[j], before[j] = cheapest[i] + leg + cost, i
     kept = [count - 1]
     while before[kept[-1]] >= 0:
         kept.append(before[kept[-1]])
     return np.array(kept[::-1])
 
 
-def _cost_of(places: FloatArray, costs: FloatArray) -> float:
-    """Return what a path over places (N, 2), row and column, costs [cells]."""
-    legs = zip(places[:-1], places[1:], strict=True)
-    return sum(float(_cost_along(first, second, costs)) for first, second in legs)
+def _cost_of(path: FloatArray, costs: FloatArray, grid: ElevationGrid, turn: float) -> float:
+    """Return what a path (N, 2) costs [m], with what each of its legs costs beside that."""
+    places = (path - np.array(grid.corner))[:, ::-1] / grid.cell
+    legs = list(zip(places[:-1], places[1:], strict=True))
+    along = sum(float(_cost_along(first, second, costs)) for first, second in legs)
+    return grid.cell * along + turn * len(legs)
 
 
 @numba.njit(cache=True)

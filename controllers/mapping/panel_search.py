@@ -37,6 +37,9 @@ class PanelSearchConfig:
         likely: Odds that something stands within `about` of a place from which on it is kept off.
         about: Distance within which those odds are summed [m].
         grain: Side of the squares in which places are counted [m].
+        hinted: Odds that the target is where possible markers were seen.
+        hint_reach: Distance of such a place within which the target then is [m].
+        most_hints: Number of hints of one place that count.
     """
 
     reach: tuple[float, float] = (0.45, 1.9)
@@ -47,12 +50,15 @@ class PanelSearchConfig:
     passed: float = 0.7
     opaque: float = 0.15
     view_time: float = 2.0
-    speed: float = 0.15
-    start_time: float = 4.0
+    speed: float = 0.1
+    start_time: float = 8.0
     windows: int = 36
     likely: float = 0.15
     about: float = 0.3
     grain: float = 0.15
+    hinted: float = 0.6
+    hint_reach: float = 0.35
+    most_hints: int = 3
 
 
 class Viewpoint(NamedTuple):
@@ -126,6 +132,7 @@ class PanelSearch:
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(places), 1.0 / len(places))
         self.views = 0
+        self._hints = np.zeros((0, 2))
         # Discs of the site and what they made likely, until the next view.
         self._found: tuple[FloatArray, FloatArray] | None = None
 
@@ -200,6 +207,22 @@ class PanelSearch:
         self.weights /= self.weights.sum()
         self._found = None
         self.views += 1
+
+    def hint(self, place: FloatArray) -> None:
+        """Take note of possible markers, too far away to recognise the target by.
+
+        Args:
+            place: (3,) where they were seen [m].
+        """
+        c, spot = self._config, place[:2]
+        if np.sum(np.linalg.norm(self._hints - spot, axis=1) < c.hint_reach) >= c.most_hints:
+            return
+        self._hints = np.vstack([self._hints, spot])
+        near = np.linalg.norm(self.places[:, :2] - spot, axis=1) < c.hint_reach
+        odds = float(self.weights[near].sum())
+        if 0.0 < odds < c.hinted:
+            self.weights[near] *= c.hinted / odds
+            self.weights[~near] *= (1.0 - c.hinted) / (1.0 - odds)
 
     def best(
         self, places: FloatArray, lengths: FloatArray, height: FloatArray, ground: Ground

@@ -83,8 +83,8 @@ class TargetSearch:
             tilt: (2,) pitch and roll of the robot at the last view [rad].
         """
         self._tried.append(angles)
-        point = self._likeliest(hints)
-        if point is not None:
+        point, weight = likeliest_target(hints, self._extent, self._config)
+        if weight > 0.0:
             wanted = self._arm.tool_in_robot(angles).apply(point)
             for posture in sorted(self._postures, key=lambda p: float(np.abs(p - angles)[1])):
                 view = aim(self._arm, wanted, posture, self._config.bend)
@@ -116,16 +116,30 @@ class TargetSearch:
     def _is_new(self, view: FloatArray) -> bool:
         return all(np.abs(view - tried).max() > self._config.alike for tried in self._tried)
 
-    def _likeliest(self, hints: PossibleMarkers) -> FloatArray | None:
-        """Return the middle (3,) [m] of the heaviest hints that fit in one target, camera frame."""
-        points = np.concatenate([hints.paired, hints.alone])
-        if not len(points):
-            return None
-        weights = np.repeat([1.0, self._config.alone], [len(hints.paired), len(hints.alone)])
-        apart = np.linalg.norm(points[:, None] - points, axis=2)
-        together = apart <= self._config.slack * self._extent
-        best = int(np.argmax(together @ weights))
-        return np.average(points[together[best]], axis=0, weights=weights[together[best]])
+
+def likeliest_target(
+    hints: PossibleMarkers, extent: float, config: TargetSearchConfig
+) -> tuple[FloatArray, float]:
+    """Return the middle (3,) of the heaviest hints that fit in one target, and their weight.
+
+    Args:
+        hints: Possible markers.
+        extent: Greatest distance between two markers of the target [m].
+        config: Configuration of the search.
+
+    Returns:
+        Middle, camera frame [m], and weight: 1 for each marker in both images; 0 without any.
+    """
+    points = np.concatenate([hints.paired, hints.alone])
+    if not len(points):
+        return np.zeros(3), 0.0
+    weights = np.repeat([1.0, config.alone], [len(hints.paired), len(hints.alone)])
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    together = apart <= config.slack * extent
+    best = int(np.argmax(together @ weights))
+    chosen = together[best]
+    middle = np.average(points[chosen], axis=0, weights=weights[chosen])
+    return middle, float(weights[chosen].sum())
 
 
 def aim(arm: SerialChain, place: ArrayLike, posture: ArrayLike, bend: float = np.pi) -> FloatArray:

@@ -112,7 +112,7 @@ def drive(
             return Driven(seen, True)
         if reason:
             stalls += 1
-            seen = yield from retreat(seen, navigator, held=True)
+            seen = yield from retreat(seen, navigator, held=not navigator.slides)
     return Driven(seen, False, f"stuck {_MOST_STALLS} times: {reason}")
 
 

@@ -38,6 +38,8 @@ _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
+_TURNING = 0.29  # Radius about a rover that turns in place that holds it [m].
+_SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
 _SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
@@ -93,6 +95,7 @@ class Navigator:
         localized: Whether the frame is that of the panel.
         received: Elevation map of the other rover, as far as it was received, in the same frame;
             None before. It completes what paths are planned on.
+        slides: Whether the rover slides towards something as it turns in place, as on a slope.
         keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
             and radius [m].
     """
@@ -131,7 +134,7 @@ class Navigator:
         self._look_at = np.zeros(2)
         self._start = RigidTransform.identity()
         self._goal: tuple[FloatArray, float | None] | None = None
-        self._slips, self._waits = 0, False
+        self._slips, self._waits, self.slides = 0, False, False
         self._bumps: list[list[float]] = []
 
     @property
@@ -298,13 +301,18 @@ class Navigator:
         near = np.hypot(*np.moveaxis(centres - self._look_at, -1, 0)) < 1.5 * _LOOKED_AT
         self._looks[near] += 1
 
-    def is_clear(self, path: FloatArray) -> bool:
-        """Return whether nothing is mapped in the way of straight drives over points (N, 2) [m]."""
+    def is_clear(self, path: FloatArray, radius: float = _STRAIGHT) -> bool:
+        """Return whether nothing is mapped in the way of a rover.
+
+        Args:
+            path: (N, 2) points that it drives over, in the frame [m].
+            radius: Radius about each of them that holds it [m]; the default if it drives straight.
+        """
         points = _along(path, math.inf, self.ground.grid.cell)
         high = self.high_places()[:, :2]
         discs = np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
         away = np.linalg.norm(points[:, None] - discs[:, :2], axis=2) - discs[:, 2]
-        return self._blind or bool((away > _STRAIGHT).all())
+        return self._blind or bool((away > radius).all())
 
     def set_off(self, place: FloatArray, heading: float | None) -> bool:
         """Begin a drive to a place; return whether there is a path.
@@ -328,7 +336,7 @@ class Navigator:
             heading: Heading at its end, in the frame [rad]; None for any.
             backwards: Whether the rover drives backwards.
         """
-        self._goal, self._slips, self._waits = None, 0, False
+        self._goal, self._slips, self._waits, self.slides = None, 0, False, False
         self._start = self.odometry.level_pose()
         local = self._in_start(path)
         turn = self._turn(heading)
@@ -351,6 +359,8 @@ class Navigator:
             return ""
         if self._slips >= _SLIPS:
             return "the wheels turn, but the rover does not move"
+        if self.slides:
+            return "it slides towards something as it turns"
         return self._drive.blocked
 
     def back_off(self, held: bool) -> None:
@@ -394,6 +404,8 @@ class Navigator:
         here = self._start.inv() * self.odometry.level_pose()
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
+        if self._drive.slid > _SLID:
+            self.slides = not self.is_clear(self.place[None], _TURNING)
         if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal

@@ -38,6 +38,8 @@ class DrivePathConfig:
         turn: Largest turning rate [rad/s].
         acceleration: Largest change of the speed [m/s^2]. It tilts what an inclinometer measures by
             its share of gravity: 1.2 degrees.
+        hold: Largest speed at which a rover that turns in place rolls back to where it began to
+            turn [m/s]: on a slope it slides while it turns, as its wheels then slip.
         turn_acceleration: Largest change of the turning rate [rad/s^2].
         slowing: Speed over the distance to the end, and rate of a turn in place over the remaining
             angle [1/s]; wheels that lag behind their command overshoot without it.
@@ -56,6 +58,7 @@ class DrivePathConfig:
     speed: float = 0.2
     turn: float = 0.3
     acceleration: float = 0.2
+    hold: float = 0.15
     turn_acceleration: float = 0.8
     slowing: float = 2.0
     near: tuple[float, float] = (0.005, 0.01)
@@ -179,6 +182,12 @@ class DrivePath(ReckonedDrive):
         return self._speed != 0.0 or self._turn != 0.0
 
     @property
+    def slid(self) -> float:
+        """Distance by which the rover has slid while it turns in place; 0 while it does not [m]."""
+        turns = self._phase in (_Phase.FACE, _Phase.ALIGN)
+        return math.dist(self._pivot, self.place) if turns else 0.0
+
+    @property
     def distance(self) -> float:
         """Distance driven, forward and back [m]."""
         return self.odometry.distance
@@ -202,6 +211,7 @@ class DrivePath(ReckonedDrive):
     def _begin(self, phase: _Phase) -> None:
         """Begin the next part of the path in a phase, or turn to the final heading."""
         self._phase = phase if self._legs else _Phase.ALIGN
+        self._pivot = self.place
         if not self._legs:
             return
         self._leg = self._legs.pop(0)
@@ -274,10 +284,10 @@ class DrivePath(ReckonedDrive):
             left = wrapped(course_along(away) - course)
             if self._phase is _Phase.FACE and abs(left) <= config.near[1]:
                 self._phase = _Phase.FOLLOW
-            elif abs(left) > config.corner:
-                self._phase = _Phase.FACE
+            elif abs(left) > config.corner and self._phase is not _Phase.FACE:
+                self._phase, self._pivot = _Phase.FACE, self.place
             if self._phase is _Phase.FACE:
-                return 0.0, turning_rate(left, config.slowing, share * config.turn)
+                return self._roll_back(), turning_rate(left, config.slowing, share * config.turn)
             far = max(float(np.linalg.norm(away)), 0.5 * config.lookahead[0])
             curvature = 2.0 * math.sin(left) / far
             speed = self._allowed(share, abs(curvature))
@@ -285,9 +295,18 @@ class DrivePath(ReckonedDrive):
         if self._phase is _Phase.ALIGN:
             left = 0.0 if self._heading is None else wrapped(self._heading - self.yaw)
             if abs(left) > config.near[1]:
-                return 0.0, turning_rate(left, config.slowing, share * config.turn)
+                return self._roll_back(), turning_rate(left, config.slowing, share * config.turn)
             self._phase = _Phase.ARRIVED
         return 0.0, 0.0
+
+    def _roll_back(self) -> float:
+        """Return the speed that rolls the rover back to where its turn began."""
+        ahead = np.array([-math.sin(self.yaw), math.cos(self.yaw)])
+        speed, most = (
+            self._config.slowing * float((self._pivot - self.place) @ ahead),
+            self._config.hold,
+        )
+        return min(max(speed, -most), most)
 
     def _follow(self) -> None:
         """Find the place along the path; at the end of a part begin the next."""

@@ -1,9 +1,9 @@
 """Stages ``approach`` and ``place``: a rover drives to its place, and localizes itself there.
 
 The slave drives to where the drawing wants it before the slot, the master to the best camera
-station on its map (chapter 4). Paths are planned on what is mapped, to a run-up behind the place:
-its last stretch the rover drives straight ahead, for turns on the spot move it aside. There and at
-its place it finds the panel again; if it has missed its place, it backs off and drives on anew.
+station on its map (chapter 4). Paths are planned on what is mapped. The last stretch the rover
+drives straight ahead or back where there is room for that, as turns on the spot move it aside. At
+its beginning and its end it finds the panel again; if it has missed its place, it drives anew.
 """
 
 import math
@@ -22,7 +22,9 @@ from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
 _MOST_DRIVES = 4  # Largest number of drives to the place.
-_RUN_UP = 0.4  # Length of the straight stretch before a place [m].
+_STRETCHES = (-0.4, -0.3, 0.4, 0.3)
+"""Where along its heading the last, straight stretch to a place may begin [m]: behind it, or ahead
+of it, from where the rover drives back; the first one with room is taken."""
 _NEAR, _ALONG = 0.3, 0.6  # Distance [m] and heading [rad] of a rover that need only back off.
 _VIEWS = 8  # Views in which the panel is searched for at the place.
 
@@ -83,23 +85,45 @@ class GoToPlace:
         return seen
 
     def _go(self, seen: Observation) -> Behaviour:
-        """Drive to the place once: straight ahead from a run-up, if there is room for one."""
-        place, heading = self._goal()
-        run_up = place - _RUN_UP * _ahead(heading)
-        if not self._navigator.is_clear(np.array([run_up, place])):
+        """Drive to the place once, its last stretch straight along its heading if there is room."""
+        navigator, (off, turn) = self._navigator, self._off()
+        near = off < _NEAR and turn < _ALONG
+        stretch, (place, heading) = self._stretch(near), self._goal()
+        if stretch is None and not near:
             return (yield from self._drive(seen, place, heading))
-        off, turn = self._off()
-        if off < _NEAR and turn < _ALONG:
-            back = np.array([self._navigator.place, run_up])
-            seen = yield from drive_straight(
-                seen, self._navigator, self._arm, back, heading, backwards=True
-            )
+        if stretch is None:
+            return (yield from self._straight(seen, np.array([navigator.place, place]), heading))
+        begin = place + stretch * _ahead(heading)
+        if near:
+            seen = yield from self._straight(seen, np.array([navigator.place, begin]), heading)
         else:
-            seen = yield from self._drive(seen, run_up, heading)
+            seen = yield from self._drive(seen, begin, heading)
         seen = yield from self._look(seen)
         place, heading = self._goal()
-        last = np.array([place - _RUN_UP * _ahead(heading), place])
-        return (yield from drive_straight(seen, self._navigator, self._arm, last, heading))
+        last = np.array([place + stretch * _ahead(heading), place])
+        return (yield from self._straight(seen, last, heading))
+
+    def _straight(self, seen: Observation, path: FloatArray, heading: float) -> Behaviour:
+        """Drive along a short path (2, 2) [m] of the frame, forward or back as it lies."""
+        backwards = float((path[1] - path[0]) @ _ahead(heading)) < 0.0
+        return (
+            yield from drive_straight(seen, self._navigator, self._arm, path, heading, backwards)
+        )
+
+    def _stretch(self, near: bool) -> float | None:
+        """Return where along the heading the last stretch begins [m], negative behind the place.
+
+        Args:
+            near: Whether the rover is so near that it gets there straight.
+        """
+        place, heading = self._goal()
+        for stretch in _STRETCHES:
+            begin = place + stretch * _ahead(heading)
+            if self._navigator.is_clear(np.array([begin, place])) and (
+                near or np.isfinite(self._navigator.lengths_to(begin[None])[0])
+            ):
+                return stretch
+        return None
 
     def _drive(self, seen: Observation, place: FloatArray, heading: float) -> Behaviour:
         """Drive to a place (2,) [m] and heading [rad] of the frame along planned paths."""

@@ -8,15 +8,17 @@ that of the map (thesis sections 3.2.2 to 3.2.4).
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.camera_station import camera_arm
+from controllers.insertion.camera_station import camera_arm, stereo_geometry
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.panel_search import PanelSearch, Viewpoint
-from controllers.mapping.searching import aim
+from controllers.mapping.searching import aim, likeliest_target
+from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import DRIVING, Behaviour, drive, posed, retreat
 from controllers.mission.belief import MissionBelief
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import FloatArray
+from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
 _PLACES = 2000  # Possible places of the panel.
@@ -24,6 +26,7 @@ _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
 _PATIENCE = 420.0  # Longest search [s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
 _MOST_RETREATS = 3  # Number of times that a rover backs off where nothing is left to be seen.
+_HINTS = 2.0  # Number of possible markers, of one target, that are a hint.
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
 
 
@@ -114,6 +117,12 @@ class SearchPanel:
         assert self.search is not None
         camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
         self.search.miss(camera, self._navigator.sight_lines(), intended)
+        knowledge, pair = self._knowledge, np.asarray(seen.stereo.value, dtype=np.uint8)
+        target = knowledge.site.target
+        hints = possible_markers(pair, stereo_geometry(knowledge.robot), target)
+        middle, weight = likeliest_target(hints, target.extent, MapperConfig().search)
+        if weight >= _HINTS:
+            self.search.hint(np.asarray(camera.apply(middle)))
 
     def _possible_places(self) -> PanelSearch:
         """Return where the panel may be, by what is known of the initial pose."""

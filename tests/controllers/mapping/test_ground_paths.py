@@ -22,7 +22,7 @@ from perception.elevation.map import ElevationMap
 
 CELL = 0.05
 CORNER = (-1.0, -1.5)
-HOW = GroundPathConfig(near_cost=0.0, sure=99.0)
+HOW = GroundPathConfig(near_cost=0.0, sure=99.0, corner=1e-9)
 """No more is paid beside obstacles, so that the cheapest paths are the shortest."""
 
 
@@ -287,10 +287,10 @@ def test_doubted_ground_is_gone_around_where_that_is_short():
 def test_what_is_high_far_away_costs_and_closer_by_bars_the_way():
     model = field([(row, 60) for row in range(60)])
     start, goal = np.array([-0.5, 0.0]), np.array([2.8, 0.0])
-    path = plan_path(model, start, goal)
+    how = dataclasses.replace(HOW, sure=1.5)
+    path = plan_path(model, start, goal, config=how)
     np.testing.assert_allclose(path, [start, goal])  # A wall from side to side.
-    length, cost = path_lengths(model, start, np.array([[1.6, 0.0], goal]))
-    how = GroundPathConfig()
+    length, cost = path_lengths(model, start, np.array([[1.6, 0.0], goal]), config=how)
     assert length == pytest.approx(2.1, abs=0.1)
     assert cost == pytest.approx(3.3 + 2.0 * how.radius * how.far_cost, rel=0.15)
     near = path_costs(model, np.array([1.0, 0.0]), None, how)
@@ -345,6 +345,20 @@ def test_string_pulling_keeps_the_cheapest_chain_where_cells_cost():
         best = min(chains, key=lambda chain: sum(legs[leg] for leg in itertools.pairwise(chain)))
         pulled = shortened(CELL * path, costs, corner, CELL)
         np.testing.assert_allclose(pulled, CELL * path[list(best)])
+
+
+def test_a_leg_that_saves_less_than_a_turn_costs_is_left_out():
+    """A kink through a cheap corner of the field, worth 0.4 m."""
+    costs = np.ones((40, 40))
+    costs[:, 20] = 9.0
+    costs[22, 20] = 1.0
+    path = CELL * np.array([(4.5, 20.5), (20.5, 22.5), (36.5, 20.5)])
+    straight = cost_by_steps(path[0] / CELL, path[2] / CELL, costs)
+    kinked = sum(cost_by_steps(a / CELL, b / CELL, costs) for a, b in itertools.pairwise(path))
+    saved = CELL * (straight - kinked)
+    assert 0.1 < saved < 1.0
+    for turn, count in ((0.9 * saved, 3), (1.1 * saved, 2)):
+        assert len(shortened(path, costs, np.zeros(2), CELL, turn)) == count
 
 
 def test_string_pulling_keeps_the_shortest_chain_of_free_legs():

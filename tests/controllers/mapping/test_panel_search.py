@@ -116,3 +116,19 @@ def test_what_likely_stands_somewhere_is_kept_off():
         sure.miss(camera([0.0, 0.5, 0.4], [1.0, 0.5, 0.2]), EMPTY)
     discs = sure.likely_discs(np.array([[0.4, 0.0, 0.2]]))
     assert np.linalg.norm(discs[:, :2] - [-2.0, 0.4], axis=1).max() < 0.15
+
+
+def test_a_hint_draws_the_odds_to_where_it_was_seen_a_few_times():
+    search = search_of([1.0, 0.0, 0.2], [1.2, 0.1, 0.2], [-2.0, 0.0, 0.2], [-2.0, 2.0, 0.2])
+    here, there = np.array([1.1, 0.0, 0.3]), np.array([5.0, 5.0, 0.3])
+    search.hint(here)
+    half, rest = CONFIG.hinted / 2.0, (1.0 - CONFIG.hinted) / 2.0
+    np.testing.assert_allclose(search.weights, [half, half, rest, rest])
+    search.hint(there)  # Nothing may stand there.
+    np.testing.assert_allclose(search.weights, [half, half, rest, rest])
+    for again in range(1, CONFIG.most_hints + 2):
+        for _ in range(20):
+            search.miss(camera([0.0, 0.0, 0.4], [1.2, 0.0, 0.2]), EMPTY)
+        before = search.weights.copy()
+        search.hint(here)
+        assert np.allclose(search.weights, before) == (again >= CONFIG.most_hints)

@@ -28,6 +28,7 @@ class HandNavigator:
         self._path, self._held, self._unseen = path, held, list(unseen)
         self._left, self.blocked, self.taken = 0, "", 0
         self.waits, self._waits_at, self.footing = False, waits_at, None
+        self.slides = False
 
     @property
     def looks(self):
