@@ -26,6 +26,7 @@ _LASTS = {
 """Typical durations of stages for the progress bars [s]."""
 _POINTS = 30_000  # Most points of the voxel map in a recording.
 _CELLS = 8_000  # Most cells of an elevation map in a recording.
+_EVERY = 5  # Ticks between two that are recorded, so that ten minutes take less than 100 MB.
 _MAPPED, _PLANNED = 1000, 100  # Ticks between two elevation maps, and between two paths.
 _NAMES = {MASTER: "master", SLAVE: "slave"}
 Steps = list[tuple[str, float, ImageArray]]
@@ -72,7 +73,7 @@ class _StepPictures(LoopRecorder):
 
 
 class _Notes(LoopRecorder):
-    """Adds stages, maps, planned paths and contact to a recording."""
+    """Records some ticks of a mission, with stages, maps, planned paths and contact."""
 
     def __init__(self, recorder: Recorder, mission: Mission) -> None:
         self._recorder, self._mission = recorder, mission
@@ -82,6 +83,9 @@ class _Notes(LoopRecorder):
 
     def record(self, tick: Tick) -> None:
         """Take one tick."""
+        if tick.step % _EVERY:
+            return
+        self._recorder.record(tick)
         stage, insertion = self._mission.team.master.stage, self._mission.insertion
         self._log.add(insertion.inserter if insertion is not None else None, stage.name)
         if stage is not self._stage:
@@ -147,7 +151,7 @@ def _layout() -> rrb.Blueprint:
 
 
 @contextlib.contextmanager
-def recorded(mission: Mission, path: Path) -> Iterator[list[LoopRecorder]]:
+def recorded(mission: Mission, path: Path) -> Iterator[LoopRecorder]:
     """Yield what writes a recording of a mission for the rerun viewer.
 
     Args:
@@ -156,7 +160,7 @@ def recorded(mission: Mission, path: Path) -> Iterator[list[LoopRecorder]]:
     """
     robots, simulation = mission.connection.robots, mission.connection.simulation
     with Recorder(path, robots, simulation, _layout(), draws=False) as recorder:
-        yield [recorder, _Notes(recorder, mission)]
+        yield _Notes(recorder, mission)
 
 
 def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionResult, Steps]:
@@ -178,5 +182,5 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionRe
         pictures = _StepPictures(mission)
         recorders: list[LoopRecorder] = [_Bars(mission, bars), pictures]
         if recording is not None:
-            recorders += stack.enter_context(recorded(mission, recording))
+            recorders.append(stack.enter_context(recorded(mission, recording)))
         return perform(mission, recorders), pictures.steps

@@ -13,7 +13,7 @@ from tests.twin.recording.test_record import columns
 from tests.twin.test_truth_barrier import leaks
 from twin.loop import LoopRecorder
 
-SECONDS = 34.0
+SECONDS = 60.0
 """Robot time of the mission that is begun: the identification and the first drives."""
 
 
@@ -39,7 +39,7 @@ def begun(tmp_path_factory):
         with prepared(MissionTrial(5)) as mission:
             recorder = Begun(mission)
             with recorded(mission, path) as film:
-                outcome = perform(mission, [recorder, *film])
+                outcome = perform(mission, [recorder, film])
             yield mission, outcome, recorder.begin, path
 
 
@@ -106,10 +106,10 @@ def test_the_mapped_ground_is_the_true_one(begun):
 def test_the_recording_shows_rovers_maps_paths_and_what_the_cameras_saw(begun):
     mission, _, _, path = begun
     rows = columns(path)
-    assert path.stat().st_size < 100e6 * SECONDS / 400.0
+    assert path.stat().st_size < 10e6 + 90e6 * SECONDS / 600.0  # The field's meshes are there once.
     for robot in (MASTER, SLAVE):
         part = next(part for part in mission.team.parts if part.name == robot)
-        assert len(rows[f"/world/{robot}/chassis"]["Transform3D:translation"]) > 20 * SECONDS
+        assert len(rows[f"/world/{robot}/chassis"]["Transform3D:translation"]) >= 20 * SECONDS
         assert (
             len([blob for blob in rows[f"/{robot}/stereo/left"]["EncodedImage:blob"] if blob]) > 3
         )
