@@ -136,6 +136,22 @@ def test_a_rover_that_slides_as_it_turns_rolls_back_to_where_it_began(hold) -> N
     assert off < 0.75 * alone if hold == CONFIG.hold else off == pytest.approx(alone, abs=0.01)
 
 
+def test_a_rover_that_slides_along_its_path_while_it_turns_drives_on_from_there() -> None:
+    """It has to turn to the right, and slides there by 0.4 m a radian: past its first corner."""
+    driver, slid, last = DrivePath(STEER, [(0.0, 0.0), (1.5, 0.0)]), np.zeros(2), 0.0
+
+    def slide(tick: int, pose: np.ndarray) -> None:
+        nonlocal last
+        slid[0] += 0.4 * abs(pose[2] - last)
+        last = pose[2]
+        if tick % 50 == 49:
+            driver.correct(*(pose[:2] + slid), pose[2])
+
+    done = drive(driver, each_tick=slide, longest=40.0)
+    np.testing.assert_allclose(done.poses[-1, :2] + slid, [1.5, 0.0], atol=0.03)
+    assert np.ptp(done.poses[:, 2]) < 0.8 * math.pi
+
+
 @pytest.mark.parametrize("share", [0.9 * SHARE, 1.1 * SHARE])
 def test_corrected_each_second_it_stays_within_10_cm_though_its_turns_err_by_a_tenth(share) -> None:
     driver = DrivePath(STEER, ZIGZAG)
