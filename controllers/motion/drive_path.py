@@ -58,7 +58,7 @@ class DrivePathConfig:
     speed: float = 0.2
     turn: float = 0.3
     acceleration: float = 0.2
-    hold: float = 0.15
+    hold: float = 0.06
     turn_acceleration: float = 0.8
     slowing: float = 2.0
     near: tuple[float, float] = (0.005, 0.01)

@@ -116,7 +116,7 @@ def test_it_ends_in_the_heading_that_is_asked_for(heading) -> None:
     assert math.remainder(done.poses[-1, 2] - heading, math.tau) == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("hold", [0.15, 1e-9])
+@pytest.mark.parametrize("hold", [CONFIG.hold, 1e-9])
 def test_a_rover_that_slides_as_it_turns_rolls_back_to_where_it_began(hold) -> None:
     """On a slope it slides 0.3 m for each radian; what is across its heading cannot be made up."""
     driver = DrivePath(STEER, [(0.0, 0.0)], math.pi / 2, dataclasses.replace(CONFIG, hold=hold))
