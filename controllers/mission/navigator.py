@@ -67,7 +67,7 @@ class NavigatorConfig:
     cell: float = 0.025
     reach: tuple[float, float] = (0.35, 2.5)
     stride: int = 3
-    apart: tuple[float, float] = (0.15, 0.2)
+    apart: tuple[float, float] = (0.15, 0.25)
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
     paths: GroundPathConfig = GroundPathConfig(
