@@ -34,6 +34,7 @@ _ROLLED = 0.1  # Way of the wheels that tells of slip [m].
 _PIVOTED = 0.1  # Turn on the spot that tells of slip [rad].
 _HELD = 0.6  # Slip from which on something holds the rover, and its turns tell nothing.
 _TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
+_QUICK = 0.6  # Turn share by which turns are counted: a pair too many does no harm.
 _SHARES = (0.1, 1.0)  # Turn shares that skidding can have.
 
 
@@ -53,7 +54,9 @@ class VisualOdometryConfig:
         tilt_at_rest: Tilt by the inclinometer at rest [rad]: its zero and scale.
         tilt_driving: Tilt by the inclinometer on the way [rad]: it feels acceleration as well.
         arm: Rotation of the camera by the arm's joints between two postures [rad].
-        turn_scatter: Turn share of one turn about that of all turns on this ground.
+        turn_scatter: Turn share of one turn about that of others: it differs by half on patches of
+            other friction, and on slopes.
+        least_sigma: Deviation that the turn share keeps: the ground changes.
     """
 
     period: float = 0.01
@@ -66,7 +69,8 @@ class VisualOdometryConfig:
     tilt_at_rest: float = 0.008
     tilt_driving: float = 0.03
     arm: float = 0.003
-    turn_scatter: float = 0.04
+    turn_scatter: float = 0.12
+    least_sigma: float = 0.05
 
 
 class _Past(NamedTuple):
@@ -124,7 +128,7 @@ class VisualOdometry:
         covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * pose``, in the frame.
         turn_share: Turn share by the turns seen so far.
         distance: Distance driven by the wheels, forward and back [m].
-        turned: Angle turned by the wheels, left positive [rad].
+        turned: Angle turned by the wheels, left positive [rad], at a turn share of 0.6 or more.
         slip: Share of the wheels' last way, or of a turn on the spot, that features did not see; 0
             where they saw nothing.
         seen: Number of motions that features gave.
@@ -177,7 +181,7 @@ class VisualOdometry:
             share = config.period / (config.period + config.tilt_lag)
             tilt = self._pasts[-1].tilt + share * (tilt - self._pasts[-1].tilt)
         self.distance += abs(rolled[0])
-        self.turned += self.turn_share * rolled[1]
+        self.turned += max(self.turn_share, _QUICK) * rolled[1]
         self._pasts.append(_Past(seen.time, rolled, tilt, angles))
         while self._pasts[0].time < min(seen.time - _KEPT, self._at.time):
             self._pasts.popleft()
@@ -328,7 +332,7 @@ class VisualOdometry:
         weight = gain / (self._information + gain)
         self.turn_share += weight * (turned / rolled - self.turn_share)
         self.turn_share = min(max(self.turn_share, _SHARES[0]), _SHARES[1])
-        self._information += gain
+        self._information = min(self._information + gain, 1.0 / self._config.least_sigma**2)
 
     def _level(self, past: _Past) -> None:
         """Correct the pose's tilt by the inclinometer, whose zero and scale stay wrong."""

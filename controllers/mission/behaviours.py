@@ -25,7 +25,7 @@ LOOKING = np.array([0.0, 1.9, -0.9, -1.85])
 """Posture of the arm to look at the ground just beside the rover: 49 degrees below the horizon, and
 the wrist 8 degrees before its limit [rad]."""
 _MOST_LOOKS = 12  # Largest number of looks at unseen ground before the rover sets off.
-_MOST_STALLS = 3  # Largest number of times that a rover may get stuck on one way.
+_MOST_STALLS = 6  # Largest number of times that a rover may get stuck on one way.
 OnPair = Callable[[Observation, RobotLocalization | None], bool]
 """Called with each pair taken on the way; returns whether the drive is to end there."""
 

@@ -32,7 +32,7 @@ from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
 from twin.description import RobotDescription
 from twin.robot import Command, Observation
 
-_SLIPPED, _SLIPS = 0.7, 2
+_SLIPPED, _SLIPS = 0.8, 3
 """Slip from which on a rover hardly moves, and successive pairs that must show it."""
 _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
@@ -69,7 +69,7 @@ class NavigatorConfig:
     cell: float = 0.025
     reach: tuple[float, float] = (0.35, 2.5)
     stride: int = 3
-    apart: tuple[float, float] = (0.15, 0.2)
+    apart: tuple[float, float] = (0.15, 0.25)
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
     paths: GroundPathConfig = GroundPathConfig(

@@ -58,7 +58,7 @@ class DrivePathConfig:
     speed: float = 0.2
     turn: float = 0.3
     acceleration: float = 0.2
-    hold: float = 0.15
+    hold: float = 0.06
     turn_acceleration: float = 0.8
     slowing: float = 2.0
     near: tuple[float, float] = (0.005, 0.01)
@@ -277,8 +277,8 @@ class DrivePath(ReckonedDrive):
         """Return speed and turning rate to strive for; a phase that has ended gives the next."""
         config, share = self._config, self._share()
         course = self.yaw if self._sign > 0.0 else self.yaw + math.pi
-        if self._phase is _Phase.FOLLOW:
-            self._follow()
+        if self._phase in (_Phase.FACE, _Phase.FOLLOW):
+            self._follow()  # On a slope it gets on as it turns, too.
         if self._phase in (_Phase.FACE, _Phase.FOLLOW):
             away = self._pursued() - self.place
             left = wrapped(course_along(away) - course)

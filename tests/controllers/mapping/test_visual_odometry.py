@@ -69,7 +69,7 @@ def test_wheels_alone_turn_by_their_share_of_a_circle():
     assert x == pytest.approx(radius * (math.cos(turned) - 1.0), abs=1e-4)
     assert y == pytest.approx(radius * math.sin(turned), abs=1e-4)
     assert odometry.distance == pytest.approx(2.0)
-    assert odometry.turned == pytest.approx(0.5 * 0.2 * 20.0)
+    assert odometry.turned == pytest.approx(0.6 * 0.2 * 20.0)
 
 
 def test_a_slope_is_climbed():
@@ -100,8 +100,8 @@ def test_a_seen_motion_replaces_that_of_the_wheels_and_tells_the_turn_share():
         odometry.see(time - 0.01, IMAGE, POINTS)
     assert odometry.seen == 6 and odometry.missed == 0
     assert odometry.level_pose().rotation.as_euler("ZXY")[0] == pytest.approx(6 * true, abs=1e-3)
-    assert odometry.turn_share == pytest.approx(0.4, abs=0.01)
-    assert VisualOdometryConfig().turn_scatter < odometry.turn_sigma < 0.06
+    assert odometry.turn_share == pytest.approx(0.4, abs=0.025)
+    assert VisualOdometryConfig().turn_scatter < odometry.turn_sigma < 0.14
 
 
 @pytest.mark.parametrize(("forward", "turn"), [(0.1, 0.0), (0.0, 0.3)])
@@ -114,6 +114,20 @@ def test_wheels_that_turn_while_the_rover_stays_slip_and_tell_nothing_of_turns(f
     odometry.see(time - 0.01, IMAGE, POINTS)
     assert odometry.slip == pytest.approx(1.0, abs=0.02)
     assert odometry.turn_share == 0.5
+
+
+def test_on_other_ground_the_turn_share_is_learnt_anew_however_long_the_first_was():
+    odometry, matcher = rover(share=0.5)
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    for count, share in ((60, 0.3), (12, 0.5)):
+        for _ in range(count):
+            moved = RigidTransform.from_rotation(Rotation.from_euler("z", share * 0.4))
+            matcher.motions.append(camera_motion(odometry, moved))
+            time = drive(odometry, 0.0, 0.2, 2.0, time)
+            odometry.see(time - 0.01, IMAGE, POINTS)
+        assert odometry.turn_share == pytest.approx(share, abs=0.04)
+        assert odometry.turn_sigma > VisualOdometryConfig().turn_scatter
 
 
 def test_a_rover_back_at_an_earlier_view_has_not_slipped():
@@ -141,8 +155,8 @@ def test_where_nothing_is_recognised_the_wheels_stand_in_with_their_covariance()
         odometry.see(time + 4.99, IMAGE, POINTS)
     assert blind.missed == 1
     assert blind.level_pose().rotation.as_euler("ZXY")[0] == pytest.approx(0.5, abs=2e-3)
-    # A share off by a deviation errs by a tenth of the rolled radian.
-    assert math.sqrt(blind.covariance[2, 2]) == pytest.approx(0.11, rel=0.2)
+    # A share off by a deviation errs by a tenth of the rolled radian, and this turn's by more.
+    assert math.sqrt(blind.covariance[2, 2]) == pytest.approx(0.16, rel=0.1)
     assert math.sqrt(seen.covariance[2, 2]) < 0.01
 
 

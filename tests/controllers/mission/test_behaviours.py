@@ -164,7 +164,7 @@ def test_a_rover_that_is_held_again_and_again_says_why():
     navigator = HandNavigator(held=99)
     driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert not driven.arrived and "something holds the rover" in driven.reason
-    assert navigator.calls.count("set off") == 3
+    assert navigator.calls.count("set off") == 6
 
 
 def test_without_a_path_nothing_moves():

@@ -5,6 +5,7 @@ import typing
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform
 
 from controllers.mission.belief import MissionBelief
 from controllers.mission.navigator import NavigatorConfig
@@ -53,6 +54,13 @@ def put_box(navigator, x, y, half=0.1, height=0.08):
     ground.variances[about] = 1e-6
     box = (np.abs(centres[..., 0] - x) < half) & (np.abs(centres[..., 1] - y) < half)
     ground.heights[box] = height
+
+
+def put_box_on(navigator, x, y, half=0.1, height=0.08):
+    """Put a further box on ground that is mapped already."""
+    centres = navigator.ground.grid.centres
+    box = (np.abs(centres[..., 0] - x) < half) & (np.abs(centres[..., 1] - y) < half)
+    navigator.ground.heights[box] = height
 
 
 def test_a_drive_ends_at_its_place_and_heading():
@@ -169,6 +177,32 @@ def test_what_held_a_rover_is_kept_off_after_it_backed_off():
     assert math.dist(places[-1], (0.0, 2.0)) < 0.05
 
 
+def test_a_rover_backs_off_where_there_is_room_for_that():
+    for boxes, expected in (((), -0.25), ((-0.45,), 0.25), ((-0.45, 0.45), 0.0)):
+        rover = Rolling()
+        put_box(rover.navigator, 5.0, 5.0)
+        for y in boxes:
+            put_box_on(rover.navigator, 0.0, y)
+        rover.navigator.back_off(held=False)
+        rover.drive()
+        assert rover.navigator.place[1] == pytest.approx(expected, abs=0.03)
+
+
+def test_a_turn_ends_where_the_rover_slides_towards_something():
+    for box, slides in ((0.42, True), (1.0, False)):
+        rover = Rolling()
+        put_box(rover.navigator, box, 0.0)
+        rover.navigator.follow(np.zeros((1, 2)), 2.0)
+        for _ in range(100):
+            rover.wheels = np.array(rover.navigator.step(rover.seen).wheels)
+            rover.seen = rover.tick()
+        odometry = rover.navigator.odometry
+        odometry._pose = RigidTransform.from_translation([0.08, 0.0, 0.0]) * odometry.pose()  # pyright: ignore
+        odometry._at = odometry._pasts[-1]  # pyright: ignore
+        rover.navigator.correct()
+        assert bool(rover.navigator.blocked) == rover.navigator.slides == slides
+
+
 def test_a_pair_is_due_after_some_way_or_turn():
     rover = Rolling()
     rover.navigator._taken = (0.0, 0.0)  # pyright: ignore
@@ -183,7 +217,8 @@ def test_a_pair_is_due_after_some_way_or_turn():
             rover.seen = rover.tick()
             ticks += 1
         far, angle = NavigatorConfig().apart
-        expected = far / forward if forward else angle / turn
+        # Turns count as if the wheels slipped little.
+        expected = far / forward if forward else angle / turn * rolling.turn_share / 0.6
         assert 0.01 * ticks == pytest.approx(expected, rel=0.1)
 
 

@@ -116,7 +116,7 @@ def test_it_ends_in_the_heading_that_is_asked_for(heading) -> None:
     assert math.remainder(done.poses[-1, 2] - heading, math.tau) == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize("hold", [0.15, 1e-9])
+@pytest.mark.parametrize("hold", [CONFIG.hold, 1e-9])
 def test_a_rover_that_slides_as_it_turns_rolls_back_to_where_it_began(hold) -> None:
     """On a slope it slides 0.3 m for each radian; what is across its heading cannot be made up."""
     driver = DrivePath(STEER, [(0.0, 0.0)], math.pi / 2, dataclasses.replace(CONFIG, hold=hold))
@@ -134,6 +134,22 @@ def test_a_rover_that_slides_as_it_turns_rolls_back_to_where_it_began(hold) -> N
     drive(driver, each_tick=slide)
     off, alone = float(np.linalg.norm(places[-1])), 0.3 * math.pi / 2.0
     assert off < 0.75 * alone if hold == CONFIG.hold else off == pytest.approx(alone, abs=0.01)
+
+
+def test_a_rover_that_slides_along_its_path_while_it_turns_drives_on_from_there() -> None:
+    """It has to turn to the right, and slides there by 0.4 m a radian: past its first corner."""
+    driver, slid, last = DrivePath(STEER, [(0.0, 0.0), (1.5, 0.0)]), np.zeros(2), 0.0
+
+    def slide(tick: int, pose: np.ndarray) -> None:
+        nonlocal last
+        slid[0] += 0.4 * abs(pose[2] - last)
+        last = pose[2]
+        if tick % 50 == 49:
+            driver.correct(*(pose[:2] + slid), pose[2])
+
+    done = drive(driver, each_tick=slide, longest=40.0)
+    np.testing.assert_allclose(done.poses[-1, :2] + slid, [1.5, 0.0], atol=0.03)
+    assert np.ptp(done.poses[:, 2]) < 0.8 * math.pi
 
 
 @pytest.mark.parametrize("share", [0.9 * SHARE, 1.1 * SHARE])
