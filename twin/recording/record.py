@@ -1,7 +1,7 @@
 """Recordings for the rerun viewer: bodies, sensors, commands, images and estimates.
 
 Everything goes to a file, in columns of half a second, so that recording costs little and an
-interrupted run loses half a second at most.
+interrupted run loses half a second at most, unless told otherwise.
 ``python -m twin.recording.record screenshot RUN.rrd OUT.png`` makes a picture of one.
 """
 
@@ -49,7 +49,6 @@ _PNG_END = b"IEND\xaeB`\x82"  # Chunk that ends every PNG file.
 _BODY_RATE = 25.0  # Poses of bodies per second [Hz].
 _IMAGE_RATE = 4.0  # Stereo pairs per second, at most [Hz].
 _JPEG = [int(cv2.IMWRITE_JPEG_QUALITY), 60]
-_FLUSH_PERIOD = 0.5  # Robot time between writes [s].
 _LONGEST_FLUSH = 30.0  # Wall time [s].
 _BEGINNING = 2**20  # More than the layout and the meshes of a scene take [byte].
 _SLACK = 1e-9
@@ -82,6 +81,7 @@ class Recorder(LoopRecorder):
         simulation: RecordedScene | None = None,
         blueprint: rrb.Blueprint | None = None,
         draws: bool = True,
+        period: float = 0.5,
     ) -> None:
         """Open the file and write the static entities.
 
@@ -91,11 +91,12 @@ class Recorder(LoopRecorder):
             simulation: Scene whose bodies are recorded; None for real robots.
             blueprint: Layout of the viewer; None for `default_blueprint`.
             draws: Whether stereo pairs are drawn for the recording that no controller has read.
+            period: Robot time between writes [s]; longer ones take less room.
 
         Raises:
             OSError: If the file cannot be written.
         """
-        self._draws = draws
+        self._draws, self._period = draws, period
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = rr.RecordingStream("fieldtwin")
@@ -141,7 +142,7 @@ class Recorder(LoopRecorder):
             for path, pose in self._moving.items():
                 self._append(path, np.concatenate(pose))
         if tick.time >= self._next_flush - _SLACK:
-            self._next_flush = tick.time + _FLUSH_PERIOD
+            self._next_flush = tick.time + self._period
             self._write_curves()
 
     def log_scalars(
