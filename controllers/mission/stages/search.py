@@ -23,7 +23,7 @@ from twin.robot import Command, Observation
 
 _PLACES = 2000  # Possible places of the panel.
 _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
-_PATIENCE = 420.0  # Longest search [s].
+_PATIENCE = 700.0  # Longest search [s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
 _MOST_RETREATS = 3  # Number of times that a rover backs off where nothing is left to be seen.
 _HINTS = 2.0  # Number of possible markers, of one target, that are a hint.
