@@ -114,6 +114,12 @@ class ImageChannel(Channel):
         return cls(DeferredImages(make), stamp, Validity.MEASURED)  # pyright: ignore[reportArgumentType]
 
     @property
+    def drawn(self) -> bool:
+        """Whether somebody has read the images."""
+        held: DeferredImages | NDArray[np.generic] = self[0]
+        return held not in _MAKERS if isinstance(held, DeferredImages) else True
+
+    @property
     def value(self) -> NDArray[np.generic]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """The images (2, height, width) uint8, left and right, read-only."""
         held: DeferredImages | NDArray[np.generic] = self[0]

@@ -19,6 +19,7 @@ from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_view import MapperConfig, StereoView
 from controllers.motion.arm_move import ArmMove
+from controllers.motion.tip_over import Footing
 from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.registration.target import possible_markers
 from perception.stereo.matching import StereoMatcher
@@ -71,6 +72,7 @@ class StereoMapper:
         on_view: Function called once after each view, for recording.
         localizations: Initial localization of robots that have one, by name; they need a map whose
             frame is known.
+        footings: Footing of robots that a move must not tip over, by name.
 
     Attributes:
         shared: Common map of the robots.
@@ -87,9 +89,10 @@ class StereoMapper:
         rng: np.random.Generator,
         on_view: Callable[[StereoView], None] | None = None,
         localizations: Mapping[str, RobotLocalization] | None = None,
+        footings: Mapping[str, Footing] | None = None,
     ) -> None:
         self.shared = shared
-        self._known = dict(localizations or {})
+        self._known, self._footings = dict(localizations or {}), dict(footings or {})
         self.views: list[StereoView] = []
         self._config, self._rng, self._on_view = config, rng, on_view
         geometry = shared.geometry
@@ -119,7 +122,7 @@ class StereoMapper:
             assert robot.arm is not None
             arm = SerialChain.of_robot(robot)
             search = TargetSearch(arm, robot.arm.home, survey, extent, self._config.search)
-            head = self._heads[name] = _Head(arm, search, self._move_to(search.first()))
+            head = self._heads[name] = _Head(arm, search, self._move_to(name, search.first()))
             if name in self._known:
                 head.localization = self._known[name]
                 head.offsets = self.localizer.fiducials.share(head.localization.shared_covariance())
@@ -150,10 +153,11 @@ class StereoMapper:
             self._take(name, head, seen, arms)
         return head.move.command(seen)
 
-    def _move_to(self, goal: FloatArray) -> ArmMove:
-        """Return the motion to a view (joints,) [rad]; the wheels get no voltage."""
+    def _move_to(self, name: str, goal: FloatArray) -> ArmMove:
+        """Return a robot's motion to a view (joints,) [rad]; the wheels get no voltage."""
         c = self._config
-        return ArmMove(goal, c.speed, c.rest, c.near, c.patience, WheelMode.DUTY)
+        footing = self._footings.get(name)
+        return ArmMove(goal, c.speed, c.rest, c.near, c.patience, WheelMode.DUTY, footing)
 
     def _take(
         self, name: str, head: _Head, seen: Observation, arms: Mapping[str, FloatArray]
@@ -222,7 +226,7 @@ class StereoMapper:
         head.done = head.taken >= self._config.scans + spare
         if not head.done:
             try:
-                head.move = self._move_to(self._goal(head, view))
+                head.move = self._move_to(view.robot, self._goal(head, view))
             except ViewError:
                 head.done = True
 

@@ -44,14 +44,15 @@ class Driven(NamedTuple):
     reason: str = ""
 
 
-def posed(seen: Observation, goal: FloatArray) -> Behaviour:
+def posed(seen: Observation, navigator: Navigator, goal: FloatArray) -> Behaviour:
     """Move the arm, until a stereo pair was taken at its goal, at rest.
 
     Args:
         seen: Latest observation.
+        navigator: Navigator of the rover, whose footing guards the move.
         goal: (joints,) posture [rad].
     """
-    move = ArmMove(goal)
+    move = ArmMove(goal, footing=navigator.footing)
     while not (move.sees(seen) and seen.inclinometer.usable):
         seen = yield move.command(seen)
     return seen
@@ -134,7 +135,7 @@ def drive_straight(
         backwards: Whether the rover drives backwards, where it came from.
     """
     if backwards:
-        seen = yield from posed(seen, DRIVING)
+        seen = yield from posed(seen, navigator, DRIVING)
         navigator.take(seen, at_rest=True)
     else:
         seen, _ = yield from _look_along(seen, navigator, arm, lambda: path, _any)
@@ -157,12 +158,12 @@ def _look_along(
         point = None if path is None else navigator.unseen(path)
         if point is None:
             break
-        seen = yield from posed(seen, aim(arm, point, LOOKING))
+        seen = yield from posed(seen, navigator, aim(arm, point, LOOKING))
         found = navigator.take(seen, at_rest=True)
         navigator.looked()
         if on_pair(seen, found):
             return seen, True
-    seen = yield from posed(seen, DRIVING)
+    seen = yield from posed(seen, navigator, DRIVING)
     return seen, on_pair(seen, navigator.take(seen, at_rest=True))
 
 

@@ -62,21 +62,24 @@ class MissionBelief:
 
     @classmethod
     def initial(
-        cls, robot: RobotDescription, site: SiteDrawing, blind: bool = False
+        cls, robot: RobotDescription, site: SiteDrawing, without: str = ""
     ) -> "MissionBelief":
         """Return a rover's estimates at the start, from drawings alone.
 
         Args:
             robot: Description of the rover.
             site: Drawing of the site.
-            blind: Whether paths are planned as if nothing stood on the ground.
+            without: Part of a mission that is left out; empty for none.
         """
         config, geometry = MapperConfig(), stereo_geometry(robot)
         voxels = VoxelMap(VoxelGrid(_VOXEL, *_BOX))
         panel = SharedMap(voxels, geometry, site.target, config.stereo.stride, config.reach)
         share = drawn_turn_share(robot)
         steer = SkidSteer.of(robot, share.share, share.deviation)
-        return cls(robot, site, panel, Navigator(robot, panel, steer, blind=blind))
+        navigator = Navigator(
+            robot, panel, steer, blind=without == "paths", guarded=without != "guard"
+        )
+        return cls(robot, site, panel, navigator)
 
     @property
     def home(self) -> FloatArray:

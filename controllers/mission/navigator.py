@@ -21,8 +21,9 @@ from controllers.mapping.panel_search import Ground
 from controllers.mapping.shared_map import SharedMap, within
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mapping.visual_odometry import VisualOdometry, levelled
-from controllers.motion.drive_path import DrivePath
+from controllers.motion.drive_path import DrivePath, DrivePathConfig
 from controllers.motion.driving import SkidSteer
+from controllers.motion.tip_over import Footing
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
@@ -44,6 +45,7 @@ _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stan
 _SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
 _LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
 _CLEARED = 100  # Count of looks at ground that needs none.
+_UNGUARDED = DrivePathConfig(tilts=(math.pi, 2.0 * math.pi))  # No tilt slows or stops it.
 _MOST_LOOKS = 2  # Looks at ground after which it counts as seen, as none shows what lies behind.
 
 
@@ -84,8 +86,10 @@ class Navigator:
         steer: Wheels of the rover, with the turn share as known beforehand.
         config: How far it maps and how often it looks; None for the default.
         blind: Whether paths are planned as if nothing stood on the ground.
+        guarded: Whether the tilt slows drives and moves of the arm before they would tip the rover.
 
     Attributes:
+        footing: Footing by which moves of the arm are slowed; None for a rover without the guard.
         odometry: Pose of the rover in the frame.
         ground: Elevation map in the frame.
         localized: Whether the frame is that of the panel.
@@ -103,9 +107,12 @@ class Navigator:
         steer: SkidSteer,
         config: NavigatorConfig | None = None,
         blind: bool = False,
+        guarded: bool = True,
     ) -> None:
         self._robot, self._panel = robot, panel
         self._config, self._blind = config or NavigatorConfig(), blind
+        self.footing = Footing.of(robot) if guarded else None
+        self._driving = DrivePathConfig() if guarded else _UNGUARDED
         self._arm, _ = camera_arm(robot)
         geometry = stereo_geometry(robot)
         self._matcher = StereoMatcher(geometry, StereoMatcherConfig(stride=self._config.stride))
@@ -332,7 +339,8 @@ class Navigator:
         self._goal, self._slips, self._waits, self.slides = None, 0, False, False
         self._start = self.odometry.level_pose()
         local = self._in_start(path)
-        self._drive = DrivePath(self.steer(), local, self._turn(heading), backwards=backwards)
+        turn = self._turn(heading)
+        self._drive = DrivePath(self.steer(), local, turn, self._driving, backwards)
 
     @property
     def arrived(self) -> bool:
@@ -371,6 +379,14 @@ class Navigator:
             if self.is_clear(path):
                 return self.follow(path, None, backwards=way < 0.0)
 
+    @property
+    def course(self) -> FloatArray:
+        """(N, 2) path of the drive from where the rover is, in the frame [m]; none without one."""
+        if self._drive is None:
+            return np.zeros((0, 2))
+        rest = np.column_stack([self._drive.rest, np.zeros(len(self._drive.rest))])
+        return np.vstack([self.place, np.asarray(self._start.apply(rest))[:, :2]])
+
     def halt(self) -> None:
         """End the drive where the rover is."""
         self._drive = None
@@ -393,8 +409,7 @@ class Navigator:
         if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal
-        rest = np.column_stack([self._drive.rest, np.zeros(len(self._drive.rest))])
-        kept = np.vstack([self.place, np.asarray(self._start.apply(rest))[:, :2]])
+        kept = self.course
         path = self.path_to(place, kept)
         if path is None or self.unseen(path, self._config.ahead[1]) is not None:
             self._waits = True

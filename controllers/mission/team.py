@@ -24,9 +24,9 @@ from perception.geometry.arrays import FloatArray
 from twin.link import Link
 from twin.robot import Command, Observation
 
-OMITTABLE = ("paths", "occluders")
-"""Points of the map that an ablation takes away: those that paths avoid, or those by which the
-camera station is chosen."""
+OMITTABLE = ("paths", "occluders", "guard")
+"""What an ablation takes away: points of the map that paths avoid, or those by which the camera
+station is chosen, or the guard against tipping over."""
 STAGES = ("identify", "search", "approach", "map", "place", "insert")
 """Stages in their order; both rovers end each together."""
 _FILLING = 0.05  # Distance of points that stand for a disc [m].
@@ -74,13 +74,12 @@ class MissionTeam:
         links: Mapping[str, Link],
     ) -> None:
         guiding, holding = rng.spawn(2)
-        blind = config.without == "paths"
         names = roles.master.name, roles.slave.name
         radios = [
             MissionRadio(links[name], partner) for name, partner in zip(names, reversed(names))
         ]
-        master = MissionBelief.initial(roles.master, site, blind)
-        slave = MissionBelief.initial(roles.slave, site, blind)
+        master = MissionBelief.initial(roles.master, site, config.without)
+        slave = MissionBelief.initial(roles.slave, site, config.without)
         arm = CardArm(roles.slave, site.insertion.tip)
         card = arm.transform_card_to_robot(slave.home)
         guides = _master_stages(master, radios[0], config, guiding, card)

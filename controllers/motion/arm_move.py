@@ -1,10 +1,17 @@
-"""Motion of an arm to a posture, and whether a stereo pair was taken there at rest."""
+"""Motion of an arm to a posture, and whether a stereo pair was taken there at rest.
+
+With a footing, a move that would bring the zero-moment point near the edge of the footprint, at the
+tilt that the rover has as it begins, is slowed as a whole, or cut short where the arm could not
+rest. That takes 3 ms for each move; `online_guard` takes 0.4 ms in each tick, 0.04 s a second.
+"""
 
 import dataclasses
 import math
 
 import numpy as np
 
+from controllers.motion.base_motion import level_of
+from controllers.motion.tip_over import Footing, SteadySweep, Sweep, guard
 from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
@@ -20,6 +27,7 @@ class ArmMove:
         near: Greatest joint error at which the arm counts as there [rad].
         patience: Longest time at a goal that is not reached [s].
         wheel_mode: Mode in which the wheels rest: zero speed, or zero voltage (duty).
+        footing: Rover that the move must not tip over; None for a move without a guard.
     """
 
     goal: FloatArray
@@ -28,7 +36,8 @@ class ArmMove:
     near: float = 0.05
     patience: float = 4.0
     wheel_mode: WheelMode = WheelMode.SPEED
-    _start: FloatArray | None = dataclasses.field(default=None, init=False)
+    footing: Footing | None = None
+    _sweep: Sweep | None = dataclasses.field(default=None, init=False)
     _begun: float = dataclasses.field(default=math.nan, init=False)
     _there: float = dataclasses.field(default=math.nan, init=False)
 
@@ -38,15 +47,15 @@ class ArmMove:
         Args:
             seen: Observation of the robot.
         """
-        if self._start is None:
+        if self._sweep is None:
             if not seen.arm_angles.usable:
                 return Command()
-            self._start, self._begun = np.array(seen.arm_angles.value, dtype=float), seen.time
-        distance = self.goal - self._start
-        duration = max(float(np.abs(distance).max()) / self.speed, 1e-9)
-        part = min(1.0, (seen.time - self._begun) / duration)
-        rates = distance / duration if part < 1.0 else np.zeros_like(distance)
-        place = self._start + part * distance
+            self._sweep, self._begun = self._allowed(seen), seen.time
+        sweep = self._sweep
+        distance = sweep.part * (sweep.end - sweep.start)
+        part = min(1.0, (seen.time - self._begun) / sweep.duration)
+        rates = distance / sweep.duration if part < 1.0 else np.zeros_like(distance)
+        place = sweep.start + part * distance
         return Command(np.zeros(4), place, self.wheel_mode, ArmMode.POSITION, rates)
 
     def is_there(self, seen: Observation) -> bool:
@@ -55,9 +64,9 @@ class ArmMove:
         Args:
             seen: Observation of the robot.
         """
-        if self._start is None or not seen.arm_angles.usable:
+        if self._sweep is None or not seen.arm_angles.usable:
             return False
-        arrived = self._begun + float(np.abs(self.goal - self._start).max()) / self.speed
+        arrived = self._begun + self._sweep.duration
         error = float(np.abs(np.asarray(seen.arm_angles.value, dtype=float) - self.goal).max())
         if seen.time < arrived or (error > self.near and seen.time < arrived + self.patience):
             self._there = math.nan
@@ -74,3 +83,13 @@ class ArmMove:
         """
         stereo = seen.stereo
         return self.is_there(seen) and stereo.usable and stereo.stamp >= self._there + self.rest
+
+    def _allowed(self, seen: Observation) -> Sweep:
+        """Return the move from where the arm is, as the guard allows it."""
+        start = np.array(seen.arm_angles.value, dtype=float)
+        duration = max(float(np.abs(self.goal - start).max()) / self.speed, 1e-9)
+        asked = SteadySweep(start, self.goal, duration)
+        if self.footing is None:
+            return asked
+        allowed = guard(self.footing, asked, level_of(seen)).sweep
+        return allowed or dataclasses.replace(asked, part=0.0)

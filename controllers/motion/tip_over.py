@@ -15,7 +15,10 @@ from controllers.kinematics.rigid_motion import LEVEL, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import cross_matrix
-from twin.description import RigidBody
+from twin.description import RigidBody, RobotDescription
+
+_RAMP = 0.1
+"""Time in which the joints' servos bring a steady motion up to its speed [s]. Assumption."""
 
 
 def zero_moment_point(wrench: ArrayLike, height: float = 0.0) -> FloatArray:
@@ -76,6 +79,20 @@ class Footing:
     mount: FloatArray
     polygon: FloatArray
     ground: float
+
+    @classmethod
+    def of(cls, robot: RobotDescription) -> "Footing":
+        """Return the footing of a rover with an arm, as drawn.
+
+        Args:
+            robot: Description of the rover.
+        """
+        assert robot.arm is not None
+        x, y = robot.half_track, robot.half_wheelbase
+        polygon = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
+        mount = np.asarray(robot.arm.transform_base_to_robot.translation)
+        arm = SerialChain.of_robot(robot)
+        return cls(robot.body, arm, mount, polygon, -robot.centre_height)
 
     def zero_moment_point(
         self,
@@ -157,6 +174,25 @@ class Sweep:
         bend = 60.0 * t * (1.0 - t) * (1.0 - 2.0 * t) / self.duration**2
         gone = t**3 * (10.0 + t * (6.0 * t - 15.0))
         return self.start + gone * distance, rate * distance, bend * distance
+
+
+@dataclasses.dataclass(frozen=True)
+class SteadySweep(Sweep):
+    """A straight motion of the joints from rest to rest at a steady speed, between short ramps."""
+
+    def at(self, time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return angles [rad], rates [rad/s] and accelerations [rad/s^2].
+
+        Args:
+            time: Time since the start [s]; the joints rest before and after.
+        """
+        gone = min(max(time, 0.0), self.duration)
+        distance = (self.end - self.start) * self.part
+        rate, ramp = distance / self.duration, min(_RAMP, 0.5 * self.duration)
+        left = self.duration - gone
+        bend = float(gone < ramp) - float(left < ramp)
+        share = min(gone / ramp, left / ramp, 1.0)
+        return self.start + gone / self.duration * distance, share * rate, bend / ramp * rate
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,27 +1,34 @@
 """A mission's progress bars, pictures, and recording for the rerun viewer."""
 
 import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import rerun.blueprint as rrb
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+from controllers.mission.navigator import Navigator
 from controllers.mission.stage import MissionStage
 from controllers.mission.stages.map_site import MapSite
 from experiments.ch5.task_film import InsertionLog, insertion_views, scene_picture
-from experiments.mission.scene import MASTER
+from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import Mission, MissionResult, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
-from perception.geometry.arrays import ImageArray
+from perception.geometry.arrays import FloatArray, ImageArray
 from twin.loop import LoopRecorder, Tick
-from twin.recording.layout import task_blueprint
+from twin.recording.layout import scene_view, side_by_side
 from twin.recording.record import Recorder
 
 _LASTS = {
     "identify": 14.0, "search": 140.0, "approach": 90.0, "map": 20.0, "place": 60.0, "insert": 25.0,
 }  # fmt: skip
 """Typical durations of stages for the progress bars [s]."""
-_POINTS = 30_000
+_POINTS = 30_000  # Most points of the voxel map in a recording.
+_CELLS = 8_000  # Most cells of an elevation map in a recording.
+_EVERY = 5  # Ticks between two that are recorded, so that ten minutes take less than 100 MB.
+_MAPPED, _PLANNED = 1000, 100  # Ticks between two elevation maps, and between two paths.
+_NAMES = {MASTER: "master", SLAVE: "slave"}
 Steps = list[tuple[str, float, ImageArray]]
 
 
@@ -66,7 +73,7 @@ class _StepPictures(LoopRecorder):
 
 
 class _Notes(LoopRecorder):
-    """Adds stages, map and contact to a recording."""
+    """Records some ticks of a mission, with stages, maps, planned paths and contact."""
 
     def __init__(self, recorder: Recorder, mission: Mission) -> None:
         self._recorder, self._mission = recorder, mission
@@ -76,6 +83,9 @@ class _Notes(LoopRecorder):
 
     def record(self, tick: Tick) -> None:
         """Take one tick."""
+        if tick.step % _EVERY:
+            return
+        self._recorder.record(tick)
         stage, insertion = self._mission.team.master.stage, self._mission.insertion
         self._log.add(insertion.inserter if insertion is not None else None, stage.name)
         if stage is not self._stage:
@@ -83,6 +93,24 @@ class _Notes(LoopRecorder):
         if isinstance(stage, MapSite) and len(stage.mapper.views) > self._views:
             self._views = len(stage.mapper.views)
             self._map(stage)
+        for part in self._mission.team.parts:
+            path, navigator = f"mission/{part.name}", part.belief.navigator
+            if tick.step % _PLANNED == 0:
+                self._recorder.log_line(f"{path}/path", _on_ground(navigator, navigator.course))
+            if tick.step % _MAPPED == 0:
+                self._ground(f"{path}/ground", navigator)
+
+    def _ground(self, path: str, navigator: Navigator) -> None:
+        """Log a rover's elevation map, higher cells brighter."""
+        ground = navigator.ground
+        rows, columns = np.nonzero(ground.known)
+        every = slice(None, None, 1 + len(rows) // _CELLS)
+        rows, columns = rows[every], columns[every]
+        heights = ground.heights[rows, columns]
+        if len(heights):
+            shades = (heights - heights.min()) / max(float(np.ptp(heights)), 0.1)
+            points = np.column_stack([ground.grid.centres[rows, columns], heights])
+            self._recorder.log_points(path, points, shades)
 
     def _map(self, stage: MapSite) -> None:
         """Log the present map, once the panel has been found."""
@@ -93,6 +121,46 @@ class _Notes(LoopRecorder):
             self._recorder.log_points(
                 "mission/map", surface.means[every], surface.probabilities[every]
             )
+
+
+def _on_ground(navigator: Navigator, path: FloatArray) -> FloatArray:
+    """Return points (N, 3) of a path (N, 2), 5 cm above the mapped ground, in its frame [m]."""
+    ground = navigator.ground
+    low, high = np.zeros(2, dtype=int), np.array(ground.grid.shape) - 1
+    rows, columns = np.clip(ground.grid.cells_of(path), low, high).T
+    heights = np.nan_to_num(ground.heights[rows, columns])
+    return np.column_stack([path, heights + 0.05])
+
+
+def _layout() -> rrb.Blueprint:
+    """Return the viewer's layout: the field and what both see; maps, paths and contact beside."""
+    scene = scene_view("world", "Field", (5.0, -6.0, 5.0), (0.0, -0.5, 0.0))
+    views = [
+        rrb.Spatial2DView(origin=f"{robot}/stereo/left", name=f"The {name}'s left camera")
+        for robot, name in _NAMES.items()
+    ]
+    maps = [
+        rrb.Spatial3DView(origin=f"mission/{robot}", name=f"The {name}'s map and path")
+        for robot, name in _NAMES.items()
+    ]
+    mapped = rrb.Spatial3DView(origin="mission/map", name="Map, about the panel")
+    return side_by_side(
+        rrb.Vertical(scene, rrb.Horizontal(*views), row_shares=[3, 2]),
+        rrb.Vertical(rrb.Tabs(*maps, mapped), *insertion_views("mission"), row_shares=[3, 1, 1, 1]),
+    )
+
+
+@contextlib.contextmanager
+def recorded(mission: Mission, path: Path) -> Iterator[LoopRecorder]:
+    """Yield what writes a recording of a mission for the rerun viewer.
+
+    Args:
+        mission: Mission, ready to run.
+        path: File to write.
+    """
+    robots, simulation = mission.connection.robots, mission.connection.simulation
+    with Recorder(path, robots, simulation, _layout(), draws=False) as recorder:
+        yield _Notes(recorder, mission)
 
 
 def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionResult, Steps]:
@@ -111,12 +179,8 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionRe
         TextColumn("{task.fields[robot_time]}"),
     )  # fmt: skip
     with prepared(trial) as mission, Progress(*columns) as bars, contextlib.ExitStack() as stack:
-        pictures, connection = _StepPictures(mission), mission.connection
+        pictures = _StepPictures(mission)
         recorders: list[LoopRecorder] = [_Bars(mission, bars), pictures]
         if recording is not None:
-            mapped = rrb.Spatial3DView(origin="mission/map", name="Map, about the panel")
-            views = [mapped, *insertion_views("mission")]
-            layout = task_blueprint(MASTER, (1.5, -2.0, 1.3), (0.1, -0.3, 0.15), views)
-            recorder = Recorder(recording, connection.robots, connection.simulation, layout)
-            recorders += [stack.enter_context(recorder), _Notes(recorder, mission)]
+            recorders.append(stack.enter_context(recorded(mission, recording)))
         return perform(mission, recorders), pictures.steps

@@ -34,5 +34,6 @@ def shortest_path(
     truth = ElevationMap(ElevationGrid((-0.5 * wide, -0.5 * long), shape, _CELL))
     truth.heights[...] = make_terrain(scene.field, scene.robots).height_at(truth.grid.centres)
     truth.variances[...] = 1e-8
-    paths = GroundPathConfig(radius=_RADIUS, climb=HIGHEST)
+    # Neither over nor beside anything a path costs more than its length.
+    paths = GroundPathConfig(radius=_RADIUS, climb=HIGHEST, most_climb=HIGHEST, near_cost=0.0)
     return float(path_lengths(truth, start, goal[None], site.structures, paths)[0])

@@ -60,7 +60,7 @@ class MissionTrial:
 
     Attributes:
         seed: Seed of field, initial poses, drawing, robots, sensors and radio.
-        without: Points of the map that are left out (`OMITTABLE`); empty for none.
+        without: What is left out, one of `OMITTABLE`; empty for nothing.
         loss: Share of the radio's messages that are lost, if more than by the realism.
         robot: Robots that are driven: sim, quantised, emulated or serial:PORT,...
         realism: How far simulated robots and their sensors are from their drawings.

@@ -29,7 +29,7 @@ from twin.description import RobotDescription
 from twin.loop import LoopRecorder, Tick
 from twin.recording.layout import default_blueprint
 from twin.recording.scene_mesh import body_mesh
-from twin.robot import Channel, Robot, Validity
+from twin.robot import Channel, ImageChannel, Robot, Validity
 from twin.sensors import CHANNELS
 
 _XYZ = ("x", "y", "z")
@@ -81,6 +81,7 @@ class Recorder(LoopRecorder):
         robots: Mapping[str, Robot] = types.MappingProxyType({}),
         simulation: RecordedScene | None = None,
         blueprint: rrb.Blueprint | None = None,
+        draws: bool = True,
     ) -> None:
         """Open the file and write the static entities.
 
@@ -89,10 +90,12 @@ class Recorder(LoopRecorder):
             robots: Robots that are recorded, by name.
             simulation: Scene whose bodies are recorded; None for real robots.
             blueprint: Layout of the viewer; None for `default_blueprint`.
+            draws: Whether stereo pairs are drawn for the recording that no controller has read.
 
         Raises:
             OSError: If the file cannot be written.
         """
+        self._draws = draws
         self.path = Path(path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = rr.RecordingStream("fieldtwin")
@@ -228,6 +231,19 @@ class Recorder(LoopRecorder):
         ).partition([len(points)])
         self._stream.send_columns(path, self._now(), columns)
 
+    def log_line(self, path: str, points: FloatArray) -> None:
+        """Show a line in space, at the latest tick's time; it replaces an older one.
+
+        Args:
+            path: Entity, such as ``map/path``.
+            points: (N, 3) [m], in the entity's frame; none for no line.
+        """
+        strips = [points.astype(np.float32)] if len(points) else []
+        columns = rr.LineStrips3D.columns(
+            strips=strips, colors=[_MARK] * len(strips), radii=[3.0 * _POINT] * len(strips)
+        ).partition([len(strips)])
+        self._stream.send_columns(path, self._now(), columns)
+
     def flush(self) -> None:
         """Write everything recorded so far to the file.
 
@@ -289,6 +305,8 @@ class Recorder(LoopRecorder):
             self.log_scalars(path, values, self._components.get(path, ()))
 
     def _take_stereo(self, robot: str, stereo: Channel) -> None:
+        if not self._draws and isinstance(stereo, ImageChannel) and not stereo.drawn:
+            return
         early = self._time < self._next_image.get(robot, -np.inf) - _SLACK
         if early or self._seen.get(f"{robot}/stereo") == stereo.stamp:
             return

@@ -54,7 +54,8 @@ class GoToPlace:
         self.name, self.place, self.done, self.stops = name, place, False, 0
         self._knowledge, self._near = knowledge, near
         self._navigator = knowledge.navigator
-        self._rest, (self._arm, _) = ArmMove(DRIVING), camera_arm(knowledge.robot)
+        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
+        self._arm, _ = camera_arm(knowledge.robot)
         self._script = self._run()
         next(self._script)
 
@@ -160,7 +161,7 @@ class GoToPlace:
         for _ in range(_VIEWS):
             if goal is None:
                 break
-            seen = yield from posed(seen, goal)
+            seen = yield from posed(seen, navigator, goal)
             found = navigator.take(seen, at_rest=True)
             if found is not None:
                 knowledge.localize(found)
@@ -192,7 +193,8 @@ class Wait:
     done = True
 
     def __init__(self, name: str, knowledge: MissionBelief) -> None:
-        self.name, self._navigator, self._rest = name, knowledge.navigator, ArmMove(DRIVING)
+        self.name, self._navigator = name, knowledge.navigator
+        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
 
     def step(self, seen: Observation) -> Command:
         """Return the command of the arm."""

@@ -48,7 +48,7 @@ class GuideInsertion:
         self._belief, self._radio, self._card = belief, radio, transform_card_to_slave
         self._port = RadioPort(radio, KINDS)
         self._master: InsertionMaster | None = None
-        self._move = ArmMove(belief.home)
+        self._move = ArmMove(belief.home, footing=belief.navigator.footing)
 
     @property
     def sent(self) -> Guidance | None:
@@ -76,7 +76,8 @@ class GuideInsertion:
         start = aim(camera_arm(belief.robot)[0], middle, belief.home)
         guide = marker_guide(belief.robot, belief.site.insertion, slot, card, start, placed=True)
         master = InsertionMaster(name, guide, GuidanceLink(self._port))
-        return master, ArmMove(guide.begin(), speed=0.5)
+        move = ArmMove(guide.begin(), speed=0.5, footing=belief.navigator.footing)
+        return master, move
 
 
 class InsertCard:
@@ -108,7 +109,8 @@ class InsertCard:
         self._link = GuidanceLink(RadioPort(radio, KINDS))
         self.slave = InsertionSlave(robot.name, inserter, sensing, self._link)
         self._belief, self._radio = belief, radio
-        self._move, self._begun = ArmMove(belief.home), False
+        self._move = ArmMove(belief.home, footing=belief.navigator.footing)
+        self._begun = False
         self._held = Command()
 
     @property

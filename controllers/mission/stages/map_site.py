@@ -31,13 +31,15 @@ class MapSite:
     def __init__(self, knowledge: MissionBelief, scans: int, rng: np.random.Generator) -> None:
         assert knowledge.localization is not None
         robot, self._navigator = knowledge.robot, knowledge.navigator
-        self._name, self._home = robot.name, ArmMove(DRIVING)
+        footing = self._navigator.footing
+        self._name, self._home = robot.name, ArmMove(DRIVING, footing=footing)
         self.mapper = StereoMapper(
             {robot.name: robot},
             knowledge.map,
             MapperConfig(scans=scans, clear=_CLEAR),
             rng,
             localizations={robot.name: knowledge.localization},
+            footings={} if footing is None else {robot.name: footing},
         )
 
     @property

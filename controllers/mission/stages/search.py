@@ -49,7 +49,7 @@ class SearchPanel:
         self._knowledge, self._rng = knowledge, rng
         self._navigator = knowledge.navigator
         self._arm, _ = camera_arm(knowledge.robot)
-        self._rest = ArmMove(DRIVING)
+        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
         self.search: PanelSearch | None = None
         self._glimpsed: RobotLocalization | None = None
         self._script = self._run()
@@ -70,7 +70,7 @@ class SearchPanel:
         navigator = self._navigator
         seen = yield Command()
         begun = seen.time
-        seen = yield from posed(seen, DRIVING)
+        seen = yield from posed(seen, navigator, DRIVING)
         search = self.search = self._possible_places()
         navigator.keep_off = lambda: search.likely_discs(self._knowledge.discs())
         retreats = 0
@@ -90,13 +90,13 @@ class SearchPanel:
                 seen = driven.seen
                 if self._glimpsed is None:
                     if not driven.arrived:  # Time passes before another decision.
-                        seen = yield from posed(seen, DRIVING)
+                        seen = yield from posed(seen, navigator, DRIVING)
                     continue
                 panel = self._glimpsed.transform_level_to_world.inv().translation
                 view = None
             else:
                 panel = navigator.odometry.pose().apply(view.target, inverse=True)
-            seen = yield from posed(seen, aim(self._arm, panel, DRIVING))
+            seen = yield from posed(seen, navigator, aim(self._arm, panel, DRIVING))
             self._glimpsed = None
             found = navigator.take(seen, at_rest=True)
             if found is not None:

@@ -1,5 +1,6 @@
 """The rover of ``appa-tipover`` on its slope: what a guard knows of it, and what is true."""
 
+import dataclasses
 import math
 
 import mujoco
@@ -10,7 +11,7 @@ from controllers.kinematics.rigid_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.tip_over import Footing, ground_wrench
 from controllers.motion.tip_over import zero_moment_point as balance
-from experiments.appa.control.plant import MOUNT, PLAIN
+from experiments.appa.control.plant import PLAIN
 from experiments.appa.control.trial import ROBOT
 from models import datasheets
 from models.compose import (
@@ -113,9 +114,7 @@ def footing_of(model: mujoco.MjModel) -> Footing:
         model: The scene with it.
     """
     arm = SerialChain.of_robot(describe(model, ROBOT))
-    x, y = datasheets.ROVER.half_track, datasheets.ROVER.half_wheelbase
-    polygon = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
-    return Footing(describe_rover(ROBOT).body, arm, MOUNT, polygon, -datasheets.ROVER.centre_height)
+    return dataclasses.replace(Footing.of(describe_rover(ROBOT)), chain=arm)
 
 
 def contact_wrench(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:

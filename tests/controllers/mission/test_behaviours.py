@@ -27,7 +27,7 @@ class HandNavigator:
         self.calls, self.postures = [], []
         self._path, self._held, self._unseen = path, held, list(unseen)
         self._left, self.blocked, self.taken = 0, "", 0
-        self.waits, self._waits_at = False, waits_at
+        self.waits, self._waits_at, self.footing = False, waits_at, None
         self.slides = False
 
     @property
@@ -109,7 +109,7 @@ def first():
 
 def test_posed_returns_with_a_pair_taken_at_the_goal():
     goal = DRIVING + [0.8, 0.0, 0.0, 0.0]
-    seen, time = play(posed(first(), goal))
+    seen, time = play(posed(first(), HandNavigator(), goal))
     np.testing.assert_allclose(seen.arm_angles.value, goal, atol=1e-9)
     assert 1.0 <= time < 3.0  # a second of motion, and the time of rest
 

@@ -21,15 +21,16 @@ ANGLES = np.array([0.0, 1.6, -0.2, -1.85])
 class Rolling:
     """A rover whose wheels turn as commanded, and its navigator."""
 
-    def __init__(self, blind=False):
-        self.knowledge = MissionBelief.initial(ROBOT, SITE, blind)
+    def __init__(self, without="", tilt=(0.0, 0.0)):
+        self.knowledge = MissionBelief.initial(ROBOT, SITE, without)
         self.navigator = self.knowledge.navigator
-        self.time, self.wheels = 0.0, np.zeros(4)
+        self.time, self.wheels, self.tilt = 0.0, np.zeros(4), np.array(tilt)
         self.seen = self.tick()
 
     def tick(self):
         self.time += 0.01
         seen = seen_at(self.time, self.wheels, ANGLES, PAIR, self.time)
+        seen = seen._replace(inclinometer=seen.inclinometer._replace(value=self.tilt))
         self.navigator.observe(seen)
         return seen
 
@@ -123,12 +124,32 @@ def test_a_drive_stops_before_ground_that_was_not_seen():
 
 def test_paths_lead_around_what_is_mapped_unless_the_navigator_is_blind():
     for blind in (False, True):
-        rover = Rolling(blind)
+        rover = Rolling("paths" if blind else "")
         put_box(rover.navigator, 0.0, 1.0)
         assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
         places = rover.drive()
         nearest = np.linalg.norm(places - [0.0, 1.0], axis=1).min()
         assert nearest < 0.05 if blind else nearest > 0.3
+
+
+@pytest.mark.parametrize("without", ["", "guard"])
+def test_drives_are_slow_where_it_is_steep_and_end_where_it_is_too_steep_unless_unguarded(without):
+    """At 13 degrees, half way between both limits, five eighths of the speed are left."""
+    flat, inclined, steep = (
+        Rolling(without, (math.radians(tilt), 0.0)) for tilt in (0.0, 13.0, 25.0)
+    )
+    for rover in (flat, inclined, steep):
+        assert rover.navigator.set_off(np.array([0.0, 1.0]), None)
+        places = rover.drive(3.0)
+        rover.speed = np.ptp(places[-50:, 1]) / 0.49
+    # A level metre is longer on a slope.
+    share = inclined.speed / math.cos(math.radians(13.0)) / flat.speed
+    assert share == pytest.approx(1.0 if without else 0.625, abs=0.01)
+    steep.tilt = np.zeros(2)
+    steep.drive(3.5)
+    steep.tilt = np.array([math.radians(25.0), 0.0])
+    steep.drive(10.0)
+    assert steep.navigator.blocked == ("" if without else "tilted beyond 18 degrees")
 
 
 def test_a_place_on_an_obstacle_has_no_path_and_one_behind_it_a_longer_one():

@@ -139,6 +139,32 @@ def test_images_are_throttled_to_the_recorders_rate(recorded):
     assert len([image for image in images if image]) == 4
 
 
+def test_pairs_that_nobody_has_read_are_drawn_only_if_asked_for(tmp_path):
+    class Looking(Drive):
+        def step(self, observations):
+            seen = observations["rover1"]
+            if seen.time > 0.555 and seen.stereo.usable:
+                assert seen.stereo.value.any()
+            return super().step(observations)
+
+    simulation = small(StereoConfig(10.0))
+    with Recorder(tmp_path / "run.rrd", simulation.robots, simulation, draws=False) as recorder:
+        run(simulation.robots, [Looking()], simulation, [recorder], 0.7)
+    images = columns(tmp_path / "run.rrd")["/rover1/stereo/left"]
+    assert min(time_.total_seconds() for time_ in images["sim_time"]) > 0.555
+    assert len([image for image in images["EncodedImage:blob"] if image]) == 1
+
+
+def test_line_is_recorded_with_its_points_and_goes_when_there_is_none(tmp_path):
+    path = np.array([[0.0, 0.0, 0.1], [0.5, 1.0, 0.1]])
+    with Recorder(tmp_path / "run.rrd") as recorder:
+        recorder.log_line("map/path", path)
+        recorder.log_line("map/path", path[:0])
+    strips = columns(tmp_path / "run.rrd")["/map/path"]["LineStrips3D:strips"]
+    np.testing.assert_allclose(strips[0], [path])
+    assert strips[1] == []
+
+
 def test_meshes_are_written_once_and_never_again(recorded):
     _, _, rows = recorded
     meshes = rows["/world/rover1/chassis"]["Mesh3D:vertex_positions"]
