@@ -420,6 +420,9 @@ def _add_robot(
         for wheel in WHEELS:
             rover.geom(f"{wheel}_tyre").friction[0] = friction
     scene.attach(rover, frame=frame, prefix=prefix)
+    if robot.patterned:
+        for end in ("front", "rear"):
+            scene.geom(f"{prefix}{end}_deck").material = "block"
     if robot.centre_locked:
         scene.add_equality(
             name=f"{prefix}centre_lock",

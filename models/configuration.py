@@ -207,6 +207,8 @@ class RobotPlacement:
         card: Whether the gripper holds the card.
         mast: Height by which the stereo head is raised above its place on the wrist [m]: from
             65 mm on it looks over a card in the gripper, which otherwise hides half of each image.
+        patterned: Whether its decks bear the pattern of blocks, so that stereo matching sees them;
+            on a field with blocks or screens.
         model: MJCF file of a robot of your own in place of the thesis' rover, in the same naming:
             the free body ``chassis``, the arm's first body ``arm_base_link``, motors ``x`` on
             joints ``x_joint``. Its key frame ``home`` is how it starts, at rest on level ground.
@@ -223,6 +225,7 @@ class RobotPlacement:
     payload: PayloadConfig | None = None
     card: bool = False
     mast: float = 0.0
+    patterned: bool = False
     model: str = ""
     made: AsMade | None = None
 
@@ -245,8 +248,10 @@ class RobotPlacement:
         held = self.arm and self.payload is None
         require(0.0 <= self.mast <= 0.3, f"mast of {self.name}", self.mast, "0 to 0.3 m")  # noqa: PLR2004
         asked = self.arm, self.stereo, self.centre_locked, self.payload, self.card, self.made
+        extras = self.mast, self.patterned
         require(
-            not self.model or (*asked, self.mast) == (True, True, False, None, False, None, 0.0),
+            not self.model
+            or (*asked, *extras) == (True, True, False, None, False, None, 0.0, False),
             f"model of {self.name}",
             self.model,
             "nothing but name, position and yaw beside it",
@@ -255,7 +260,7 @@ class RobotPlacement:
 
 
 def check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
-    """Refuse robots of one name, and robots off the field.
+    """Refuse robots of one name, robots off the field, and a pattern that the field has not.
 
     Args:
         field: The field.
@@ -276,6 +281,12 @@ def check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
             raise ValueError(
                 f"robot {robot.name!r} starts at {robot.position}, less than 0.3 m from the edge "
                 f"of the field of {field.size[0]} x {field.size[1]} m"
+            )
+        grained = field.blocks > 0 or field.screens
+        if robot.patterned and not grained:
+            raise ValueError(
+                f"robot {robot.name!r} is patterned as blocks are: expected a field with blocks or "
+                "screens"
             )
 
 

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-import scipy.linalg
 import scipy.ndimage
 
 from perception.geometry.arrays import FloatArray
@@ -123,7 +122,7 @@ class PitchModel:
         dynamics[_TILT, _RATE], dynamics[_RATE] = 1.0, turn
         dynamics[_READING] = pole * ((1.0 + nuisance.scale) * apparent - np.eye(4)[_READING])
         lead, part = divmod(sensors.wrench_age + sensors.period / 2, sensors.period)
-        step, until = scipy.linalg.expm(dynamics * np.array([sensors.period, part])[:, None, None])
+        step, until = exponential(dynamics * sensors.period), exponential(dynamics * part)
         shown = np.array([until[_TILT], apparent @ until, until[_READING]])
         return cls(step[:_MOMENT], shown, int(lead), (float(ry), float(rz)), nuisance.friction)
 
@@ -136,6 +135,26 @@ class PitchModel:
         """Return the variance of the noise of the moment [N^2 m^2]."""
         ry, rz = self.levers
         return sensors.torque_sigma**2 + (ry**2 + rz**2) * sensors.force_sigma**2
+
+
+@numba.njit(cache=True)
+def exponential(matrix):
+    """Return the exponential of a small matrix (n, n): a series, scaled and squared.
+
+    SciPy's checks of its arguments take twenty times as long, and a fit asks thousands of times.
+    """
+    squarings, norm = 0, np.abs(matrix).sum(axis=1).max()
+    while 0.25 < norm < np.inf:
+        squarings, norm = squarings + 1, 0.5 * norm
+    scaled = matrix / 2.0**squarings
+    power = np.eye(matrix.shape[0])
+    result = power.copy()
+    for k in range(1, 14):  # 0.25^14 / 14! is below what a number of 64 bits holds beside 1.
+        power = power @ scaled / k
+        result += power
+    for _ in range(squarings):
+        result = result @ result
+    return result
 
 
 def smoothed(wrench: FloatArray, sensors: PitchSensors) -> FloatArray:

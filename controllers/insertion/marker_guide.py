@@ -253,10 +253,9 @@ class MarkerGuide:
     def _move(self) -> Command:
         """Move the joints a step towards the goal."""
         still = np.zeros(4)
-        rates = still
-        if self._found:
+        rates, step = still, self._goal - self._wanted
+        if self._found and step.any():
             most = self.config.rate * self.config.period
-            step = self._goal - self._wanted
             # All joints arrive at the same time.
             step = step * min(1.0, most / max(float(np.abs(step).max()), 1e-12))
             step = step * min(1.0, self.config.blur / max(self._blur(step), 1e-12))

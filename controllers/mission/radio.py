@@ -10,7 +10,7 @@ import collections
 import dataclasses
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -185,16 +185,17 @@ class MissionRadio:
         self._link.send_latest(message)
         self.bytes_sent[self.stage, message[0]] += len(message) + FRAME_BYTES
 
-    def tell(self, done: int, slot: SlotPose | None) -> None:
+    def tell(self, done: int, slot: Callable[[], SlotPose | None]) -> None:
         """Send the rover's status, once a second and when its part or its arm is done.
 
         Args:
             done: Number of stages whose part the rover has completed.
-            slot: Pose of the slot in its frame; None before it is localized.
+            slot: Function that returns the slot's pose in its frame, None before it is localized;
+                called only for a status that is sent.
         """
         time, last = self._told
         if self._now >= time + PERIOD or (done, self.ready) != (last.done, last.ready):
-            status = Status(done, self.ready, slot)
+            status = Status(done, self.ready, slot())
             try:
                 message = status.pack()
             except RadioError:  # A place out of range is not told; what is done is.

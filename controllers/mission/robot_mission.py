@@ -68,7 +68,7 @@ class RobotMission:
             self._exchange_maps(seen.time)
         command = self.stage.step(seen)
         radio.stage = self.stage.name
-        radio.tell(len(self.ended) + (self.stage.done and not self.over), self.belief.slot_now())
+        radio.tell(len(self.ended) + (self.stage.done and not self.over), self.belief.slot_now)
         return command
 
     def _exchange_maps(self, now: float) -> None:

@@ -21,7 +21,7 @@ from controllers.motion.base_tilt import TiltAxis, moment_variances, tilting_mom
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 from perception.geometry.gravity import GRAVITY
-from perception.geometry.se3 import adjoint, cross_matrix
+from perception.geometry.se3 import cross_matrix
 from twin.robot import Observation
 
 _AT_REST = 0.15  # Tachometers of wheels at rest read less [rad/s].
@@ -177,8 +177,11 @@ class WrenchModel:
         """
         angles, _ = _joints(observation)
         force, moment = self.config.contact, self.config.contact * self.config.contact_radius
-        by_wrench = adjoint(self._chain.tool_in_robot(angles))
-        return by_wrench @ np.diag(np.square([force] * 3 + [moment] * 3)) @ by_wrench.T
+        # Alike along all axes, so that the hand's attitude plays no part.
+        by_force = np.vstack([np.eye(3), cross_matrix(self._chain.tool_frame(angles)[:3, 3])])
+        covariance = force**2 * by_force @ by_force.T
+        covariance[3:, 3:] += moment**2 * np.eye(3)
+        return covariance
 
     def tilt_error(
         self,

@@ -107,7 +107,9 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
         x, y, yaw = (pose + errors * rng.uniform(-1.0, 1.0, 3)).tolist()
         known[name] = (x, y, yaw)
     robots = [
-        RobotPlacement(name, (pose[0], pose[1]), pose[2], card=name == SLAVE, mast=MAST)
+        RobotPlacement(
+            name, (pose[0], pose[1]), pose[2], card=name == SLAVE, mast=MAST, patterned=True
+        )
         for name, pose in poses.items()
     ]
     return MissionScene(field, (robots[0], robots[1]), known)

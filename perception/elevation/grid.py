@@ -1,6 +1,7 @@
 """Cells of a level grid: row r, column c is the square from ``corner + cell * (c, r)`` on."""
 
 import dataclasses
+import functools
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,9 +45,8 @@ class ElevationGrid:
 
     @property
     def centres(self) -> FloatArray:
-        """Centres (rows, columns, 2) of all cells [m]."""
-        rows, columns = np.indices(self.shape, dtype=float)
-        return self.centres_of(np.stack([rows, columns], axis=-1))
+        """Centres (rows, columns, 2) of all cells [m], read-only."""
+        return _centres(self)
 
     def centres_of(self, cells: ArrayLike) -> FloatArray:
         """Return the centres (..., 2), x and y [m], of cells (..., 2), row and column."""
@@ -70,3 +70,12 @@ class ElevationGrid:
         """Return (...,), whether cells (..., 2), row and column, are of the grid."""
         index = np.asarray(cells)
         return np.all((index >= 0) & (index < np.array(self.shape)), axis=-1)
+
+
+@functools.lru_cache(maxsize=8)  # A mission asks for those of two grids at each look.
+def _centres(grid: ElevationGrid) -> FloatArray:
+    """Return the centres (rows, columns, 2) of all cells of a grid [m]."""
+    rows, columns = np.indices(grid.shape, dtype=float)
+    centres = grid.centres_of(np.stack([rows, columns], axis=-1))
+    centres.flags.writeable = False
+    return centres

@@ -38,7 +38,7 @@ class FeatureConfig:
         fewest: Least number of matches that belong together.
     """
 
-    count: int = 300
+    count: int = 500
     near: float = 5.0
     place_sigma: float = 0.2
     disparity_sigma: float = 0.1
@@ -71,7 +71,8 @@ class FeatureMatcher:
 
     def __init__(self, geometry: StereoGeometry, config: FeatureConfig | None = None) -> None:
         self._geometry, self._config = geometry, config or FeatureConfig()
-        sift: Any = cv2.SIFT.create(self._config.count)
+        # Without the precise scaling features lie a quarter of a pixel off, which a turn shows.
+        sift: Any = cv2.SIFT.create(self._config.count, enable_precise_upscale=True)
         self._sift = sift
 
     def find(self, image: ImageArray, points: StereoPoints) -> ViewFeatures:
@@ -82,10 +83,12 @@ class FeatureMatcher:
             points: Matched points of the pair.
         """
         config, points_found = self._config, len(points) > 0
-        keys, descriptors = self._sift.detectAndCompute(image, None)
+        # SIFT begins at twice the size of its image: at that of the pair, a quarter of the work.
+        half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+        keys, descriptors = self._sift.detectAndCompute(half, None)
         if not keys or not points_found:
             return self._features(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 128), np.float32))
-        places = np.array([key.pt for key in keys])
+        places = 2.0 * np.array([key.pt for key in keys]) + 0.5
         apart, nearest = cKDTree(points.pixels).query(places, distance_upper_bound=config.near)
         known = np.isfinite(apart)
         image_points = np.column_stack([places[known], points.disparities[nearest[known]]])

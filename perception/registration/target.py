@@ -5,10 +5,12 @@ triangulated, and matched with the CAD by the distances between them.
 """
 
 import dataclasses
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,6 +19,7 @@ from perception.stereo.geometry import StereoGeometry
 
 _opencv: Any = cv2  # Its stub leaves contours untyped.
 _FEWEST = 3  # Markers that fix a pose.
+_POINTS = 24  # On an ellipse whose grey levels are taken.
 LEVELS = (70, 100, 130, 160)
 """Grey levels at which dark spots are searched."""
 DIAMETER = (4.0, 80.0)
@@ -174,10 +177,11 @@ def _round_contours(dark: NDArray[np.bool_]) -> Iterator[NDArray[Any]]:
     filled = area / (width * height)
     # An ellipse fills pi / 4 of its box when upright, and less when it is tilted.
     may_be = (longest >= smallest - 1.0) & (longest <= largest) & (filled > 0.4) & (filled < 0.95)
-    for label in np.flatnonzero(may_be):
+    labelled = np.asarray(labels)
+    for label in np.flatnonzero(may_be).tolist():
         rows = slice(top[label], top[label] + height[label])
         columns = slice(left[label], left[label] + width[label])
-        part = (np.asarray(labels)[rows, columns] == label + 1).astype(np.uint8)
+        part = (labelled[rows, columns] == label + 1).view(np.uint8)
         outlines = _opencv.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
         yield np.asarray(outlines[0]).reshape(-1, 2) + (left[label], top[label])
 
@@ -200,34 +204,51 @@ def _spot(
     if not ROUNDNESS <= filled <= 1.0 / ROUNDNESS:
         return None
     wide = (axes[0] + 1.0) / 2.0, (axes[1] + 1.0) / 2.0
-    scales = np.linspace(1.35, 0.8 / cad.dark, 3)
-    disc = _on_ellipses(image, (column, row), wide, angle, scales)
-    inside = _on_ellipses(image, (column, row), wide, angle, np.array([0.0, 0.4]))
-    if disc is None or inside is None or disc.min() - inside.max() < CONTRAST:
+    place, turn = (column, row), math.radians(angle)
+    darkest, _, bright = _around(image, place, wide, turn, (1.35, 0.8 / cad.dark, 3))
+    _, brightest, _ = _around(image, place, wide, turn, (0.0, 0.4, 2))
+    if not darkest - brightest >= CONTRAST:
         return None
     window = 1.4 * wide[0], 1.4 * wide[1]
-    centre = _centroid(image, (column, row), window, angle, float(disc.mean()))
-    return (*centre, float(major))
+    return (*_centroid(image, place, window, angle, bright), float(major))
 
 
-def _on_ellipses(
-    image: ImageArray,
+@numba.njit(cache=True)
+def _around(
+    image: Any,
     centre: tuple[float, float],
     half_axes: tuple[float, float],
-    angle_deg: float,
-    scales: FloatArray,
-) -> FloatArray | None:
-    """Return the grey levels around ellipses of several scales; None if one leaves the image."""
-    turn = np.deg2rad(angle_deg)
-    around = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-    along = np.outer(scales, half_axes[0] * np.cos(around)).ravel()
-    across = np.outer(scales, half_axes[1] * np.sin(around)).ravel()
-    columns = np.rint(centre[0] + along * np.cos(turn) - across * np.sin(turn)).astype(int)
-    rows = np.rint(centre[1] + along * np.sin(turn) + across * np.cos(turn)).astype(int)
-    height, width = image.shape
-    if columns.min() < 0 or rows.min() < 0 or columns.max() >= width or rows.max() >= height:
-        return None
-    return image[rows, columns].astype(float)
+    turn: float,
+    scales: tuple[float, float, int],
+) -> tuple[float, float, float]:
+    """Return the darkest, brightest and mean grey level on ellipses of several scales.
+
+    NaN if one of them leaves the image. Compiled: an image has hundreds of dark spots.
+
+    Args:
+        image: (height, width) uint8.
+        centre: Column and row of the ellipses' centre [px].
+        half_axes: Half axes of the ellipse of scale 1 [px].
+        turn: Angle of the first axis from the columns' direction [rad].
+        scales: First and last scale, and how many there are.
+    """
+    first, last, count = scales
+    cosine, sine = math.cos(turn), math.sin(turn)
+    darkest, brightest, total = 255.0, 0.0, 0.0
+    for k in range(count):
+        scale = first + (last - first) * k / (count - 1)
+        for point in range(_POINTS):
+            around = 2.0 * math.pi * point / _POINTS
+            along = scale * half_axes[0] * math.cos(around)
+            across = scale * half_axes[1] * math.sin(around)
+            column = int(np.rint(centre[0] + along * cosine - across * sine))
+            row = int(np.rint(centre[1] + along * sine + across * cosine))
+            if not (0 <= column < image.shape[1] and 0 <= row < image.shape[0]):
+                return math.nan, math.nan, math.nan
+            level = float(image[row, column])
+            darkest, brightest = min(darkest, level), max(brightest, level)
+            total += level
+    return darkest, brightest, total / (count * _POINTS)
 
 
 def _centroid(

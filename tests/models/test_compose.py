@@ -68,6 +68,19 @@ def test_robot_outside_the_field_is_refused():
         build_scene(PLAIN, [RobotPlacement(position=(0.0, 2.9))])
 
 
+def test_patterned_decks_look_like_blocks_and_need_them():
+    robots = (dataclasses.replace(TWO[0], patterned=True), TWO[1])
+    model = make_model(dataclasses.replace(PLAIN, blocks=3), robots)
+    looks = {
+        name: model.material(int(model.geom(f"{name}/{end}_deck").matid[0])).name
+        for name in ("rover1", "rover2")
+        for end in ("front", "rear")
+    }
+    assert looks == {"rover1": "block", "rover2": "rover2/rover_deck"}
+    with pytest.raises(ValueError, match="robot 'rover1' is patterned"):
+        make_model(PLAIN, robots)
+
+
 def test_unknown_part_is_refused_with_the_parts_there_are():
     with pytest.raises(ValueError, match="no model part 'legs'; there are arm, .*rover"):
         load_part("legs")

@@ -23,7 +23,7 @@ from twin.robot import Command, Observation
 
 _PLACES = 2000  # Possible places of the panel.
 _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
-_PATIENCE = 420.0  # Longest search [s].
+_PATIENCE = 700.0  # Longest search [s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
 _MOST_RETREATS = 3  # Number of times that a rover backs off where nothing is left to be seen.
 _HINTS = 2.0  # Number of possible markers, of one target, that are a hint.
@@ -131,23 +131,20 @@ class SearchPanel:
         robots = site.draw_initial_poses(self._knowledge.robot.name, _PLACES, self._rng)
         face = panel.rotation.apply([0.0, 0.0, 1.0])
         self._height = float(panel.translation[2])
-        pose, centre = odometry.pose(), self._knowledge.robot.centre_height
-
-        def seen_from(robot: FloatArray, points: FloatArray) -> FloatArray:
-            """Return points (K, 3), ground frame, as a robot that began at (3,) sees them."""
-            x, y, yaw = robot
-            began = RigidTransform.from_components([x, y, centre], Rotation.from_euler("z", yaw))
-            return np.asarray((pose * began.inv()).apply(points))
-
-        origin, ahead = np.zeros(3), np.array([1.0, 0.0, 0.0])
-        points = np.array([panel.translation, panel.translation + face, origin, ahead])
-        placed = np.array([seen_from(robot, points) for robot in robots])
-        normals = (placed[:, 1] - placed[:, 0])[:, :2]
+        began = RigidTransform.from_components(
+            np.column_stack([robots[:, :2], np.full(_PLACES, self._knowledge.robot.centre_height)]),
+            Rotation.from_euler("z", robots[:, 2:]),
+        )
+        moved = odometry.pose() * began.inv()  # From the ground frame, one for each initial pose.
+        places, tips, origins, ahead = (
+            np.asarray(moved.apply(point))
+            for point in (panel.translation, panel.translation + face, np.zeros(3), [1.0, 0.0, 0.0])
+        )
+        normals = (tips - places)[:, :2]
         normals /= np.linalg.norm(normals, axis=1)[:, None]
-        along = placed[:, 3] - placed[:, 2]
+        along = ahead - origins
         yaws = np.arctan2(along[:, 1], along[:, 0])
-        frames = np.column_stack([placed[:, 2, :2], yaws])
-        return PanelSearch(placed[:, 0].copy(), normals, frames)
+        return PanelSearch(places, normals, np.column_stack([origins[:, :2], yaws]))
 
     def _settle(self, search: PanelSearch) -> None:
         """Set the possible places on the slope that the map shows."""

@@ -21,6 +21,7 @@ from controllers.identification.pitch_model import (
     Nuisance,
     PitchModel,
     PitchSensors,
+    exponential,
     kalman_gains,
     predict_tilt,
     prediction_errors,
@@ -37,6 +38,17 @@ SENSORS = PitchSensors()
 EXACT = dataclasses.replace(SENSORS, wrench_scale_sigma=0.0)
 """A wrench as calibrated."""
 ARM = SwingingArm(0.56, 0.0107, (0.31, 0.015), (0.0, 0.06))
+
+
+def test_the_exponential_is_that_of_scipy_for_slow_and_stiff_bases():
+    rng = np.random.default_rng(0)
+    for size in 10.0 ** rng.uniform(-6.0, 1.0, 200):
+        matrix = size * rng.normal(size=(4, 4))
+        expected = scipy.linalg.expm(matrix)
+        np.testing.assert_allclose(
+            exponential(matrix), expected, rtol=0.0, atol=1e-11 * np.abs(expected).max()
+        )
+    assert np.isnan(exponential(np.full((4, 4), np.nan))).all()
 
 
 FREQUENCIES = np.array([1.0, 3.0, 7.0, 15.0, 30.0, 60.0])

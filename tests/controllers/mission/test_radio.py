@@ -72,21 +72,28 @@ def both_radios() -> tuple[MissionRadio, MissionRadio]:
 def test_a_status_is_sent_once_a_second_and_at_once_when_a_part_is_done() -> None:
     link, _ = hand_links()
     radio = MissionRadio(link, "rover2")
-    times = []
+    times: list[float] = []
+    asked: list[int] = []
+
+    def slot() -> None:
+        asked.append(len(link.sent))
+
     for tick in range(500):
         radio.begin_tick(0.01 * tick)
         before = len(link.sent)
-        radio.tell(0 if tick < 250 else 1, None)
+        radio.tell(0 if tick < 250 else 1, slot)
         times += [0.01 * tick] * (len(link.sent) - before)
     np.testing.assert_allclose(times, [0.0, 1.0, 2.0, 2.5, 3.5, 4.5], atol=1e-9)
     assert np.diff(times).max() <= PERIOD
+    # Where the rover stands is found for what is sent alone: it takes longer than a tick's rest.
+    assert len(asked) == len(times)
 
 
 def test_a_rover_that_believes_itself_out_of_range_still_says_what_it_has_done() -> None:
     one, other = both_radios()
     far = SlotPose(RigidTransform.from_translation([0.0, 90.0, 0.0]), np.eye(6))
     one.begin_tick(0.0)
-    one.tell(2, far)
+    one.tell(2, lambda: far)
     other.begin_tick(0.0)
     assert other.partner == Status(2)
 
@@ -96,7 +103,7 @@ def test_each_kind_of_message_goes_to_whom_it_is_for() -> None:
     for message in (b"\x14guidance", b"\x17map", b"\x14more"):
         one.send(message)
     one.begin_tick(0.0)
-    one.tell(2, None)
+    one.tell(2, lambda: None)
     other.begin_tick(0.0)
     assert other.partner == Status(2)
     assert other.take((0x17,)) == [b"\x17map"]
@@ -117,7 +124,7 @@ def test_silence_is_noted_when_it_begins_and_ends_and_a_rover_that_has_done_its_
         now = begun + 0.1 * tick
         links[1].silent = now < begun + 20.0
         other.begin_tick(now)
-        other.tell(1, None)
+        other.tell(1, lambda: None)
         radio.begin_tick(now)
         if now > begun + 10.0:
             radio.wait()

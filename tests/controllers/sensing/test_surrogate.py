@@ -9,6 +9,7 @@ from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
 from controllers.sensing.surrogate_models import TiltModel
 from tests.controllers.sensing.surrogate_runs import (
+    GRIP,
     PERIOD,
     limits,
     sensing,
@@ -43,6 +44,18 @@ def test_wrench_model_agrees_with_mujocos_sensor_within_its_covariance(inertial)
     # Below the transducer's own noise of 0.1 N, and near its 0.01 N m.
     assert np.all(rms[:3] < 0.1) and np.all(rms[3:] < 0.03)
     assert 0.3 < np.mean(ratios[20:]) < 1.6
+
+
+def test_covariance_of_a_contact_is_that_of_pushes_at_the_hand_along_and_about_each_axis():
+    run, model, still = swing(), wrench_model(), np.zeros(4)
+    angles = run.seen[250].arm_angles.value
+    push, twist = model.config.contact, model.config.contact * model.config.contact_radius
+    free = run.arm.inverse_dynamics(angles, still, still)[1]
+    pushes = [np.concatenate([push * axis, np.cross(GRIP, push * axis)]) for axis in np.eye(3)]
+    pushes += [np.append(np.zeros(3), twist * axis) for axis in np.eye(3)]
+    felt = [run.arm.inverse_dynamics(angles, still, still, tip=tip)[1] - free for tip in pushes]
+    expected = np.transpose(felt) @ felt
+    np.testing.assert_allclose(model.contact_covariance(run.seen[250]), expected, atol=1e-9)
 
 
 def test_tilt_follows_from_the_wrench_when_the_inclinometer_is_lost():

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from perception.registration.checks import RegistrationError
 from perception.registration.features import FeatureMatcher
-from perception.stereo.matching import StereoMatcher
+from perception.stereo.matching import StereoMatcher, StereoPoints
 from tests.perception.registration.fiducial_views import HEAD, error_of
 from tests.perception.stereo.textured_plane import TexturedPlane
 
@@ -67,3 +67,23 @@ def test_views_of_different_ground_give_no_motion():
 def test_a_blank_view_has_no_features():
     pair = np.full((2, HEAD.height, HEAD.width), 90, np.uint8)
     assert len(FEATURES.find(pair[0], MATCHER.match(pair)).descriptors) == 0
+
+
+def test_features_lie_where_dots_do():
+    rng, width, height = np.random.default_rng(5), HEAD.width, HEAD.height
+    rows, columns = np.indices((height, width))
+    u, v = np.meshgrid(np.arange(40.0, width - 40.0, 40.0), np.arange(40.0, height - 40.0, 40.0))
+    dots = np.column_stack([u.ravel(), v.ravel()])
+    dots += rng.uniform(-4.0, 4.0, dots.shape)
+    image = np.full(rows.shape, 60.0)
+    for (u, v), size in zip(dots, rng.uniform(3.0, 5.0, len(dots))):
+        image += 120.0 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2.0 * size**2))
+    far = np.full(len(dots), 40.0)
+    places, none = HEAD.points(np.column_stack([dots, far])), np.zeros((len(dots), 3, 3))
+    points = StereoPoints(places, none, dots, far, np.zeros(len(dots)))
+    found = FEATURES.find(np.rint(image).astype(np.uint8), points).sight.image_points[:, :2]
+    apart = np.linalg.norm(found[:, None] - dots, axis=2)
+    off = (found - dots[apart.argmin(axis=1)])[apart.min(axis=1) < 1.0]
+    assert len(off) > 0.5 * len(dots)
+    np.testing.assert_allclose(off.mean(axis=0), 0.0, atol=0.05)
+    assert off.std() < 0.2
