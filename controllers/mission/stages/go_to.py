@@ -34,7 +34,7 @@ class GoToPlace:
 
     Args:
         name: Name of the stage.
-        knowledge: Estimates of the rover; updated with its localization at the place.
+        belief: Estimates of the rover; updated with its localization at the place.
         place: (3,) x, y [m] and yaw [rad] of the place, ground frame.
         near: Tolerances of the place: distance [m] and heading [rad].
 
@@ -47,15 +47,15 @@ class GoToPlace:
     def __init__(
         self,
         name: str,
-        knowledge: MissionBelief,
+        belief: MissionBelief,
         place: tuple[float, float, float],
         near: tuple[float, float],
     ) -> None:
         self.name, self.place, self.done, self.stops = name, place, False, 0
-        self._knowledge, self._near = knowledge, near
-        self._navigator = knowledge.navigator
+        self._belief, self._near = belief, near
+        self._navigator = belief.navigator
         self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
-        self._arm, _ = camera_arm(knowledge.robot)
+        self._arm, _ = camera_arm(belief.robot)
         self._script = self._run()
         next(self._script)
 
@@ -134,7 +134,7 @@ class GoToPlace:
 
     def _goal(self) -> tuple[FloatArray, float]:
         """Return place (2,) [m] and heading [rad] in the frame of the map."""
-        to_map = self._knowledge.transform_ground_to_map
+        to_map = self._belief.transform_ground_to_map
         x, y, yaw = self.place
         ahead = to_map.rotation.apply([-math.sin(yaw), math.cos(yaw), 0.0])
         return np.asarray(to_map.apply([x, y, 0.0]))[:2], math.atan2(-ahead[0], ahead[1])
@@ -152,8 +152,8 @@ class GoToPlace:
 
     def _look(self, seen: Observation) -> Behaviour:
         """Find the panel again; where it does not show itself, odometry tells the place."""
-        knowledge, navigator, config = self._knowledge, self._navigator, MapperConfig()
-        target, to_map = knowledge.site.target, knowledge.map.transform_target_to_world
+        belief, navigator, config = self._belief, self._navigator, MapperConfig()
+        target, to_map = belief.site.target, belief.map.transform_target_to_world
         assert to_map is not None
         search = TargetSearch(self._arm, DRIVING, DRIVING, target.extent, config.search)
         panel = navigator.odometry.pose().apply(to_map.translation, inverse=True)
@@ -164,13 +164,13 @@ class GoToPlace:
             seen = yield from posed(seen, navigator, goal)
             found = navigator.take(seen, at_rest=True)
             if found is not None:
-                knowledge.localize(found)
+                belief.localize(found)
                 return seen
             angles = np.asarray(seen.arm_angles.value, dtype=float)
             pair = np.asarray(seen.stereo.value, dtype=np.uint8)
-            hints = possible_markers(pair, stereo_geometry(knowledge.robot), target)
+            hints = possible_markers(pair, stereo_geometry(belief.robot), target)
             goal = search.after(angles, hints, np.asarray(seen.inclinometer.value, dtype=float))
-        knowledge.stay()
+        belief.stay()
         return seen
 
 
@@ -184,7 +184,7 @@ class Wait:
 
     Args:
         name: Name of the stage.
-        knowledge: Estimates of the rover.
+        belief: Estimates of the rover.
 
     Attributes:
         done: Always true: the other rover's part ends the stage.
@@ -192,8 +192,8 @@ class Wait:
 
     done = True
 
-    def __init__(self, name: str, knowledge: MissionBelief) -> None:
-        self.name, self._navigator = name, knowledge.navigator
+    def __init__(self, name: str, belief: MissionBelief) -> None:
+        self.name, self._navigator = name, belief.navigator
         self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
 
     def step(self, seen: Observation) -> Command:

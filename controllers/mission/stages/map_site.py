@@ -18,7 +18,7 @@ class MapSite:
     """Drives the rover's arm through views of the site, chosen by their information.
 
     Args:
-        knowledge: Estimates of the rover, which is localized; its map takes the views.
+        belief: Estimates of the rover, which is localized; its map takes the views.
         scans: Number of views.
         rng: Random generator for candidate views.
 
@@ -28,17 +28,17 @@ class MapSite:
 
     name = "map"
 
-    def __init__(self, knowledge: MissionBelief, scans: int, rng: np.random.Generator) -> None:
-        assert knowledge.localization is not None
-        robot, self._navigator = knowledge.robot, knowledge.navigator
+    def __init__(self, belief: MissionBelief, scans: int, rng: np.random.Generator) -> None:
+        assert belief.localization is not None
+        robot, self._navigator = belief.robot, belief.navigator
         footing = self._navigator.footing
         self._name, self._home = robot.name, ArmMove(DRIVING, footing=footing)
         self.mapper = StereoMapper(
             {robot.name: robot},
-            knowledge.map,
+            belief.map,
             MapperConfig(scans=scans, clear=_CLEAR),
             rng,
-            localizations={robot.name: knowledge.localization},
+            localizations={robot.name: belief.localization},
             footings={} if footing is None else {robot.name: footing},
         )
 

@@ -34,7 +34,7 @@ class SearchPanel:
     """Drives one rover until the panel has localized it.
 
     Args:
-        knowledge: Estimates of the rover; gets its localization.
+        belief: Estimates of the rover; gets its localization.
         rng: Random generator for possible places and for viewpoints.
 
     Attributes:
@@ -44,11 +44,11 @@ class SearchPanel:
 
     name = "search"
 
-    def __init__(self, knowledge: MissionBelief, rng: np.random.Generator) -> None:
+    def __init__(self, belief: MissionBelief, rng: np.random.Generator) -> None:
         self.done = False
-        self._knowledge, self._rng = knowledge, rng
-        self._navigator = knowledge.navigator
-        self._arm, _ = camera_arm(knowledge.robot)
+        self._belief, self._rng = belief, rng
+        self._navigator = belief.navigator
+        self._arm, _ = camera_arm(belief.robot)
         self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
         self.search: PanelSearch | None = None
         self._glimpsed: RobotLocalization | None = None
@@ -72,7 +72,7 @@ class SearchPanel:
         begun = seen.time
         seen = yield from posed(seen, navigator, DRIVING)
         search = self.search = self._possible_places()
-        navigator.keep_off = lambda: search.likely_discs(self._knowledge.discs())
+        navigator.keep_off = lambda: search.likely_discs(self._belief.discs())
         retreats = 0
         while seen.time < begun + _PATIENCE:
             self._settle(search)
@@ -100,7 +100,7 @@ class SearchPanel:
             self._glimpsed = None
             found = navigator.take(seen, at_rest=True)
             if found is not None:
-                self._knowledge.localize(found)
+                self._belief.localize(found)
                 return seen
             self._miss(seen, view)
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
@@ -117,22 +117,22 @@ class SearchPanel:
         assert self.search is not None
         camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
         self.search.miss(camera, self._navigator.sight_lines(), intended)
-        knowledge, pair = self._knowledge, np.asarray(seen.stereo.value, dtype=np.uint8)
-        target = knowledge.site.target
-        hints = possible_markers(pair, stereo_geometry(knowledge.robot), target)
+        belief, pair = self._belief, np.asarray(seen.stereo.value, dtype=np.uint8)
+        target = belief.site.target
+        hints = possible_markers(pair, stereo_geometry(belief.robot), target)
         middle, weight = likeliest_target(hints, target.extent, MapperConfig().search)
         if weight >= _HINTS:
             self.search.hint(np.asarray(camera.apply(middle)))
 
     def _possible_places(self) -> PanelSearch:
         """Return where the panel may be, by what is known of the initial pose."""
-        site, odometry = self._knowledge.site, self._navigator.odometry
+        site, odometry = self._belief.site, self._navigator.odometry
         panel = site.transform_panel_to_ground
-        robots = site.draw_initial_poses(self._knowledge.robot.name, _PLACES, self._rng)
+        robots = site.draw_initial_poses(self._belief.robot.name, _PLACES, self._rng)
         face = panel.rotation.apply([0.0, 0.0, 1.0])
         self._height = float(panel.translation[2])
         began = RigidTransform.from_components(
-            np.column_stack([robots[:, :2], np.full(_PLACES, self._knowledge.robot.centre_height)]),
+            np.column_stack([robots[:, :2], np.full(_PLACES, self._belief.robot.centre_height)]),
             Rotation.from_euler("z", robots[:, 2:]),
         )
         moved = odometry.pose() * began.inv()  # From the ground frame, one for each initial pose.
@@ -159,7 +159,7 @@ class SearchPanel:
             pose = self._navigator.odometry.pose()
             up = pose.rotation.apply([0.0, 0.0, 1.0])
             slopes = -up[:2] / up[2]
-            foot = pose.apply([0.0, 0.0, -self._knowledge.robot.centre_height])
+            foot = pose.apply([0.0, 0.0, -self._belief.robot.centre_height])
             return np.array([foot[2] - slopes @ foot[:2], *slopes])
         places = ground.grid.centres[rows, columns]
         heights = ground.heights[rows, columns]
