@@ -15,13 +15,16 @@ from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.arrays import BoolArray, FloatArray
 
+_LEAST = 1e-6  # Odds below which a target is not where it seems to be.
+
 
 @dataclasses.dataclass(frozen=True)
 class PanelSearchConfig:
     """When a target is seen, and what a view costs.
 
     Attributes:
-        reach: Nearest and farthest distance at which its markers are detected [m].
+        reach: Nearest and farthest distance at which the target localizes the rover [m].
+        sight: Farthest distance at which a view at rest shows where it is [m].
         slant: Largest angle of the view with the face's normal [rad].
         half_view: Half of the angle across within which it is detected, about the camera's axis
             [rad].
@@ -37,13 +40,14 @@ class PanelSearchConfig:
         likely: Odds that something stands within `about` of a place from which on it is kept off.
         about: Distance within which those odds are summed [m].
         grain: Side of the squares in which places are counted [m].
-        hinted: Odds that the target is where possible markers were seen.
-        hint_reach: Distance of such a place within which the target then is [m].
-        most_hints: Number of hints of one place that count.
+        sighted: Odds that the target is where it was sighted.
+        sight_sigma: Standard deviations of its place [m] and of its face's direction [rad] then:
+            the tilt of the rover turns what it sees, and the places lie some centimetres apart.
     """
 
     reach: tuple[float, float] = (0.45, 1.9)
-    slant: float = math.radians(60.0)
+    sight: float = 4.0
+    slant: float = math.radians(55.0)
     half_view: float = math.radians(15.0)
     half_height: float = math.radians(10.0)
     missed: float = 0.1
@@ -56,9 +60,8 @@ class PanelSearchConfig:
     likely: float = 0.15
     about: float = 0.3
     grain: float = 0.15
-    hinted: float = 0.6
-    hint_reach: float = 0.35
-    most_hints: int = 3
+    sighted: float = 0.95
+    sight_sigma: tuple[float, float] = (0.15, 0.2)
 
 
 class Viewpoint(NamedTuple):
@@ -132,7 +135,7 @@ class PanelSearch:
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(places), 1.0 / len(places))
         self.views = 0
-        self._hints = np.zeros((0, 2))
+        self._spot: FloatArray | None = None  # Where it was sighted last.
         # Discs of the site and what they made likely, until the next view.
         self._found: tuple[FloatArray, FloatArray] | None = None
 
@@ -140,6 +143,11 @@ class PanelSearch:
     def mean(self) -> FloatArray:
         """(3,) mean place of the target [m]."""
         return self.weights @ self.places
+
+    def odds_within(self, place: FloatArray, distance: float) -> float:
+        """Return the odds that the target is within a distance [m] of a place (2,) [m]."""
+        away = np.linalg.norm(self.places[:, :2] - place, axis=1)
+        return float(self.weights[away < distance].sum())
 
     def likely_discs(self, discs: FloatArray) -> FloatArray:
         """Return (M, 3) discs that a rover keeps off, for something likely stands there [m].
@@ -172,7 +180,7 @@ class PanelSearch:
             rng: Random generator for the places.
         """
         chosen = rng.choice(len(self.weights), count, p=self.weights)
-        far = rng.uniform(0.5, 0.9, count) * self._config.reach[1]
+        far = rng.uniform(0.5, 0.9, count) * self._reach
         turn = rng.uniform(-0.8, 0.8, count) * self._config.slant
         c, s = np.cos(turn), np.sin(turn)
         x, y = self._normals[chosen].T
@@ -198,7 +206,8 @@ class PanelSearch:
         bearing, raised = _directions(self.places - eye)
         turn, tilt = _directions(axis[None])
         within = (_apart(bearing, turn) < c.half_view) & (abs(raised - tilt) < c.half_height)
-        seen = within & self._visible(eye) & ~ground.hidden(eye, self.places)
+        reach = c.reach[1] if intended is None else self._reach
+        seen = within & self._visible(eye, reach) & ~ground.hidden(eye, self.places)
         odds = c.passed
         if intended is not None:
             seen |= intended.shown
@@ -208,21 +217,22 @@ class PanelSearch:
         self._found = None
         self.views += 1
 
-    def hint(self, place: FloatArray) -> None:
-        """Take note of possible markers, too far away to recognise the target by.
+    def sight(self, place: FloatArray, normal: FloatArray) -> None:
+        """Take note of where a view shows the target, too far away to localize the rover by it.
 
         Args:
-            place: (3,) where they were seen [m].
+            place: (3,) middle of its face [m].
+            normal: (2,) unit vector out of its face, on the ground.
         """
-        c, spot = self._config, place[:2]
-        if np.sum(np.linalg.norm(self._hints - spot, axis=1) < c.hint_reach) >= c.most_hints:
-            return
-        self._hints = np.vstack([self._hints, spot])
-        near = np.linalg.norm(self.places[:, :2] - spot, axis=1) < c.hint_reach
-        odds = float(self.weights[near].sum())
-        if 0.0 < odds < c.hinted:
-            self.weights[near] *= c.hinted / odds
-            self.weights[~near] *= (1.0 - c.hinted) / (1.0 - odds)
+        c, (far, turn) = self._config, self._config.sight_sigma
+        away = np.linalg.norm(self.places[:, :2] - place[:2], axis=1)
+        turned = np.arccos(np.clip(self._normals @ normal, -1.0, 1.0))
+        likely = self.weights * np.exp(-0.5 * ((away / far) ** 2 + (turned / turn) ** 2))
+        if likely.sum() < _LEAST:
+            return  # Nothing may stand there.
+        self.weights = c.sighted * likely / likely.sum() + (1.0 - c.sighted) * self.weights
+        self._spot = place[:2].copy()
+        self._found = None
 
     def best(
         self, places: FloatArray, lengths: FloatArray, height: FloatArray, ground: Ground
@@ -241,7 +251,7 @@ class PanelSearch:
         tilts = np.arange(-1.2, 0.6, c.half_height)
         for place, length, z in zip(places, lengths, height, strict=True):
             eye = np.array([*place, z])
-            seen = self._visible(eye)
+            seen = self._visible(eye, self._reach)
             seen[seen] = ~ground.hidden(eye, self.places[seen])
             odds = self.weights[seen] * (1.0 - c.missed) * (1.0 - c.opaque)
             if not len(odds):
@@ -269,13 +279,24 @@ class PanelSearch:
             return Viewpoint(places[0], self.mean, 0.0, 0.0, nothing)
         return best
 
-    def _visible(self, eye: FloatArray) -> BoolArray:
+    @property
+    def sighted(self) -> bool:
+        """Whether the target likely is where it was sighted: then it is to be seen from near."""
+        if self._spot is None:
+            return False
+        return self.odds_within(self._spot, 3.0 * self._config.sight_sigma[0]) > 0.5  # noqa: PLR2004
+
+    @property
+    def _reach(self) -> float:
+        """Farthest distance of a view at rest that tells what is to be known next [m]."""
+        return self._config.reach[1] if self.sighted else self._config.sight
+
+    def _visible(self, eye: FloatArray, reach: float) -> BoolArray:
         """Return (N,), whether the target at each place would show its face to an eye (3,)."""
         away = eye - self.places
         distance = np.linalg.norm(away, axis=1)
         facing = np.sum(away[:, :2] * self._normals, axis=1) / np.hypot(*away[:, :2].T)
-        near, far = self._config.reach
-        within = (distance > near) & (distance < far)
+        within = (distance > self._config.reach[0]) & (distance < reach)
         return within & (facing > math.cos(self._config.slant))
 
 

@@ -102,6 +102,16 @@ class SharedMap:
         )
         return localize(arm, angles, tilt, in_world, config)
 
+    def sight(self, pair: ImageArray, sigma: ArrayLike) -> CameraPose | None:
+        """Return the camera's pose in the frame of a target that may be far away; None if unseen.
+
+        Args:
+            pair: (2, H, W) uint8 left and right image.
+            sigma: (3,) standard deviations of a small marker's column, row and disparity [px].
+        """
+        target = find_target(pair, self.geometry, self.cad, sigma, far=True)
+        return None if target is None else self.camera_at(target, np.asarray(sigma, dtype=float))
+
     def camera_at(self, target: SeenTarget, sigma: FloatArray) -> CameraPose | None:
         """Return the camera's pose in the target's frame.
 

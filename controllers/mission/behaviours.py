@@ -37,11 +37,13 @@ class Driven(NamedTuple):
         seen: Latest observation.
         arrived: Whether the rover is where it was to be, or was ended by a pair.
         reason: Why it is not; empty if it is.
+        stopped: Whether it has stopped on its way, and may go on.
     """
 
     seen: Observation
     arrived: bool
     reason: str = ""
+    stopped: bool = False
 
 
 def posed(seen: Observation, navigator: Navigator, goal: FloatArray) -> Behaviour:
@@ -81,6 +83,7 @@ def drive(
     arm: SerialChain,
     goal: tuple[FloatArray, float | None],
     on_pair: OnPair | None = None,
+    once: bool = False,
 ) -> Generator[Command, Observation, Driven]:
     """Drive along planned paths, taking pairs on the way; back off where something holds the rover.
 
@@ -93,6 +96,7 @@ def drive(
         arm: Chain of the arm, with the left camera as its tool.
         goal: Place (2,) [m] and heading [rad] in the frame; None for any heading.
         on_pair: Called with each pair taken on the way; None to let no pair end the drive.
+        once: Whether the drive ends where it first stops, even on its way.
     """
     on_pair = on_pair or _any
     place, heading = goal
@@ -112,7 +116,10 @@ def drive(
             return Driven(seen, True)
         if reason:
             stalls += 1
-            seen = yield from retreat(seen, navigator, held=not navigator.slides)
+            seen = yield from retreat(seen, navigator, held=navigator.held)
+        if once:
+            navigator.halt()
+            return Driven(seen, False, reason, True)
     return Driven(seen, False, f"stuck {_MOST_STALLS} times: {reason}")
 
 

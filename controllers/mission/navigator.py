@@ -39,6 +39,7 @@ _STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.29  # Radius about a rover that turns in place that holds it [m].
+_TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
@@ -95,7 +96,6 @@ class Navigator:
         localized: Whether the frame is that of the panel.
         received: Elevation map of the other rover, as far as it was received, in the same frame;
             None before. It completes what paths are planned on.
-        slides: Whether the rover slides towards something as it turns in place, as on a slope.
         keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
             and radius [m].
     """
@@ -134,7 +134,8 @@ class Navigator:
         self._look_at = np.zeros(2)
         self._start = RigidTransform.identity()
         self._goal: tuple[FloatArray, float | None] | None = None
-        self._slips, self._waits, self.slides = 0, False, False
+        self._slips, self._waits, self._slides = 0, False, False
+        self._anchor, self._turns = np.zeros(2), 0
         self._bumps: list[list[float]] = []
 
     @property
@@ -336,7 +337,8 @@ class Navigator:
             heading: Heading at its end, in the frame [rad]; None for any.
             backwards: Whether the rover drives backwards.
         """
-        self._goal, self._slips, self._waits, self.slides = None, 0, False, False
+        self._goal, self._slips, self._waits, self._slides = None, 0, False, False
+        self._anchor, self._turns = self.place, 0
         self._start = self.odometry.level_pose()
         local = self._in_start(path)
         turn = self._turn(heading)
@@ -359,9 +361,16 @@ class Navigator:
             return ""
         if self._slips >= _SLIPS:
             return "the wheels turn, but the rover does not move"
-        if self.slides:
+        if self._slides:
             return "it slides towards something as it turns"
+        if self._turns > _TURNS:
+            return "it turns from one path to another"
         return self._drive.blocked
+
+    @property
+    def held(self) -> bool:
+        """Whether something holds the rover, so that its drive makes no progress."""
+        return bool(self.blocked) and not self._slides and self._turns <= _TURNS
 
     def back_off(self, held: bool) -> None:
         """Begin to drive a little back, or else forward, if there is room for either.
@@ -405,7 +414,7 @@ class Navigator:
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
         if self._drive.slid > _SLID:
-            self.slides = not self.is_clear(self.place[None], _TURNING)
+            self._slides = not self.is_clear(self.place[None], _TURNING)
         if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal
@@ -415,6 +424,9 @@ class Navigator:
             self._waits = True
             self._drive.stop()
         elif path is not kept:
+            if math.dist(self.place, self._anchor) > _AWAY:
+                self._anchor, self._turns = self.place, 0
+            self._turns += 1
             self._drive.replan(self._in_start(path), self._turn(heading))
 
     def _doubted(self) -> BoolArray:

@@ -31,7 +31,7 @@ PATIENCE = 60.0
 """Longest silence for which a rover waits that has done its own part [s]."""
 _KEPT = 32  # Number of messages that are kept until somebody takes them.
 _FORM = struct.Struct(">BBB6h21e")
-_READY, _LOCALIZED = 1, 2
+_READY, _LOCALIZED, _NEAR = 1, 2, 4
 _LENGTH, _ANGLE = 5e-4, 1e-4
 """Steps of the slot's position [m], up to 16 m, and attitude [rad]."""
 _UPPER = np.triu_indices(6)
@@ -58,11 +58,13 @@ class Status:
         done: Number of stages whose part the rover has completed, up to 255.
         ready: Whether its arm is where the insertion begins, at rest.
         slot: Pose of the slot in its frame; None before it is localized.
+        near: Whether it searches for the panel near the site.
     """
 
     done: int
     ready: bool = False
     slot: SlotPose | None = None
+    near: bool = False
 
     def pack(self) -> bytes:
         """Return the message's bytes.
@@ -70,7 +72,8 @@ class Status:
         Raises:
             RadioError: If the slot is too far away, or a number is not finite.
         """
-        flags, steps, variances = _READY * self.ready, np.zeros(6), np.zeros(21)
+        flags, steps, variances = 0, np.zeros(6), np.zeros(21)
+        flags |= _READY * self.ready | _NEAR * self.near
         if self.slot is not None:
             flags |= _LOCALIZED
             pose = self.slot.transform_slot_to_robot
@@ -106,7 +109,7 @@ class Status:
             covariance[_UPPER] = np.array(numbers[6:]) * 1e-6
             covariance += np.triu(covariance, 1).T
             slot = SlotPose(RigidTransform.from_components(place, turn), covariance)
-        return cls(done, bool(flags & _READY), slot)
+        return cls(done, bool(flags & _READY), slot, bool(flags & _NEAR))
 
 
 class MissionRadio:
@@ -119,13 +122,14 @@ class MissionRadio:
     Attributes:
         stage: Name of the present stage, to which what is sent is counted.
         ready: Whether the rover's arm is where the insertion begins, at rest.
+        near: Whether the rover searches for the panel near the site.
         partner: Newest status of the other rover.
         bytes_sent: Bytes on the air with their frames, by stage and first byte of the message.
         notices: What a person should know of the radio, in words, each with its time [s].
     """
 
     def __init__(self, link: Link, partner: str) -> None:
-        self.stage, self.ready, self.partner = "", False, Status(0)
+        self.stage, self.ready, self.near, self.partner = "", False, False, Status(0)
         self.bytes_sent: collections.Counter[tuple[str, int]] = collections.Counter()
         self.notices: list[tuple[float, str]] = []
         self._link, self._name = link, partner
@@ -195,7 +199,7 @@ class MissionRadio:
         """
         time, last = self._told
         if self._now >= time + PERIOD or (done, self.ready) != (last.done, last.ready):
-            status = Status(done, self.ready, slot())
+            status = Status(done, self.ready, slot(), self.near)
             try:
                 message = status.pack()
             except RadioError:  # A place out of range is not told; what is done is.

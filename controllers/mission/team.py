@@ -133,7 +133,7 @@ def _master_stages(
 ) -> Iterator[MissionStage]:
     """Yield the stages of the rover with the camera; the card's pose is in the slave's frame."""
     yield SwingArm(belief, rng)
-    yield SearchPanel(belief, rng)
+    yield SearchPanel(belief, radio, True, rng)
     yield Wait("approach", belief)
     yield MapSite(belief, config.scans, rng)
     place = _station(belief, occluders=config.without != "occluders").place
@@ -146,7 +146,7 @@ def _slave_stages(
 ) -> Iterator[MissionStage]:
     """Yield the stages of the rover that holds the card."""
     yield SwingArm(belief, rng)
-    yield SearchPanel(belief, rng)
+    yield SearchPanel(belief, radio, False, rng)
     yield GoToPlace("approach", belief, belief.site.card_place, _NEAR_SLOT)
     yield Wait(MapSite.name, belief)
     yield Wait("place", belief)

@@ -30,6 +30,9 @@ FLATNESS = 0.4
 """Least minor over major axis of a spot."""
 CONTRAST = 50.0
 """Least grey levels from a spot to the darkest place of the disc about it."""
+FAR_SCALE, FAR_CONTRAST = 3, 30.0
+"""How many times an image is enlarged to find the spots of a target far away, and their contrast:
+small ones are blurred."""
 ROW = 1.5
 """Greatest difference of the rows of a marker in a pair [px]."""
 SIZE = 1.5
@@ -84,25 +87,32 @@ class PossibleMarkers:
     alone: FloatArray
 
 
-def find_spots(image: ImageArray, cad: TargetCad) -> FloatArray:
+def find_spots(image: ImageArray, cad: TargetCad, far: bool = False) -> FloatArray:
     """Return (N, 3) column, row and diameter of the dark centres of markers [px].
 
     Args:
         image: (height, width) uint8.
         cad: Proportions of a marker.
+        far: Whether spots down to a third of the smallest diameter are found too, which takes three
+            times as long.
 
     Raises:
         ValueError: If the image is empty or not grey of 8 bits.
     """
     if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
         raise ValueError(f"image of shape {image.shape}, {image.dtype}: expected grey of 8 bits")
+    scale, contrast = (FAR_SCALE, FAR_CONTRAST) if far else (1, CONTRAST)
+    whole = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
+    drawn = np.asarray(whole, dtype=np.uint8)
     found: list[tuple[float, float, float]] = []
     for level in LEVELS:
-        for contour in _round_contours(image <= level):
-            spot = _spot(image, contour, cad)
+        for contour in _round_contours(drawn <= level):
+            spot = _spot(drawn, contour, cad, contrast)
             if spot is not None and all(np.hypot(*np.subtract(spot, o)[:2]) > 2.0 for o in found):
                 found.append(spot)
-    return np.array(found).reshape(-1, 3)
+    spots = np.array(found).reshape(-1, 3)
+    # Pixel centres lie at whole numbers, in the enlarged image too.
+    return np.column_stack([(spots[:, :2] + 0.5) / scale - 0.5, spots[:, 2] / scale])
 
 
 def find_target(
@@ -110,6 +120,7 @@ def find_target(
     geometry: StereoGeometry,
     cad: TargetCad,
     sigma: ArrayLike,
+    far: bool = False,
 ) -> SeenTarget | None:
     """Return the markers of a target in a rectified pair; None if fewer than three are seen.
 
@@ -118,11 +129,12 @@ def find_target(
         geometry: Geometry of the stereo pair.
         cad: Markers of the target.
         sigma: (3,) standard deviations of column, row and disparity [px].
+        far: Whether small markers are looked for too, as in `find_spots`.
 
     Raises:
         ValueError: If an image is empty or not grey of 8 bits.
     """
-    _, _, seen = _spots_of_pair(pair, geometry, cad)
+    _, _, seen = _spots_of_pair(pair, geometry, cad, far)
     return _matched(seen, geometry.points(seen), geometry, cad, np.asarray(sigma, dtype=float))
 
 
@@ -153,10 +165,10 @@ def possible_markers(
 
 
 def _spots_of_pair(
-    pair: ImageArray, geometry: StereoGeometry, cad: TargetCad
+    pair: ImageArray, geometry: StereoGeometry, cad: TargetCad, far: bool = False
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[IndexArray, IndexArray], FloatArray]:
     """Return the spots of both images, which may be paired, and the image points of these."""
-    left, right = (find_spots(image, cad) for image in pair)
+    left, right = (find_spots(image, cad, far) for image in pair)
     one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
     seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
     # A spot's size is a measure of its distance as well, which settles most wrong pairings.
@@ -187,7 +199,7 @@ def _round_contours(dark: NDArray[np.bool_]) -> Iterator[NDArray[Any]]:
 
 
 def _spot(
-    image: ImageArray, contour: NDArray[Any], cad: TargetCad
+    image: ImageArray, contour: NDArray[Any], cad: TargetCad, contrast: float
 ) -> tuple[float, float, float] | None:
     """Return centre and diameter of a dark ellipse within a bright one, None for anything else."""
     smallest, largest = DIAMETER
@@ -207,7 +219,7 @@ def _spot(
     place, turn = (column, row), math.radians(angle)
     darkest, _, bright = _around(image, place, wide, turn, (1.35, 0.8 / cad.dark, 3))
     _, brightest, _ = _around(image, place, wide, turn, (0.0, 0.4, 2))
-    if not darkest - brightest >= CONTRAST:
+    if not darkest - brightest >= contrast:
         return None
     window = 1.4 * wide[0], 1.4 * wide[1]
     return (*_centroid(image, place, window, angle, bright), float(major))

@@ -8,17 +8,16 @@ that of the map (thesis sections 3.2.2 to 3.2.4).
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.camera_station import camera_arm, stereo_geometry
+from controllers.insertion.camera_station import camera_arm
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.panel_search import PanelSearch, Viewpoint
-from controllers.mapping.searching import aim, likeliest_target
-from controllers.mapping.stereo_view import MapperConfig
+from controllers.mapping.searching import aim
 from controllers.mission.behaviours import DRIVING, Behaviour, drive, posed, retreat
 from controllers.mission.belief import MissionBelief
+from controllers.mission.radio import MissionRadio
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import FloatArray
-from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
 _PLACES = 2000  # Possible places of the panel.
@@ -26,15 +25,22 @@ _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
 _PATIENCE = 700.0  # Longest search [s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
 _MOST_RETREATS = 3  # Number of times that a rover backs off where nothing is left to be seen.
-_HINTS = 2.0  # Number of possible markers, of one target, that are a hint.
+_NEAR = 3.0  # Distance from the panel within which both rovers do not drive at once [m].
+_FAR_SIGMA = (0.1, 0.1, 0.1)
+"""Standard deviations of a small marker's column, row and disparity [px]."""
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
 
 
 class SearchPanel:
     """Drives one rover until the panel has localized it.
 
+    Until one is localized neither rover knows where the other is. So near the panel only one of
+    them drives at a time.
+
     Args:
         belief: Estimates of the rover; gets its localization.
+        radio: The rover's end of the radio.
+        first: Whether the rover drives where both are near the panel; else it gives way.
         rng: Random generator for possible places and for viewpoints.
 
     Attributes:
@@ -44,9 +50,11 @@ class SearchPanel:
 
     name = "search"
 
-    def __init__(self, belief: MissionBelief, rng: np.random.Generator) -> None:
+    def __init__(
+        self, belief: MissionBelief, radio: MissionRadio, first: bool, rng: np.random.Generator
+    ) -> None:
         self.done = False
-        self._belief, self._rng = belief, rng
+        self._belief, self._radio, self._first, self._rng = belief, radio, first, rng
         self._navigator = belief.navigator
         self._arm, _ = camera_arm(belief.robot)
         self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
@@ -63,7 +71,7 @@ class SearchPanel:
         try:
             return self._script.send(seen)
         except StopIteration:
-            self.done = True
+            self.done, self._radio.near = True, False
             return self._rest.command(seen)
 
     def _run(self) -> Behaviour:
@@ -73,10 +81,13 @@ class SearchPanel:
         seen = yield from posed(seen, navigator, DRIVING)
         search = self.search = self._possible_places()
         navigator.keep_off = lambda: search.likely_discs(self._belief.discs())
-        retreats = 0
+        retreats, wanted = 0, np.zeros((0, 2))
         while seen.time < begun + _PATIENCE:
+            if self._gives_way():
+                seen = yield from posed(seen, navigator, DRIVING)
+                continue
             self._settle(search)
-            places, lengths, heights = self._viewpoints(search)
+            places, lengths, heights = self._viewpoints(search, wanted)
             view = search.best(places, lengths, heights, navigator.sight_lines())
             if view.rate < _LEAST and retreats < _MOST_RETREATS:
                 retreats += 1
@@ -86,10 +97,12 @@ class SearchPanel:
                 raise StageError(self.name, f"the panel is in none of {search.views} views")
             if np.any(view.place != places[0]):
                 goal = (view.place, None)
-                driven = yield from drive(seen, navigator, self._arm, goal, self._glimpse)
-                seen = driven.seen
+                driven = yield from drive(seen, navigator, self._arm, goal, self._glimpse, True)
+                seen, wanted = driven.seen, view.place[None][: driven.stopped]
                 if self._glimpsed is None:
-                    if not driven.arrived:  # Time passes before another decision.
+                    if not (
+                        driven.arrived or driven.stopped
+                    ):  # Time passes before another decision.
                         seen = yield from posed(seen, navigator, DRIVING)
                     continue
                 panel = self._glimpsed.transform_level_to_world.inv().translation
@@ -102,27 +115,43 @@ class SearchPanel:
             if found is not None:
                 self._belief.localize(found)
                 return seen
-            self._miss(seen, view)
+            known = search.sighted
+            if not self._sight(seen) or known:  # Then it was to be localized.
+                self._miss(seen, view)
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
 
+    def _gives_way(self) -> bool:
+        """Return whether both rovers are near the panel, and the other one drives."""
+        assert self.search is not None
+        radio, here = self._radio, self._navigator.place
+        radio.near = self.search.odds_within(here, _NEAR) > 0.5  # noqa: PLR2004
+        return radio.near and radio.partner.near and not (self._first or radio.silent)
+
     def _glimpse(self, seen: Observation, found: RobotLocalization | None) -> bool:
-        """Take note of a pair that was taken on the way; return whether it shows the panel."""
+        """Take note of a pair that was taken on the way; return whether the drive is to end."""
         self._glimpsed = found
         if found is None:
             self._miss(seen)
-        return found is not None
+        return found is not None or self._gives_way()
 
     def _miss(self, seen: Observation, intended: Viewpoint | None = None) -> None:
         """Take note of a pair without the panel."""
         assert self.search is not None
         camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
         self.search.miss(camera, self._navigator.sight_lines(), intended)
-        belief, pair = self._belief, np.asarray(seen.stereo.value, dtype=np.uint8)
-        target = belief.site.target
-        hints = possible_markers(pair, stereo_geometry(belief.robot), target)
-        middle, weight = likeliest_target(hints, target.extent, MapperConfig().search)
-        if weight >= _HINTS:
-            self.search.hint(np.asarray(camera.apply(middle)))
+
+    def _sight(self, seen: Observation) -> bool:
+        """Return whether a pair shows the panel too far away to localize the rover by it."""
+        assert self.search is not None
+        pair = np.asarray(seen.stereo.value, dtype=np.uint8)
+        sighted = self._belief.map.sight(pair, _FAR_SIGMA)
+        if sighted is None:
+            return False
+        camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
+        panel = camera * sighted.transform_camera_to_world.inv()
+        normal = panel.rotation.apply([0.0, 0.0, 1.0])[:2]
+        self.search.sight(np.asarray(panel.translation), normal / np.linalg.norm(normal))
+        return True
 
     def _possible_places(self) -> PanelSearch:
         """Return where the panel may be, by what is known of the initial pose."""
@@ -169,10 +198,15 @@ class SearchPanel:
         plane = np.linalg.lstsq(basis[low], heights[low], rcond=None)[0]
         return plane.astype(np.float64)
 
-    def _viewpoints(self, search: PanelSearch) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return places (M, 2), lengths (M,) of the paths there, and heights (M,) of the camera."""
+    def _viewpoints(
+        self, search: PanelSearch, wanted: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return places (M, 2), lengths (M,) of the paths there, and heights (M,) of the camera.
+
+        The first one is where the rover is; those wanted before (K, 2) are among the others.
+        """
         navigator = self._navigator
-        drawn = search.draw_places(_VIEWPOINTS, self._rng)
+        drawn = np.vstack([wanted, search.draw_places(_VIEWPOINTS, self._rng)])
         lengths = navigator.lengths_to(drawn)
         near = np.isfinite(lengths)
         here = navigator.odometry.pose() * self._arm.tool_in_robot(DRIVING)

@@ -81,7 +81,7 @@ def test_the_best_view_is_the_one_with_most_chance_a_second():
 
 
 def test_a_drive_is_worth_it_where_nothing_can_be_seen_from_here():
-    search = search_of(*([[4.0, 0.0, 0.2]] * 5))
+    search = search_of(*([[6.0, 0.0, 0.2]] * 5))
     places = np.array([[0.0, 0.0], [3.0, 0.0], [2.5, 0.0]])
     lengths = np.array([0.0, 3.0, 2.5])
     view = search.best(places, lengths, np.full(3, 0.4), EMPTY)
@@ -99,7 +99,7 @@ def test_drawn_places_see_the_face_from_within_reach():
     away = np.linalg.norm(places[:, None] - search.places[:, :2], axis=2)
     nearest = search.places[np.argmin(away, axis=1), :2]
     out = (places - nearest) / np.linalg.norm(places - nearest, axis=1)[:, None]
-    assert away.min(axis=1).max() < CONFIG.reach[1]
+    assert away.min(axis=1).max() < CONFIG.sight
     assert np.degrees(np.arccos(out @ [0.6, 0.8])).max() < math.degrees(CONFIG.slant)
 
 
@@ -118,17 +118,30 @@ def test_what_likely_stands_somewhere_is_kept_off():
     assert np.linalg.norm(discs[:, :2] - [-2.0, 0.4], axis=1).max() < 0.15
 
 
-def test_a_hint_draws_the_odds_to_where_it_was_seen_a_few_times():
-    search = search_of([1.0, 0.0, 0.2], [1.2, 0.1, 0.2], [-2.0, 0.0, 0.2], [-2.0, 2.0, 0.2])
-    here, there = np.array([1.1, 0.0, 0.3]), np.array([5.0, 5.0, 0.3])
-    search.hint(here)
-    half, rest = CONFIG.hinted / 2.0, (1.0 - CONFIG.hinted) / 2.0
-    np.testing.assert_allclose(search.weights, [half, half, rest, rest])
-    search.hint(there)  # Nothing may stand there.
-    np.testing.assert_allclose(search.weights, [half, half, rest, rest])
-    for again in range(1, CONFIG.most_hints + 2):
-        for _ in range(20):
-            search.miss(camera([0.0, 0.0, 0.4], [1.2, 0.0, 0.2]), EMPTY)
-        before = search.weights.copy()
-        search.hint(here)
-        assert np.allclose(search.weights, before) == (again >= CONFIG.most_hints)
+def test_a_sighting_draws_the_odds_to_where_it_was_until_near_views_miss_it():
+    spots = [[1.0, 0.0, 0.2], [1.2, 0.1, 0.2], [-2.0, 0.0, 0.2], [-2.0, 2.0, 0.2]]
+    search, toward = search_of(*spots), np.array([-1.0, 0.0])
+    search.sight(np.array([5.0, 5.0, 0.3]), toward)  # Nothing may stand there.
+    np.testing.assert_allclose(search.weights, 0.25)
+    search.sight(np.array([1.1, 0.05, 0.3]), -toward)  # Its face looks the other way there.
+    np.testing.assert_allclose(search.weights, 0.25)
+    assert not search.sighted
+    search.sight(np.array([1.1, 0.05, 0.3]), toward)
+    half, rest = CONFIG.sighted / 2.0, (1.0 - CONFIG.sighted) / 4.0
+    np.testing.assert_allclose(search.weights, [half + rest, half + rest, rest, rest])
+    assert search.sighted
+    view = search.best(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY)
+    for _ in range(4):
+        search.miss(camera([0.0, 0.0, 0.4], view.target), EMPTY, view)
+    assert not search.sighted
+
+
+def test_what_was_sighted_far_away_is_to_be_seen_from_near():
+    far = CONFIG.reach[1] + 0.5
+    search = search_of([far, 0.0, 0.2])
+    here = np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY
+    assert search.best(*here).rate > 0.0
+    search.sight(np.array([far, 0.0, 0.2]), np.array([-1.0, 0.0]))
+    assert search.best(*here).rate == 0.0
+    places = search.draw_places(50, np.random.default_rng(0))
+    assert np.linalg.norm(places - [far, 0.0], axis=1).max() < CONFIG.reach[1]

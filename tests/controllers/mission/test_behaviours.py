@@ -28,7 +28,7 @@ class HandNavigator:
         self._path, self._held, self._unseen = path, held, list(unseen)
         self._left, self.blocked, self.taken = 0, "", 0
         self.waits, self._waits_at, self.footing = False, waits_at, None
-        self.slides = False
+        self.held = True
 
     @property
     def looks(self):
@@ -142,6 +142,15 @@ def test_a_rover_that_waits_before_unseen_ground_looks_at_it_and_drives_on():
     assert driven.arrived and navigator.calls.count("set off") == 2
     assert navigator.calls.count("back off") == 0
     assert navigator.looks == 1
+
+
+def test_a_drive_in_one_go_ends_where_it_first_stops():
+    for navigator, held in ((HandNavigator(waits_at=30), 0), (HandNavigator(held=1), 1)):
+        goal = np.array([0.0, 1.0]), None
+        driven, _ = play(drive(first(), navigator, ARM, goal, once=True))
+        assert driven.stopped and not driven.arrived
+        assert navigator.calls.count("set off") == 1
+        assert navigator.calls.count("back off") == held and navigator.arrived
 
 
 def test_a_straight_drive_looks_ahead_but_not_where_it_came_from():

@@ -200,7 +200,18 @@ def test_a_turn_ends_where_the_rover_slides_towards_something():
         odometry._pose = RigidTransform.from_translation([0.08, 0.0, 0.0]) * odometry.pose()  # pyright: ignore
         odometry._at = odometry._pasts[-1]  # pyright: ignore
         rover.navigator.correct()
-        assert bool(rover.navigator.blocked) == rover.navigator.slides == slides
+        assert bool(rover.navigator.blocked) == slides and not rover.navigator.held
+
+
+def test_a_rover_that_turns_from_one_path_to_another_on_the_spot_stops(monkeypatch):
+    rover = Rolling()
+    put_box(rover.navigator, 5.0, 5.0)
+    assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
+    for turn in range(1, 9):
+        aside = np.array([[0.0, 0.0], [0.5 * (-1.0) ** turn, 1.0], [0.0, 2.0]])
+        monkeypatch.setattr(rover.navigator, "path_to", lambda *_, path=aside: path)
+        rover.navigator.correct()
+        assert bool(rover.navigator.blocked) == (turn > 6) and not rover.navigator.held
 
 
 def test_a_pair_is_due_after_some_way_or_turn():

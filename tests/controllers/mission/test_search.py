@@ -1,16 +1,22 @@
 """Stage ``search``: where the panel may be before anything is seen."""
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
+from controllers.mission.radio import MissionRadio, Status
 from controllers.mission.stages.search import SearchPanel
-from tests.controllers.mission.hand_made import SITE, SLAVE, belief_of
+from tests.controllers.mission.hand_made import SITE, SLAVE, belief_of, hand_links
 from tests.controllers.motion.seen import seen_at
+
+
+def radio_of() -> MissionRadio:
+    return MissionRadio(hand_links()[0], "rover1")
 
 
 def test_the_panel_may_be_where_a_level_rover_sees_it_from_each_possible_initial_pose():
     belief = belief_of(SLAVE)
     belief.navigator.observe(seen_at(0.0))
-    search = SearchPanel(belief, np.random.default_rng(3))._possible_places()
+    search = SearchPanel(belief, radio_of(), True, np.random.default_rng(3))._possible_places()
     poses = SITE.draw_initial_poses(SLAVE, len(search.places), np.random.default_rng(3))
     panel = SITE.transform_panel_to_ground
     x, y, z = panel.translation
@@ -24,3 +30,26 @@ def test_the_panel_may_be_where_a_level_rover_sees_it_from_each_possible_initial
         np.testing.assert_allclose(normal, back @ face / np.hypot(*face), atol=1e-9)
         np.testing.assert_allclose(frame[:2], -back @ pose[:2], atol=1e-9)
         np.testing.assert_allclose(np.exp(1j * frame[2]), np.exp(-1j * pose[2]), atol=1e-9)
+
+
+def test_of_two_rovers_near_the_panel_one_gives_way_while_it_hears_that_the_other_is():
+    for first, near, heard, waits in (
+        (False, True, True, True),
+        (True, True, True, False),
+        (False, False, True, False),
+        (False, True, False, False),
+    ):
+        belief, radio = belief_of(SLAVE), radio_of()
+        belief.navigator.observe(seen_at(0.0))
+        stage = SearchPanel(belief, radio, first, np.random.default_rng(3))
+        stage.search = stage._possible_places()
+        panel = stage.search.places[0] if near else stage.search.places[0] + 9.0
+        stage.search.places[:] = panel
+        belief.navigator.odometry._pose = RigidTransform.from_translation(  # pyright: ignore
+            stage.search.places[0] - [1.0, 0.0, 0.0] if near else np.zeros(3)
+        )
+        radio.begin_tick(0.0)
+        radio.begin_tick(0.0 if heard else 10.0)
+        radio.partner = Status(1, near=True)
+        assert stage._gives_way() == waits
+        assert radio.near == near

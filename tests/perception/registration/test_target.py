@@ -61,6 +61,17 @@ def test_all_markers_are_found_to_a_fifth_of_a_pixel_and_named(place):
     assert np.abs(seen.image_points - truth).max() < 0.2
 
 
+@pytest.mark.parametrize("place", [(3.0, 0.6, 0.0), (3.5, -0.7, 0.2), (4.0, 0.3, 0.0)])
+def test_a_target_far_away_is_found_in_the_enlarged_image(place):
+    target = at(*place)
+    images = pair(target)
+    assert find_target(images, HEAD, CAD, SIGMA) is None
+    seen = find_target(images, HEAD, CAD, [0.1, 0.1, 0.1], far=True)
+    assert seen is not None and seen.indices.tolist() == [0, 1, 2, 3]
+    truth = HEAD.project(target.apply(CAD.points))
+    assert np.abs(seen.image_points - truth).max() < 0.3
+
+
 def test_three_markers_are_enough_and_two_are_not():
     images = pair(at(0.9, 0.2, 0.0))
     spots = find_spots(images[0], CAD)
