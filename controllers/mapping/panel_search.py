@@ -53,7 +53,7 @@ class PanelSearchConfig:
     missed: float = 0.1
     passed: float = 0.7
     opaque: float = 0.15
-    view_time: float = 2.0
+    view_time: float = 4.0
     speed: float = 0.1
     start_time: float = 8.0
     windows: int = 36

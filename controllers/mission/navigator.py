@@ -24,6 +24,7 @@ from controllers.mapping.visual_odometry import VisualOdometry, levelled
 from controllers.motion.drive_path import DrivePath, DrivePathConfig
 from controllers.motion.driving import SkidSteer
 from controllers.motion.tip_over import Footing
+from perception.elevation.alignment import aligned
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
@@ -57,7 +58,8 @@ class NavigatorConfig:
     Attributes:
         half_side: Half the side of the elevation map, about the frame's origin [m].
         cell: Side of its cells [m].
-        reach: Nearest and farthest depth that enters it [m].
+        reach: Nearest and farthest depth that enters it [m]; of points farther away one in a
+            hundred is off by a rock's height.
         stride: Distance between matched pixels on the way [px].
         apart: Distance [m] and turn [rad] after which a new pair is taken on the way.
         ahead: Length of a path that must have been seen before the rover sets off [m], and on the
@@ -66,15 +68,15 @@ class NavigatorConfig:
         paths: Size of the rover and limits of obstacles.
     """
 
-    half_side: float = 9.0
+    half_side: float = 12.0
     cell: float = 0.025
-    reach: tuple[float, float] = (0.35, 2.5)
+    reach: tuple[float, float] = (0.35, 1.6)
     stride: int = 3
     apart: tuple[float, float] = (0.15, 0.25)
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
     paths: GroundPathConfig = GroundPathConfig(
-        radius=0.33, climb=0.015, most_climb=0.035, least=2, pool=2
+        radius=0.30, climb=0.02, most_climb=0.035, over_cost=8.0, least=2, pool=2
     )
 
 
@@ -199,9 +201,9 @@ class Navigator:
         turn = camera.rotation.as_matrix()
         places = camera.apply(points.points[kept])
         outside = ~within(places, self._own_spheres(seen))
-        self.ground.insert(
-            places[outside], (turn @ points.covariances[kept] @ turn.T)[outside], covariance
-        )
+        fitted = aligned(self.ground, places[outside], camera.translation, covariance)
+        spread = (turn @ points.covariances[kept] @ turn.T)[outside]
+        self.ground.insert(fitted.points, spread, fitted.covariance)
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         tilt = np.asarray(seen.inclinometer.value, dtype=float)
         views = self._views
