@@ -104,8 +104,7 @@ def plan_path(
     """Return the vertices of a short path of a rover over mapped ground.
 
     The rover comes no nearer to anything that is within its disc at the start already, and enters a
-    further disc that it stands in no deeper. The goal may be a cell nearer to something than a
-    rover is wide.
+    further disc that it stands in no deeper.
 
     Args:
         elevation: Map of the ground, world.
@@ -120,7 +119,7 @@ def plan_path(
 
     Returns:
         (N, 2) vertices, start and goal included [m], world; each leg runs over free cells. None if
-        there is no path, or one of both is beyond the map.
+        there is no path, or one of both is beyond the map, or the rover may not be at the goal.
     """
     config = config or GroundPathConfig()
     grid = _paths_grid(elevation.grid, config.pool)
@@ -281,9 +280,6 @@ def _path_over(
 ) -> FloatArray | None:
     """Return the vertices (N, 2) of a path over free cells and those of its ends; None if none."""
     first, last = (tuple(cell) for cell in grid.cells_of([start, goal]).tolist())
-    costs = costs.copy()
-    if costs[last] == np.inf:
-        costs[last] = 1.0
     corner = np.array(grid.corner)
     paths = shortest_paths(costs, first, grid.cell, goals=np.array([last]))
     if not np.isfinite(paths.lengths[last]):

@@ -4,6 +4,7 @@
 observation.
 """
 
+import math
 from collections.abc import Callable, Generator
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ the horizon [rad]."""
 LOOKING = np.array([0.0, 1.9, -0.9, -1.85])
 """Posture of the arm to look at the ground just beside the rover: 49 degrees below the horizon, and
 the wrist 8 degrees before its limit [rad]."""
+_ROUND = (-2.4, -1.6, -0.8, 0.0, 0.8, 1.6, 2.4)  # Turns of the arm to look on all sides [rad].
 _MOST_LOOKS = 12  # Largest number of looks at unseen ground before the rover sets off.
 _MOST_STALLS = 6  # Largest number of times that a rover may get stuck on one way.
 OnPair = Callable[[Observation, RobotLocalization | None], bool]
@@ -58,6 +60,40 @@ def posed(seen: Observation, navigator: Navigator, goal: FloatArray) -> Behaviou
     while not (move.sees(seen) and seen.inclinometer.usable):
         seen = yield move.command(seen)
     return seen
+
+
+def faced(
+    seen: Observation, navigator: Navigator, arm: SerialChain, point: FloatArray
+) -> Behaviour:
+    """Turn the rover towards a position to which its arm does not turn, as behind it.
+
+    Args:
+        seen: Latest observation.
+        navigator: Localization, map and drive of the rover.
+        arm: Chain of the arm, with the left camera as its tool.
+        point: (3,) position [m], in the rover's frame.
+    """
+    bearing = math.atan2(-point[0], point[1])
+    if arm.limits[0, 0] < bearing < arm.limits[0, 1]:
+        return seen
+    seen = yield from posed(seen, navigator, DRIVING)
+    navigator.follow(navigator.place[None], navigator.yaw + bearing)
+    seen, _ = yield from _go_on(seen, navigator, _any)
+    navigator.halt()
+    return seen
+
+
+def look_round(seen: Observation, navigator: Navigator) -> Behaviour:
+    """Look at the ground on all sides of the rover.
+
+    Args:
+        seen: Latest observation.
+        navigator: Localization and map of the rover.
+    """
+    for turn in _ROUND:
+        seen = yield from posed(seen, navigator, LOOKING + [turn, 0.0, 0.0, 0.0])
+        navigator.take(seen, at_rest=True)
+    return (yield from posed(seen, navigator, DRIVING))
 
 
 def retreat(seen: Observation, navigator: Navigator, held: bool) -> Behaviour:
@@ -107,10 +143,12 @@ def drive(
         )
         if found:
             return Driven(seen, True)
-        if not navigator.set_off(place, heading):
-            return Driven(seen, False, "there is no path on what is mapped")
-        seen, found = yield from _go_on(seen, navigator, on_pair)
-        reason = navigator.blocked
+        if navigator.set_off(place, heading):
+            seen, found = yield from _go_on(seen, navigator, on_pair)
+            reason = navigator.blocked
+        else:
+            seen = yield from look_round(seen, navigator)
+            reason = "there is no path on what is mapped"
         if found or (navigator.arrived and not reason):
             navigator.halt()
             return Driven(seen, True)
@@ -165,6 +203,8 @@ def _look_along(
         point = None if path is None else navigator.unseen(path)
         if point is None:
             break
+        seen = yield from faced(seen, navigator, arm, point)
+        point = navigator.to_look_at()
         seen = yield from posed(seen, navigator, aim(arm, point, LOOKING))
         found = navigator.take(seen, at_rest=True)
         navigator.looked()

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
@@ -39,7 +39,7 @@ _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
-_TURNING = 0.29  # Radius about a rover that turns in place that holds it [m].
+_TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
@@ -283,7 +283,7 @@ class Navigator:
         low = np.maximum(grid.cells_of([points.min(axis=0) - radius])[0], 0)
         high = grid.cells_of([points.max(axis=0) + radius])[0] + 1
         box = slice(low[0], high[0]), slice(low[1], high[1])
-        seen = np.asarray(binary_dilation(self.ground.known[box]), dtype=bool)
+        seen = _filled(self.ground.known[box])
         seen |= self._looks[box] >= _MOST_LOOKS
         places = grid.centres[box][~seen]
         places = places[np.linalg.norm(places - self.place, axis=1) > radius]
@@ -293,10 +293,14 @@ class Navigator:
                 nearest = over[np.argmin(np.linalg.norm(over - self.place, axis=1))]
                 about = np.linalg.norm(places - nearest, axis=1) < _LOOKED_AT
                 self._look_at = places[about].mean(axis=0)
-                pose = self.odometry.pose()
-                local = pose.apply([*self._look_at, pose.translation[2]], inverse=True)
-                return np.array([*local[:2], -self._robot.centre_height])
+                return self.to_look_at()
         return None
+
+    def to_look_at(self) -> FloatArray:
+        """Return the ground (3,) that `unseen` gave last, in the rover's frame as it is now [m]."""
+        pose = self.odometry.pose()
+        local = pose.apply([*self._look_at, pose.translation[2]], inverse=True)
+        return np.array([*local[:2], -self._robot.centre_height])
 
     def looked(self) -> None:
         """Take note that a pair was taken of the ground that `unseen` gave last."""
@@ -304,18 +308,28 @@ class Navigator:
         near = np.hypot(*np.moveaxis(centres - self._look_at, -1, 0)) < 1.5 * _LOOKED_AT
         self._looks[near] += 1
 
-    def is_clear(self, path: FloatArray, radius: float = _STRAIGHT) -> bool:
-        """Return whether nothing is mapped in the way of a rover.
+    def is_clear(self, path: FloatArray) -> bool:
+        """Return whether nothing is mapped in the way of a rover that drives straight.
 
         Args:
             path: (N, 2) points that it drives over, in the frame [m].
-            radius: Radius about each of them that holds it [m]; the default if it drives straight.
         """
+        return self._gap(path) > _STRAIGHT
+
+    def _gap(self, path: FloatArray) -> float:
+        """Return the distance of a path (N, 2) from all that is kept off [m]."""
+        if self._blind:
+            return math.inf
         points = _along(path, math.inf, self.ground.grid.cell)
         high = self.high_places()[:, :2]
         discs = np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
         away = np.linalg.norm(points[:, None] - discs[:, :2], axis=2) - discs[:, 2]
-        return self._blind or bool((away > radius).all())
+        return float(away.min(initial=math.inf))
+
+    def _slides_near(self, pivot: FloatArray) -> bool:
+        """Return whether the rover has slid from where it began to turn (1, 2), to something."""
+        slid = math.dist(pivot[0], self.place)
+        return slid > _SLID and self._gap(self.place[None]) < min(_TURNING, self._gap(pivot))
 
     def set_off(self, place: FloatArray, heading: float | None) -> bool:
         """Begin a drive to a place; return whether there is a path.
@@ -375,7 +389,7 @@ class Navigator:
         return bool(self.blocked) and not self._slides and self._turns <= _TURNS
 
     def back_off(self, held: bool) -> None:
-        """Begin to drive a little back, or else forward, if there is room for either.
+        """Begin to drive a little back, or else forward, as far as there is room for either.
 
         Args:
             held: Whether something before the rover holds it, which is kept off from then on.
@@ -385,9 +399,9 @@ class Navigator:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
             self._bumps.append([*ahead, _BUMP])
         self.halt()
-        for way in (-_BACK, _BACK):
+        for way in (-_BACK, _BACK, -0.5 * _BACK, 0.5 * _BACK):
             path = np.asarray(pose.apply(np.array([[0.0, 0.0, 0.0], [0.0, way, 0.0]])))[:, :2]
-            if self.is_clear(path):
+            if self.is_clear(path) and self._gap(path[1:]) > _TURNING:
                 return self.follow(path, None, backwards=way < 0.0)
 
     @property
@@ -395,8 +409,7 @@ class Navigator:
         """(N, 2) path of the drive from where the rover is, in the frame [m]; none without one."""
         if self._drive is None:
             return np.zeros((0, 2))
-        rest = np.column_stack([self._drive.rest, np.zeros(len(self._drive.rest))])
-        return np.vstack([self.place, np.asarray(self._start.apply(rest))[:, :2]])
+        return np.vstack([self.place, self._in_frame(self._drive.rest)])
 
     def halt(self) -> None:
         """End the drive where the rover is."""
@@ -415,8 +428,8 @@ class Navigator:
         here = self._start.inv() * self.odometry.level_pose()
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
-        if self._drive.slid > _SLID:
-            self._slides = not self.is_clear(self.place[None], _TURNING)
+        if self._drive.pivot is not None:
+            self._slides = self._slides_near(self._in_frame(self._drive.pivot[None]))
         if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal
@@ -454,6 +467,11 @@ class Navigator:
         flat = np.column_stack([path, np.full(len(path), self._start.translation[2])])
         return np.asarray(self._start.inv().apply(flat))[:, :2]
 
+    def _in_frame(self, places: FloatArray) -> FloatArray:
+        """Return places (N, 2) in the frame of the rover's pose at the drive's beginning [m]."""
+        flat = np.column_stack([places, np.zeros(len(places))])
+        return np.asarray(self._start.apply(flat))[:, :2]
+
     def _turn(self, heading: float | None) -> float | None:
         """Return a heading in the frame of the rover's pose at the drive's beginning [rad]."""
         if heading is None:
@@ -469,6 +487,16 @@ class Navigator:
         local = np.vstack([np.hstack([points, radii]), self._robot.body_spheres])
         local[:, :3] = self.odometry.pose().apply(local[:, :3])
         return local + [0.0, 0.0, 0.0, self._config.aura]
+
+
+def _filled(cells: BoolArray) -> BoolArray:
+    """Return cells grown by one, and without holes of up to four between them.
+
+    Far away the points of a view are that far apart; what stands there shows itself.
+    """
+    square = np.ones((3, 3), bool)
+    grown = binary_dilation(cells, square, iterations=2)
+    return np.asarray(binary_erosion(grown, square, border_value=1), dtype=bool)
 
 
 def _along(path: FloatArray, far: float, step: float) -> FloatArray:

@@ -182,10 +182,9 @@ class DrivePath(ReckonedDrive):
         return self._speed != 0.0 or self._turn != 0.0
 
     @property
-    def slid(self) -> float:
-        """Distance by which the rover has slid while it turns in place; 0 while it does not [m]."""
-        turns = self._phase in (_Phase.FACE, _Phase.ALIGN)
-        return math.dist(self._pivot, self.place) if turns else 0.0
+    def pivot(self) -> FloatArray | None:
+        """(2,) where a turn in place began, in the frame of the first path [m]; None if none."""
+        return self._pivot if self._phase in (_Phase.FACE, _Phase.ALIGN) else None
 
     @property
     def distance(self) -> float:

@@ -190,23 +190,6 @@ class ElevationMap:
         moved.variances.flat[inside] = variances
         return moved
 
-    def merge(self, other: "ElevationMap") -> IndexArray:
-        """Fuse another map of the same frame and cells, whose measurements are independent.
-
-        It counts as one view of all that it knows.
-
-        Returns:
-            (K,) flat indices of the cells whose height changed, ascending.
-
-        Raises:
-            MapError: If the other map has other cells.
-        """
-        if other.grid != self.grid:
-            raise MapError(f"other map: has {other.grid}, expected {self.grid}")
-        told = np.flatnonzero(other.known)
-        means, sure = other.heights.ravel()[told], other.variances.ravel()[told]
-        return told[update_cells(told, means, sure, self._layers(), self._settings())]
-
     def copy(self) -> "ElevationMap":
         """Return a map of the same heights, in which nothing below them is half believed."""
         copied = ElevationMap(self.grid, self.config)

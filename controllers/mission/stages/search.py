@@ -12,7 +12,15 @@ from controllers.insertion.camera_station import camera_arm
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.panel_search import PanelSearch, Viewpoint
 from controllers.mapping.searching import aim
-from controllers.mission.behaviours import DRIVING, Behaviour, drive, posed, retreat
+from controllers.mission.behaviours import (
+    DRIVING,
+    Behaviour,
+    drive,
+    faced,
+    look_round,
+    posed,
+    retreat,
+)
 from controllers.mission.belief import MissionBelief
 from controllers.mission.radio import MissionRadio
 from controllers.mission.stage import StageError
@@ -24,7 +32,7 @@ _PLACES = 2000  # Possible places of the panel.
 _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
 _PATIENCE = 700.0  # Longest search [s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
-_MOST_RETREATS = 3  # Number of times that a rover backs off where nothing is left to be seen.
+_MOST_RETREATS = 5  # Number of times that a rover backs off where nothing is left to be seen.
 _NEAR = 3.0  # Distance from the panel within which both rovers do not drive at once [m].
 _FAR_SIGMA = (0.1, 0.1, 0.1)
 """Standard deviations of a small marker's column, row and disparity [px]."""
@@ -91,6 +99,7 @@ class SearchPanel:
             view = search.best(places, lengths, heights, navigator.sight_lines())
             if view.rate < _LEAST and retreats < _MOST_RETREATS:
                 retreats += 1
+                seen = yield from look_round(seen, navigator)
                 seen = yield from retreat(seen, navigator, held=False)
                 continue
             if view.rate < _LEAST:
@@ -108,6 +117,8 @@ class SearchPanel:
                 panel = self._glimpsed.transform_level_to_world.inv().translation
                 view = None
             else:
+                local = navigator.odometry.pose().apply(view.target, inverse=True)
+                seen = yield from faced(seen, navigator, self._arm, local)
                 panel = navigator.odometry.pose().apply(view.target, inverse=True)
             seen = yield from posed(seen, navigator, aim(self._arm, panel, DRIVING))
             self._glimpsed = None

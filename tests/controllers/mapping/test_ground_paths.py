@@ -117,8 +117,10 @@ def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_fr
         model = field(rng.integers((0, 0), (60, 80), (rng.integers(8, 40), 2)))
         start, goal = rng.uniform([-0.7, -1.2], [2.7, 1.2], (2, 2))
         free = free_by_counting(rises(model, HOW.window), start)
-        free[cell_at(start)] = free[cell_at(goal)] = True
-        expected = shortest_length(free, cell_at(start), cell_at(goal))
+        free[cell_at(start)] = True
+        expected = math.inf
+        if free[cell_at(goal)]:
+            expected = shortest_length(free, cell_at(start), cell_at(goal))
         path = plan_path(model, start, goal, config=HOW)
         if not math.isfinite(expected):
             assert path is None  # Rocks of 60 mm are none to climb, either.
@@ -178,15 +180,13 @@ def test_what_is_25_mm_high_is_driven_over_only_where_there_is_no_other_path():
     assert around[:, 1].max() > CORNER[1] + CELL * 45
 
 
-def test_a_rover_may_leave_where_it_stands_and_reach_a_goal_a_cell_too_near():
+def test_a_rover_may_leave_where_it_stands_but_reach_no_goal_too_near():
     model = field([(30, 22), (30, 45)])
-    start, goal = [0.2, 0.0], [1.0, 0.025]
+    start, goal = [0.2, 0.0], [0.9, 0.025]
     assert not free_by_counting(rises(model, HOW.window))[cell_at(start)]
     path = plan_path(model, start, goal, config=HOW)
     np.testing.assert_allclose(path, [start, goal])
-    assert plan_path(model, start, [1.1, 0.025]) is None
-    rock = np.array(CORNER) + CELL * np.array([45.5, 30.5])
-    assert plan_path(model, start, rock - [0.26, 0.0]) is not None
+    assert plan_path(model, start, [1.0, 0.025]) is None
 
 
 def test_a_rover_with_a_rock_in_its_disc_drives_away_and_comes_no_nearer_to_it():

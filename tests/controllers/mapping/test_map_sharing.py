@@ -101,12 +101,6 @@ def two_robots(rng, config=None, **faults):
     return maps, ends, [Channel(rng, **faults) for _ in ends]
 
 
-def merged(first, second):
-    model = first.copy()
-    model.merge(second)
-    return model
-
-
 def test_first_bytes_are_no_other_message_s():
     nothing = (0.0, 0.0, 0.0)
     others = {
@@ -137,10 +131,10 @@ def test_with_a_fifth_lost_and_reordered_both_know_the_same_obstacles_within_the
     rng = np.random.default_rng(seed)
     maps, ends, channels = two_robots(rng, loss=0.2, jitter=0.6, repeats=0.05)
     last = exchange(ends, channels, 150.0)
-    ideal = rises(merged(*maps))
+    ideal = rises(completed(*maps))
     assert (ideal > 0.04).sum() > 20
     for end, own in zip(ends, maps):
-        found = rises(merged(own, end.received))
+        found = rises(completed(own, end.received))
         assert np.all(found[ideal > 0.035] > 0.025)
         assert not np.any(found[ideal < 0.015] > 0.025)
         assert end.bytes_sent <= 6000

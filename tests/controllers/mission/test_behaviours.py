@@ -1,5 +1,7 @@
 """Drives and poses of a rover, on a navigator made by hand."""
 
+import math
+
 import numpy as np
 
 from controllers.insertion.camera_station import camera_arm
@@ -8,6 +10,7 @@ from controllers.mission.behaviours import (
     LOOKING,
     drive,
     drive_straight,
+    faced,
     posed,
     retreat,
 )
@@ -27,8 +30,8 @@ class HandNavigator:
         self.calls, self.postures = [], []
         self._path, self._held, self._unseen = path, held, list(unseen)
         self._left, self.blocked, self.taken = 0, "", 0
+        self.place, self.yaw, self.heading = np.zeros(2), 0.0, math.nan
         self.waits, self._waits_at, self.footing = False, waits_at, None
-        self.held = True
 
     @property
     def looks(self):
@@ -41,6 +44,9 @@ class HandNavigator:
     def unseen(self, path):
         return np.array(self._unseen[0]) if self._unseen else None
 
+    def to_look_at(self):
+        return np.array(self._unseen[0])
+
     def looked(self):
         self._unseen.pop(0)
 
@@ -51,11 +57,16 @@ class HandNavigator:
 
     def follow(self, path, heading, backwards=False):
         self.calls.append("back" if backwards else "straight")
+        self.heading = heading
         self._left = STEPS
 
     @property
     def arrived(self):
         return self._left == 0
+
+    @property
+    def held(self):
+        return bool(self.blocked)
 
     def is_due(self, seen):
         return self._left % 20 == 10
@@ -176,11 +187,23 @@ def test_a_rover_that_is_held_again_and_again_says_why():
     assert navigator.calls.count("set off") == 6
 
 
-def test_without_a_path_nothing_moves():
+def test_without_a_path_the_rover_looks_on_all_sides_and_moves_a_little_before_it_gives_up():
     navigator = HandNavigator(path=False)
-    driven, time = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert not driven.arrived and "no path" in driven.reason
-    assert navigator.calls == ["set off"] and time < 1.0
+    assert navigator.calls.count("set off") == navigator.calls.count("retreat") == 6
+    turns = [posture[0] for posture in navigator.postures if abs(posture[2] - LOOKING[2]) < 1e-6]
+    assert len(turns) == 6 * 7 and np.diff(sorted(set(turns))).max() < 0.9
+
+
+def test_a_rover_faces_what_is_behind_it_before_it_looks_there():
+    for point, turned in (([0.1, -0.6, 0.0], True), ([0.6, -0.1, 0.0], False)):
+        navigator = HandNavigator()
+        play(faced(first(), navigator, ARM, np.array(point)))
+        assert ("straight" in navigator.calls) == turned
+        if turned:
+            bearing = math.remainder(navigator.heading, 2.0 * math.pi)
+            assert math.isclose(bearing, math.atan2(-point[0], point[1]), abs_tol=1e-9)
 
 
 def test_a_pair_may_end_the_drive():

@@ -1,7 +1,5 @@
 """The elevation map against formulas, and what false matches, edges and ghosts do to it."""
 
-import time
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -325,43 +323,3 @@ def test_a_map_is_not_moved_into_a_frame_that_is_not_level():
     tilted = RigidTransform.from_rotation(Rotation.from_euler("x", 1e-3))
     with pytest.raises(MapError, match="turn about z"):
         filled(lambda x, y: x).moved(tilted)
-
-
-def test_merged_maps_weigh_each_other_by_their_variances_and_keep_what_one_alone_knows():
-    first, second = filled(lambda x, y: 0.1 + 0.0 * x), filled(lambda x, y: 0.104 + 0.0 * x)
-    second.variances[...] = 3e-5
-    first.heights[0], second.heights[1] = np.nan, np.nan
-    changed = first.merge(second)
-    assert changed.tolist() == [*range(12), *range(24, 96)]
-    np.testing.assert_allclose(first.heights[0], 0.104)
-    np.testing.assert_allclose(first.heights[1], 0.1)
-    np.testing.assert_allclose(first.heights[2:], 0.101)
-    np.testing.assert_allclose(first.variances[2:], 0.75e-5)
-
-
-def test_merging_believes_an_obstacle_at_once_and_its_absence_like_one_view():
-    first, second = filled(lambda x, y: 0.0 * x), filled(lambda x, y: 0.1 + 0.0 * x)
-    high, low = first.copy(), second.copy()
-    assert len(high.merge(second)) == GRID.size
-    np.testing.assert_allclose(high.heights, 0.1)
-    assert len(low.merge(first)) == len(low.merge(first)) == 0
-    np.testing.assert_allclose(low.heights, 0.1)
-    np.testing.assert_allclose(first.heights, 0.0)
-
-
-def test_maps_of_other_cells_are_not_merged():
-    with pytest.raises(MapError, match="other map"):
-        ElevationMap(GRID).merge(ElevationMap(ElevationGrid((0.0, 0.0), GRID.shape)))
-
-
-@pytest.mark.real_time
-def test_a_view_of_20000_points_takes_less_than_10_ms():
-    rng = np.random.default_rng(9)
-    model = ElevationMap(ElevationGrid((-3.0, -3.0), (120, 120)))
-    points = rng.uniform([-1.5, -1.5, 0.0], [1.5, 1.5, 0.05], (20000, 3))
-    spread, times = covariances(points), []
-    for _ in range(20):
-        begin = time.perf_counter()
-        model.insert(points, spread)
-        times.append(time.perf_counter() - begin)
-    assert min(times) < 0.010
