@@ -290,8 +290,8 @@ class Navigator:
         for point in points:
             over = places[np.linalg.norm(places - point, axis=1) < _SEEN]
             if len(over):
-                nearest = over[np.argmin(np.linalg.norm(over - self.place, axis=1))]
-                about = np.linalg.norm(places - nearest, axis=1) < _LOOKED_AT
+                amid = over[np.argmin(np.linalg.norm(over - over.mean(axis=0), axis=1))]
+                about = np.linalg.norm(places - amid, axis=1) < _LOOKED_AT
                 self._look_at = places[about].mean(axis=0)
                 return self.to_look_at()
         return None
@@ -305,7 +305,7 @@ class Navigator:
     def looked(self) -> None:
         """Take note that a pair was taken of the ground that `unseen` gave last."""
         centres = self.ground.grid.centres
-        near = np.hypot(*np.moveaxis(centres - self._look_at, -1, 0)) < 1.5 * _LOOKED_AT
+        near = np.hypot(*np.moveaxis(centres - self._look_at, -1, 0)) < _LOOKED_AT
         self._looks[near] += 1
 
     def is_clear(self, path: FloatArray) -> bool:
@@ -446,7 +446,10 @@ class Navigator:
 
     def _doubted(self) -> BoolArray:
         """Return cells that looks have not shown: hidden, or of something without grain."""
-        return (self._looks >= _MOST_LOOKS) & (self._looks < _CLEARED) & ~self.ground.known
+        doubted = (self._looks >= _MOST_LOOKS) & (self._looks < _CLEARED)
+        if doubted.any():
+            doubted &= ~_filled(self.ground.known)
+        return doubted
 
     def _planned(self) -> ElevationMap:
         """Return the map that paths are planned on."""

@@ -31,6 +31,7 @@ from twin.robot import Command, Observation
 _PLACES = 2000  # Possible places of the panel.
 _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
 _PATIENCE = 700.0  # Longest search [s].
+_WORTH = 2e-3  # Rate below which a rover that gives way takes no view from where it is [1/s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
 _MOST_RETREATS = 5  # Number of times that a rover backs off where nothing is left to be seen.
 _NEAR = 3.0  # Distance from the panel within which both rovers do not drive at once [m].
@@ -91,12 +92,13 @@ class SearchPanel:
         navigator.keep_off = lambda: search.likely_discs(self._belief.discs())
         retreats, wanted = 0, np.zeros((0, 2))
         while seen.time < begun + _PATIENCE:
-            if self._gives_way():
+            self._settle(search)
+            waits = self._gives_way()
+            places, lengths, heights = self._viewpoints(search, wanted, 0 if waits else _VIEWPOINTS)
+            view = search.best(places, lengths, heights, navigator.sight_lines())
+            if waits and view.rate < _WORTH:
                 seen = yield from posed(seen, navigator, DRIVING)
                 continue
-            self._settle(search)
-            places, lengths, heights = self._viewpoints(search, wanted)
-            view = search.best(places, lengths, heights, navigator.sight_lines())
             if view.rate < _LEAST and retreats < _MOST_RETREATS:
                 retreats += 1
                 seen = yield from look_round(seen, navigator)
@@ -210,14 +212,14 @@ class SearchPanel:
         return plane.astype(np.float64)
 
     def _viewpoints(
-        self, search: PanelSearch, wanted: FloatArray
+        self, search: PanelSearch, wanted: FloatArray, count: int
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return places (M, 2), lengths (M,) of the paths there, and heights (M,) of the camera.
 
         The first one is where the rover is; those wanted before (K, 2) are among the others.
         """
         navigator = self._navigator
-        drawn = np.vstack([wanted, search.draw_places(_VIEWPOINTS, self._rng)])
+        drawn = np.vstack([wanted[:count], search.draw_places(count, self._rng)])
         lengths = navigator.lengths_to(drawn)
         near = np.isfinite(lengths)
         here = navigator.odometry.pose() * self._arm.tool_in_robot(DRIVING)
