@@ -77,6 +77,7 @@ def faced(
     if arm.limits[0, 0] < bearing < arm.limits[0, 1]:
         return seen
     seen = yield from posed(seen, navigator, DRIVING)
+    seen = yield from _with_room(seen, navigator)
     navigator.follow(navigator.place[None], navigator.yaw + bearing)
     seen, _ = yield from _go_on(seen, navigator, _any)
     navigator.halt()
@@ -143,6 +144,7 @@ def drive(
         )
         if found:
             return Driven(seen, True)
+        seen = yield from _with_room(seen, navigator)
         if navigator.set_off(place, heading):
             seen, found = yield from _go_on(seen, navigator, on_pair)
             reason = navigator.blocked
@@ -187,6 +189,13 @@ def drive_straight(
     navigator.follow(path, heading, backwards)
     seen, _ = yield from _go_on(seen, navigator, _any)
     navigator.halt()
+    return seen
+
+
+def _with_room(seen: Observation, navigator: Navigator) -> Behaviour:
+    """Drive a little back or forward from where the rover would touch something as it turns."""
+    if not navigator.may_turn:
+        seen = yield from retreat(seen, navigator, held=False)
     return seen
 
 

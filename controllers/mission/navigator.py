@@ -14,7 +14,12 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
-from controllers.mapping.ground_paths import GroundPathConfig, path_lengths, plan_path
+from controllers.mapping.ground_paths import (
+    GroundPathConfig,
+    obstacles,
+    path_lengths,
+    plan_path,
+)
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.map_sharing import completed
 from controllers.mapping.panel_search import Ground
@@ -36,7 +41,6 @@ from twin.robot import Command, Observation
 _SLIPPED, _SLIPS = 0.8, 3
 """Slip from which on a rover hardly moves, and successive pairs that must show it."""
 _BUMP = 0.1  # Radius of a disc about what held a rover [m].
-_STANDS = 0.03  # Height above the ground of what no wheel is to stand on [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
@@ -246,7 +250,9 @@ class Navigator:
 
     def high_places(self) -> FloatArray:
         """Return the places (N, 3) of mapped cells that a rover does not stand on [m], frame."""
-        rows, columns = np.nonzero(rises(self.ground, self._config.paths.window) > _STANDS)
+        paths = self._config.paths
+        high = obstacles(rises(self.ground, paths.window), paths.climb, paths.least)
+        rows, columns = np.nonzero(high)
         centres = self.ground.grid.centres[rows, columns]
         return np.column_stack([centres, self.ground.heights[rows, columns]])
 
@@ -315,6 +321,11 @@ class Navigator:
             path: (N, 2) points that it drives over, in the frame [m].
         """
         return self._gap(path) > _STRAIGHT
+
+    @property
+    def may_turn(self) -> bool:
+        """Whether nothing is mapped so near that the rover would touch it as it turns in place."""
+        return self._gap(self.place[None]) > _TURNING
 
     def _gap(self, path: FloatArray) -> float:
         """Return the distance of a path (N, 2) from all that is kept off [m]."""

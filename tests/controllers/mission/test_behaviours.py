@@ -31,6 +31,7 @@ class HandNavigator:
         self._path, self._held, self._unseen = path, held, list(unseen)
         self._left, self.blocked, self.taken = 0, "", 0
         self.place, self.yaw, self.heading = np.zeros(2), 0.0, math.nan
+        self.may_turn = True
         self.waits, self._waits_at, self.footing = False, waits_at, None
 
     @property
@@ -162,6 +163,17 @@ def test_a_drive_in_one_go_ends_where_it_first_stops():
         assert driven.stopped and not driven.arrived
         assert navigator.calls.count("set off") == 1
         assert navigator.calls.count("back off") == held and navigator.arrived
+
+
+def test_a_rover_beside_something_moves_away_before_it_turns():
+    for behaviour in (drive, faced):
+        navigator = HandNavigator()
+        navigator.may_turn = False
+        goal = np.array([0.0, -1.0, 0.0]) if behaviour is faced else (np.array([0.0, 1.0]), None)
+        arguments = (ARM, goal)
+        play(behaviour(first(), navigator, *arguments))
+        moves = [call for call in navigator.calls if call in ("retreat", "set off", "straight")]
+        assert moves[0] == "retreat" and len(moves) == 2
 
 
 def test_a_straight_drive_looks_ahead_but_not_where_it_came_from():
