@@ -46,6 +46,7 @@ _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the r
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
+_NO_NEARER = 0.01  # What a rover that backs off may come nearer to something [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
 _SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
@@ -410,10 +411,16 @@ class Navigator:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
             self._bumps.append([*ahead, _BUMP])
         self.halt()
-        for way in (-_BACK, _BACK, -0.5 * _BACK, 0.5 * _BACK):
-            path = np.asarray(pose.apply(np.array([[0.0, 0.0, 0.0], [0.0, way, 0.0]])))[:, :2]
-            if self.is_clear(path) and self._gap(path[1:]) > _TURNING:
-                return self.follow(path, None, backwards=way < 0.0)
+        ways = np.array([-_BACK, _BACK, -0.5 * _BACK, 0.5 * _BACK])
+        paths = [_moved(pose, np.array([0.0, way])) for way in ways]
+        here = self._gap(self.place[None])
+        free = np.array([self._gap(path) > min(_STRAIGHT, here - _NO_NEARER) for path in paths])
+        ends = np.array([self._gap(path[1:]) for path in paths])
+        free &= (ends > _TURNING) | (ends > here)
+        if free.any():
+            # The first one from whose end it may turn; else the one that gets farthest away.
+            best = int(np.argmax(free * np.minimum(ends, _TURNING + 1e-6)))
+            self.follow(paths[best], None, backwards=ways[best] < 0.0)
 
     @property
     def course(self) -> FloatArray:
@@ -501,6 +508,12 @@ class Navigator:
         local = np.vstack([np.hstack([points, radii]), self._robot.body_spheres])
         local[:, :3] = self.odometry.pose().apply(local[:, :3])
         return local + [0.0, 0.0, 0.0, self._config.aura]
+
+
+def _moved(pose: RigidTransform, along: FloatArray) -> FloatArray:
+    """Return places (N, 2) at distances along a rover's heading (N,), in the frame of its pose."""
+    local = np.column_stack([np.zeros_like(along), along, np.zeros_like(along)])
+    return np.asarray(pose.apply(local))[:, :2]
 
 
 def _filled(cells: BoolArray) -> BoolArray:
