@@ -122,6 +122,8 @@ class PanelSearch:
         places: (N, 3) possible middles of the target's face [m]; their heights may be updated.
         weights: (N,) odds of each place; they sum to 1.
         views: Number of views without the target.
+        hiding: (K, 3) discs of the site that hide what is behind them, as another robot does: x, y
+            and radius [m], in its ground frame.
     """
 
     def __init__(
@@ -135,6 +137,7 @@ class PanelSearch:
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(places), 1.0 / len(places))
         self.views = 0
+        self.hiding = np.zeros((0, 3))
         self._spot: FloatArray | None = None  # Where it was sighted last.
         # Discs of the site and what they made likely, until the next view.
         self._found: tuple[FloatArray, FloatArray] | None = None
@@ -158,11 +161,8 @@ class PanelSearch:
         if self._found is not None and np.array_equal(self._found[0], discs):
             return self._found[1]
         c, kept = self._config, [np.zeros((0, 3))]
-        cosine, sine = np.cos(self._frames[:, 2]), np.sin(self._frames[:, 2])
         for x, y, radius in discs:
-            spots = self._frames[:, :2] + np.column_stack(
-                [cosine * x - sine * y, sine * x + cosine * y]
-            )
+            spots = self._spots(x, y)
             cells = np.round(spots / c.grain).astype(int)
             found, which = np.unique(cells, axis=0, return_inverse=True)
             odds = np.bincount(which, self.weights)
@@ -297,7 +297,19 @@ class PanelSearch:
         distance = np.linalg.norm(away, axis=1)
         facing = np.sum(away[:, :2] * self._normals, axis=1) / np.hypot(*away[:, :2].T)
         within = (distance > self._config.reach[0]) & (distance < reach)
-        return within & (facing > math.cos(self._config.slant))
+        within &= facing > math.cos(self._config.slant)
+        for x, y, radius in self.hiding:
+            spots, line = self._spots(x, y) - eye[:2], -away[:, :2]
+            along = np.sum(spots * line, axis=1) / np.sum(line * line, axis=1)
+            foot = np.clip(along, 0.0, 1.0)[:, None] * line
+            within &= np.linalg.norm(foot - spots, axis=1) > radius
+        return within
+
+    def _spots(self, x: float, y: float) -> FloatArray:
+        """Return where a place of the site is (N, 2) [m], if the target is at each place."""
+        cosine, sine = np.cos(self._frames[:, 2]), np.sin(self._frames[:, 2])
+        turned = np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
+        return self._frames[:, :2] + turned
 
 
 def _directions(away: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,8 @@ from models.clutter import Solids
 from models.compose import make_terrain
 from perception.geometry.arrays import ImageArray
 
-_COLOURS = {MASTER: "tab:blue", SLAVE: "tab:orange"}
+COLOURS = {MASTER: (31, 119, 180), SLAVE: (255, 127, 14)}
+"""Colour of each rover's track: red, green, blue."""
 _NAMES = {MASTER: "master", SLAVE: "slave, with the card"}
 
 
@@ -24,10 +25,30 @@ def draw_tracks(trial: MissionTrial, result: MissionResult) -> Figure:
         trial: Settings of the mission.
         result: Its result.
     """
-    scene = draw_scene(trial.width, generators(trial.seed)[0])
-    ground = make_terrain(scene.field, scene.robots)
     figure = Figure(figsize=(7.0, 7.0), layout="constrained")
     axes = figure.add_subplot()
+    draw_field(axes, trial)
+    for robot, track in result.tracks.items():
+        colour = np.array(COLOURS[robot]) / 255.0
+        axes.plot(*track.T, color=colour, label=_NAMES[robot])
+        axes.plot(*track[0], "o", color=colour)
+    points = np.vstack([np.zeros((1, 2)), *result.tracks.values()])
+    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
+    axes.set_aspect("equal")
+    axes.legend(loc="best", fontsize=8)
+    return figure
+
+
+def draw_field(axes: Axes, trial: MissionTrial) -> None:
+    """Draw what stands in the field of a mission, as it is.
+
+    Args:
+        axes: Axes in metres of the field's plane.
+        trial: Settings of the mission.
+    """
+    scene = draw_scene(trial.width, generators(trial.seed)[0])
+    ground = make_terrain(scene.field, scene.robots)
     for solids, colour in (
         (ground.rocks, "0.8"), (ground.blocks, "0.55"), (ground.screens, "0.2"),
     ):  # fmt: skip
@@ -38,15 +59,6 @@ def draw_tracks(trial: MissionTrial, result: MissionResult) -> Figure:
     ends = np.array([np.array(panel.position) - along, np.array(panel.position) + along])
     axes.plot(*ends.T, color="tab:red", linewidth=3, label="panel")
     axes.plot(*CARD_PLACE[:2], "x", color="black", label="the slave's place")
-    for robot, track in result.tracks.items():
-        axes.plot(*track.T, color=_COLOURS[robot], label=_NAMES[robot])
-        axes.plot(*track[0], "o", color=_COLOURS[robot])
-    points = np.vstack([np.zeros((1, 2)), *result.tracks.values()])
-    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-    axes.set_aspect("equal")
-    axes.legend(loc="best", fontsize=8)
-    return figure
 
 
 def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:

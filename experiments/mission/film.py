@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -12,6 +13,7 @@ from controllers.mission.navigator import Navigator
 from controllers.mission.stage import MissionStage
 from controllers.mission.stages.map_site import MapSite
 from experiments.ch5.task_film import InsertionLog, insertion_views, scene_picture
+from experiments.mission.moving_picture import MovingPicture
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import Mission, MissionResult, MissionTrial, perform, prepared
 from models.card_and_slot.stand import SITE_VIEW
@@ -165,16 +167,27 @@ def recorded(mission: Mission, path: Path) -> Iterator[LoopRecorder]:
         yield _Notes(recorder, mission)
 
 
-def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionResult, Steps]:
+class Filmed(NamedTuple):
+    """A mission and its pictures.
+
+    Attributes:
+        result: Result of the mission.
+        steps: Name of each stage, its end time [s] and picture of the site; none without a
+            simulation in this process.
+        film: Moving picture; None likewise.
+    """
+
+    result: MissionResult
+    steps: Steps
+    film: MovingPicture | None
+
+
+def film_mission(trial: MissionTrial, recording: Path | None) -> Filmed:
     """Run a mission, show its progress, and film it.
 
     Args:
         trial: Settings of the mission.
         recording: File of a recording for the rerun viewer; None for none.
-
-    Returns:
-        The result, and for each stage its name, end time [s] and picture of the site; no pictures
-        without a simulation in this process.
     """
     columns = (
         TextColumn("{task.description:9}"), BarColumn(), TimeElapsedColumn(),
@@ -183,6 +196,9 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> tuple[MissionRe
     with prepared(trial) as mission, Progress(*columns) as bars, contextlib.ExitStack() as stack:
         pictures = _StepPictures(mission)
         recorders: list[LoopRecorder] = [_Bars(mission, bars), pictures]
+        film = None if mission.connection.simulation is None else MovingPicture(mission)
+        if film is not None:
+            recorders.append(film)
         if recording is not None:
             recorders.append(stack.enter_context(recorded(mission, recording)))
-        return perform(mission, recorders), pictures.steps
+        return Filmed(perform(mission, recorders), pictures.steps, film)

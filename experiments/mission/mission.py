@@ -172,10 +172,12 @@ def _run_all(jobs: list[MissionTrial], options: Options, output: Output) -> list
         if recording is not None:
             film_mission(jobs[0], recording)
         return results
-    result, steps = film_mission(jobs[0], recording)
-    if steps:
-        output.figure("mission_steps", draw_steps(steps))
-    return [result]
+    filmed = film_mission(jobs[0], recording)
+    if filmed.steps:
+        output.figure("mission_steps", draw_steps(filmed.steps))
+    if filmed.film is not None:
+        filmed.film.save(output.file("mission.gif"))
+    return [filmed.result]
 
 
 def _stage_of(result: MissionResult) -> str:

@@ -31,6 +31,7 @@ from twin.robot import Command, Observation
 _PLACES = 2000  # Possible places of the panel.
 _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
 _PATIENCE = 700.0  # Longest search [s].
+_PARTNER = 0.25  # Radius of the other rover, which hides what is behind it [m].
 _WORTH = 2e-3  # Rate below which a rover that gives way takes no view from where it is [1/s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
 _MOST_RETREATS = 5  # Number of times that a rover backs off where nothing is left to be seen.
@@ -94,6 +95,7 @@ class SearchPanel:
         while seen.time < begun + _PATIENCE:
             self._settle(search)
             waits = self._gives_way()
+            search.hiding = self._partner()
             places, lengths, heights = self._viewpoints(search, wanted, 0 if waits else _VIEWPOINTS)
             view = search.best(places, lengths, heights, navigator.sight_lines())
             if waits and view.rate < _WORTH:
@@ -139,6 +141,11 @@ class SearchPanel:
         radio, here = self._radio, self._navigator.place
         radio.near = self.search.odds_within(here, _NEAR) > 0.5  # noqa: PLR2004
         return radio.near and radio.partner.near and not (self._first or radio.silent)
+
+    def _partner(self) -> FloatArray:
+        """Return the disc (1, 3) of the other rover in the ground frame [m]; none if unknown."""
+        place = self._belief.partner_place()
+        return np.zeros((0, 3)) if place is None else np.array([[*place, _PARTNER]])
 
     def _glimpse(self, seen: Observation, found: RobotLocalization | None) -> bool:
         """Take note of a pair that was taken on the way; return whether the drive is to end."""

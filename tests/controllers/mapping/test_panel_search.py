@@ -145,3 +145,15 @@ def test_what_was_sighted_far_away_is_to_be_seen_from_near():
     assert search.best(*here).rate == 0.0
     places = search.draw_places(50, np.random.default_rng(0))
     assert np.linalg.norm(places - [far, 0.0], axis=1).max() < CONFIG.reach[1]
+
+
+def test_what_another_robot_hides_is_not_missed():
+    search = search_of([1.2, 0.0, 0.2], [1.2, 0.1, 0.2], [1.2, 0.9, 0.2])
+    eye, here = np.array([0.0, 0.0, 0.4]), (np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY)
+    # The ground frame has its origin at the target and is turned by a quarter: it is at (0.6, 0).
+    search.hiding = np.array([[0.0, 0.6, 0.3]])
+    search.miss(camera(eye, [1.2, 0.0, 0.2]), EMPTY)
+    np.testing.assert_allclose(search.weights, 1.0 / 3.0)
+    assert search.best(*here).shown.tolist() == [False, False, True]
+    search.hiding = np.zeros((0, 3))
+    assert search.best(*here).shown.tolist() == [True, True, False]
