@@ -89,8 +89,25 @@ class SharedMap:
         if target is None:
             return None
         camera = self.camera_at(target, np.asarray(sigma, dtype=float))
-        if camera is None:
-            return None
+        return None if camera is None else self.localized(arm, angles, tilt, camera, config)
+
+    def localized(
+        self,
+        arm: SerialChain,
+        angles: FloatArray,
+        tilt: FloatArray,
+        camera: CameraPose,
+        config: LocalizationConfig,
+    ) -> RobotLocalization:
+        """Localize a robot by its camera's pose; the first one defines the world.
+
+        Args:
+            arm: Chain of the robot's arm, with the left camera as its tool.
+            angles: (joints,) joint angles of the arm [rad].
+            tilt: (2,) pitch and roll of the robot [rad].
+            camera: Pose of the left camera in the target's frame.
+            config: Standard deviations of the camera pose by arm and inclinometer.
+        """
         if self.transform_target_to_world is None:
             in_level = camera_in_level(arm, angles, tilt)
             to_level = in_level * camera.transform_camera_to_world.inv()

@@ -5,13 +5,16 @@ the path there is planned on what is mapped. The panel localizes the rover, and 
 that of the map (thesis sections 3.2.2 to 3.2.4).
 """
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import camera_arm
-from controllers.mapping.localization import RobotLocalization
+from controllers.mapping.localization import CameraPose, RobotLocalization
 from controllers.mapping.panel_search import PanelSearch, Viewpoint
 from controllers.mapping.searching import aim
+from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import (
     DRIVING,
     Behaviour,
@@ -31,6 +34,7 @@ from twin.robot import Command, Observation
 _PLACES = 2000  # Possible places of the panel.
 _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
 _PATIENCE = 700.0  # Longest search [s].
+_ATTITUDE = 0.012  # Standard deviation of an attitude that is known well [rad].
 _PARTNER = 0.25  # Radius of the other rover, which hides what is behind it [m].
 _WORTH = 2e-3  # Rate below which a rover that gives way takes no view from where it is [1/s].
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
@@ -50,7 +54,9 @@ class SearchPanel:
     Args:
         belief: Estimates of the rover; gets its localization.
         radio: The rover's end of the radio.
-        first: Whether the rover drives where both are near the panel; else it gives way.
+        first: Whether the rover drives where both are near the panel; else it gives way. Only the
+            first maps the site from where it is localized: the other is content with a view from
+            far that tells its attitude.
         rng: Random generator for possible places and for viewpoints.
 
     Attributes:
@@ -127,11 +133,14 @@ class SearchPanel:
             seen = yield from posed(seen, navigator, aim(self._arm, panel, DRIVING))
             self._glimpsed = None
             found = navigator.take(seen, at_rest=True)
+            known = search.sighted
+            sighted = None if found is not None else self._sight(seen)
+            if sighted is not None and not self._first and _tells_attitude(sighted):
+                found = self._localized(seen, sighted)
             if found is not None:
                 self._belief.localize(found)
                 return seen
-            known = search.sighted
-            if not self._sight(seen) or known:  # Then it was to be localized.
+            if sighted is None or known:  # Then it was to be localized.
                 self._miss(seen, view)
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
 
@@ -160,18 +169,25 @@ class SearchPanel:
         camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
         self.search.miss(camera, self._navigator.sight_lines(), intended)
 
-    def _sight(self, seen: Observation) -> bool:
-        """Return whether a pair shows the panel too far away to localize the rover by it."""
+    def _sight(self, seen: Observation) -> CameraPose | None:
+        """Return the camera's pose in the panel's frame if a pair shows that far away."""
         assert self.search is not None
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
         sighted = self._belief.map.sight(pair, _FAR_SIGMA)
         if sighted is None:
-            return False
+            return None
         camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
         panel = camera * sighted.transform_camera_to_world.inv()
         normal = panel.rotation.apply([0.0, 0.0, 1.0])[:2]
         self.search.sight(np.asarray(panel.translation), normal / np.linalg.norm(normal))
-        return True
+        return sighted
+
+    def _localized(self, seen: Observation, sighted: CameraPose) -> RobotLocalization:
+        """Return the localization of the rover by a view from far."""
+        angles = np.asarray(seen.arm_angles.value, dtype=float)
+        tilt = np.asarray(seen.inclinometer.value, dtype=float)
+        config = MapperConfig().localization
+        return self._belief.map.localized(self._arm, angles, tilt, sighted, config)
 
     def _possible_places(self) -> PanelSearch:
         """Return where the panel may be, by what is known of the initial pose."""
@@ -234,6 +250,11 @@ class SearchPanel:
         foot = navigator.odometry.level_pose().translation
         eye = float(here.translation[2] - _above(self._plane(), foot[None, :2])[0])
         return places, np.array([0.0, *lengths[near]]), _above(self._plane(), places) + eye
+
+
+def _tells_attitude(camera: CameraPose) -> bool:
+    """Return whether a camera's attitude to the panel is known well."""
+    return math.sqrt(np.linalg.eigvalsh(camera.covariance[:3, :3]).max()) < _ATTITUDE
 
 
 def _above(plane: FloatArray, places: FloatArray) -> FloatArray:
