@@ -1,0 +1,54 @@
+"""A target seen far away, on images traced from its CAD: the camera's pose, and the robot's."""
+
+import numpy as np
+import pytest
+
+from controllers.insertion.camera_station import camera_arm
+from controllers.mapping.localization import LocalizationConfig
+from controllers.mapping.shared_map import SharedMap
+from controllers.mission.behaviours import DRIVING
+from perception.voxels.grid import VoxelGrid
+from perception.voxels.map import VoxelMap
+from tests.perception.registration.test_target import CAD, HEAD, at, pair
+from twin.describe import describe_rover
+
+FAR_SIGMA = np.full(3, 0.1)
+
+
+def empty_map() -> SharedMap:
+    voxels = VoxelMap(VoxelGrid(0.1, (0, 0, 0), (1, 1, 1)))
+    return SharedMap(voxels, HEAD, CAD, 4, (0.2, 2.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("place", [(2.6, 0.6, 0.0), (3.4, -0.7, 0.2)])
+def test_the_camera_of_a_far_view_is_within_its_covariance(place: tuple, seed: int) -> None:
+    target = at(*place)
+    camera = empty_map().sight(pair(target, seed), FAR_SIGMA)
+    assert camera is not None
+    off = target.inv() * camera.transform_camera_to_world.inv()
+    xi = np.asarray(off.inv().as_exp_coords())
+    assert xi @ np.linalg.solve(camera.covariance, xi) < 22.5
+    assert (
+        np.linalg.norm(camera.transform_camera_to_world.translation - target.inv().translation)
+        < 0.05
+    )
+
+
+def test_a_view_without_the_target_sights_nothing() -> None:
+    assert empty_map().sight(np.full((2, 492, 510), 90, np.uint8), FAR_SIGMA) is None
+
+
+def test_a_far_view_defines_the_world_as_a_near_one_does() -> None:
+    arm, _ = camera_arm(describe_rover("rover1"))
+    tilt, config = np.array([0.02, -0.03]), LocalizationConfig()
+    near, far = empty_map(), empty_map()
+    images = pair(at(1.3, 0.6, 0.0))
+    found = near.locate(arm, DRIVING, tilt, images, FAR_SIGMA, config)
+    camera = far.sight(images, FAR_SIGMA)
+    assert found is not None and camera is not None
+    other = far.localized(arm, DRIVING, tilt, camera, config)
+    apart = other.transform_level_to_world.inv() * found.transform_level_to_world
+    assert apart.rotation.magnitude() < 0.01
+    assert np.linalg.norm(apart.translation) < 0.02
+    assert far.transform_target_to_world is not None
