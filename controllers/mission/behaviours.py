@@ -48,6 +48,19 @@ class Driven(NamedTuple):
     stopped: bool = False
 
 
+def following(behaviour: Behaviour, seen: Observation) -> Command | None:
+    """Return the next command of a behaviour; None when it has ended.
+
+    Args:
+        behaviour: Behaviour, which has begun.
+        seen: Observation of this tick.
+    """
+    try:
+        return behaviour.send(seen)
+    except StopIteration:
+        return None
+
+
 def posed(seen: Observation, navigator: Navigator, goal: FloatArray) -> Behaviour:
     """Move the arm, until a stereo pair was taken at its goal, at rest.
 

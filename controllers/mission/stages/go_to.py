@@ -13,7 +13,14 @@ import numpy as np
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.stereo_view import MapperConfig
-from controllers.mission.behaviours import DRIVING, Behaviour, drive, drive_straight, posed
+from controllers.mission.behaviours import (
+    DRIVING,
+    Behaviour,
+    drive,
+    drive_straight,
+    following,
+    posed,
+)
 from controllers.mission.belief import MissionBelief
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
@@ -62,12 +69,9 @@ class GoToPlace:
     def step(self, seen: Observation) -> Command:
         """Return the command of the drive or of the arm; the arm is folded when it has ended."""
         self._navigator.observe(seen)
-        if not self.done:
-            try:
-                return self._script.send(seen)
-            except StopIteration:
-                self.done = True
-        return self._rest.command(seen)
+        command = None if self.done else following(self._script, seen)
+        self.done = command is None
+        return command or self._rest.command(seen)
 
     def _run(self) -> Behaviour:
         seen = yield Command()

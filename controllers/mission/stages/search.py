@@ -20,6 +20,7 @@ from controllers.mission.behaviours import (
     Behaviour,
     drive,
     faced,
+    following,
     look_round,
     posed,
     retreat,
@@ -82,13 +83,10 @@ class SearchPanel:
     def step(self, seen: Observation) -> Command:
         """Return the command of the search; it rests when it has ended."""
         self._navigator.observe(seen)
-        if self.done:
-            return self._rest.command(seen)
-        try:
-            return self._script.send(seen)
-        except StopIteration:
+        command = None if self.done else following(self._script, seen)
+        if command is None:
             self.done, self._radio.near = True, False
-            return self._rest.command(seen)
+        return command or self._rest.command(seen)
 
     def _run(self) -> Behaviour:
         navigator = self._navigator
