@@ -122,6 +122,7 @@ class PanelSearch:
         places: (N, 3) possible middles of the target's face [m]; their heights may be updated.
         weights: (N,) odds of each place; they sum to 1.
         views: Number of views without the target.
+        near: Whether a sighted target is to be seen from near to be known well enough.
         hiding: (K, 3) discs of the site that hide what is behind them, as another robot does: x, y
             and radius [m], in its ground frame.
     """
@@ -137,6 +138,7 @@ class PanelSearch:
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(places), 1.0 / len(places))
         self.views = 0
+        self.near = True
         self.hiding = np.zeros((0, 3))
         self._spot: FloatArray | None = None  # Where it was sighted last.
         # Discs of the site and what they made likely, until the next view.
@@ -192,6 +194,7 @@ class PanelSearch:
         transform_camera_to_frame: RigidTransform,
         ground: Ground,
         intended: Viewpoint | None = None,
+        far: bool = False,
     ) -> None:
         """Take note of a view that did not show the target.
 
@@ -200,13 +203,14 @@ class PanelSearch:
             ground: What is mapped of the ground.
             intended: View that was to be taken, which the joints may not quite reach; None for one
                 on the way.
+            far: Whether a view on the way was searched for a target far away.
         """
         c, eye = self._config, np.asarray(transform_camera_to_frame.translation)
         axis = transform_camera_to_frame.rotation.apply([0.0, 0.0, 1.0])
         bearing, raised = _directions(self.places - eye)
         turn, tilt = _directions(axis[None])
         within = (_apart(bearing, turn) < c.half_view) & (abs(raised - tilt) < c.half_height)
-        reach = c.reach[1] if intended is None else self._reach
+        reach = c.reach[1] if intended is None and not far else self._reach
         seen = within & self._visible(eye, reach) & ~ground.hidden(eye, self.places)
         odds = c.passed
         if intended is not None:
@@ -289,7 +293,7 @@ class PanelSearch:
     @property
     def _reach(self) -> float:
         """Farthest distance of a view at rest that tells what is to be known next [m]."""
-        return self._config.reach[1] if self.sighted else self._config.sight
+        return self._config.reach[1] if self.near and self.sighted else self._config.sight
 
     def _visible(self, eye: FloatArray, reach: float) -> BoolArray:
         """Return (N,), whether the target at each place would show its face to an eye (3,)."""

@@ -27,7 +27,7 @@ LOOKING = np.array([0.0, 1.9, -0.9, -1.85])
 the wrist 8 degrees before its limit [rad]."""
 _ROUND = (-2.4, -1.6, -0.8, 0.0, 0.8, 1.6, 2.4)  # Turns of the arm to look on all sides [rad].
 _MOST_LOOKS = 12  # Largest number of looks at unseen ground before the rover sets off.
-_MOST_STALLS = 6  # Largest number of times that a rover may get stuck on one way.
+_MOST_STALLS = 4  # Largest number of times that a rover may get stuck on one way.
 OnPair = Callable[[Observation, RobotLocalization | None], bool]
 """Called with each pair taken on the way; returns whether the drive is to end there."""
 

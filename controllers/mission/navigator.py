@@ -45,6 +45,7 @@ _LAST = 0.15  # Length before the end of a path that is driven as it was planned
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
+_SLIDING = 0.32  # Radius about one that slides as it turns that holds it [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
 _NO_NEARER = 0.01  # What a rover that backs off may come nearer to something [m].
 _BACK = 0.25  # Distance by which a rover backs off [m].
@@ -341,7 +342,7 @@ class Navigator:
     def _slides_near(self, pivot: FloatArray) -> bool:
         """Return whether the rover has slid from where it began to turn (1, 2), to something."""
         slid = math.dist(pivot[0], self.place)
-        return slid > _SLID and self._gap(self.place[None]) < min(_TURNING, self._gap(pivot))
+        return slid > _SLID and self._gap(self.place[None]) < min(_SLIDING, self._gap(pivot))
 
     def set_off(self, place: FloatArray, heading: float | None) -> bool:
         """Begin a drive to a place; return whether there is a path.
@@ -416,10 +417,10 @@ class Navigator:
         here = self._gap(self.place[None])
         free = np.array([self._gap(path) > min(_STRAIGHT, here - _NO_NEARER) for path in paths])
         ends = np.array([self._gap(path[1:]) for path in paths])
-        free &= (ends > _TURNING) | (ends > here)
+        free &= (ends > _SLIDING) | (ends > here)
         if free.any():
             # The first one from whose end it may turn; else the one that gets farthest away.
-            best = int(np.argmax(free * np.minimum(ends, _TURNING + 1e-6)))
+            best = int(np.argmax(free * np.minimum(ends, _SLIDING)))
             self.follow(paths[best], None, backwards=ways[best] < 0.0)
 
     @property

@@ -63,6 +63,7 @@ class GoToPlace:
         self._navigator = belief.navigator
         self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
         self._arm, _ = camera_arm(belief.robot)
+        self._reason = ""  # Why the last drive has not arrived.
         self._script = self._run()
         next(self._script)
 
@@ -78,10 +79,11 @@ class GoToPlace:
         while self.stops == 0 or self._missed():
             if self.stops == _MOST_DRIVES:
                 off, turn = self._off()
+                why = f": {self._reason}" if self._reason else ""
                 raise StageError(
                     self.name,
                     f"{1e3 * off:.0f} mm and {math.degrees(turn):.0f} degrees off its place after "
-                    f"{_MOST_DRIVES} drives",
+                    f"{_MOST_DRIVES} drives{why}",
                 )
             seen = yield from self._go(seen)
             self.stops += 1
@@ -91,7 +93,7 @@ class GoToPlace:
     def _go(self, seen: Observation) -> Behaviour:
         """Drive to the place once, its last stretch straight along its heading if there is room."""
         navigator, (off, turn) = self._navigator, self._off()
-        near = off < _NEAR and turn < _ALONG
+        near, self._reason = off < _NEAR and turn < _ALONG, ""
         stretch, (place, heading) = self._stretch(near), self._goal()
         if stretch is None and not near:
             return (yield from self._drive(seen, place, heading))
@@ -102,6 +104,8 @@ class GoToPlace:
             seen = yield from self._straight(seen, np.array([navigator.place, begin]), heading)
         else:
             seen = yield from self._drive(seen, begin, heading)
+            if self._reason:
+                return seen
         seen = yield from self._look(seen)
         place, heading = self._goal()
         last = np.array([place + stretch * _ahead(heading), place])
@@ -132,8 +136,7 @@ class GoToPlace:
     def _drive(self, seen: Observation, place: FloatArray, heading: float) -> Behaviour:
         """Drive to a place (2,) [m] and heading [rad] of the frame along planned paths."""
         driven = yield from drive(seen, self._navigator, self._arm, (place, heading))
-        if not driven.arrived:
-            raise StageError(self.name, driven.reason)
+        self._reason = driven.reason
         return driven.seen
 
     def _goal(self) -> tuple[FloatArray, float]:

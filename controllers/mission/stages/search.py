@@ -41,6 +41,9 @@ _WORTH = 2e-3  # Rate below which a rover that gives way takes no view from wher
 _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searched [1/s].
 _MOST_RETREATS = 5  # Number of times that a rover backs off where nothing is left to be seen.
 _NEAR = 3.0  # Distance from the panel within which both rovers do not drive at once [m].
+_APART = (0.5, 0.4)
+"""Distance [m] and turn [rad] after which a pair on the way is searched for the panel far away: that
+takes 0.1 s."""
 _FAR_SIGMA = (0.1, 0.1, 0.1)
 """Standard deviations of a small marker's column, row and disparity [px]."""
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
@@ -77,6 +80,7 @@ class SearchPanel:
         self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
         self.search: PanelSearch | None = None
         self._glimpsed: RobotLocalization | None = None
+        self._far_view = 0.0, 0.0
         self._script = self._run()
         next(self._script)
 
@@ -94,6 +98,7 @@ class SearchPanel:
         begun = seen.time
         seen = yield from posed(seen, navigator, DRIVING)
         search = self.search = self._possible_places()
+        search.near = self._first
         navigator.keep_off = lambda: search.likely_discs(self._belief.discs())
         retreats, wanted = 0, np.zeros((0, 2))
         while seen.time < begun + _PATIENCE:
@@ -138,8 +143,9 @@ class SearchPanel:
             if found is not None:
                 self._belief.localize(found)
                 return seen
-            if sighted is None or known:  # Then it was to be localized.
+            if sighted is None or (known and search.near):  # Then it was to be localized.
                 self._miss(seen, view)
+            search.near |= sighted is not None
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
 
     def _gives_way(self) -> bool:
@@ -156,16 +162,31 @@ class SearchPanel:
 
     def _glimpse(self, seen: Observation, found: RobotLocalization | None) -> bool:
         """Take note of a pair that was taken on the way; return whether the drive is to end."""
+        assert self.search is not None
         self._glimpsed = found
-        if found is None:
-            self._miss(seen)
-        return found is not None or self._gives_way()
+        if found is not None:
+            return True
+        far = self._is_far_view_due()
+        sighted = far and not self.search.sighted and self._sight(seen) is not None
+        if not sighted:
+            self._miss(seen, far=far)
+        return sighted or self._gives_way()
 
-    def _miss(self, seen: Observation, intended: Viewpoint | None = None) -> None:
+    def _is_far_view_due(self) -> bool:
+        """Return whether a pair on the way should be searched for the panel far away."""
+        odometry, (distance, turned) = self._navigator.odometry, self._far_view
+        far = odometry.distance - distance > _APART[0] or abs(odometry.turned - turned) > _APART[1]
+        if far:
+            self._far_view = odometry.distance, odometry.turned
+        return far
+
+    def _miss(
+        self, seen: Observation, intended: Viewpoint | None = None, far: bool = False
+    ) -> None:
         """Take note of a pair without the panel."""
         assert self.search is not None
         camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
-        self.search.miss(camera, self._navigator.sight_lines(), intended)
+        self.search.miss(camera, self._navigator.sight_lines(), intended, far)
 
     def _sight(self, seen: Observation) -> CameraPose | None:
         """Return the camera's pose in the panel's frame if a pair shows that far away."""

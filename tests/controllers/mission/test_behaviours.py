@@ -196,16 +196,16 @@ def test_a_rover_that_is_held_again_and_again_says_why():
     navigator = HandNavigator(held=99)
     driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert not driven.arrived and "something holds the rover" in driven.reason
-    assert navigator.calls.count("set off") == 6
+    assert navigator.calls.count("set off") == 4
 
 
 def test_without_a_path_the_rover_looks_on_all_sides_and_moves_a_little_before_it_gives_up():
     navigator = HandNavigator(path=False)
     driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert not driven.arrived and "no path" in driven.reason
-    assert navigator.calls.count("set off") == navigator.calls.count("retreat") == 6
+    assert navigator.calls.count("set off") == navigator.calls.count("retreat") == 4
     turns = [posture[0] for posture in navigator.postures if abs(posture[2] - LOOKING[2]) < 1e-6]
-    assert len(turns) == 6 * 7 and np.diff(sorted(set(turns))).max() < 0.9
+    assert len(turns) == 4 * 7 and np.diff(sorted(set(turns))).max() < 0.9
 
 
 def test_a_rover_faces_what_is_behind_it_before_it_looks_there():
