@@ -136,8 +136,8 @@ def _master_stages(
     yield SearchPanel(belief, radio, True, rng)
     yield Wait("approach", belief)
     yield MapSite(belief, config.scans, rng)
-    place = _station(belief, occluders=config.without != "occluders").place
-    yield GoToPlace("place", belief, place, _NEAR_STATION)
+    occluders = config.without != "occluders"
+    yield GoToPlace("place", belief, lambda: _station(belief, occluders).place, _NEAR_STATION)
     yield GuideInsertion(belief, radio, card)
 
 
@@ -147,7 +147,7 @@ def _slave_stages(
     """Yield the stages of the rover that holds the card."""
     yield SwingArm(belief, rng)
     yield SearchPanel(belief, radio, False, rng)
-    yield GoToPlace("approach", belief, belief.site.card_place, _NEAR_SLOT)
+    yield GoToPlace("approach", belief, lambda: belief.site.card_place, _NEAR_SLOT)
     yield Wait(MapSite.name, belief)
     yield Wait("place", belief)
     yield InsertCard(belief, radio)

@@ -7,6 +7,7 @@ its beginning and its end it finds the panel again; if it has missed its place, 
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -42,7 +43,8 @@ class GoToPlace:
     Args:
         name: Name of the stage.
         belief: Estimates of the rover; updated with its localization at the place.
-        place: (3,) x, y [m] and yaw [rad] of the place, ground frame.
+        choose: Returns x, y [m] and yaw [rad] of the place, ground frame; called again after a
+            drive that did not get there.
         near: Tolerances of the place: distance [m] and heading [rad].
 
     Attributes:
@@ -55,10 +57,11 @@ class GoToPlace:
         self,
         name: str,
         belief: MissionBelief,
-        place: tuple[float, float, float],
+        choose: Callable[[], tuple[float, float, float]],
         near: tuple[float, float],
     ) -> None:
-        self.name, self.place, self.done, self.stops = name, place, False, 0
+        self.name, self.place, self.done, self.stops = name, choose(), False, 0
+        self._choose = choose
         self._belief, self._near = belief, near
         self._navigator = belief.navigator
         self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
@@ -92,8 +95,10 @@ class GoToPlace:
 
     def _go(self, seen: Observation) -> Behaviour:
         """Drive to the place once, its last stretch straight along its heading if there is room."""
+        if self._reason:
+            self.place, self._reason = self._choose(), ""
         navigator, (off, turn) = self._navigator, self._off()
-        near, self._reason = off < _NEAR and turn < _ALONG, ""
+        near = off < _NEAR and turn < _ALONG
         stretch, (place, heading) = self._stretch(near), self._goal()
         if stretch is None and not near:
             return (yield from self._drive(seen, place, heading))

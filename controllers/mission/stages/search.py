@@ -42,8 +42,8 @@ _LEAST = 2e-4  # Rate of the best view below which nothing is left to be searche
 _MOST_RETREATS = 5  # Number of times that a rover backs off where nothing is left to be seen.
 _NEAR = 3.0  # Distance from the panel within which both rovers do not drive at once [m].
 _APART = (0.5, 0.4)
-"""Distance [m] and turn [rad] after which a pair on the way is searched for the panel far away: that
-takes 0.1 s."""
+"""Distance [m] and turn [rad] after which a pair on the way is searched for a panel far away:
+that takes 0.1 s."""
 _FAR_SIGMA = (0.1, 0.1, 0.1)
 """Standard deviations of a small marker's column, row and disparity [px]."""
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
