@@ -26,8 +26,8 @@ from twin.robot import Observation, RobotError
 _SLIDING = 0.12
 """Standard deviation of a turn share as drawn. Assumption: loads that differ, rocks and rolling
 friction move it by a quarter."""
-_PARTNER = 0.3  # Radius of a disc that holds a rover [m].
-_UNSURE = 0.3  # Most by which a rover's disc is larger where its place is not known well [m].
+_PARTNER = 0.27  # Radius of a disc that holds a rover [m].
+_UNSURE = 0.1  # Most by which a rover's disc is larger where its place is not known well [m].
 _VOXEL = 0.01  # Edge of the map's voxels [m].
 _BOX = ((-2.4, -2.4, -0.5), (2.4, 2.4, 0.8))  # Corners of the voxel map, about the panel [m].
 

@@ -27,7 +27,7 @@ from twin.robot import Command, Observation
 OMITTABLE = ("paths", "occluders", "guard")
 """What an ablation takes away: points of the map that paths avoid, or those by which the camera
 station is chosen, or the guard against tipping over."""
-STAGES = ("identify", "search", "approach", "map", "place", "insert")
+STAGES = ("identify", "search", "map", "place", "approach", "insert")
 """Stages in their order; both rovers end each together."""
 _FILLING = 0.05  # Distance of points that stand for a disc [m].
 _NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.06, 0.12)
@@ -50,8 +50,9 @@ class MissionConfig:
 class MissionTeam:
     """Runs both rovers' parts; a `twin.robot.Controller`.
 
-    Stages are `STAGES`: both identify themselves and search; the slave approaches the slot; the
-    master maps the site and goes to its camera station; then both insert the card.
+    Stages are `STAGES`: both identify themselves and search; the master, which stands before the
+    panel then, maps the site and goes to its camera station; the slave approaches the slot; then
+    both insert the card.
 
     Args:
         roles: Descriptions of both rovers.
@@ -134,10 +135,10 @@ def _master_stages(
     """Yield the stages of the rover with the camera; the card's pose is in the slave's frame."""
     yield SwingArm(belief, rng)
     yield SearchPanel(belief, radio, True, rng)
-    yield Wait("approach", belief)
     yield MapSite(belief, config.scans, rng)
     occluders = config.without != "occluders"
     yield GoToPlace("place", belief, lambda: _station(belief, occluders).place, _NEAR_STATION)
+    yield Wait("approach", belief)
     yield GuideInsertion(belief, radio, card)
 
 
@@ -147,9 +148,9 @@ def _slave_stages(
     """Yield the stages of the rover that holds the card."""
     yield SwingArm(belief, rng)
     yield SearchPanel(belief, radio, False, rng)
-    yield GoToPlace("approach", belief, lambda: belief.site.card_place, _NEAR_SLOT)
     yield Wait(MapSite.name, belief)
     yield Wait("place", belief)
+    yield GoToPlace("approach", belief, lambda: belief.site.card_place, _NEAR_SLOT)
     yield InsertCard(belief, radio)
 
 

@@ -23,7 +23,7 @@ from twin.recording.layout import scene_view, side_by_side
 from twin.recording.record import Recorder
 
 _LASTS = {
-    "identify": 14.0, "search": 140.0, "approach": 90.0, "map": 20.0, "place": 60.0, "insert": 25.0,
+    "identify": 14.0, "search": 250.0, "map": 5.0, "place": 60.0, "approach": 60.0, "insert": 25.0,
 }  # fmt: skip
 """Typical durations of stages for the progress bars [s]."""
 _POINTS = 30_000  # Most points of the voxel map in a recording.

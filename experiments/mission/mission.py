@@ -3,9 +3,9 @@
 One continuous run in a field that each seed draws anew; what a rover knows of its initial pose is
 half a metre and 30 degrees off. Both swing their arms and identify their pitch dynamics (chapter 2)
 and search for the panel by driving, on paths planned on what they have mapped (chapter 3). The
-slave drives before the slot; the master maps the site, chooses its camera station and drives there
-(chapter 4), and guides the slave, which inserts the card (chapter 5). All that passes between them
-goes by radio. What is drawn and measured stands in ``docs/mission.md``.
+master maps the site, chooses its camera station and drives there (chapter 4); the slave drives
+before the slot, and inserts the card, guided by the master (chapter 5). All that passes between
+them goes by radio. What is drawn and measured stands in ``docs/mission.md``.
 """
 
 import dataclasses
@@ -68,7 +68,7 @@ class Options(contract.Options):
     without: tuple[str, ...] = ()
     loss: float = 0.0
     realism: RealismName = "default"
-    only: Literal["identify", "search", "approach", "map", "place", "all"] = "all"
+    only: Literal["identify", "search", "map", "place", "approach", "all"] = "all"
 
     def __post_init__(self) -> None:
         """Refuse unknown robots and parts.

@@ -250,7 +250,8 @@ class MissionResult:
     def arrived(self) -> bool:
         """Whether both were at their places, the master saw card and slot, and all beliefs hold."""
         off = self.place_error > NEAR_PLACE[0] or self.place_turn > NEAR_PLACE[1]
-        return "place" in self.stages and self.detected and not off and not self.inconsistent
+        there = {"place", "approach"} <= set(self.stages)
+        return there and self.detected and not off and not self.inconsistent
 
     @property
     def success(self) -> bool:

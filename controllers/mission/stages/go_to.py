@@ -1,7 +1,7 @@
-"""Stages ``approach`` and ``place``: a rover drives to its place, and localizes itself there.
+"""Stages ``place`` and ``approach``: a rover drives to its place, and localizes itself there.
 
-The slave drives to where the drawing wants it before the slot, the master to the best camera
-station on its map (chapter 4). Paths are planned on what is mapped. The last stretch the rover
+The master drives to the best camera station on its map (chapter 4), then the slave to where the
+drawing wants it before the slot. Paths are planned on what is mapped. The last stretch the rover
 drives straight ahead or back where there is room for that, as turns on the spot move it aside. At
 its beginning and its end it finds the panel again; if it has missed its place, it drives anew.
 """
