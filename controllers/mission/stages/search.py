@@ -122,9 +122,8 @@ class SearchPanel:
                 driven = yield from drive(seen, navigator, self._arm, goal, self._glimpse, True)
                 seen, wanted = driven.seen, view.place[None][: driven.stopped]
                 if self._glimpsed is None:
-                    if not (
-                        driven.arrived or driven.stopped
-                    ):  # Time passes before another decision.
+                    # Time passes before another decision.
+                    if not (driven.arrived or driven.stopped):
                         seen = yield from posed(seen, navigator, DRIVING)
                     continue
                 panel = self._glimpsed.transform_level_to_world.inv().translation
