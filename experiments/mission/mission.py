@@ -175,7 +175,7 @@ def _run_all(jobs: list[MissionTrial], options: Options, output: Output) -> list
     filmed = film_mission(jobs[0], recording)
     if filmed.steps:
         output.figure("mission_steps", draw_steps(filmed.steps))
-    if filmed.film is not None:
+    if filmed.film is not None and filmed.film.frames:  # None where a robot fails at once.
         filmed.film.save(output.file("mission.gif"))
     return [filmed.result]
 

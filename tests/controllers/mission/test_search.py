@@ -1,10 +1,11 @@
 """Stage ``search``: where the panel may be before anything is seen."""
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
+from controllers.mapping.localization import CameraPose
 from controllers.mission.radio import MissionRadio, Status
-from controllers.mission.stages.search import SearchPanel
+from controllers.mission.stages.search import SearchPanel, _tells_attitude  # pyright: ignore
 from tests.controllers.mission.hand_made import SITE, SLAVE, belief_of, hand_links
 from tests.controllers.motion.seen import seen_at
 
@@ -53,3 +54,11 @@ def test_of_two_rovers_near_the_panel_one_gives_way_while_it_hears_that_the_othe
         radio.partner = Status(1, near=True)
         assert stage._gives_way() == waits
         assert radio.near == near
+
+
+def test_a_far_view_tells_the_attitude_where_its_worst_axis_does():
+    axes = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
+    for worst, tells in ((0.010, True), (0.015, False)):
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = axes @ np.diag(np.square([0.001, worst, 0.002])) @ axes.T
+        assert _tells_attitude(CameraPose(RigidTransform.identity(), covariance)) == tells
