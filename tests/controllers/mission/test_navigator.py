@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from controllers.mission.belief import MissionBelief
-from controllers.mission.navigator import NavigatorConfig
+from controllers.mission.navigator import NavigatorConfig, _filled  # pyright: ignore
 from controllers.motion.driving import SkidSteer
 from tests.controllers.mission.hand_made import POSES, SITE
 from tests.controllers.motion.seen import PAIR, seen_at
@@ -186,6 +186,27 @@ def test_a_rover_backs_off_where_there_is_room_for_that():
         rover.navigator.back_off(held=False)
         rover.drive()
         assert rover.navigator.place[1] == pytest.approx(expected, abs=0.03)
+
+
+def test_a_rover_beside_something_backs_off_away_from_it():
+    for box, expected in ((0.3, -0.25), (-0.3, 0.25)):
+        rover = Rolling()
+        put_box(rover.navigator, 5.0, 5.0)
+        put_box_on(rover.navigator, 0.0, box)
+        assert not rover.navigator.is_clear(rover.navigator.place[None])
+        rover.navigator.back_off(held=False)
+        rover.drive()
+        assert rover.navigator.place[1] == pytest.approx(expected, abs=0.03)
+
+
+def test_holes_of_four_cells_count_as_seen_and_larger_ones_do_not():
+    for width, seen in ((4, True), (6, False)):
+        cells = np.ones((20, 20), bool)
+        cells[8 : 8 + width, 8 : 8 + width] = False
+        assert _filled(cells)[8 + width // 2, 8 + width // 2] == seen
+    alone = np.zeros((9, 9), bool)
+    alone[4, 4] = True
+    assert _filled(alone).sum() == 9
 
 
 def test_a_turn_ends_where_the_rover_slides_towards_something():
