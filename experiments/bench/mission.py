@@ -26,7 +26,7 @@ PARTS: dict[str, tuple[tuple[type, str], ...]] = {
     "drawing": ((StereoHead, "draw"),),
     "stereo matching": ((StereoMatcher, "match"),),
     "visual odometry": ((VisualOdometry, "see"),),
-    "markers": ((SharedMap, "locate"),),
+    "markers": ((SharedMap, "locate"), (SharedMap, "sight")),
     "elevation map": ((ElevationMap, "insert"),),
     "paths": ((Navigator, "lengths_to"), (Navigator, "path_to")),
 }
