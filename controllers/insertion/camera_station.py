@@ -6,9 +6,9 @@ approach (Thesis section 4.2.3). Poses are given in the ground frame of an `Inse
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.watching import WatchPlan, target_field
@@ -76,19 +76,19 @@ def best_camera_station(
     drawing: InsertionDrawing,
     level: int = 4,
     ground: MappedGround | None = None,
-    start: ArrayLike = (0.0, 0.0),
+    may_stand: Callable[[FloatArray], bool] | None = None,
 ) -> CameraStation:
     """Return the station with the best view of card and slot (Thesis section 4.2.3).
 
-    The best feasible candidate is improved between its neighbours. With a map of the ground, only
-    stations that the rover can drive to are feasible.
+    The best feasible candidate is improved between its neighbours.
 
     Args:
         robot: Rover with the camera.
         drawing: Drawing of card and slot.
         level: Level of the tree of directions whose candidates are searched.
         ground: Mapped ground; None without obstacles.
-        start: (2,) position of the rover [m], ground frame; used with ``ground``.
+        may_stand: Whether the rover gets to a position (2,) [m], ground frame, and may stand there;
+            None for anywhere.
 
     Raises:
         PlacementError: If there is no station.
@@ -106,7 +106,6 @@ def best_camera_station(
     if ground is not None:
         slot = drawing.transform_slot_to_ground
         occluders = ground.occluders(slot.translation, slot.rotation.apply([0.0, 0.0, 1.0]))
-    paths = None if ground is None else ground.paths_from(start)
     field = target_field(plan, parts, others=occluders)
 
     def placed(view: View) -> CameraStation | None:
@@ -116,10 +115,10 @@ def best_camera_station(
         station = placed(view)
         if station is None or not is_clear(station):
             return False
-        place = station.place[:2]
+        place = np.array(station.place[:2])
         if ground is not None and not ground.is_free(place):
             return False
-        return paths is None or paths.path_to(place) is not None
+        return may_stand is None or may_stand(place)
 
     search = SearchConfig(level=level, rings=12)
     station = placed(best_view(SpatialTask([field], lens, config=search), accept))

@@ -6,13 +6,14 @@ rather keeps off both. Unknown ground is free, as a rover sees what is before it
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numba
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import correlate, distance_transform_edt
 
-from controllers.mapping.planar_paths import Paths, shortest_paths
+from controllers.mapping.planar_paths import shortest_paths
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
@@ -42,7 +43,8 @@ class GroundPathConfig:
         far_cost: How many times its length a path costs over that, beyond once.
         margin: Distance beyond the disc within which things are rather gone around, too [m].
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
-        corner: Length that each corner of a path costs [m]: a rover turns there, and pivots aside.
+        corner: Length that each corner of a path costs in the open [m], where the rover turns; more
+            beside things, as it slides aside while it turns.
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
             map has within it at the start is none.
         window: Side of the square about a cell whose ground is fitted [m].
@@ -172,6 +174,36 @@ def path_lengths(
     return lengths
 
 
+def standing_places(
+    elevation: ElevationMap,
+    start: ArrayLike,
+    discs: ArrayLike | None = None,
+    config: GroundPathConfig | None = None,
+    doubted: BoolArray | None = None,
+) -> Callable[[ArrayLike], bool]:
+    """Return whether a rover gets to a position (2,) [m], world, and stands on nothing there.
+
+    Args:
+        elevation: Map of the ground, world.
+        start: (2,) position of the rover's middle [m], world; within the map.
+        discs: (M, 3) further discs, as in `plan_path`.
+        config: Size of the rover and what it climbs; the default if not given.
+        doubted: (rows, columns) cells that may hold something, as in `path_costs`.
+    """
+    config = config or GroundPathConfig()
+    grid, begin = _paths_grid(elevation.grid, config.pool), np.asarray(start, dtype=float)
+    costs = path_costs(elevation, begin, discs, config, doubted)
+    first = tuple(grid.cells_of([begin])[0].tolist())
+    lengths = shortest_paths(costs, first, grid.cell).lengths
+    free = np.isfinite(lengths) & (costs <= 1.0 + config.near_cost)
+
+    def may_stand(place: ArrayLike) -> bool:
+        cells = grid.cells_of([place])
+        return bool(grid.inside(cells)[0] and free[*cells[0]])
+
+    return may_stand
+
+
 def path_costs(
     elevation: ElevationMap,
     start: FloatArray,
@@ -284,8 +316,8 @@ def _path_over(
     paths = shortest_paths(costs, first, grid.cell, goals=np.array([last]))
     if not np.isfinite(paths.lengths[last]):
         return None
-    path = GroundPaths(paths, start, corner, grid.cell).path_to(goal)
-    return None if path is None else shortened(path, costs, corner, grid.cell, turn)
+    path = np.vstack([start, grid.centres_of(paths.to(last)[1:-1]), goal])
+    return shortened(path, costs, corner, grid.cell, turn)
 
 
 def shortened(
@@ -299,45 +331,10 @@ def shortened(
             it may not be entered.
         corner: (2,) lowest corner of the first cell [m].
         cell: Side of a cell [m].
-        turn: Length that each of the path's legs costs beside its own [m].
+        turn: Length that each of the path's legs costs in the open beside its own [m].
     """
     places = (path - corner)[:, ::-1] / cell
     return path[_string_pulled(np.ascontiguousarray(places), costs, max(turn / cell, _LEAST))]
-
-
-@dataclasses.dataclass(frozen=True)
-class GroundPaths:
-    """Shortest paths of a rover over the ground from one position.
-
-    Attributes:
-        paths: Shortest paths over the cells of a grid; the start is in its first cell.
-        start: (2,) position at which the paths begin [m], ground frame.
-        corner: (2,) lowest corner of the first cell [m], ground frame.
-        cell: Side of a cell [m].
-    """
-
-    paths: Paths
-    start: FloatArray
-    corner: FloatArray
-    cell: float
-
-    def path_to(self, place: ArrayLike) -> FloatArray | None:
-        """Return the points (N, 2) of the shortest path to a position (2,) [m], ground frame.
-
-        Both ends are included. None is returned if no path leads to the position's cell or a
-        neighbour of it, or if the position is outside of the grid.
-        """
-        goal, lengths = np.asarray(place, dtype=float), self.paths.lengths
-        row, column = np.floor((goal - self.corner) / self.cell).astype(int)[::-1]
-        near = np.array([(row + i, column + j) for i in (0, -1, 1) for j in (0, -1, 1)])
-        near = near[np.all((near >= 0) & (near < lengths.shape), axis=1)]
-        if len(near) and not np.isfinite(lengths[*near[0]]):
-            near = near[np.argsort(lengths[*near.T])]
-        if not len(near) or not np.isfinite(lengths[*near[0]]):
-            return None
-        cells = self.paths.to((int(near[0, 0]), int(near[0, 1])))
-        between = (cells[1:-1, ::-1] + 0.5) * self.cell + self.corner
-        return np.vstack([self.start, between, goal])
 
 
 @numba.njit(cache=True)
@@ -350,13 +347,14 @@ def _string_pulled(places, costs, leg):
         for i in range(j - 1, -1, -1):
             length = np.hypot(places[j, 0] - places[i, 0], places[j, 1] - places[i, 1])
             # No cell costs less than once its length.
-            if cheapest[i] + leg + length >= cheapest[j]:
+            corner = leg * (1.0 if i == 0 else costs[int(places[i, 0]), int(places[i, 1])])
+            if cheapest[i] + corner + length >= cheapest[j]:
                 continue
             cost = _cost_along(places[i], places[j], costs)
             if i == j - 1 and cost == np.inf:
                 cost = length  # The leg from the point before is one of the path itself.
-            if cheapest[i] + leg + cost < cheapest[j]:
-                cheapest[j], before[j] = cheapest[i] + leg + cost, i
+            if cheapest[i] + corner + cost < cheapest[j]:
+                cheapest[j], before[j] = cheapest[i] + corner + cost, i
     kept = [count - 1]
     while before[kept[-1]] >= 0:
         kept.append(before[kept[-1]])
@@ -364,11 +362,12 @@ def _string_pulled(places, costs, leg):
 
 
 def _cost_of(path: FloatArray, costs: FloatArray, grid: ElevationGrid, turn: float) -> float:
-    """Return what a path (N, 2) costs [m], with what each of its legs costs beside that."""
+    """Return what a path (N, 2) costs [m], with what each of its corners costs beside that."""
     places = (path - np.array(grid.corner))[:, ::-1] / grid.cell
-    legs = list(zip(places[:-1], places[1:], strict=True))
+    legs = zip(places[:-1], places[1:], strict=True)
     along = sum(float(_cost_along(first, second, costs)) for first, second in legs)
-    return grid.cell * along + turn * len(legs)
+    corners = costs[*places[1:-1].astype(int).T]
+    return grid.cell * along + turn * (1.0 + float(corners.sum()))
 
 
 @numba.njit(cache=True)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.spatial.transform import RigidTransform
 
@@ -19,6 +20,7 @@ from controllers.mapping.ground_paths import (
     obstacles,
     path_lengths,
     plan_path,
+    standing_places,
 )
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.map_sharing import completed
@@ -249,6 +251,13 @@ class Navigator:
             return np.linalg.norm(places - self.place, axis=1)
         paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
         return path_lengths(self._planned(), self.place, places, discs, paths, doubted)
+
+    def standing_places(self) -> Callable[[ArrayLike], bool]:
+        """Return whether the rover gets to a place (2,) in the frame [m], and may stand there."""
+        if self._blind:
+            return lambda _: True
+        paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
+        return standing_places(self._planned(), self.place, discs, paths, doubted)
 
     def high_places(self) -> FloatArray:
         """Return the places (N, 3) of mapped cells that a rover does not stand on [m], frame."""

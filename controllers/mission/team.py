@@ -20,7 +20,6 @@ from controllers.mission.stages.map_site import MapSite
 from controllers.mission.stages.search import SearchPanel
 from controllers.placement.mapped_ground import MappedGround
 from controllers.placement.task import PlacementError
-from perception.geometry.arrays import FloatArray
 from twin.link import Link
 from twin.robot import Command, Observation
 
@@ -29,7 +28,6 @@ OMITTABLE = ("paths", "occluders", "guard")
 station is chosen, or the guard against tipping over."""
 STAGES = ("identify", "search", "map", "place", "approach", "insert")
 """Stages in their order; both rovers end each together."""
-_FILLING = 0.05  # Distance of points that stand for a disc [m].
 _NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.06, 0.12)
 """Tolerances of both rovers' places: distance [m] and heading [rad]."""
 
@@ -164,23 +162,15 @@ def _station(belief: MissionBelief, occluders: bool) -> CameraStation:
     Raises:
         StageError: If there is none.
     """
-    to_ground = belief.transform_ground_to_map.inv()
-    if occluders:
-        high = to_ground.apply(belief.navigator.high_places())
-        kept_off = np.vstack([high[:, :2], _filled(belief.discs())])
-        ground = MappedGround(belief.map.voxels.surface(), to_ground, obstacles=kept_off)
-    else:
-        ground = MappedGround(None, to_ground)
-    start, drawing = belief.place_in_ground()[:2], belief.site.insertion
+    to_map = belief.transform_ground_to_map
+    ground = MappedGround(belief.map.voxels.surface(), to_map.inv()) if occluders else None
+    stands = belief.navigator.standing_places()
     try:
-        return best_camera_station(belief.robot, drawing, ground=ground, start=start)
+        return best_camera_station(
+            belief.robot,
+            belief.site.insertion,
+            ground=ground,
+            may_stand=lambda place: stands(to_map.apply([*place, 0.0])[:2]),
+        )
     except PlacementError as error:
         raise StageError("place", str(error)) from error
-
-
-def _filled(discs: FloatArray) -> FloatArray:
-    """Return points (N, 2) a few centimetres apart that fill discs (K, 3) [m]."""
-    side = np.arange(-0.5, 0.51, _FILLING)
-    square = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    spread = [square[np.hypot(*square.T) <= radius] + (x, y) for x, y, radius in discs]
-    return np.vstack([discs[:, :2], *spread])

@@ -1,8 +1,8 @@
-"""Ground from a map: free positions of a rover, its paths, and the occluders of a target.
+"""Ground from a voxel map: free positions of a rover, and the occluders of a target.
 
-Obstacles are the points of a voxel map's surface above level ground. A rover is a disc about its
+Obstacles are the points of the map's surface above level ground. A rover is a disc about its
 middle; a position with several obstacle points within the disc is not free, and unknown ground is
-free. Paths go from cell to cell of a grid.
+free.
 """
 
 import dataclasses
@@ -10,11 +10,8 @@ import functools
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from controllers.mapping.ground_paths import GroundPaths
-from controllers.mapping.planar_paths import shortest_paths
 from controllers.placement.spatial.occluders import occluders_of_voxels
 from controllers.placement.task import Occluder
 from perception.geometry.arrays import FloatArray
@@ -30,8 +27,6 @@ class GroundConfig:
         climb: Height above the ground up to which a rover drives over things [m].
         top: Height above the ground from which a rover passes under things [m].
         min_points: Number of surface points within the disc from which on it is not free.
-        cell: Side of a cell of the paths' grid [m].
-        reach: Half the side of that grid about the start [m]; paths stay within.
         voxel: Side of the voxels that occluders are made of [m].
         occluder_range: Distance from a target within which mapped points are its occluders [m].
         face: Distance out of a target's plane up to which points are the target's own [m].
@@ -41,8 +36,6 @@ class GroundConfig:
     climb: float = 0.08
     top: float = 0.45
     min_points: int = 3
-    cell: float = 0.05
-    reach: float = 4.0
     voxel: float = 0.01
     occluder_range: float = 0.9
     face: float = 0.05
@@ -56,8 +49,6 @@ class MappedGround:
         transform_map_to_ground: Transform from the map's frame to the ground frame, which is level
             with z = 0 on the ground.
         config: Size of the rover and limits of obstacles.
-        obstacles: (M, 2) further places that a rover keeps off, of whatever height [m], ground
-            frame.
 
     Attributes:
         points: (N, 3) surface points above the ground [m], ground frame.
@@ -68,10 +59,8 @@ class MappedGround:
         surface: Surface | None,
         transform_map_to_ground: RigidTransform,
         config: GroundConfig | None = None,
-        obstacles: ArrayLike | None = None,
     ) -> None:
         self._config = config or GroundConfig()
-        self._further = np.asarray([] if obstacles is None else obstacles, float).reshape(-1, 2)
         self.points = np.zeros((0, 3))
         if surface is not None and len(surface.means):
             places = transform_map_to_ground.apply(surface.means)
@@ -83,7 +72,7 @@ class MappedGround:
     def _obstacles(self) -> FloatArray:
         """(M, 2) x and y of the points that touch a rover [m]."""
         low = self.points[:, 2] < self._config.top
-        return np.vstack([self.points[low, :2], self._further])
+        return np.asarray(self.points[low, :2])
 
     def is_free(self, place: ArrayLike) -> bool:
         """Return whether a rover is free of obstacles at a position (2,) [m], ground frame."""
@@ -104,25 +93,3 @@ class MappedGround:
         )
         cells = np.unique(np.floor(self.points[near] / config.voxel), axis=0)
         return occluders_of_voxels((cells + 0.5) * config.voxel, config.voxel, name="mapped")
-
-    def paths_from(self, start: ArrayLike) -> GroundPaths:
-        """Return the shortest paths of a rover from a position (2,) [m], ground frame.
-
-        Obstacle points within the rover's own disc at the start are ignored.
-        """
-        config, begin = self._config, np.asarray(start, dtype=float)
-        apart = np.linalg.norm(self._obstacles - begin, axis=1)
-        obstacles = self._obstacles[apart >= config.radius]
-        middle = round(config.reach / config.cell)
-        corner = begin - (middle + 0.5) * config.cell
-        y, x = np.mgrid[: 2 * middle + 1, : 2 * middle + 1]
-        centres = (np.stack([x, y], axis=-1) + 0.5) * config.cell + corner
-        enterable = np.ones(x.shape, dtype=bool)
-        if len(obstacles):
-            touching = cKDTree(obstacles).query_ball_point(
-                centres, config.radius, return_length=True
-            )
-            enterable = np.asarray(touching) < config.min_points
-        return GroundPaths(
-            shortest_paths(enterable, (middle, middle), config.cell), begin, corner, config.cell
-        )

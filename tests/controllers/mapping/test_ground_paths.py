@@ -15,6 +15,7 @@ from controllers.mapping.ground_paths import (
     path_lengths,
     plan_path,
     shortened,
+    standing_places,
 )
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
@@ -361,6 +362,20 @@ def test_a_leg_that_saves_less_than_a_turn_costs_is_left_out():
         assert len(shortened(path, costs, np.zeros(2), CELL, turn)) == count
 
 
+def test_a_corner_costs_as_many_times_a_turn_as_its_cell_its_length():
+    """The kink of the test above again, where turning at it costs more than beside it."""
+    costs = np.ones((40, 40))
+    costs[:, 20], costs[22, 20] = 9.0, 1.0
+    path = CELL * np.array([(4.5, 20.5), (20.5, 22.5), (36.5, 20.5)])
+    straight = cost_by_steps(path[0] / CELL, path[2] / CELL, costs)
+    for dear in (1.0, 2.0, 4.0):
+        costs[22, 20] = dear
+        kinked = sum(cost_by_steps(a / CELL, b / CELL, costs) for a, b in itertools.pairwise(path))
+        least = CELL * (straight - kinked) / dear
+        for turn, count in ((0.95 * least, 3), (1.05 * least, 2)):
+            assert len(shortened(path, costs, np.zeros(2), CELL, turn)) == count
+
+
 def test_string_pulling_keeps_the_shortest_chain_of_free_legs():
     """Against all subsets of a path's points."""
     rng, corner = np.random.default_rng(2), np.zeros(2)
@@ -368,6 +383,7 @@ def test_string_pulling_keeps_the_shortest_chain_of_free_legs():
         free = rng.uniform(size=(9, 9)) < 0.75
         path = np.cumsum(rng.integers(-1, 2, (8, 2)), axis=0) + rng.uniform(0.0, 1.0, (8, 2)) + 4.0
         path = np.clip(path, 0.01, 8.99)
+        free[*path[:, ::-1].astype(int).T] = True
         pulled = shortened(CELL * path, np.where(free, 1.0, math.inf), corner, CELL)
 
         def is_free(first, second, free=free):
@@ -424,3 +440,33 @@ def test_lengths_are_those_of_the_paths_from_cell_to_cell():
         )
         assert length == pytest.approx(expected)
     assert np.isinf(path_lengths(model, start, np.array([[99.0, 0.0]]))).all()
+
+
+def test_a_rover_may_stand_where_it_gets_to_beside_nothing():
+    rng = np.random.default_rng(6)
+    model = field(rng.integers((0, 0), (60, 80), (25, 2)))
+    start, discs = np.array([-0.5, -1.0]), [(1.0, 0.0, 0.1)]
+    may_stand = standing_places(model, start, discs, HOW)
+    free = free_by_counting(rises(model, HOW.window), start, discs=discs)
+    free[cell_at(start)] = True
+    answers = []
+    for place in rng.uniform([-1.2, -1.7], [3.2, 1.7], (60, 2)):
+        inside = model.grid.inside(model.grid.cells_of([place]))[0]
+        expected = bool(
+            inside
+            and free[cell_at(place)]
+            and math.isfinite(shortest_length(free, cell_at(start), cell_at(place)))
+        )
+        answers.append(may_stand(place))
+        assert answers[-1] == expected
+    assert 5 < sum(answers) < 50
+
+
+@pytest.mark.parametrize("height", [0.03, 0.06])
+def test_a_rover_drives_over_what_it_climbs_but_stands_on_nothing(height):
+    """A row of stones across the field: low ones are driven over, high ones not."""
+    model = field([(row, 40) for row in range(60)], slope=0.0, height=height)
+    start, beyond, amid = np.array([-0.5, 0.0]), np.array([2.5, 0.0]), np.array([1.0, 0.0])
+    may_stand = standing_places(model, start, config=HOW)
+    assert may_stand(beyond) == (height < HOW.most_climb)
+    assert not may_stand(amid)

@@ -6,13 +6,12 @@ import typing
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
+from controllers.mapping.planar_paths import shortest_paths
 from controllers.mission.belief import drawn_turn_share
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.drive_path import DrivePath, DrivePathConfig
 from controllers.motion.driving import SkidSteer
-from controllers.placement.mapped_ground import MappedGround
 from experiments.ch5.insertion_identify import identify_slip
 from models.compose import RobotPlacement
 from tests.controllers.motion.seen import seen_at
@@ -203,8 +202,9 @@ def test_it_slows_down_before_a_curve_that_its_turning_rate_bounds() -> None:
 
 def test_the_cells_of_a_grid_are_followed_without_a_stop() -> None:
     goal = np.array([0.7, 2.0])
-    path = MappedGround(None, RigidTransform.identity()).paths_from([0.0, 0.0]).path_to(goal)
-    assert path is not None and len(path) > 30
+    cells = shortest_paths(np.ones((41, 41), bool), (0, 0), 0.05).to((40, 14))
+    path = np.vstack([0.05 * cells[:-1, ::-1], goal])
+    assert len(path) > 30
     done = drive(DrivePath(STEER, path))
     assert done.off(path).max() < 0.03 + CONFIG.slack
     under_way = done.motions[100:-150, 0]
