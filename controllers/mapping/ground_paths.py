@@ -8,10 +8,10 @@ rather keeps off both. Unknown ground is free, as a rover sees what is before it
 import dataclasses
 from collections.abc import Callable
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import correlate, distance_transform_edt
 
 from controllers.mapping.planar_paths import shortest_paths
 from perception.elevation.grid import ElevationGrid
@@ -43,8 +43,10 @@ class GroundPathConfig:
         far_cost: How many times its length a path costs over that, beyond once.
         margin: Distance beyond the disc within which things are rather gone around, too [m].
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
-        corner: Length that each corner of a path costs in the open [m], where the rover turns; more
-            beside things, as it slides aside while it turns.
+        corner: Length that each corner of a path costs in the open [m]; beside things times the
+            square of what a path costs there, as a rover slides aside while it turns.
+        room: Distance beyond the disc that is free of things where a rover stands, which turns
+            there [m].
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
             map has within it at the start is none.
         window: Side of the square about a cell whose ground is fitted [m].
@@ -63,6 +65,7 @@ class GroundPathConfig:
     margin: float = 0.25
     near_cost: float = 3.0
     corner: float = 0.15
+    room: float = 0.1
     inner: float = 0.2
     window: float = 0.9
     least: int = 1
@@ -89,8 +92,10 @@ def obstacles(rises: FloatArray, climb: float, least: int = 1) -> BoolArray:
     """
     higher = rises > climb
     if least > 1:
-        square = np.ones((3, 3), np.uint8)
-        higher &= correlate(higher.astype(np.uint8), square, mode="constant") >= least
+        counts = cv2.boxFilter(
+            higher.view(np.uint8), -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT
+        )
+        higher &= np.asarray(counts) >= least
     return higher
 
 
@@ -195,7 +200,8 @@ def standing_places(
     costs = path_costs(elevation, begin, discs, config, doubted)
     first = tuple(grid.cells_of([begin])[0].tolist())
     lengths = shortest_paths(costs, first, grid.cell).lengths
-    free = np.isfinite(lengths) & (costs <= 1.0 + config.near_cost)
+    open_cost = 1.0 + config.near_cost * max(1.0 - config.room / config.margin, 0.0)
+    free = np.isfinite(lengths) & (costs <= open_cost)
 
     def may_stand(place: ArrayLike) -> bool:
         cells = grid.cells_of([place])
@@ -259,7 +265,11 @@ def _gaps(obstacles: BoolArray, cell: float) -> FloatArray:
     """Return the distance (rows, columns) of each cell from the nearest obstacle [m]."""
     if not obstacles.any():
         return np.full(obstacles.shape, np.inf)
-    return np.asarray(distance_transform_edt(~obstacles, sampling=cell))
+    away = cv2.distanceTransform(
+        (~obstacles).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE, dstType=cv2.CV_32F
+    )
+    # Of single precision, but squares of whole numbers of cells.
+    return cell * np.sqrt(np.rint(np.square(np.asarray(away, dtype=np.float64))))
 
 
 def _paths_grid(grid: ElevationGrid, pool: int) -> ElevationGrid:
@@ -347,7 +357,7 @@ def _string_pulled(places, costs, leg):
         for i in range(j - 1, -1, -1):
             length = np.hypot(places[j, 0] - places[i, 0], places[j, 1] - places[i, 1])
             # No cell costs less than once its length.
-            corner = leg * (1.0 if i == 0 else costs[int(places[i, 0]), int(places[i, 1])])
+            corner = leg * (1.0 if i == 0 else costs[int(places[i, 0]), int(places[i, 1])] ** 2)
             if cheapest[i] + corner + length >= cheapest[j]:
                 continue
             cost = _cost_along(places[i], places[j], costs)
@@ -367,7 +377,7 @@ def _cost_of(path: FloatArray, costs: FloatArray, grid: ElevationGrid, turn: flo
     legs = zip(places[:-1], places[1:], strict=True)
     along = sum(float(_cost_along(first, second, costs)) for first, second in legs)
     corners = costs[*places[1:-1].astype(int).T]
-    return grid.cell * along + turn * (1.0 + float(corners.sum()))
+    return grid.cell * along + turn * (1.0 + float(np.square(corners).sum()))
 
 
 @numba.njit(cache=True)

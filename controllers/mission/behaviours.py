@@ -90,7 +90,7 @@ def faced(
     if arm.limits[0, 0] < bearing < arm.limits[0, 1]:
         return seen
     seen = yield from posed(seen, navigator, DRIVING)
-    seen = yield from _with_room(seen, navigator)
+    seen = yield from _with_room(seen, navigator, bearing)
     navigator.follow(navigator.place[None], navigator.yaw + bearing)
     seen, _ = yield from _go_on(seen, navigator, _any)
     navigator.halt()
@@ -157,7 +157,7 @@ def drive(
         )
         if found:
             return Driven(seen, True)
-        seen = yield from _with_room(seen, navigator)
+        seen = yield from _with_room(seen, navigator, _first_turn(navigator, place))
         if navigator.set_off(place, heading):
             seen, found = yield from _go_on(seen, navigator, on_pair)
             reason = navigator.blocked
@@ -205,11 +205,20 @@ def drive_straight(
     return seen
 
 
-def _with_room(seen: Observation, navigator: Navigator) -> Behaviour:
-    """Drive a little back or forward from where the rover would touch something as it turns."""
-    if not navigator.may_turn:
+def _with_room(seen: Observation, navigator: Navigator, angle: float) -> Behaviour:
+    """Drive back or forward from where the rover might touch something as it turns [rad]."""
+    if not navigator.may_turn(angle):
         seen = yield from retreat(seen, navigator, held=False)
     return seen
+
+
+def _first_turn(navigator: Navigator, place: FloatArray) -> float:
+    """Return the angle by which the rover turns first on its way to a place (2,) [rad]."""
+    path = navigator.path_to(place)
+    if path is None:
+        return 0.0
+    across, ahead = path[1] - path[0]
+    return math.remainder(math.atan2(-across, ahead) - navigator.yaw, 2.0 * math.pi)
 
 
 def _look_along(

@@ -9,9 +9,9 @@ import dataclasses
 import math
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import binary_dilation, binary_erosion
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
@@ -46,11 +46,17 @@ _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
+_SLIDES = 0.05  # How far it slides aside meanwhile, for each radian [m].
+_MOST_SLIDE = 0.13  # Most of that which is made room for [m].
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLIDING = 0.32  # Radius about one that slides as it turns that holds it [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
 _NO_NEARER = 0.01  # What a rover that backs off may come nearer to something [m].
-_BACK = 0.25  # Distance by which a rover backs off [m].
+_BACK = 0.25  # Distance by which a rover backs off in the open [m].
+_WAYS = np.array([-0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -0.125, 0.125])
+"""How far a rover may back off, or go forward where there is no room for that [m]."""
+_ROOM = 0.4  # Radius about its end that is enough [m].
+_LONGER = 0.1  # Room that is worth a way longer by a metre [m].
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
 _SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
 _LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
@@ -333,20 +339,32 @@ class Navigator:
         """
         return self._gap(path) > _STRAIGHT
 
-    @property
-    def may_turn(self) -> bool:
-        """Whether nothing is mapped so near that the rover would touch it as it turns in place."""
-        return self._gap(self.place[None]) > _TURNING
+    def may_turn(self, angle: float) -> bool:
+        """Return whether there is room to turn in place by an angle [rad], on which a rover slides.
 
-    def _gap(self, path: FloatArray) -> float:
-        """Return the distance of a path (N, 2) from all that is kept off [m]."""
-        if self._blind:
-            return math.inf
+        Args:
+            angle: Angle to the left or to the right [rad].
+        """
+        return self._gap(self.place[None]) > _TURNING + min(_SLIDES * abs(angle), _MOST_SLIDE)
+
+    def _gap(self, path: FloatArray, kept_off: FloatArray | None = None) -> float:
+        """Return the distance of a path from discs, or else from all that is kept off [m].
+
+        Args:
+            path: (N, 2) points, in the frame [m].
+            kept_off: (M, 3) x, y and radius [m]; None for `_kept_off`.
+        """
+        discs = self._kept_off() if kept_off is None else kept_off
         points = _along(path, math.inf, self.ground.grid.cell)
-        high = self.high_places()[:, :2]
-        discs = np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
         away = np.linalg.norm(points[:, None] - discs[:, :2], axis=2) - discs[:, 2]
         return float(away.min(initial=math.inf))
+
+    def _kept_off(self) -> FloatArray:
+        """Return discs (M, 3) of all that the rover keeps off, some of them mapped cells [m]."""
+        if self._blind:
+            return np.zeros((0, 3))
+        high = self.high_places()[:, :2]
+        return np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
 
     def _slides_near(self, pivot: FloatArray) -> bool:
         """Return whether the rover has slid from where it began to turn (1, 2), to something."""
@@ -411,7 +429,7 @@ class Navigator:
         return bool(self.blocked) and not self._slides and self._turns <= _TURNS
 
     def back_off(self, held: bool) -> None:
-        """Begin to drive a little back, or else forward, as far as there is room for either.
+        """Begin to drive back, or else forward, to where there is more room.
 
         Args:
             held: Whether something before the rover holds it, which is kept off from then on.
@@ -421,16 +439,16 @@ class Navigator:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
             self._bumps.append([*ahead, _BUMP])
         self.halt()
-        ways = np.array([-_BACK, _BACK, -0.5 * _BACK, 0.5 * _BACK])
-        paths = [_moved(pose, np.array([0.0, way])) for way in ways]
-        here = self._gap(self.place[None])
-        free = np.array([self._gap(path) > min(_STRAIGHT, here - _NO_NEARER) for path in paths])
-        ends = np.array([self._gap(path[1:]) for path in paths])
-        free &= (ends > _SLIDING) | (ends > here)
+        paths = [_moved(pose, np.array([0.0, way])) for way in _WAYS]
+        discs = self._kept_off()
+        here = self._gap(self.place[None], discs)
+        gaps = np.array([self._gap(path, discs) for path in paths])
+        ends = np.array([self._gap(path[1:], discs) for path in paths])
+        free = (gaps > min(_STRAIGHT, here - _NO_NEARER)) & ((ends > _SLIDING) | (ends > here))
         if free.any():
-            # The first one from whose end it may turn; else the one that gets farthest away.
-            best = int(np.argmax(free * np.minimum(ends, _SLIDING)))
-            self.follow(paths[best], None, backwards=ways[best] < 0.0)
+            worth = np.minimum(ends, _ROOM) - _LONGER * np.maximum(np.abs(_WAYS), _BACK)
+            best = int(np.argmax(np.where(free, worth, -math.inf)))
+            self.follow(paths[best], None, backwards=_WAYS[best] < 0.0)
 
     @property
     def course(self) -> FloatArray:
@@ -531,9 +549,9 @@ def _filled(cells: BoolArray) -> BoolArray:
 
     Far away the points of a view are that far apart; what stands there shows itself.
     """
-    square = np.ones((3, 3), bool)
-    grown = binary_dilation(cells, square, iterations=2)
-    return np.asarray(binary_erosion(grown, square, border_value=1), dtype=bool)
+    square = np.ones((3, 3), np.uint8)
+    grown = cv2.dilate(cells.astype(np.uint8), square, iterations=2)
+    return np.asarray(cv2.erode(grown, square)).astype(bool)
 
 
 def _along(path: FloatArray, far: float, step: float) -> FloatArray:

@@ -180,22 +180,26 @@ def _spots_of_pair(
 
 
 def _round_contours(dark: NDArray[np.bool_]) -> Iterator[NDArray[Any]]:
-    """Yield the contours (n, 2) of dark areas that may be ellipses; textures have thousands."""
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8))
-    # The first one is all that is not dark.
-    left, top, width, height, area = np.asarray(stats[1:count]).T
+    """Yield the contours (n, 1, 2) of dark areas that may be ellipses; textures have thousands."""
+    outlines, order = _opencv.findContours(
+        dark.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE
+    )
     smallest, largest = DIAMETER
-    longest = np.maximum(width, height)
-    filled = area / (width * height)
-    # An ellipse fills pi / 4 of its box when upright, and less when it is tilted.
-    may_be = (longest >= smallest - 1.0) & (longest <= largest) & (filled > 0.4) & (filled < 0.95)
-    labelled = np.asarray(labels)
-    for label in np.flatnonzero(may_be).tolist():
-        rows = slice(top[label], top[label] + height[label])
-        columns = slice(left[label], left[label] + width[label])
-        part = (labelled[rows, columns] == label + 1).view(np.uint8)
-        outlines = _opencv.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-        yield np.asarray(outlines[0]).reshape(-1, 2) + (left[label], top[label])
+    for contour, (_, _, _, around) in zip(outlines, order[0] if outlines else (), strict=True):
+        # Those within others are of holes. An ellipse is as long as 2 to 4 times its axis.
+        if around >= 0 or not smallest <= len(contour) <= 4.0 * largest:
+            continue
+        _, _, width, height = cv2.boundingRect(contour)
+        if not smallest - 1.0 <= max(width, height) <= largest:
+            continue
+        # It fills pi / 4 of its box when upright, and less when it is tilted.
+        if 0.4 < _area(contour) / (width * height) < 0.95:
+            yield contour
+
+
+def _area(contour: NDArray[Any]) -> float:
+    """Return the area within a contour (n, 1, 2), which runs through its border pixels [px^2]."""
+    return cv2.contourArea(contour) + len(contour) / 2.0 + 1.0
 
 
 def _spot(
@@ -205,14 +209,13 @@ def _spot(
     smallest, largest = DIAMETER
     if len(contour) < 2.0 * smallest:
         return None
-    (column, row), axes, angle = cv2.fitEllipse(contour.reshape(-1, 1, 2))
+    (column, row), axes, angle = cv2.fitEllipse(contour)
     minor, major = sorted(axes)
     # A contour runs through the middle of the border pixels.
     minor, major = minor + 1.0, major + 1.0
     if not (smallest <= major <= largest and minor >= FLATNESS * major):
         return None
-    area = cv2.contourArea(contour.reshape(-1, 1, 2)) + len(contour) / 2.0 + 1.0
-    filled = area / (np.pi / 4.0 * minor * major)
+    filled = _area(contour) / (np.pi / 4.0 * minor * major)
     if not ROUNDNESS <= filled <= 1.0 / ROUNDNESS:
         return None
     wide = (axes[0] + 1.0) / 2.0, (axes[1] + 1.0) / 2.0

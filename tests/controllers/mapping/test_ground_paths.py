@@ -362,7 +362,7 @@ def test_a_leg_that_saves_less_than_a_turn_costs_is_left_out():
         assert len(shortened(path, costs, np.zeros(2), CELL, turn)) == count
 
 
-def test_a_corner_costs_as_many_times_a_turn_as_its_cell_its_length():
+def test_a_corner_costs_a_turn_times_the_square_of_what_its_cell_costs():
     """The kink of the test above again, where turning at it costs more than beside it."""
     costs = np.ones((40, 40))
     costs[:, 20], costs[22, 20] = 9.0, 1.0
@@ -371,7 +371,7 @@ def test_a_corner_costs_as_many_times_a_turn_as_its_cell_its_length():
     for dear in (1.0, 2.0, 4.0):
         costs[22, 20] = dear
         kinked = sum(cost_by_steps(a / CELL, b / CELL, costs) for a, b in itertools.pairwise(path))
-        least = CELL * (straight - kinked) / dear
+        least = CELL * (straight - kinked) / dear**2
         for turn, count in ((0.95 * least, 3), (1.05 * least, 2)):
             assert len(shortened(path, costs, np.zeros(2), CELL, turn)) == count
 
@@ -442,24 +442,31 @@ def test_lengths_are_those_of_the_paths_from_cell_to_cell():
     assert np.isinf(path_lengths(model, start, np.array([[99.0, 0.0]]))).all()
 
 
-def test_a_rover_may_stand_where_it_gets_to_beside_nothing():
+def test_a_rover_may_stand_where_it_gets_to_and_has_room():
     rng = np.random.default_rng(6)
-    model = field(rng.integers((0, 0), (60, 80), (25, 2)))
-    start, discs = np.array([-0.5, -1.0]), [(1.0, 0.0, 0.1)]
-    may_stand = standing_places(model, start, discs, HOW)
-    free = free_by_counting(rises(model, HOW.window), start, discs=discs)
-    free[cell_at(start)] = True
+    start, disc, how = (
+        np.array([-0.5, -1.0]),
+        (1.0, 0.0, 0.1),
+        dataclasses.replace(HOW, near_cost=3),
+    )
+    rocks = rng.integers((0, 0), (60, 80), (25, 2))
+    rocks = [rock for rock in rocks if math.dist(middle_of(*rock), start) > 0.5]
+    model = field(rocks)
+    may_stand = standing_places(model, start, [disc], how)
+    above = rises(model, HOW.window)
+    free = free_by_counting(above, start, discs=[disc])
+    roomy = free_by_counting(above, start, HOW.radius + HOW.room, discs=[(1.0, 0.0, 0.2)])
     answers = []
-    for place in rng.uniform([-1.2, -1.7], [3.2, 1.7], (60, 2)):
+    for place in rng.uniform([-1.2, -1.7], [3.2, 1.7], (80, 2)):
         inside = model.grid.inside(model.grid.cells_of([place]))[0]
         expected = bool(
             inside
-            and free[cell_at(place)]
+            and roomy[cell_at(place)]
             and math.isfinite(shortest_length(free, cell_at(start), cell_at(place)))
         )
         answers.append(may_stand(place))
         assert answers[-1] == expected
-    assert 5 < sum(answers) < 50
+    assert 5 < sum(answers) < 60
 
 
 @pytest.mark.parametrize("height", [0.03, 0.06])

@@ -31,13 +31,16 @@ class HandNavigator:
         self._path, self._held, self._unseen = path, held, list(unseen)
         self._left, self.blocked, self.taken = 0, "", 0
         self.place, self.yaw, self.heading = np.zeros(2), 0.0, math.nan
-        self.may_turn = True
+        self.room = math.inf
         self.waits, self._waits_at, self.footing = False, waits_at, None
 
     @property
     def looks(self):
         """Number of pairs taken in the posture for looks at the ground."""
         return sum(abs(posture[2] - LOOKING[2]) < 1e-6 for posture in self.postures)
+
+    def may_turn(self, angle):
+        return abs(angle) <= self.room
 
     def path_to(self, place):
         return np.array([[0.0, 0.0], place]) if self._path else None
@@ -168,12 +171,13 @@ def test_a_drive_in_one_go_ends_where_it_first_stops():
 def test_a_rover_beside_something_moves_away_before_it_turns():
     for behaviour in (drive, faced):
         navigator = HandNavigator()
-        navigator.may_turn = False
-        goal = np.array([0.0, -1.0, 0.0]) if behaviour is faced else (np.array([0.0, 1.0]), None)
-        arguments = (ARM, goal)
-        play(behaviour(first(), navigator, *arguments))
-        moves = [call for call in navigator.calls if call in ("retreat", "set off", "straight")]
-        assert moves[0] == "retreat" and len(moves) == 2
+        # To what lies behind on its right it turns by 2.96 rad.
+        goal = np.array([0.2, -1.1, 0.0]) if behaviour is faced else (np.array([0.2, -1.1]), None)
+        for navigator.room, moved in ((2.9, True), (3.0, False)):
+            navigator.calls.clear()
+            play(behaviour(first(), navigator, ARM, goal))
+            moves = [call for call in navigator.calls if call in ("retreat", "set off", "straight")]
+            assert (moves[0] == "retreat") == moved and len(moves) == 1 + moved
 
 
 def test_a_straight_drive_looks_ahead_but_not_where_it_came_from():
