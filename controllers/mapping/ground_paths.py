@@ -204,7 +204,7 @@ def standing_places(
     free = np.isfinite(lengths) & (costs <= open_cost)
 
     def may_stand(place: ArrayLike) -> bool:
-        cells = grid.cells_of([place])
+        cells = grid.cells_of(np.asarray(place, dtype=float)[None])
         return bool(grid.inside(cells)[0] and free[*cells[0]])
 
     return may_stand

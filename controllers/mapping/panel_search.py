@@ -10,11 +10,14 @@ import dataclasses
 import math
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from perception.geometry.arrays import BoolArray, FloatArray
 
+_LINE = 0.05, 0.93  # Parts of a line of sight between which the ground may hide its end.
+_UNLIKELY = 0.02  # Odds of a place over those of the mean one below which it is not looked at.
 _LEAST = 1e-6  # Odds below which a target is not where it seems to be.
 
 
@@ -97,15 +100,26 @@ class Ground(NamedTuple):
 
     def hidden(self, eye: FloatArray, points: FloatArray) -> BoolArray:
         """Return (N,), whether the mapped ground hides points (N, 3) [m] from an eye (3,) [m]."""
-        length = float(np.linalg.norm(points[:, :2] - eye[:2], axis=1).max(initial=0.0))
-        steps = np.linspace(0.05, 0.93, max(2, math.ceil(length / self.cell)))
-        along = eye + steps[:, None, None] * (points - eye)
-        cells = np.floor((along[..., :2] - self.corner) / self.cell).astype(int)
-        rows, columns = self.heights.shape
-        inside = (cells >= 0).all(axis=-1) & (cells[..., 0] < columns) & (cells[..., 1] < rows)
-        cells = np.clip(cells, 0, [columns - 1, rows - 1])
-        ground = self.heights[cells[..., 1], cells[..., 0]]
-        return np.any(inside & (ground > along[..., 2]), axis=0)
+        return _hidden(self.heights, self.corner, self.cell, eye, np.atleast_2d(points))
+
+
+@numba.njit(cache=True)
+def _hidden(heights, corner, cell, eye, points):
+    """Return (N,), whether heights of the ground are above the lines from an eye to points."""
+    hidden = np.zeros(len(points), np.bool_)
+    first, last = _LINE
+    for i, point in enumerate(points):
+        along = point - eye
+        steps = max(2, math.ceil(math.hypot(along[0], along[1]) / cell))
+        for step in range(steps):
+            share = first + (last - first) * step / (steps - 1)
+            column = math.floor((eye[0] + share * along[0] - corner[0]) / cell)
+            row = math.floor((eye[1] + share * along[1] - corner[1]) / cell)
+            inside = 0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]
+            if inside and heights[row, column] > eye[2] + share * along[2]:
+                hidden[i] = True
+                break
+    return hidden
 
 
 class PanelSearch:
@@ -220,6 +234,17 @@ class PanelSearch:
         self.weights /= self.weights.sum()
         self._found = None
         self.views += 1
+
+    def in_sight(self, eye: FloatArray, ground: Ground) -> FloatArray:
+        """Return the places (M, 3) at which the target, even far away, shows itself [m].
+
+        Args:
+            eye: (3,) position of the camera [m].
+            ground: What is mapped of the ground.
+        """
+        likely = self.weights * len(self.weights) > _UNLIKELY
+        places = self.places[likely & self._visible(eye, self._config.sight)]
+        return places[~ground.hidden(eye, places)]
 
     def sight(self, place: FloatArray, normal: FloatArray) -> None:
         """Take note of where a view shows the target, too far away to localize the rover by it.

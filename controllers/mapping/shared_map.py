@@ -28,6 +28,7 @@ from perception.voxels.map import VoxelMap
 from perception.voxels.occupancy import State
 
 _KNOWN = 1e-10  # Variance of a marker's position in the CAD [m^2].
+_BESIDE = 0.15  # Width beside the markers of a target that is searched, too [m].
 _MISFIT = 6.0  # Squared normalised residuals per degree of freedom of markers that do not fit.
 
 
@@ -119,15 +120,38 @@ class SharedMap:
         )
         return localize(arm, angles, tilt, in_world, config)
 
-    def sight(self, pair: ImageArray, sigma: ArrayLike) -> CameraPose | None:
+    def sight(
+        self, pair: ImageArray, sigma: ArrayLike, places: FloatArray | None = None
+    ) -> CameraPose | None:
         """Return the camera's pose in the frame of a target that may be far away; None if unseen.
 
         Args:
             pair: (2, H, W) uint8 left and right image.
             sigma: (3,) standard deviations of a small marker's column, row and disparity [px].
+            places: (N, 3) where the target's middle may be [m], left camera frame: no other part of
+                the images is searched, which takes time. None for anywhere.
         """
-        target = find_target(pair, self.geometry, self.cad, sigma, far=True)
+        window = None if places is None else self._window(places)
+        if places is not None and window is None:
+            return None
+        target = find_target(pair, self.geometry, self.cad, sigma, far=True, window=window)
         return None if target is None else self.camera_at(target, np.asarray(sigma, dtype=float))
+
+    def _window(self, places: FloatArray) -> tuple[slice, slice] | None:
+        """Return the rows and columns that show targets at places (N, 3); None for none of them."""
+        geometry, half = self.geometry, 0.5 * self.cad.extent + _BESIDE
+        image, near = geometry.project(places), geometry.fx * half / places[:, 2]
+        inside = (image[:, :2] >= 0.0) & (image[:, :2] <= [geometry.width, geometry.height])
+        shown = inside.all(axis=1)
+        if not shown.any():
+            return None
+        (column, row, disparity), near = image[shown].T, near[shown]
+        left, top = min(column - disparity - near), min(row - near)
+        right, bottom = max(column + near), max(row + near)
+        return (
+            slice(max(int(top), 0), min(int(bottom) + 1, geometry.height)),
+            slice(max(int(left), 0), min(int(right) + 1, geometry.width)),
+        )
 
     def camera_at(self, target: SeenTarget, sigma: FloatArray) -> CameraPose | None:
         """Return the camera's pose in the target's frame.

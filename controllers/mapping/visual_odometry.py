@@ -149,6 +149,8 @@ class VisualOdometry:
         self._pasts: collections.deque[_Past] = collections.deque()
         self._pose = RigidTransform.identity()
         self._at: _Past | None = None
+        # Tick and pose of the last prediction, and what it gave.
+        self._known: tuple[_Past, RigidTransform, tuple[RigidTransform, FloatArray]] | None = None
         self._views: collections.deque[_Seen] = collections.deque(maxlen=_VIEWS)
         self.turn_share, self.distance, self.turned = steer.turn_share, 0.0, 0.0
         self.covariance = np.zeros((6, 6))
@@ -282,6 +284,12 @@ class VisualOdometry:
 
     def _predicted(self, past: _Past) -> tuple[RigidTransform, FloatArray]:
         """Return the rover's pose at a tick by its wheels since the last pair, and covariance."""
+        if self._known is None or self._known[0] is not past or self._known[1] is not self._pose:
+            self._known = past, self._pose, self._reckoned(past)
+        return self._known[2]
+
+    def _reckoned(self, past: _Past) -> tuple[RigidTransform, FloatArray]:
+        """Reckon what `_predicted` returns."""
         config = self._config
         assert self._at is not None
         level = levelled(self._pose)

@@ -121,6 +121,7 @@ def find_target(
     cad: TargetCad,
     sigma: ArrayLike,
     far: bool = False,
+    window: tuple[slice, slice] | None = None,
 ) -> SeenTarget | None:
     """Return the markers of a target in a rectified pair; None if fewer than three are seen.
 
@@ -130,11 +131,13 @@ def find_target(
         cad: Markers of the target.
         sigma: (3,) standard deviations of column, row and disparity [px].
         far: Whether small markers are looked for too, as in `find_spots`.
+        window: Rows and columns of both images that are searched, which takes less time; None for
+            all.
 
     Raises:
         ValueError: If an image is empty or not grey of 8 bits.
     """
-    _, _, seen = _spots_of_pair(pair, geometry, cad, far)
+    _, _, seen = _spots_of_pair(pair, geometry, cad, far, window)
     return _matched(seen, geometry.points(seen), geometry, cad, np.asarray(sigma, dtype=float))
 
 
@@ -165,10 +168,16 @@ def possible_markers(
 
 
 def _spots_of_pair(
-    pair: ImageArray, geometry: StereoGeometry, cad: TargetCad, far: bool = False
+    pair: ImageArray,
+    geometry: StereoGeometry,
+    cad: TargetCad,
+    far: bool = False,
+    window: tuple[slice, slice] | None = None,
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[IndexArray, IndexArray], FloatArray]:
     """Return the spots of both images, which may be paired, and the image points of these."""
-    left, right = (find_spots(image, cad, far) for image in pair)
+    rows, columns = window or (slice(0, None), slice(0, None))
+    begin = columns.start, rows.start, 0.0
+    left, right = (find_spots(image[rows, columns], cad, far) + begin for image in pair)
     one, two = (grid.ravel() for grid in np.indices((len(left), len(right))))
     seen = np.column_stack([left[one, :2], left[one, 0] - right[two, 0]])
     # A spot's size is a measure of its distance as well, which settles most wrong pairings.
@@ -184,10 +193,11 @@ def _round_contours(dark: NDArray[np.bool_]) -> Iterator[NDArray[Any]]:
     outlines, order = _opencv.findContours(
         dark.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE
     )
+    holes = order[0, :, 3] >= 0 if outlines else ()
     smallest, largest = DIAMETER
-    for contour, (_, _, _, around) in zip(outlines, order[0] if outlines else (), strict=True):
-        # Those within others are of holes. An ellipse is as long as 2 to 4 times its axis.
-        if around >= 0 or not smallest <= len(contour) <= 4.0 * largest:
+    for contour, hole in zip(outlines, holes, strict=True):
+        # An ellipse is as long as 2 to 4 times its axis.
+        if hole or not smallest <= len(contour) <= 4.0 * largest:
             continue
         _, _, width, height = cv2.boundingRect(contour)
         if not smallest - 1.0 <= max(width, height) <= largest:

@@ -190,11 +190,14 @@ class SearchPanel:
     def _sight(self, seen: Observation) -> CameraPose | None:
         """Return the camera's pose in the panel's frame if a pair shows that far away."""
         assert self.search is not None
+        navigator = self._navigator
+        camera = navigator.odometry.camera(seen.stereo.stamp)[0]
+        places = self.search.in_sight(np.asarray(camera.translation), navigator.sight_lines())
+        local = np.asarray(camera.apply(places, inverse=True)).reshape(-1, 3)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
-        sighted = self._belief.map.sight(pair, _FAR_SIGMA)
+        sighted = self._belief.map.sight(pair, _FAR_SIGMA, local)
         if sighted is None:
             return None
-        camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
         panel = camera * sighted.transform_camera_to_world.inv()
         normal = panel.rotation.apply([0.0, 0.0, 1.0])[:2]
         self.search.sight(np.asarray(panel.translation), normal / np.linalg.norm(normal))

@@ -157,3 +157,17 @@ def test_what_another_robot_hides_is_not_missed():
     assert search.best(*here).shown.tolist() == [False, False, True]
     search.hiding = np.zeros((0, 3))
     assert search.best(*here).shown.tolist() == [True, True, False]
+
+
+def test_a_target_in_sight_is_likely_near_open_to_the_eye_and_turned_to_it():
+    heights = np.full((100, 100), 0.0)
+    heights[:20, 60:62] = 0.5  # x from 0.5 to 0.6, y below -1.5
+    places = np.array(
+        [[2.0, 0.0, 0.2], [CONFIG.sight + 0.1, 0.0, 0.2], [0.9, -2.4, 0.2], [2.0, 0.3, 0.2]]
+    )
+    search = search_of(*places)
+    eye, ground = np.array([0.0, 0.0, 0.4]), Ground(heights, np.array([-2.5, -2.5]), 0.05)
+    np.testing.assert_array_equal(search.in_sight(eye, ground), places[[0, 3]])
+    search.weights[:] = [0.6, 0.2, 0.199, 0.001]
+    np.testing.assert_array_equal(search.in_sight(eye, ground), places[[0]])
+    assert not len(search.in_sight(np.array([4.5, 0.0, 0.4]), ground))

@@ -39,6 +39,21 @@ def test_a_view_without_the_target_sights_nothing() -> None:
     assert empty_map().sight(np.full((2, 492, 510), 90, np.uint8), FAR_SIGMA) is None
 
 
+def test_only_where_the_target_may_be_is_searched() -> None:
+    target = at(2.6, 0.6, 0.0)
+    images, middle = pair(target, 0), np.asarray(target.translation)
+    whole = empty_map().sight(images, FAR_SIGMA)
+    about = middle + np.random.default_rng(0).normal(0.0, 0.1, (20, 3))
+    found = empty_map().sight(images, FAR_SIGMA, about)
+    assert whole is not None and found is not None
+    off = whole.transform_camera_to_world.inv() * found.transform_camera_to_world
+    np.testing.assert_allclose(off.as_exp_coords(), 0.0, atol=1e-9)
+    elsewhere = middle * [-1.0, 1.0, 1.0] - [0.8, 0.0, 0.0]
+    behind = -middle
+    for places in (elsewhere[None], behind[None], np.zeros((0, 3))):
+        assert empty_map().sight(images, FAR_SIGMA, places) is None
+
+
 def test_a_far_view_defines_the_world_as_a_near_one_does() -> None:
     arm, _ = camera_arm(describe_rover("rover1"))
     tilt, config = np.array([0.02, -0.03]), LocalizationConfig()
