@@ -58,7 +58,7 @@ _WAYS = np.array([-0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -0.125, 0.125])
 _ROOM = 0.4  # Radius about its end that is enough [m].
 _LONGER = 0.1  # Room that is worth a way longer by a metre [m].
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
-_SEEN = 0.27  # Radius about each point of a path of the ground that must have been seen [m].
+_SEEN = 0.24  # Radius about each point of a path of the ground that must have been seen [m].
 _LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
 _CLEARED = 100  # Count of looks at ground that needs none.
 _UNGUARDED = DrivePathConfig(tilts=(math.pi, 2.0 * math.pi))  # No tilt slows or stops it.
@@ -86,7 +86,7 @@ class NavigatorConfig:
     cell: float = 0.025
     reach: tuple[float, float] = (0.35, 1.6)
     stride: int = 3
-    apart: tuple[float, float] = (0.15, 0.25)
+    apart: tuple[float, float] = (0.2, 0.3)
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
     paths: GroundPathConfig = GroundPathConfig(
@@ -201,7 +201,8 @@ class Navigator:
             at_rest: Whether the pair was taken at rest: then the panel may define the frame.
 
         Returns:
-            Localization of the rover by the panel, if the pair shows it.
+            Localization of the rover by the panel, if the pair shows it; once it is localized, of a
+            pair at rest alone.
         """
         pair, stamp = np.asarray(seen.stereo.value, dtype=np.uint8), seen.stereo.stamp
         points = self._matcher.match(pair)
@@ -218,13 +219,15 @@ class Navigator:
         fitted = aligned(self.ground, places[outside], camera.translation, covariance)
         spread = (turn @ points.covariances[kept] @ turn.T)[outside]
         self.ground.insert(fitted.points, spread, fitted.covariance)
+        if self.localized and not at_rest:
+            return None
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         tilt = np.asarray(seen.inclinometer.value, dtype=float)
         views = self._views
         found = self._panel.locate(
             self._arm, angles, tilt, pair, views.marker_sigma, views.localization
         )
-        if not (at_rest or self.localized):
+        if not at_rest:
             self._panel.transform_target_to_world = None  # On the way the tilt is not known well.
         return found
 

@@ -164,6 +164,7 @@ GATE = 16.27
 LEAST_AGREEING = 0.5
 """Share of the fiducials that must agree; less may be a chance."""
 
+_CLEARLY = 0.8  # Share of the fiducials that agree with a guess that is not doubted.
 SAMPLES = 150
 """Minimal sets tried; with half the matches wrong, all have a wrong one with odds of 2e-9."""
 
@@ -180,8 +181,9 @@ def agreeing(
 ) -> tuple[PoseSolution, BoolArray]:
     """Fit the pose to the fiducials that agree on it.
 
-    If all agree that is the fit to all. Otherwise minimal sets propose poses, the best are fitted
-    to all that agree with them, and the one that leaves the least unexplained wins.
+    If all agree that is the fit to all; else what agrees with a good guess, if that is most of
+    them. Otherwise minimal sets propose poses, the best are fitted to all that agree with them, and
+    the one that leaves the least unexplained wins.
 
     Args:
         known: N fiducials as known beforehand.
@@ -205,6 +207,10 @@ def agreeing(
             return fitted, everybody
     best: tuple[float, PoseSolution, BoolArray] | None = None
     fitted_before: set[bytes] = set()
+    if guess is not None:
+        best = _settle(guess, known, alone, sight, fitted_before)
+        if best is not None and best[2].sum() >= _CLEARLY * count:
+            return best[1], best[2]
     for pose in _proposals(alone, sight, guess, rng):
         found = _settle(pose, known, alone, sight, fitted_before)
         if found is not None and (best is None or found[0] < best[0]):
