@@ -1,9 +1,11 @@
 """Stages ``place`` and ``approach``: a rover drives to its place, and localizes itself there.
 
 The master drives to the best camera station on its map (chapter 4), then the slave to where the
-drawing wants it before the slot. Paths are planned on what is mapped. The last stretch the rover
-drives straight ahead or back where there is room for that, as turns on the spot move it aside. At
-its beginning and its end it finds the panel again; if it has missed its place, it drives anew.
+drawing wants it before the slot. Paths are planned on what is mapped. Where the heading matters,
+the rover drives the last stretch straight ahead or back if there is room for that, as turns on the
+spot move it aside; at its beginning it finds the panel again. Where the arm can make up for the
+heading, the rover arrives as its path leads it. At its place it finds the panel again; if it has
+missed it, it drives anew.
 """
 
 import math
@@ -25,6 +27,7 @@ from controllers.mission.behaviours import (
 from controllers.mission.belief import MissionBelief
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
+from controllers.motion.reckoned_drive import course_along
 from perception.geometry.arrays import FloatArray
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
@@ -34,6 +37,7 @@ _STRETCHES = (-0.4, -0.3, 0.4, 0.3)
 """Where along its heading the last, straight stretch to a place may begin [m]: behind it, or ahead
 of it, from where the rover drives back; the first one with room is taken."""
 _NEAR, _ALONG = 0.3, 0.6  # Distance [m] and heading [rad] of a rover that need only back off.
+_ANY_WAY = 0.8  # Tolerance of a heading from which on the rover arrives as its path leads it [rad].
 _VIEWS = 8  # Views in which the panel is searched for at the place.
 
 
@@ -98,6 +102,8 @@ class GoToPlace:
         if self._reason:
             self.place, self._reason = self._choose(), ""
         navigator, (off, turn) = self._navigator, self._off()
+        if self._near[1] >= _ANY_WAY:
+            return (yield from self._drive(seen, *self._as_led()))
         near = off < _NEAR and turn < _ALONG
         stretch, (place, heading) = self._stretch(near), self._goal()
         if stretch is None and not near:
@@ -138,7 +144,18 @@ class GoToPlace:
                 return stretch
         return None
 
-    def _drive(self, seen: Observation, place: FloatArray, heading: float) -> Behaviour:
+    def _as_led(self) -> tuple[FloatArray, float | None]:
+        """Return place (2,) [m], and heading [rad] unless the path ends in about that."""
+        place, heading = self._goal()
+        path = self._navigator.path_to(place)
+        if path is None:
+            return place, None
+        away = path[-1] - path[-2]
+        led = course_along(away) if np.linalg.norm(away) > self._near[0] else self._navigator.yaw
+        fits = abs(math.remainder(led - heading, 2.0 * math.pi)) < self._near[1]
+        return place, None if fits else heading
+
+    def _drive(self, seen: Observation, place: FloatArray, heading: float | None) -> Behaviour:
         """Drive to a place (2,) [m] and heading [rad] of the frame along planned paths."""
         driven = yield from drive(seen, self._navigator, self._arm, (place, heading))
         self._reason = driven.reason

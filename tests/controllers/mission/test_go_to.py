@@ -25,14 +25,14 @@ class GoBy(GoToPlace):
         yield
 
 
-def stage_with(monkeypatch, arrives):
-    """Return a stage whose drives arrive or not, and the places that they went to."""
+def stage_with(monkeypatch, arrives, heading=0.0, near=(0.05, 0.1)):
+    """Return a stage whose drives arrive or not, and places and headings that they went to."""
     belief = belief_of(SLAVE)
     belief.navigator.observe(seen_at(0.0))
-    went, places = [], iter([(2.0, 0.0, 0.0), (3.0, 0.0, 0.0), (4.0, 0.0, 0.0), (5.0, 0.0, 0.0)])
+    went, places = [], iter([(x, 0.0, heading) for x in (2.0, 3.0, 4.0, 5.0)])
 
     def drive(seen, navigator, arm, goal):
-        went.append(goal[0][0])
+        went.append((goal[0][0], goal[1]))
         arrived = arrives(len(went))
         if arrived:
             navigator.odometry._pose = type(navigator.odometry.pose()).from_translation(
@@ -42,17 +42,35 @@ def stage_with(monkeypatch, arrives):
         yield
 
     monkeypatch.setattr(go_to, "drive", drive)
-    return GoBy("place", belief, lambda: next(places), (0.05, 0.1)), went
+    return GoBy("place", belief, lambda: next(places), near), went
 
 
 def test_after_a_drive_that_failed_the_place_is_chosen_anew(monkeypatch):
     stage, went = stage_with(monkeypatch, lambda count: count == 2)
     stage.step(seen_at(0.01))
-    assert stage.done and went == [2.0, 3.0] and stage.place == (3.0, 0.0, 0.0)
+    assert stage.done and went == [(2.0, 0.0), (3.0, 0.0)] and stage.place == (3.0, 0.0, 0.0)
 
 
 def test_drives_that_all_fail_end_the_stage_with_the_reason(monkeypatch):
     stage, went = stage_with(monkeypatch, lambda count: False)
     with pytest.raises(StageError, match="4 drives: there is no path"):
         stage.step(seen_at(0.01))
-    assert went == [2.0, 3.0, 4.0, 5.0]
+    assert [place for place, _ in went] == [2.0, 3.0, 4.0, 5.0]
+
+
+@pytest.mark.parametrize("heading", [-0.9, -2.4, 0.0, 3.0])
+def test_where_the_heading_matters_little_the_rover_arrives_as_its_path_leads_it(
+    monkeypatch, heading
+):
+    """A path to the right ends in a heading of -pi / 2; drives by hand end in one of 0."""
+    near = (0.05, 1.0)
+    stage, went = stage_with(monkeypatch, lambda count: True, heading, near)
+    as_led = abs(heading + 0.5 * np.pi) < near[1]
+    if abs(heading) < near[1]:
+        stage.step(seen_at(0.01))
+        assert stage.done and went == [(2.0, None if as_led else heading)]
+        return
+    with pytest.raises(StageError, match="degrees off its place after 4 drives"):
+        stage.step(seen_at(0.01))
+    # Where it stands at last, it can but turn.
+    assert went[0] == (2.0, None if as_led else heading) and went[1] == (2.0, heading)
