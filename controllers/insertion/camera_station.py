@@ -9,13 +9,19 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.watching import WatchPlan, target_field
 from controllers.kinematics.arm_inverse import parallel_views
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.mapped_ground import MappedGround
-from controllers.placement.spatial.search import SearchConfig, SpatialTask, best_view
+from controllers.placement.spatial.search import (
+    SearchConfig,
+    SpatialTask,
+    best_view,
+    rate_positions,
+)
 from controllers.placement.task import Lens, Occluder, PlacementError, View
 from perception.geometry.arrays import FloatArray
 from perception.stereo.geometry import StereoGeometry
@@ -34,6 +40,9 @@ _CLEAR = 0.55  # Distance of the camera rover's middle from the other rover's pa
 _FIELD = 1.9  # Half of the square in which the camera rover may be [m].
 _REACHES = np.arange(0.20, 0.45, 0.01)  # Distances of the camera before the robot's origin [m].
 _TRIES = 2000
+_HEAD = 0.04  # Radius of spheres about the eyes and the middle between them that hold the head [m].
+_MARGIN = 0.08  # Distance that arm and head keep from what is mapped [m].
+_SHIFT = 0.05  # How far the head may be from its place, and card and slot are seen yet [m].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +89,8 @@ def best_camera_station(
 ) -> CameraStation:
     """Return the station with the best view of card and slot (Thesis section 4.2.3).
 
-    The best feasible candidate is improved between its neighbours.
+    The best feasible candidate is improved between its neighbours. On mapped ground arm and head
+    touch nothing there, and both eyes see card and slot, even from a little aside.
 
     Args:
         robot: Rover with the camera.
@@ -116,14 +126,45 @@ def best_camera_station(
         if station is None or not is_clear(station):
             return False
         place = np.array(station.place[:2])
-        if ground is not None and not ground.is_free(place):
+        if may_stand is not None and not may_stand(place):
             return False
-        return may_stand is None or may_stand(place)
+        if ground is None:
+            return True
+        return (
+            ground.is_free(place)
+            and not ground.touches(held_space(robot, station), _MARGIN)
+            and shows_both_eyes(view.position, station)
+        )
+
+    def shows_both_eyes(left: FloatArray, station: CameraStation) -> bool:
+        x, y = math.cos(station.place[2]), math.sin(station.place[2])
+        middle = left + 0.5 * head.baseline * np.array([x, y, 0.0])
+        (view,) = rate_positions(field, lens, middle)
+        return view.free_cap * view.distance > 0.5 * head.baseline + _SHIFT
 
     search = SearchConfig(level=level, rings=12)
     station = placed(best_view(SpatialTask([field], lens, config=search), accept))
     assert station is not None
     return station
+
+
+def held_space(robot: RobotDescription, station: CameraStation) -> FloatArray:
+    """Return spheres (N, 4) of the space that arm and head hold at a station, ground frame [m].
+
+    Args:
+        robot: Rover with the camera.
+        station: Its pose and that of its arm.
+    """
+    arm, head = camera_arm(robot)
+    links = arm.cover_points(station.angles[None])[0]
+    across = np.linspace(0.0, head.baseline, 3)[:, None] * [1.0, 0.0, 0.0]
+    eyes = arm.tool_in_robot(station.angles).apply(across)
+    radii = np.repeat([arm.cover_radius, _HEAD], [len(links), len(eyes)])
+    x, y, yaw = station.place
+    to_ground = RigidTransform.from_components(
+        [x, y, robot.centre_height], Rotation.from_euler("z", yaw)
+    )
+    return np.column_stack([to_ground.apply(np.vstack([links, eyes])), radii])
 
 
 def random_camera_station(

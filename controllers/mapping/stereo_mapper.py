@@ -71,7 +71,7 @@ class StereoMapper:
         rng: Random generator for candidate views.
         on_view: Function called once after each view, for recording.
         localizations: Initial localization of robots that have one, by name; they need a map whose
-            frame is known.
+            frame is known, and begin in the survey posture.
         footings: Footing of robots that a move must not tip over, by name.
 
     Attributes:
@@ -122,7 +122,8 @@ class StereoMapper:
             assert robot.arm is not None
             arm = SerialChain.of_robot(robot)
             search = TargetSearch(arm, robot.arm.home, survey, extent, self._config.search)
-            head = self._heads[name] = _Head(arm, search, self._move_to(name, search.first()))
+            first = np.array(survey) if name in self._known else search.first()
+            head = self._heads[name] = _Head(arm, search, self._move_to(name, first))
             if name in self._known:
                 head.localization = self._known[name]
                 head.offsets = self.localizer.fiducials.share(head.localization.shared_covariance())

@@ -28,9 +28,9 @@ OMITTABLE = ("paths", "occluders", "guard")
 station is chosen, or the guard against tipping over."""
 STAGES = ("identify", "search", "map", "place", "approach", "insert")
 """Stages in their order; both rovers end each together."""
-_NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.08, 1.0)
-"""Tolerances of both rovers' places: distance [m] and heading [rad]. The arm turns 5 cm before the
-middle of the rover, and makes up for the heading of the one that watches."""
+_NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.06, 1.0)
+"""Tolerances of both rovers' places: distance [m] and heading [rad]. The arm makes up for the
+heading of the one that watches."""
 
 
 @dataclasses.dataclass(frozen=True)

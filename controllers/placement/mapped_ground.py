@@ -10,6 +10,7 @@ import functools
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from controllers.placement.spatial.occluders import occluders_of_voxels
@@ -79,6 +80,17 @@ class MappedGround:
         x, y = np.asarray(place, dtype=float)
         off = np.hypot(self._obstacles[:, 0] - x, self._obstacles[:, 1] - y)
         return int(np.sum(off < self._config.radius)) < self._config.min_points
+
+    def touches(self, spheres: FloatArray, margin: float) -> bool:
+        """Return whether several points of an obstacle are within or near a robot's spheres.
+
+        Args:
+            spheres: (N, 4) centre and radius [m], ground frame.
+            margin: Distance from a sphere within which a point is near [m].
+        """
+        tree = cKDTree(self.points)
+        near = tree.query_ball_point(spheres[:, :3], spheres[:, 3] + margin)
+        return len(set().union(*near)) >= self._config.min_points
 
     def occluders(self, position: FloatArray, normal: FloatArray) -> list[Occluder]:
         """Return the obstacles before a target, as convex pieces.

@@ -152,8 +152,9 @@ class GoToPlace:
             return place, None
         away = path[-1] - path[-2]
         led = course_along(away) if np.linalg.norm(away) > self._near[0] else self._navigator.yaw
-        fits = abs(math.remainder(led - heading, 2.0 * math.pi)) < self._near[1]
-        return place, None if fits else heading
+        if abs(math.remainder(led - heading, 2.0 * math.pi)) > self._near[1]:
+            return place, heading
+        return self._arm_base(place, heading) - self._arm_base(np.zeros(2), led), None
 
     def _drive(self, seen: Observation, place: FloatArray, heading: float | None) -> Behaviour:
         """Drive to a place (2,) [m] and heading [rad] of the frame along planned paths."""
@@ -169,10 +170,17 @@ class GoToPlace:
         return np.asarray(to_map.apply([x, y, 0.0]))[:2], math.atan2(-ahead[0], ahead[1])
 
     def _off(self) -> tuple[float, float]:
-        """Return how far the rover is from its place [m], and from its heading [rad]."""
-        place, heading = self._goal()
-        turn = math.remainder(heading - self._navigator.yaw, 2.0 * math.pi)
-        return math.dist(place, self._navigator.place), abs(turn)
+        """Return how far the rover's arm is from its place [m], and the rover from its heading."""
+        (place, heading), navigator = self._goal(), self._navigator
+        turn = math.remainder(heading - navigator.yaw, 2.0 * math.pi)
+        there, here = (
+            self._arm_base(*pose) for pose in ((place, heading), (navigator.place, navigator.yaw))
+        )
+        return math.dist(there, here), abs(turn)
+
+    def _arm_base(self, place: FloatArray, heading: float) -> FloatArray:
+        """Return where the base of the arm is (2,) of a rover at a place (2,) [m] and heading."""
+        return place + float(self._arm.transform_base_to_robot.translation[1]) * _ahead(heading)
 
     def _missed(self) -> bool:
         """Return whether the rover is too far from its place."""

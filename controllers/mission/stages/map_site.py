@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from controllers.mapping.arm_views import ViewConfig
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import DRIVING
@@ -12,6 +13,8 @@ from twin.robot import Command, Observation
 _CLEAR = (0.3, -0.02)
 """Radius about the arm's base, and least height above it, of the space that the rover holds when it
 has driven somewhere [m]."""
+_VIEWS = ViewConfig(survey=tuple(DRIVING.tolist()))
+"""Folded as on the way, the arm is within that space."""
 
 
 class MapSite:
@@ -36,7 +39,7 @@ class MapSite:
         self.mapper = StereoMapper(
             {robot.name: robot},
             belief.map,
-            MapperConfig(scans=scans, clear=_CLEAR),
+            MapperConfig(scans=scans, clear=_CLEAR, views=_VIEWS),
             rng,
             localizations={robot.name: belief.localization},
             footings={} if footing is None else {robot.name: footing},
