@@ -52,6 +52,8 @@ _FIELD = dataclasses.replace(
     friction_patches=(0.3, 0.8),
     clear=((*CARD_PLACE[:2], 0.45), (0.0, 0.1, 0.25)),
 )
+_CARD = (0.52, 0.12)
+"""How far ahead of the slave its card is at first, and radius of a disc that holds it [m]."""
 _PLINTH = ScreenConfig((0.0, 0.22), 0.0, (0.16, 0.16, 0.2))
 _NEAREST, _FARTHEST, _APART = 3.0, 8.0, 2.0  # Initial poses from the slot and from another [m].
 _STEEPEST = math.radians(10.0)
@@ -99,6 +101,7 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
         slope=(steep * math.cos(uphill), steep * math.sin(uphill)),
         panel=panel,
         slot_width=width,
+        clear=(*_FIELD.clear, _below_card(poses[SLAVE])),
         screens=(_PLINTH, *walls, pillar, *(_block(pose, rng) for pose in poses.values())),
     )
     errors = np.array([INITIAL_PLACE_ERROR, INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR])
@@ -166,6 +169,12 @@ def _initial_poses(rng: np.random.Generator) -> dict[str, FloatArray]:
             if all(math.dist(place, other[:2]) >= _APART for other in poses.values()):
                 poses[name] = np.array([*place, rng.uniform(-math.pi, math.pi)])
     return poses
+
+
+def _below_card(pose: FloatArray) -> tuple[float, float, float]:
+    """Return the disc below the card that the slave holds at a pose: x, y and radius [m]."""
+    (x, y, yaw), (ahead, radius) = pose, _CARD
+    return x - ahead * math.sin(yaw), y + ahead * math.cos(yaw), radius
 
 
 def _wall(

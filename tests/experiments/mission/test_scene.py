@@ -7,6 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from controllers.insertion.card_arm import CardArm
+from experiments.ch5.insertion_scene import insertion_drawing
 from experiments.mission.scene import (
     CARD_PLACE,
     INITIAL_PLACE_ERROR,
@@ -19,7 +21,7 @@ from experiments.mission.scene import (
     survey,
 )
 from experiments.mission.trial import generators
-from models.compose import make_model
+from models.compose import make_model, make_terrain
 from models.datasheets import CARD_AND_SLOT
 
 WIDTH = CARD_AND_SLOT.slot_widths[-1]
@@ -63,6 +65,25 @@ def test_nothing_drawn_stands_where_the_slave_works(scenes):
             reach = math.hypot(*screen.size[:2]) / 2.0
             away = math.dist(screen.position, CARD_PLACE[:2])
             assert away - reach > (0.2 if screen.size == WALL else 0.3)
+
+
+@pytest.mark.parametrize("seed", [5, 12, 31])
+def test_no_rock_or_block_stands_below_the_card_that_the_slave_holds(seed, scenes):
+    scene = scenes[seed]
+    terrain = make_terrain(scene.field, scene.robots)
+    slave = next(robot for robot in scene.robots if robot.name == SLAVE)
+    arm = CardArm(roles().slave, insertion_drawing(WIDTH).tip)
+    _, ahead, _ = arm.transform_card_to_robot(arm_home()).translation
+    card = slave.position + ahead * np.array([-math.sin(slave.yaw), math.cos(slave.yaw)])
+    for solids in (terrain.rocks, terrain.blocks):
+        away = np.linalg.norm(solids.centres[:, :2] - card, axis=1) - solids.radii
+        assert away.min() > 0.1
+
+
+def arm_home():
+    arm = roles().slave.arm
+    assert arm is not None
+    return arm.home
 
 
 def test_the_panel_is_hidden_from_both_initial_poses_in_at_least_half_of_the_seeds(scenes):
