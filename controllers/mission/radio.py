@@ -31,7 +31,7 @@ PATIENCE = 60.0
 """Longest silence for which a rover waits that has done its own part [s]."""
 _KEPT = 32  # Number of messages that are kept until somebody takes them.
 _FORM = struct.Struct(">BBB6h21e")
-_READY, _LOCALIZED, _NEAR = 1, 2, 4
+_READY, _LOCALIZED, _NEAR, _SIGHTED = 1, 2, 4, 8
 _LENGTH, _ANGLE = 5e-4, 1e-4
 """Steps of the slot's position [m], up to 16 m, and attitude [rad]."""
 _UPPER = np.triu_indices(6)
@@ -59,12 +59,14 @@ class Status:
         ready: Whether its arm is where the insertion begins, at rest.
         slot: Pose of the slot in its frame; None before it is localized.
         near: Whether it searches for the panel near the site.
+        sighted: Whether it has sighted the panel from far away.
     """
 
     done: int
     ready: bool = False
     slot: SlotPose | None = None
     near: bool = False
+    sighted: bool = False
 
     def pack(self) -> bytes:
         """Return the message's bytes.
@@ -73,7 +75,7 @@ class Status:
             RadioError: If the slot is too far away, or a number is not finite.
         """
         flags, steps, variances = 0, np.zeros(6), np.zeros(21)
-        flags |= _READY * self.ready | _NEAR * self.near
+        flags |= _READY * self.ready | _NEAR * self.near | _SIGHTED * self.sighted
         if self.slot is not None:
             flags |= _LOCALIZED
             pose = self.slot.transform_slot_to_robot
@@ -109,7 +111,8 @@ class Status:
             covariance[_UPPER] = np.array(numbers[6:]) * 1e-6
             covariance += np.triu(covariance, 1).T
             slot = SlotPose(RigidTransform.from_components(place, turn), covariance)
-        return cls(done, bool(flags & _READY), slot, bool(flags & _NEAR))
+        ready, near, sighted = (bool(flags & flag) for flag in (_READY, _NEAR, _SIGHTED))
+        return cls(done, ready, slot, near, sighted)
 
 
 class MissionRadio:
@@ -123,13 +126,15 @@ class MissionRadio:
         stage: Name of the present stage, to which what is sent is counted.
         ready: Whether the rover's arm is where the insertion begins, at rest.
         near: Whether the rover searches for the panel near the site.
+        sighted: Whether it has sighted the panel from far away.
         partner: Newest status of the other rover.
         bytes_sent: Bytes on the air with their frames, by stage and first byte of the message.
         notices: What a person should know of the radio, in words, each with its time [s].
     """
 
     def __init__(self, link: Link, partner: str) -> None:
-        self.stage, self.ready, self.near, self.partner = "", False, False, Status(0)
+        self.stage, self.partner = "", Status(0)
+        self.ready = self.near = self.sighted = False
         self.bytes_sent: collections.Counter[tuple[str, int]] = collections.Counter()
         self.notices: list[tuple[float, str]] = []
         self._link, self._name = link, partner
@@ -199,7 +204,7 @@ class MissionRadio:
         """
         time, last = self._told
         if self._now >= time + PERIOD or (done, self.ready) != (last.done, last.ready):
-            status = Status(done, self.ready, slot(), self.near)
+            status = Status(done, self.ready, slot(), self.near, self.sighted)
             try:
                 message = status.pack()
             except RadioError:  # A place out of range is not told; what is done is.

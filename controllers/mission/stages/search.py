@@ -53,14 +53,14 @@ class SearchPanel:
     """Drives one rover until the panel has localized it.
 
     Until one is localized neither rover knows where the other is. So near the panel only one of
-    them drives at a time.
+    them drives at a time: the one that has sighted it, if only one has.
 
     Args:
         belief: Estimates of the rover; gets its localization.
         radio: The rover's end of the radio.
-        first: Whether the rover drives where both are near the panel; else it gives way. Only the
-            first maps the site from where it is localized: the other is content with a view from
-            far that tells its attitude.
+        first: Whether the rover drives where both are near the panel and have or have not sighted
+            it; else it gives way. Only the first maps the site from where it is localized: the
+            other is content with a view from far that tells its attitude.
         rng: Random generator for possible places and for viewpoints.
 
     Attributes:
@@ -148,11 +148,17 @@ class SearchPanel:
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
 
     def _gives_way(self) -> bool:
-        """Return whether both rovers are near the panel, and the other one drives."""
+        """Return whether both rovers are near the panel, and the other one drives.
+
+        That is the one that has sighted it; of two alike the first.
+        """
         assert self.search is not None
         radio, here = self._radio, self._navigator.place
         radio.near = self.search.odds_within(here, _NEAR) > 0.5  # noqa: PLR2004
-        return radio.near and radio.partner.near and not (self._first or radio.silent)
+        radio.sighted = self.search.sighted
+        if radio.silent or not (radio.near and radio.partner.near):
+            return False
+        return (radio.sighted, self._first) < (radio.partner.sighted, not self._first)
 
     def _partner(self) -> FloatArray:
         """Return the disc (1, 3) of the other rover in the ground frame [m]; none if unknown."""

@@ -40,7 +40,7 @@ def test_a_status_carries_the_slot_within_its_steps_and_its_covariance_to_half_p
     moved = np.abs(got.slot.transform_slot_to_robot.translation - POSE.translation)
     assert moved.max() <= 2.5e-4 + 1e-12
     np.testing.assert_allclose(got.slot.covariance, drawn_covariance(), rtol=1e-3)
-    for status in (Status(1), Status(1, near=True), Status(1, ready=True)):
+    for status in (Status(1), Status(1, near=True), Status(1, ready=True), Status(1, sighted=True)):
         assert Status.unpack(status.pack()) == status
 
 

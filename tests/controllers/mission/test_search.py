@@ -34,11 +34,15 @@ def test_the_panel_may_be_where_a_level_rover_sees_it_from_each_possible_initial
 
 
 def test_of_two_rovers_near_the_panel_one_gives_way_while_it_hears_that_the_other_is():
-    for first, near, heard, waits in (
-        (False, True, True, True),
-        (True, True, True, False),
-        (False, False, True, False),
-        (False, True, False, False),
+    for first, near, heard, sighted, waits in (
+        (False, True, True, (False, False), True),
+        (True, True, True, (False, False), False),
+        (False, False, True, (False, False), False),
+        (False, True, False, (False, False), False),
+        (False, True, True, (True, True), True),
+        (False, True, True, (True, False), False),
+        (True, True, True, (False, True), True),
+        (True, True, False, (False, True), False),
     ):
         belief, radio = belief_of(SLAVE), radio_of()
         belief.navigator.observe(seen_at(0.0))
@@ -51,9 +55,11 @@ def test_of_two_rovers_near_the_panel_one_gives_way_while_it_hears_that_the_othe
         )
         radio.begin_tick(0.0)
         radio.begin_tick(0.0 if heard else 10.0)
-        radio.partner = Status(1, near=True)
+        radio.partner = Status(1, near=True, sighted=sighted[1])
+        if sighted[0]:
+            stage.search.sight(stage.search.places[0], stage.search._normals[0])
         assert stage._gives_way() == waits
-        assert radio.near == near
+        assert radio.near == near and radio.sighted == sighted[0]
 
 
 def test_a_far_view_tells_the_attitude_where_its_worst_axis_does():
