@@ -79,6 +79,8 @@ class NavigatorConfig:
         ahead: Length of a path that must have been seen before the rover sets off [m], and on the
             way.
         aura: Margin about the rover's own spheres that is excluded from the map [m].
+        touches: Height from which on things are kept off by turns in place and straight drives, as
+            mapped: 5 mm less than as they stand [m].
         paths: Size of the rover and limits of obstacles.
     """
 
@@ -89,8 +91,9 @@ class NavigatorConfig:
     apart: tuple[float, float] = (0.2, 0.3)
     ahead: tuple[float, float] = (0.6, 0.3)
     aura: float = 0.03
+    touches: float = 0.02
     paths: GroundPathConfig = GroundPathConfig(
-        radius=0.30, climb=0.02, most_climb=0.035, over_cost=8.0, least=2, pool=2
+        radius=0.30, climb=0.016, most_climb=0.035, over_cost=8.0, least=2, pool=2
     )
 
 
@@ -269,9 +272,9 @@ class Navigator:
         return standing_places(self._planned(), self.place, discs, paths, doubted)
 
     def high_places(self) -> FloatArray:
-        """Return the places (N, 3) of mapped cells that a rover does not stand on [m], frame."""
+        """Return the places (N, 3) of mapped cells that a rover that turns may touch [m], frame."""
         paths = self._config.paths
-        high = obstacles(rises(self.ground, paths.window), paths.climb, paths.least)
+        high = obstacles(rises(self.ground, paths.window), self._config.touches, paths.least)
         rows, columns = np.nonzero(high)
         centres = self.ground.grid.centres[rows, columns]
         return np.column_stack([centres, self.ground.heights[rows, columns]])
