@@ -24,25 +24,27 @@ def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
     flat, cube = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtTexture.mjTEXTURE_CUBE
     _add_texture(scene, "ground", flat, image)
     _add_texture(scene, "rock", cube, np.tile(image[:face, :face], (6, 1, 1)))
-    # MuJoCo counts uniform repeats over two metres.
-    uniform = 2.0 / field.texture_tile
-    materials = {"ground": uniform, "rock": 1.0}
+    # Flat things' textures repeat by their length, which MuJoCo counts over two metres. Each face of
+    # a solid bears one.
+    repeats = 2.0 / field.texture_tile
+    flats = ["ground"]
+    solids = ["rock"]
     if field.blocks > 0 or field.screens:
         faces = [terrain.noise_texture(rng, face, terrain.BLOCK) for _ in range(6)]
         _add_texture(scene, "block", cube, np.concatenate(faces))
-        materials["block"] = 1.0
+        solids.append("block")
     if field.panel is not None:
         image = terrain.noise_texture(rng, field.texture_pixels, terrain.PANEL)
         _add_texture(scene, "panel", flat, image)
-        materials["panel"] = uniform
-    for name, repeat in materials.items():
+        flats.append("panel")
+    for name in (*flats, *solids):
         textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
         textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
         scene.add_material(
             name=name,
             textures=textures,
-            texrepeat=[repeat, repeat],
-            texuniform=repeat == uniform,
+            texrepeat=[repeats, repeats] if name in flats else [1.0, 1.0],
+            texuniform=name in flats,
             specular=0.0,
             shininess=0.0,
         )

@@ -45,8 +45,6 @@ class GroundPathConfig:
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
         corner: Length that each corner of a path costs in the open [m]; beside things times the
             square of what a path costs there, as a rover slides aside while it turns.
-        room: Distance beyond the disc that is free of things where a rover stands, which turns
-            there [m].
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
             map has within it at the start is none.
         window: Side of the square about a cell whose ground is fitted [m].
@@ -65,7 +63,6 @@ class GroundPathConfig:
     margin: float = 0.25
     near_cost: float = 3.0
     corner: float = 0.15
-    room: float = 0.1
     inner: float = 0.2
     window: float = 0.9
     least: int = 1
@@ -182,15 +179,18 @@ def path_lengths(
 def standing_places(
     elevation: ElevationMap,
     start: ArrayLike,
+    room: float | None,
     discs: ArrayLike | None = None,
     config: GroundPathConfig | None = None,
     doubted: BoolArray | None = None,
 ) -> Callable[[ArrayLike], bool]:
-    """Return whether a rover gets to a position (2,) [m], world, and stands on nothing there.
+    """Return whether a rover gets to a position (2,) [m], world, and has room there.
 
     Args:
         elevation: Map of the ground, world.
         start: (2,) position of the rover's middle [m], world; within the map.
+        room: Distance from the rover's disc within which nothing stands [m]; None where what is low
+            may stand even below the rover.
         discs: (M, 3) further discs, as in `plan_path`.
         config: Size of the rover and what it climbs; the default if not given.
         doubted: (rows, columns) cells that may hold something, as in `path_costs`.
@@ -200,8 +200,12 @@ def standing_places(
     costs = path_costs(elevation, begin, discs, config, doubted)
     first = tuple(grid.cells_of([begin])[0].tolist())
     lengths = shortest_paths(costs, first, grid.cell).lengths
-    open_cost = 1.0 + config.near_cost * max(1.0 - config.room / config.margin, 0.0)
-    free = np.isfinite(lengths) & (costs <= open_cost)
+    most = 1.0 + config.near_cost
+    if room is None:
+        most += config.over_cost
+    else:
+        most -= config.near_cost * min(room / config.margin, 1.0)
+    free = np.isfinite(lengths) & (costs <= most)
 
     def may_stand(place: ArrayLike) -> bool:
         cells = grid.cells_of(np.asarray(place, dtype=float)[None])

@@ -162,6 +162,7 @@ def drive(
             seen, found = yield from _go_on(seen, navigator, on_pair)
             reason = navigator.blocked
         else:
+            navigator.doubt_bumps()
             seen = yield from look_round(seen, navigator)
             reason = "there is no path on what is mapped"
         if found or (navigator.arrived and not reason):

@@ -264,12 +264,17 @@ class Navigator:
         paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
         return path_lengths(self._planned(), self.place, places, discs, paths, doubted)
 
-    def standing_places(self) -> Callable[[ArrayLike], bool]:
-        """Return whether the rover gets to a place (2,) in the frame [m], and may stand there."""
+    def standing_places(self, room: float | None) -> Callable[[ArrayLike], bool]:
+        """Return whether the rover gets to a place (2,) in the frame [m], and has room there.
+
+        Args:
+            room: Distance from the rover within which nothing stands [m]; None where what is low
+                may stand even below it.
+        """
         if self._blind:
             return lambda _: True
         paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
-        return standing_places(self._planned(), self.place, discs, paths, doubted)
+        return standing_places(self._planned(), self.place, room, discs, paths, doubted)
 
     def high_places(self) -> FloatArray:
         """Return the places (N, 3) of mapped cells that a rover that turns may touch [m], frame."""
@@ -462,6 +467,10 @@ class Navigator:
         if self._drive is None:
             return np.zeros((0, 2))
         return np.vstack([self.place, self._in_frame(self._drive.rest)])
+
+    def doubt_bumps(self) -> None:
+        """No longer keep off what seemed to hold the rover: wheels slip on smooth ground, too."""
+        self._bumps.clear()
 
     def halt(self) -> None:
         """End the drive where the rover is."""

@@ -28,6 +28,9 @@ OMITTABLE = ("paths", "occluders", "guard")
 station is chosen, or the guard against tipping over."""
 STAGES = ("identify", "search", "map", "place", "approach", "insert")
 """Stages in their order; both rovers end each together."""
+_ROOMS = (0.1, 0.0, None)
+"""Room about the camera station that is wanted, and what is content with if there is none [m]: a
+rover slides as it turns there."""
 _NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.06, 1.0)
 """Tolerances of both rovers' places: distance [m] and heading [rad]. The arm makes up for the
 heading of the one that watches."""
@@ -163,15 +166,17 @@ def _station(belief: MissionBelief, occluders: bool) -> CameraStation:
     Raises:
         StageError: If there is none.
     """
-    to_map = belief.transform_ground_to_map
+    to_map, reason = belief.transform_ground_to_map, ""
     ground = MappedGround(belief.map.voxels.surface(), to_map.inv()) if occluders else None
-    stands = belief.navigator.standing_places()
-    try:
-        return best_camera_station(
-            belief.robot,
-            belief.site.insertion,
-            ground=ground,
-            may_stand=lambda place: stands(to_map.apply([*place, 0.0])[:2]),
-        )
-    except PlacementError as error:
-        raise StageError("place", str(error)) from error
+    for room in _ROOMS:
+        stands = belief.navigator.standing_places(room)
+        try:
+            return best_camera_station(
+                belief.robot,
+                belief.site.insertion,
+                ground=ground,
+                may_stand=lambda place, stands=stands: stands(to_map.apply([*place, 0.0])[:2]),
+            )
+        except PlacementError as error:
+            reason = str(error)
+    raise StageError("place", reason)

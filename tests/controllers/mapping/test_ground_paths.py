@@ -442,7 +442,8 @@ def test_lengths_are_those_of_the_paths_from_cell_to_cell():
     assert np.isinf(path_lengths(model, start, np.array([[99.0, 0.0]]))).all()
 
 
-def test_a_rover_may_stand_where_it_gets_to_and_has_room():
+@pytest.mark.parametrize("room", [0.0, 0.1])
+def test_a_rover_may_stand_where_it_gets_to_and_has_room(room):
     rng = np.random.default_rng(6)
     start, disc, how = (
         np.array([-0.5, -1.0]),
@@ -452,10 +453,10 @@ def test_a_rover_may_stand_where_it_gets_to_and_has_room():
     rocks = rng.integers((0, 0), (60, 80), (25, 2))
     rocks = [rock for rock in rocks if math.dist(middle_of(*rock), start) > 0.5]
     model = field(rocks)
-    may_stand = standing_places(model, start, [disc], how)
+    may_stand = standing_places(model, start, room, [disc], how)
     above = rises(model, HOW.window)
     free = free_by_counting(above, start, discs=[disc])
-    roomy = free_by_counting(above, start, HOW.radius + HOW.room, discs=[(1.0, 0.0, 0.2)])
+    roomy = free_by_counting(above, start, HOW.radius + room, discs=[(1.0, 0.0, 0.1 + room)])
     answers = []
     for place in rng.uniform([-1.2, -1.7], [3.2, 1.7], (80, 2)):
         inside = model.grid.inside(model.grid.cells_of([place]))[0]
@@ -470,10 +471,13 @@ def test_a_rover_may_stand_where_it_gets_to_and_has_room():
 
 
 @pytest.mark.parametrize("height", [0.03, 0.06])
-def test_a_rover_drives_over_what_it_climbs_but_stands_on_nothing(height):
+def test_a_rover_drives_over_what_it_climbs_but_rather_stands_on_nothing(height):
     """A row of stones across the field: low ones are driven over, high ones not."""
     model = field([(row, 40) for row in range(60)], slope=0.0, height=height)
     start, beyond, amid = np.array([-0.5, 0.0]), np.array([2.5, 0.0]), np.array([1.0, 0.0])
-    may_stand = standing_places(model, start, config=HOW)
-    assert may_stand(beyond) == (height < HOW.most_climb)
-    assert not may_stand(amid)
+    how = dataclasses.replace(HOW, near_cost=3.0)
+    climbs = height < HOW.most_climb
+    for room in (0.0, None):
+        may_stand = standing_places(model, start, room, config=how)
+        assert may_stand(beyond) == climbs
+        assert may_stand(amid) == (climbs and room is None)

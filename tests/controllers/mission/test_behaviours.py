@@ -87,6 +87,9 @@ class HandNavigator:
         self.calls.append("halt")
         self._left = 0
 
+    def doubt_bumps(self):
+        self.calls.append("doubt")
+
     def back_off(self, held):
         self.calls.append("back off" if held else "retreat")
         self._left, self.blocked = 10, ""
@@ -208,6 +211,7 @@ def test_without_a_path_the_rover_looks_on_all_sides_and_moves_a_little_before_i
     driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert not driven.arrived and "no path" in driven.reason
     assert navigator.calls.count("set off") == navigator.calls.count("retreat") == 4
+    assert navigator.calls.count("doubt") == 4
     turns = [posture[0] for posture in navigator.postures if abs(posture[2] - LOOKING[2]) < 1e-6]
     assert len(turns) == 4 * 7 and np.diff(sorted(set(turns))).max() < 0.9
 

@@ -175,6 +175,11 @@ def test_what_held_a_rover_is_kept_off_after_it_backed_off():
     ahead = [0.0, NavigatorConfig().paths.radius + 0.1]
     assert np.linalg.norm(places - ahead, axis=1).min() > 0.3
     assert math.dist(places[-1], (0.0, 2.0)) < 0.05
+    back = np.array([0.0, -0.2])
+    around = rover.navigator.lengths_to(back[None])[0]
+    rover.navigator.doubt_bumps()
+    straight = rover.navigator.lengths_to(back[None])[0]
+    assert straight == pytest.approx(2.2, abs=0.05) and straight < around
 
 
 def test_a_rover_backs_off_where_there_is_room_for_that():

@@ -174,3 +174,20 @@ def test_screen_at_a_start_at_the_panel_or_over_the_edge_is_refused(screen, reas
 def test_impossible_screens_are_refused_with_what_is_valid(bad):
     with pytest.raises(ValueError, match="screen .*: got .*, needs "):
         bad()
+
+
+@pytest.mark.parametrize("tile", [0.5, 2.0])
+def test_each_face_of_a_wall_bears_the_whole_texture_of_a_block_whatever_the_grounds(tile):
+    """On a uniform one a wide face bears the streaks of a ball's surface seen from its middle."""
+    field = FieldConfig(
+        size=(4.0, 4.0),
+        rocks=1,
+        texture_pixels=64,
+        texture_tile=tile,
+        screens=(ScreenConfig((1.0, 0.0), 0.0, (1.0, 0.1, 0.6)),),
+    )
+    model = make_model(field, ())
+    uniform = {model.mat(i).name: bool(model.mat_texuniform[i]) for i in range(model.nmat)}
+    assert uniform == {"ground": True, "rock": False, "block": False}
+    repeats = model.mat_texrepeat[model.mat("ground").id]
+    np.testing.assert_allclose(repeats, 2.0 / tile)
