@@ -24,8 +24,8 @@ def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
     flat, cube = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtTexture.mjTEXTURE_CUBE
     _add_texture(scene, "ground", flat, image)
     _add_texture(scene, "rock", cube, np.tile(image[:face, :face], (6, 1, 1)))
-    # Flat things' textures repeat by their length, which MuJoCo counts over two metres. Each face of
-    # a solid bears one.
+    # Flat things' textures repeat by their length, which MuJoCo counts over two metres. Each face
+    # of a solid bears one.
     repeats = 2.0 / field.texture_tile
     flats = ["ground"]
     solids = ["rock"]
