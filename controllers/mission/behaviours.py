@@ -26,6 +26,7 @@ LOOKING = np.array([0.0, 1.9, -0.9, -1.85])
 """Posture of the arm to look at the ground just beside the rover: 49 degrees below the horizon, and
 the wrist 8 degrees before its limit [rad]."""
 _ROUND = (-2.4, -1.6, -0.8, 0.0, 0.8, 1.6, 2.4)  # Turns of the arm to look on all sides [rad].
+_SPARE = 0.4  # Turn of the arm left to its limit after the rover has turned for it [rad].
 _MOST_LOOKS = 12  # Largest number of looks at unseen ground before the rover sets off.
 _MOST_STALLS = 4  # Largest number of times that a rover may get stuck on one way.
 OnPair = Callable[[Observation, RobotLocalization | None], bool]
@@ -78,7 +79,7 @@ def posed(seen: Observation, navigator: Navigator, goal: FloatArray) -> Behaviou
 def faced(
     seen: Observation, navigator: Navigator, arm: SerialChain, point: FloatArray
 ) -> Behaviour:
-    """Turn the rover towards a position to which its arm does not turn, as behind it.
+    """Turn the rover, no more than that takes, until its arm turns to a position, as behind it.
 
     Args:
         seen: Latest observation.
@@ -86,12 +87,13 @@ def faced(
         arm: Chain of the arm, with the left camera as its tool.
         point: (3,) position [m], in the rover's frame.
     """
-    bearing = math.atan2(-point[0], point[1])
-    if arm.limits[0, 0] < bearing < arm.limits[0, 1]:
+    bearing, (low, high) = math.atan2(-point[0], point[1]), arm.limits[0]
+    if low < bearing < high:
         return seen
+    turn = bearing - min(max(bearing, low + _SPARE), high - _SPARE)
     seen = yield from posed(seen, navigator, DRIVING)
-    seen = yield from _with_room(seen, navigator, bearing)
-    navigator.follow(navigator.place[None], navigator.yaw + bearing)
+    seen = yield from _with_room(seen, navigator, turn)
+    navigator.follow(navigator.place[None], navigator.yaw + turn)
     seen, _ = yield from _go_on(seen, navigator, _any)
     navigator.halt()
     return seen

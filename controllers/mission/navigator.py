@@ -51,6 +51,7 @@ _MOST_SLIDE = 0.13  # Most of that which is made room for [m].
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLIDING = 0.32  # Radius about one that slides as it turns that holds it [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
+_FEW = 16  # Cells not seen below it over which it may slide.
 _NO_NEARER = 0.01  # What a rover that backs off may come nearer to something [m].
 _BACK = 0.25  # Distance by which a rover backs off in the open [m].
 _WAYS = np.array([-0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -0.125, 0.125])
@@ -312,14 +313,10 @@ class Navigator:
         """
         if self._blind:
             return None
-        grid, radius = self.ground.grid, self._config.paths.radius
-        points = _along(path, self._config.ahead[0] if far is None else far, 2.0 * grid.cell)
-        low = np.maximum(grid.cells_of([points.min(axis=0) - radius])[0], 0)
-        high = grid.cells_of([points.max(axis=0) + radius])[0] + 1
-        box = slice(low[0], high[0]), slice(low[1], high[1])
-        seen = _filled(self.ground.known[box])
-        seen |= self._looks[box] >= _MOST_LOOKS
-        places = grid.centres[box][~seen]
+        radius = self._config.paths.radius
+        step = 2.0 * self.ground.grid.cell
+        points = _along(path, self._config.ahead[0] if far is None else far, step)
+        places = self._unshown(points)
         places = places[np.linalg.norm(places - self.place, axis=1) > radius]
         for point in points:
             over = places[np.linalg.norm(places - point, axis=1) < _SEEN]
@@ -329,6 +326,22 @@ class Navigator:
                 self._look_at = places[about].mean(axis=0)
                 return self.to_look_at()
         return None
+
+    def _unshown(self, points: FloatArray) -> FloatArray:
+        """Return the middles (K, 2) of cells about points (N, 2) that no look has shown [m]."""
+        grid, radius = self.ground.grid, self._config.paths.radius
+        low = np.maximum(grid.cells_of([points.min(axis=0) - radius])[0], 0)
+        high = grid.cells_of([points.max(axis=0) + radius])[0] + 1
+        box = slice(low[0], high[0]), slice(low[1], high[1])
+        shown = _filled(self.ground.known[box]) | (self._looks[box] >= _MOST_LOOKS)
+        return grid.centres[box][~shown]
+
+    def _unshown_at(self, place: FloatArray) -> int:
+        """Return the number of cells below a rover at a place (2,) that no look has shown."""
+        if self._blind:
+            return 0
+        cells = self._unshown(place[None])
+        return int(np.count_nonzero(np.linalg.norm(cells - place, axis=1) < _SEEN))
 
     def to_look_at(self) -> FloatArray:
         """Return the ground (3,) that `unseen` gave last, in the rover's frame as it is now [m]."""
@@ -378,9 +391,15 @@ class Navigator:
         return np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
 
     def _slides_near(self, pivot: FloatArray) -> bool:
-        """Return whether the rover has slid from where it began to turn (1, 2), to something."""
-        slid = math.dist(pivot[0], self.place)
-        return slid > _SLID and self._gap(self.place[None]) < min(_SLIDING, self._gap(pivot))
+        """Return whether the rover has slid from where it began to turn (1, 2), and is not to.
+
+        That is towards something, or over ground that it has not seen.
+        """
+        if math.dist(pivot[0], self.place) < _SLID:
+            return False
+        if self._unshown_at(self.place) > self._unshown_at(pivot[0]) + _FEW:
+            return True
+        return self._gap(self.place[None]) < min(_SLIDING, self._gap(pivot))
 
     def set_off(self, place: FloatArray, heading: float | None) -> bool:
         """Begin a drive to a place; return whether there is a path.
@@ -456,6 +475,8 @@ class Navigator:
         gaps = np.array([self._gap(path, discs) for path in paths])
         ends = np.array([self._gap(path[1:], discs) for path in paths])
         free = (gaps > min(_STRAIGHT, here - _NO_NEARER)) & ((ends > _SLIDING) | (ends > here))
+        most = self._unshown_at(self.place) + _FEW
+        free &= np.array([self._unshown_at(path[1]) <= most for path in paths])
         if free.any():
             worth = np.minimum(ends, _ROOM) - _LONGER * np.maximum(np.abs(_WAYS), _BACK)
             best = int(np.argmax(np.where(free, worth, -math.inf)))
