@@ -46,8 +46,9 @@ _BUMP = 0.1  # Radius of a disc about what held a rover [m].
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
-_SLIDES = 0.05  # How far it slides aside meanwhile, for each radian [m].
-_MOST_SLIDE = 0.13  # Most of that which is made room for [m].
+_SLIDES, _MOST_SLIDE = 0.7, 0.35
+"""How far it slides downhill meanwhile over the slope and the turn [m/rad], and most of that which
+is made room for [m]: wheels that skid 0.2 m a radian hold with the friction that is left."""
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLIDING = 0.32  # Radius about one that slides as it turns that holds it [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
@@ -56,6 +57,7 @@ _NO_NEARER = 0.01  # What a rover that backs off may come nearer to something [m
 _BACK = 0.25  # Distance by which a rover backs off in the open [m].
 _WAYS = np.array([-0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -0.125, 0.125])
 """How far a rover may back off, or go forward where there is no room for that [m]."""
+_USUAL = 1.0  # Turn that follows after it has backed off [rad].
 _ROOM = 0.4  # Radius about its end that is enough [m].
 _LONGER = 0.1  # Room that is worth a way longer by a metre [m].
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
@@ -364,12 +366,19 @@ class Navigator:
         return self._gap(path) > _STRAIGHT
 
     def may_turn(self, angle: float) -> bool:
-        """Return whether there is room to turn in place by an angle [rad], on which a rover slides.
+        """Return whether there is room to turn in place, and to slide downhill meanwhile.
 
         Args:
             angle: Angle to the left or to the right [rad].
         """
-        return self._gap(self.place[None]) > _TURNING + min(_SLIDES * abs(angle), _MOST_SLIDE)
+        return self._gap(self._slide(self.place, angle)) > _TURNING
+
+    def _slide(self, place: FloatArray, angle: float) -> FloatArray:
+        """Return where a turn in place begins and ends (2, 2), on the slope where the rover is."""
+        x, y, upright = self.odometry.pose().rotation.apply([0.0, 0.0, 1.0])
+        downhill = _SLIDES * abs(angle) / upright * np.array([x, y])
+        length = float(np.linalg.norm(downhill))
+        return np.array([place, place + downhill * min(1.0, _MOST_SLIDE / max(length, 1e-9))])
 
     def _gap(self, path: FloatArray, kept_off: FloatArray | None = None) -> float:
         """Return the distance of a path from discs, or else from all that is kept off [m].
@@ -471,10 +480,12 @@ class Navigator:
         self.halt()
         paths = [_moved(pose, np.array([0.0, way])) for way in _WAYS]
         discs = self._kept_off()
-        here = self._gap(self.place[None], discs)
+        beside, here = (
+            self._gap(places, discs) for places in (paths[0][:1], self._slide(self.place, _USUAL))
+        )
         gaps = np.array([self._gap(path, discs) for path in paths])
-        ends = np.array([self._gap(path[1:], discs) for path in paths])
-        free = (gaps > min(_STRAIGHT, here - _NO_NEARER)) & ((ends > _SLIDING) | (ends > here))
+        ends = np.array([self._gap(self._slide(path[1], _USUAL), discs) for path in paths])
+        free = (gaps > min(_STRAIGHT, beside - _NO_NEARER)) & ((ends > _SLIDING) | (ends > here))
         most = self._unshown_at(self.place) + _FEW
         free &= np.array([self._unshown_at(path[1]) <= most for path in paths])
         if free.any():

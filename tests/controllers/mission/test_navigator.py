@@ -291,3 +291,18 @@ def test_the_map_that_paths_are_planned_on_stays_the_same_until_something_is_add
     after = navigator._planned()
     assert after is not before
     np.testing.assert_array_equal(after.heights, navigator.ground.heights)
+
+
+def test_a_turn_on_a_slope_needs_room_downhill():
+    """Nose up by 9 degrees, downhill is behind it."""
+    for pitch, box, angle, free in (
+        (0.15, -0.40, 1.5, False),
+        (0.15, 0.40, 1.5, True),
+        (0.15, -0.40, 0.2, True),
+        (0.0, -0.40, 1.5, True),
+        (-0.15, 0.40, 1.5, False),
+    ):
+        rover = Rolling(tilt=(pitch, 0.0))
+        put_box(rover.navigator, 0.0, box)
+        assert rover.navigator.may_turn(angle) == free
+        assert rover.navigator.may_turn(-angle) == free
