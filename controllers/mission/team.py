@@ -139,7 +139,7 @@ def _master_stages(
     yield SearchPanel(belief, radio, True, rng)
     yield MapSite(belief, config.scans, rng)
     occluders = config.without != "occluders"
-    yield GoToPlace("place", belief, lambda: _station(belief, occluders).place, _NEAR_STATION)
+    yield GoToPlace("place", belief, lambda: best_station(belief, occluders).place, _NEAR_STATION)
     yield Wait("approach", belief)
     yield GuideInsertion(belief, radio, card)
 
@@ -156,7 +156,7 @@ def _slave_stages(
     yield InsertCard(belief, radio)
 
 
-def _station(belief: MissionBelief, occluders: bool) -> CameraStation:
+def best_station(belief: MissionBelief, occluders: bool) -> CameraStation:
     """Return the best camera station that the master can reach, on its map.
 
     Args:
